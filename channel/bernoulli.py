@@ -1,0 +1,33 @@
+"""Independent loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from channel.dice import Dice, Ints
+from channel.effect import Effect, probability
+
+
+@dataclass(frozen=True, slots=True)
+class Bernoulli(Effect):
+    """Every packet is lost with probability `p`, whatever happens to the others.
+
+    Losses in a row are then geometric: bursts have a mean length of 1/(1 - p).
+    """
+
+    reorders: ClassVar[bool] = False
+    p: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "p", probability("p", self.p))
+
+    def begin(self, dice: Dice) -> Dice:
+        """The dice are all there is to remember."""
+        return dice
+
+    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Dice]:
+        """The packets that are spared, at once."""
+        spared = state.uniform(packet) >= self.p
+        return packet[spared], time_ns[spared], state

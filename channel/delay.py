@@ -1,0 +1,28 @@
+"""A constant delay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from channel.dice import Dice, Ints
+from channel.effect import Effect, nanoseconds, seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Delay(Effect):
+    """Every packet leaves `delay` s after it entered (to the nearest ns; 0 to 3600 s)."""
+
+    reorders: ClassVar[bool] = False
+    delay: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "delay", seconds("delay", self.delay))
+
+    def begin(self, dice: Dice) -> None:
+        """Nothing to remember."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, None]:
+        """All packets, later."""
+        return packet, time_ns + nanoseconds(self.delay), None

@@ -1,0 +1,38 @@
+"""Packets that arrive twice."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+
+from channel.dice import Dice, Ints
+from channel.effect import Effect, by_time, nanoseconds, probability, seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Duplicate(Effect):
+    """With probability `p` a packet leaves twice: at once, and `after` s later. None is lost or late.
+
+    Effects behind it meet both copies with the same dice: both are lost, or late by the same time.
+    """
+
+    p: float
+    _: KW_ONLY
+    after: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "p", probability("p", self.p))
+        object.__setattr__(self, "after", seconds("after", self.after))
+
+    def begin(self, dice: Dice) -> Dice:
+        """The dice are all there is to remember."""
+        return dice
+
+    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Dice]:
+        """All packets, some of them again."""
+        twice = state.uniform(packet) < self.p
+        copies = np.concatenate((packet, packet[twice]))
+        times = np.concatenate((time_ns, time_ns[twice] + nanoseconds(self.after)))
+        return *by_time(copies, times), state

@@ -1,0 +1,167 @@
+"""What an effect is: a rule that maps a time-sorted run of packets to another; and effects in a chain.
+
+An effect knows packets by number and time, never by content. What it decides, it decides when a packet
+enters: `carry` returns everything that will ever come of the packets handed to it. Its dice are keyed by
+(seed, direction, place in the chain, packet, draw), so both copies of a doubled packet meet the same
+verdict behind it, and no verdict depends on which other packets there are.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from channel.dice import Dice, Ints
+from teleop.errors import Refused, number
+
+if TYPE_CHECKING:
+    from channel.schedule import Arrivals, Stream
+
+Order = Literal["any", "time", "number"]
+State = Any  # an effect's own; everybody else hands it back untouched
+LONGEST = 3600.0  # s; packets under way are kept in memory, so no delay may be longer
+
+
+class Effect(ABC):
+    """One thing that happens to packets on their way; final subclasses are frozen dataclasses.
+
+    A subclass writes `begin` and `carry`; `check_effect` (channel.conformance) tries what is promised here.
+    """
+
+    __slots__ = ()
+
+    order: ClassVar[Order] = "any"
+    """How packets must be handed over. "any": a verdict depends on the packet and its own time alone, so
+    runs may be cut anywhere; "time": as they enter, sorted by (time, number): a queue; "number": sorted
+    by (number, time): what keeps packets in the order in which they were sent."""
+
+    reorders: ClassVar[bool] = True
+    """Whether packets may leave in another order than they entered."""
+
+    @abstractmethod
+    def begin(self, dice: Dice) -> State:
+        """The state before the first packet; `dice` are this effect's own, for its direction and place."""
+
+    @abstractmethod
+    def carry(self, state: State, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, State]:
+        """The packets that leave and when, and the next state.
+
+        packet, time_ns: (n,) int64, sorted by time (by number if that is the effect's `order`), ns from the
+        start of the session; not to be written to. size: bytes on the wire. Returns (m,) int64 arrays sorted
+        by (time, number): a lost packet is absent, a doubled one is there twice. No packet leaves before it
+        entered. One long run and the same run in consecutive pieces give the same rows.
+        """
+
+    def way(self, direction: int) -> tuple[Effect, ...]:
+        """The effects a packet passes in this direction (0 forward, 1 backward)."""
+        return (self,)
+
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+        """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
+        from channel.schedule import arrivals
+
+        return arrivals(self, direction, count, dt_ns, seed, size)
+
+    def stream(self, direction: int, seed: int, size: int) -> Stream:
+        """The same packet by packet: see `channel.schedule.Stream`."""
+        from channel.schedule import Stream
+
+        return Stream(self, direction, seed, size)
+
+    def __or__(self, after: Effect | Chain) -> Chain:
+        """This effect, then `after`."""
+        return Chain((self,)) | after if isinstance(after, Effect | Chain) else NotImplemented
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Effects one after the other: `Delay(0.05) | Bernoulli(0.02)`.
+
+    Refused: `in_order` behind a queue that already receives packets out of order. When the queue drops a
+    packet, those waiting for it could only be let go too late or clairvoyantly.
+    """
+
+    effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        disordered = queued = False
+        for effect in self.effects:
+            if not isinstance(effect, Effect):
+                raise Refused(f"a link is made of effects, not {effect!r}; write for example Delay(0.05)")
+            if effect.order == "number":
+                if queued:
+                    raise Refused("in_order() cannot stand behind a queue that receives packets out of order;"
+                                  " write it right behind the jitter: jitter | in_order() | queue")
+                disordered = False
+            queued = queued or (effect.order == "time" and disordered)
+            disordered = disordered or effect.reorders
+
+    def way(self, direction: int) -> tuple[Effect, ...]:
+        """The effects a packet passes in this direction (0 forward, 1 backward)."""
+        return self.effects
+
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+        """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
+        from channel.schedule import arrivals
+
+        return arrivals(self, direction, count, dt_ns, seed, size)
+
+    def stream(self, direction: int, seed: int, size: int) -> Stream:
+        """The same packet by packet: see `channel.schedule.Stream`."""
+        from channel.schedule import Stream
+
+        return Stream(self, direction, seed, size)
+
+    def __or__(self, after: Effect | Chain) -> Chain:
+        """These effects, then `after`."""
+        if not isinstance(after, Effect | Chain):
+            return NotImplemented
+        return Chain(self.effects + (after.effects if isinstance(after, Chain) else (after,)))
+
+
+def by_time(packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
+    """The rows sorted by (time, packet number); rows that already are sorted are returned as they came."""
+    if len(time_ns) < 2:
+        return packet, time_ns
+    step = np.diff(time_ns)
+    if step.min() > 0 or bool(np.all((step > 0) | ((step == 0) & (np.diff(packet) >= 0)))):
+        return packet, time_ns
+    rows = np.lexsort((packet, time_ns))
+    return packet[rows], time_ns[rows]
+
+
+def by_number(packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
+    """The rows sorted by (packet number, time)."""
+    if len(packet) < 2 or bool(np.all(np.diff(packet) > 0)):
+        return packet, time_ns
+    rows = np.lexsort((time_ns, packet))
+    return packet[rows], time_ns[rows]
+
+
+def seconds(name: str, value: object, *, above: float | None = None) -> float:
+    """`value` as a time in s that a packet may spend on its way: from 0 (or above `above`) to an hour."""
+    got = number(name, value, low=None if above is not None else 0.0, above=above)
+    if got > LONGEST:
+        raise Refused(f"{name} must be at most {LONGEST:g} s, not {got:g}: every packet under way is kept in "
+                      f"memory; write for example {name}=0.5")
+    return got
+
+
+def probability(name: str, value: object) -> float:
+    """`value` as a probability, 0 to 1."""
+    return number(name, value, low=0.0, high=1.0)
+
+
+def nanoseconds(time: float) -> int:
+    """A time in s as a whole number of ns, to the nearest."""
+    return round(time * 1e9)
+
+
+def later(packet: Ints, time_ns: Ints, delay: NDArray[np.float64]) -> tuple[Ints, Ints]:
+    """The rows after a delay of their own each, s (n,), to the nearest ns, sorted again."""
+    return by_time(packet, time_ns + np.rint(delay * 1e9).astype(np.int64))

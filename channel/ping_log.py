@@ -1,0 +1,133 @@
+"""Replay of a `ping -D` log: any path on the internet, recorded with what every computer has."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import KW_ONLY, dataclass, field
+
+import numpy as np
+
+from channel import recording
+from channel.dice import Dice, Ints
+from channel.effect import LONGEST, Effect, by_time, nanoseconds
+from teleop.errors import Refused, number
+
+_STAMP = re.compile(r"\[(\d{1,12})\.(\d{1,9})\] (.*)")
+_SEQ = re.compile(r"icmp_seq=(\d{1,5})\b")
+_RTT = re.compile(r" time=(\d{1,8}(?:\.\d+)?) ms\b")
+_LOST = -1
+_PAUSE = 1e9  # ns between probes where a single reply does not tell: ping's own default
+_MOST = 10_000_000  # probes
+
+
+@dataclass(frozen=True, slots=True)
+class PingLog(Effect):
+    """A packet takes the newest probe sent at or before its time: half the probe's round trip each way.
+
+    A probe without a reply (its number missing, "no answer yet", unreachable) loses the packets of both
+    directions, since the log cannot tell which way it was lost. A second reply (DUP!) is ignored, so are
+    heading and summary. The log's clock starts at its first probe; `start` s of it are skipped at the
+    session's start, and it begins again one probe interval after its last probe. Record with
+    `ping -D -i 0.01 HOST > FILE`.
+    Refused: a file that is missing, no text, empty, cut off in a line, out of order, or without time stamps.
+    """
+
+    path: str
+    _: KW_ONLY
+    start: float = 0.0
+    crc: int = field(init=False, repr=False)
+    """Of the file: other contents under the same path are another effect."""
+    _sent: Ints = field(init=False, repr=False, compare=False)  # ns from the first probe
+    _delay: Ints = field(init=False, repr=False, compare=False)  # ns one way, or _LOST
+    _period: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", number("start", self.start, low=0.0, high=1e6))
+        path, lines, crc = recording.read("ping_log", self.path)
+        sent, delay, period = probes(path, lines)
+        for name, value in (("path", path), ("crc", crc), ("_sent", sent), ("_delay", delay),
+                            ("_period", period)):
+            object.__setattr__(self, name, value)
+
+    def begin(self, dice: Dice) -> None:
+        """Nothing to remember."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, None]:
+        """The packets whose probe was answered, half its round trip later."""
+        now = (time_ns + nanoseconds(self.start)) % self._period
+        delay = self._delay[np.searchsorted(self._sent, now, side="right") - 1]
+        back = delay != _LOST
+        return *by_time(packet[back], time_ns[back] + delay[back]), None
+
+
+def probes(path: str, lines: list[str]) -> tuple[Ints, Ints, int]:
+    """Send times from the first probe on (n,), one-way delays or -1 (n,), and the log's period: all in ns.
+
+    A probe was sent its round trip before the reply's stamp; lost ones lie between their neighbours.
+    """
+    answered: dict[int, tuple[int, int]] = {}  # number -> sent, round trip
+    newest = first = None
+    last_stamp = 0
+    for line, text in enumerate(lines, 1):
+        if not text.startswith("["):
+            if _SEQ.search(text):
+                recording.broken(path, line, "this line has no time stamp; record again with ping -D")
+            continue
+        stamp, seq, rtt = _line(path, line, text)
+        if stamp < last_stamp:
+            recording.broken(path, line, "its time stamp lies before the one above: the clock was set or "
+                             "lines were moved; cut the log here, or record again")
+        last_stamp = stamp
+        if newest is not None:
+            seq += 65536 * round((newest - seq) / 65536)  # the number has 16 bits and starts again
+        newest = seq if newest is None else max(newest, seq)
+        first = seq if first is None else min(first, seq)
+        if rtt is None:
+            continue
+        if seq not in answered:
+            answered[seq] = (stamp - rtt, rtt)
+        elif "(DUP!)" not in text:
+            recording.broken(path, line, f"probe {seq} is answered again, without (DUP!): these are two logs "
+                             "in one file; cut them apart")
+    if first is None or newest is None or not answered:
+        raise Refused(f"{path} holds no reply of a ping -D log; record one: ping -D -i 0.01 HOST > {path}")
+    return _evenly(path, first, newest, answered)
+
+
+def _line(path: str, line: int, text: str) -> tuple[int, int, int | None]:
+    """The stamp in ns, the probe's number, and its round trip in ns or None."""
+    stamped, seq = _STAMP.match(text), _SEQ.search(text)
+    if stamped is None or seq is None:
+        recording.broken(path, line, f"{text[:60]!r} is no line of a ping -D log; delete it if the file "
+                         "was cut off")
+    stamp = int(stamped[1]) * 10**9 + int(stamped[2].ljust(9, "0"))
+    if " bytes from " not in text:
+        return stamp, int(seq[1]), None
+    rtt = _RTT.search(text)
+    if rtt is None:
+        recording.broken(path, line, f"the reply {text[-40:]!r} has no time=... ms; delete it if the file "
+                         "was cut off")
+    took = round(float(rtt[1]) * 1e6)
+    if took > nanoseconds(2 * LONGEST):
+        recording.broken(path, line, f"a round trip of {took / 1e9:g} s is longer than the {2 * LONGEST:g} s "
+                         "that can be replayed; delete the line")
+    return stamp, int(seq[1]), took
+
+
+def _evenly(path: str, first: int, newest: int,
+            answered: dict[int, tuple[int, int]]) -> tuple[Ints, Ints, int]:
+    """All probes from `first` to `newest` by number, those without a reply put between the others."""
+    if newest - first > _MOST:
+        raise Refused(f"{path} counts {newest - first} probes, too many for one log; cut it into parts")
+    known = np.array(sorted(answered))
+    began = answered[int(known[0])][0]
+    sent_known = np.array([answered[seq][0] - began for seq in known.tolist()], np.float64)
+    interval = float(sent_known[-1]) / float(known[-1] - known[0]) if len(known) > 1 else _PAUSE
+    seq = np.arange(first, newest + 1)
+    outside = np.minimum(seq - known[0], 0) + np.maximum(seq - known[-1], 0)
+    sent = np.interp(seq, known, sent_known) + interval * outside
+    sent_ns = np.maximum.accumulate(np.rint(sent - sent[0]).astype(np.int64))
+    delay = np.full(len(seq), _LOST, np.int64)
+    delay[known - first] = [answered[number][1] // 2 for number in known.tolist()]
+    return sent_ns, delay, int(sent_ns[-1]) + max(round(interval), 1)

@@ -1,0 +1,162 @@
+"""What becomes of every packet: a whole direction drawn up front, or packet by packet as they are sent.
+
+Both forms give the same packets at the same nanosecond, because ties have a rule: at every place in the
+chain, packets of the same time go in the order of their numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from heapq import heappop, heappush
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from channel.dice import Dice, Ints
+from channel.effect import Effect, State, by_number
+from teleop.errors import Refused
+
+
+class Way(Protocol):
+    """Whatever leads from one end to the other: an effect, a chain of them, a link."""
+
+    def way(self, direction: int) -> tuple[Effect, ...]:
+        """The effects a packet passes in this direction (0 forward, 1 backward)."""
+        ...
+
+
+class Arrivals(NamedTuple):
+    """What comes out of one direction, sorted by (time, number): a lost packet is absent, a doubled twice."""
+
+    packet: Ints  # (m,)
+    time_ns: Ints  # (m,), ns from the start of the session
+
+
+class Verdicts(NamedTuple):
+    """What one effect did to the packets handed to it; who is in and not out was lost."""
+
+    effect: str
+    packet_in: Ints
+    time_in: Ints
+    packet_out: Ints
+    time_out: Ints
+
+
+class Delivery(NamedTuple):
+    """A packet that has arrived, when, and the bytes it was sent with."""
+
+    packet: int
+    time_ns: int
+    load: bytes
+
+
+def arrivals(link: Way, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+    """What arrives when packets 0..count-1 are sent at k*dt_ns, each of `size` bytes on the wire."""
+    packet, time_ns = _sent(count, dt_ns)
+    for done in _passed(link, direction, packet, time_ns, seed, size):
+        packet, time_ns = done.packet_out, done.time_out
+    return Arrivals(packet, time_ns)
+
+
+def verdicts(link: Way, direction: int, count: int, dt_ns: int, seed: int, size: int) -> list[Verdicts]:
+    """The log of `arrivals`: what each effect of the chain did, first to last."""
+    return list(_passed(link, direction, *_sent(count, dt_ns), seed, size))
+
+
+def _sent(count: int, dt_ns: int) -> tuple[Ints, Ints]:
+    packet = np.arange(whole("count", count, 0), dtype=np.int64)
+    return packet, packet * whole("dt_ns", dt_ns, 1)
+
+
+def _passed(link: Way, direction: int, packet: Ints, time_ns: Ints, seed: int,
+            size: int) -> Iterator[Verdicts]:
+    whole("size", size, 1)
+    for place, effect in enumerate(link.way(direction)):
+        if effect.order == "number":
+            packet, time_ns = by_number(packet, time_ns)
+        state = effect.begin(Dice(seed, direction, place))
+        out, time_out, _ = effect.carry(state, packet, time_ns, size)
+        yield Verdicts(repr(effect), packet, time_ns, out, time_out)
+        packet, time_ns = out, time_out
+
+
+class Stream:
+    """One direction of a link, live: `send` packets as they come, ask for what is `due`.
+
+    `now_ns` counts from the start of the session and never goes back; packet numbers grow. Fed with the send
+    times of `arrivals`, it gives `arrivals`. Effects decide at once, so a packet is carried on through the
+    chain when it is sent, up to the first one that must see packets in time order (a queue): there it waits
+    in the heap for its time. `log` is called with the `Verdicts` of every packet at every effect.
+    """
+
+    def __init__(self, link: Way | None, direction: int, seed: int, size: int,
+                 log: Callable[[Verdicts], object] | None = None) -> None:
+        self._effects = link.way(direction) if link is not None else ()
+        self._size = whole("size", size, 1)
+        self._states: list[State] = [e.begin(Dice(seed, direction, p)) for p, e in enumerate(self._effects)]
+        self._log = log
+        self._heap: list[tuple[int, int, int, int, bytes]] = []  # time, place, packet, serial, load
+        self._serial = 0
+        self.sent = self.doubled = self.lost = self.delivered = 0
+        """Counters: at any time, sent + doubled = lost + delivered + under_way."""
+        nothing = np.empty(0, np.int64)
+        for place in range(len(self._effects)):  # an effect that cannot carry this size says so now
+            self._carry(place, nothing, nothing)
+
+    def send(self, packet: int, now_ns: int, load: bytes = b"") -> None:
+        """A packet, 0..2^63-1, enters the link."""
+        self.sent += 1
+        self._onward(0, np.array([packet], np.int64), np.array([now_ns], np.int64), load)
+
+    def due(self, now_ns: int) -> list[tuple[int, int]]:
+        """(packet, time_ns) of all that arrived up to now, sorted by (time, number)."""
+        return [(packet, time_ns) for packet, time_ns, _ in self.deliver(now_ns)]
+
+    def deliver(self, now_ns: int) -> list[Delivery]:
+        """The same with what the packets carry."""
+        out: list[Delivery] = []
+        end = len(self._effects)
+        while self._heap and self._heap[0][0] <= now_ns:
+            time_ns, place, packet, _, load = heappop(self._heap)
+            if place == end:
+                out.append(Delivery(packet, time_ns, load))
+            else:
+                row = np.array([packet], np.int64), np.array([time_ns], np.int64)
+                self._onward(place + 1, *self._carry(place, *row), load)
+        self.delivered += len(out)
+        return out
+
+    def next_ns(self) -> int | None:
+        """When to ask again: the time of the next arrival or event inside, None if nothing is under way."""
+        return self._heap[0][0] if self._heap else None
+
+    @property
+    def under_way(self) -> int:
+        """Packets inside the link, copies included."""
+        return len(self._heap)
+
+    def _onward(self, place: int, packet: Ints, time_ns: Ints, load: bytes) -> None:
+        """Carries rows as far as they can go before their time, and lays them down there."""
+        while place < len(self._effects) and self._effects[place].order != "time":
+            packet, time_ns = self._carry(place, packet, time_ns)
+            place += 1
+        for number, time in zip(packet.tolist(), time_ns.tolist(), strict=True):
+            heappush(self._heap, (time, place, number, self._serial, load))
+            self._serial += 1
+
+    def _carry(self, place: int, packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
+        effect = self._effects[place]
+        out, time_out, self._states[place] = effect.carry(self._states[place], packet, time_ns, self._size)
+        more = len(out) - len(packet)
+        self.doubled += max(more, 0)
+        self.lost += max(-more, 0)
+        if self._log is not None and len(packet):
+            self._log(Verdicts(repr(effect), packet, time_ns, out, time_out))
+        return out, time_out
+
+
+def whole(name: str, value: object, low: int) -> int:
+    """`value` as a whole number of at least `low`, or `Refused`."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < low:
+        raise Refused(f"{name} must be a whole number from {low} on, not {value!r}; for example {name}=100")
+    return value

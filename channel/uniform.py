@@ -1,0 +1,34 @@
+"""Jitter with a uniform distribution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from channel.dice import Dice, Ints
+from channel.effect import Effect, by_time, nanoseconds, seconds
+
+
+@dataclass(frozen=True, slots=True)
+class UniformJitter(Effect):
+    """Every packet leaves after a delay of its own, uniform in [0, width) s.
+
+    Mean width/2, variance width^2/12. Independent from packet to packet, so packets overtake each other: add
+    `| InOrder()` where they must not.
+    """
+
+    width: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "width", seconds("width", self.width))
+
+    def begin(self, dice: Dice) -> Dice:
+        """The dice are all there is to remember."""
+        return dice
+
+    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Dice]:
+        """All packets, each later by its own draw."""
+        delay = (state.uniform(packet) * nanoseconds(self.width)).astype(np.int64)
+        return *by_time(packet, time_ns + delay), state

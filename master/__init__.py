@@ -1,0 +1,9 @@
+"""The hand's side: hands, and the references they follow."""
+
+import teleop
+
+if getattr(teleop, "DISTRIBUTION", None) != "bilateral-teleop":
+    raise ImportError(
+        "`master` found another package called teleop in place of its own; install bilateral-teleop in an "
+        "environment of its own: python -m venv own && own/bin/python -m pip install bilateral-teleop"
+    )

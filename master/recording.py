@@ -1,0 +1,102 @@
+"""Recordings: a hand's motion read from a CSV file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import isfinite
+
+from teleop.errors import Refused, number
+
+Row = tuple[float, ...]
+HEADERS = (("t", "x"), ("t", "x", "y", "z"))
+FORM = "one row `t, x` or `t, x, y, z` per instant, in s and m"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Recording:
+    """A reference that replays the file at `path`, its positions times `scale`.
+
+    The file has the columns `t, x` or `t, x, y, z` (s, m); that line may stand above them, `#` begins a
+    comment, empty lines are skipped. t increases from row to row. The motion is straight between rows and
+    held before the first and after the last. A file of one column of positions moves the first axis of a
+    scene, one of three needs a scene of three axes. The file is read once, when the recording is made;
+    Refused with path and line where it cannot be replayed.
+    """
+
+    path: str
+    scale: float = 1.0
+    _rows: tuple[Row, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        number("scale", self.scale)
+        object.__setattr__(self, "_rows", read(self.path))
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+        """For each axis the position (m) at the ticks 0 .. count-1."""
+        rows, scale = self._rows, float(self.scale)
+        had = len(rows[0]) - 1
+        if had not in (1, axes):
+            raise Refused(f"{self.path} holds a motion along {had} axes, the scene has axes={axes}; set "
+                          f"axes={had}, or keep only the columns t and x")
+        out: tuple[list[float], ...] = tuple([] for _ in range(had))
+        at, last = 0, len(rows) - 1  # rows[at] is the newest row that is not ahead of the tick
+        for k in range(count):
+            t = k * dt_ns / 1e9
+            while at < last and rows[at + 1][0] <= t:
+                at += 1
+            here, there = rows[at], rows[min(at + 1, last)]
+            # 0 before the first row and after the last
+            part = (t - here[0]) / (there[0] - here[0]) if t > here[0] and at < last else 0.0
+            for axis, values in enumerate(out, start=1):
+                values.append(scale * (here[axis] + (there[axis] - here[axis]) * part))
+        return out + tuple([0.0] * count for _ in range(axes - had))
+
+
+def read(path: str) -> tuple[Row, ...]:
+    """The rows of a recording, at least one; Refused with path and line if there is anything else in it."""
+    rows: list[Row] = []
+    width = 0  # of the header or the first row; 0 before either
+    for at, line in enumerate(_lines(path), start=1):
+        cells = [cell.strip() for cell in line.split("#", 1)[0].split(",")]
+        if cells == [""]:
+            continue
+        if not width and tuple(cell.lower() for cell in cells) in HEADERS:
+            width = len(cells)
+            continue
+        row = tuple(_cell(cell, path, at) for cell in cells)
+        width = width or len(row)
+        if len(row) != width or width not in (2, 4):
+            right = width if width in (2, 4) else "2 or 4"
+            raise Refused(f"{path} line {at}: {len(row)} columns in place of {right}; complete or remove the "
+                          f"line: {FORM}")
+        if rows and row[0] <= rows[-1][0]:
+            raise Refused(f"{path} line {at}: t = {row[0]:g} s does not come after {rows[-1][0]:g} s; sort "
+                          "the rows by time and keep one for each instant")
+        rows.append(row)
+    if not rows:
+        raise Refused(f"{path} holds no motion; a recording has {FORM}")
+    return tuple(rows)
+
+
+def _lines(path: str) -> list[str]:
+    """The lines of a text file."""
+    if not isinstance(path, str):
+        raise Refused(f"path must be the name of a CSV file, not {path!r}; write path='reach.csv'")
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            return file.read().splitlines()
+    except OSError as error:
+        raise Refused(f"cannot read the recording {path!r}: {error.strerror}; name a CSV file") from None
+    except ValueError:
+        raise Refused(f"{path!r} is not text; a recording is a CSV file, {FORM}") from None
+
+
+def _cell(cell: str, path: str, at: int) -> float:
+    """A finite number, as a CSV file writes one."""
+    try:
+        value = float(cell.replace("_", "?"))  # only Python reads 1_0 as a number
+    except ValueError:
+        raise Refused(f"{path} line {at}: {cell!r} is not a number; correct or remove it: {FORM}") from None
+    if not isfinite(value):
+        raise Refused(f"{path} line {at}: {cell!r} is not finite; correct or remove the line")
+    return value

@@ -1,0 +1,42 @@
+"""The scene that benchmarks and references speak of: waves over 50 ms each way against a hard wall."""
+
+from __future__ import annotations
+
+from channel.delay import Delay
+from master.hand import Grip, Sine
+from slave.wall import Wall
+from teleop.law import Law
+from teleop.laws.wave import Wave
+from teleop.plant import MassDamper
+from teleop.scene import Scene
+
+
+def scene(
+    *,
+    law: Law = Wave(b=2.0, K=500.0, B=20.0),
+    delay: float = 0.05,
+    k_e: float = 5000.0,
+    d_e: float = 5.0,
+    wall: float = 0.03,
+    amplitude: float = 0.05,
+    frequency: float = 1.0,
+    k_h: float = 200.0,
+    d_h: float = 5.0,
+    observer: float | None = 200.0,
+    energy: bool = True,
+    dt: float = 1e-3,
+    duration: float = 10.0,
+) -> Scene:
+    """A hand swings a master at 1 Hz; the slave meets a wall that it cannot pull on."""
+    return Scene(
+        law=law,
+        hand=Grip(mass=0.4, k=k_h, d=d_h, reference=Sine(amplitude=amplitude, frequency=frequency)),
+        master=MassDamper(mass=0.1, damping=0.5),
+        link=Delay(delay),
+        slave=MassDamper(mass=0.5, damping=1.0),
+        environment=Wall(k=k_e, d=d_e, at=wall),
+        observer=observer,
+        energy=energy,
+        dt=dt,
+        duration=duration,
+    )

@@ -1,0 +1,36 @@
+"""No link at all: each end sees the other's message of the last tick."""
+
+from __future__ import annotations
+
+from master.hand import Grip, Reach
+from slave.wall import Wall
+from teleop.law import Law
+from teleop.laws.wave import Wave
+from teleop.plant import MassDamper
+from teleop.scene import Scene
+
+
+def scene(
+    *,
+    law: Law = Wave(),
+    k_e: float = 2e4,
+    d_e: float = 10.0,
+    wall: float = 0.03,
+    to: float = 0.06,
+    observer: float | None = 200.0,
+    energy: bool = True,
+    dt: float = 1e-3,
+    duration: float = 10.0,
+) -> Scene:
+    """A hand reaches for a hard wall with nothing in between but one tick."""
+    return Scene(
+        law=law,
+        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.5, duration=1.5)),
+        master=MassDamper(mass=0.1, damping=0.5),
+        slave=MassDamper(mass=0.5, damping=1.0),
+        environment=Wall(k=k_e, d=d_e, at=wall),
+        observer=observer,
+        energy=energy,
+        dt=dt,
+        duration=duration,
+    )

@@ -1,0 +1,59 @@
+"""A moving phone: two recorded LTE links, up from the master, down to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from channel.delay import Delay
+from channel.link import Link
+from channel.mahimahi import Mahimahi
+from master.hand import Grip, Reach
+from slave.wall import Wall
+from teleop.law import Law
+from teleop.laws.wave import Wave
+from teleop.plant import MassDamper
+from teleop.playout import Fixed
+from teleop.safety import Cap, Watchdog
+from teleop.scene import Playout, Scene
+
+
+def scene(
+    *,
+    up: Path,
+    down: Path,
+    law: Law = Wave(),
+    delay: float = 0.02,
+    queue: int = 300,
+    start: float = 0.0,
+    playout: Playout = Fixed(0.12),
+    k_e: float = 5e3,
+    d_e: float = 10.0,
+    wall: float = 0.03,
+    to: float = 0.06,
+    timeout: float = 0.5,
+    f_max: float = 20.0,
+    slew: float = 2000.0,
+    observer: float | None = 200.0,
+    energy: bool = True,
+    dt: float = 1e-3,
+    duration: float = 10.0,
+) -> Scene:
+    """A hand reaches for a wall over recorded packet-delivery traces (mahimahi format)."""
+    return Scene(
+        law=law,
+        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.5, duration=1.5)),
+        master=MassDamper(mass=0.1, damping=0.5),
+        link=Link(
+            forward=Mahimahi(up, queue=queue, start=start) | Delay(delay),
+            backward=Mahimahi(down, queue=queue, start=start) | Delay(delay),
+        ),
+        playout=playout,
+        slave=MassDamper(mass=0.5, damping=1.0),
+        environment=Wall(k=k_e, d=d_e, at=wall),
+        watchdog=Watchdog(timeout=timeout),
+        cap=Cap(f_max=f_max, slew=slew),
+        observer=observer,
+        energy=energy,
+        dt=dt,
+        duration=duration,
+    )

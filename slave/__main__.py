@@ -1,0 +1,17 @@
+"""`python -m slave SCENE --listen HOST:PORT`: the robot's side as a process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from slave.robot import SimulatedSlave
+from teleop.live.end import end_main
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the slave's end; returns the exit code."""
+    return end_main("s", SimulatedSlave, argv)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

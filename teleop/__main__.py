@@ -1,0 +1,173 @@
+"""The command line: `teleop run | demo | list | report`."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from teleop.options import DONE, Parser, guarded, knobs_from, scene_options
+
+if TYPE_CHECKING:
+    from teleop.result import Result
+
+EXAMPLES = """\
+examples:
+  teleop run hard_wall
+  teleop run canonical --set law=pfra --set law.alpha=0.2 --set delay=0.1 --plot
+  teleop run hard_wall --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)' --seed 7 --json
+  teleop demo jittery_wan
+  teleop list hard_wall
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Do what `argv` (left out: the command line) asks for; returns the exit code, 0 or that of `guarded`."""
+    typed = sys.argv[1:] if argv is None else list(argv)
+    return guarded(lambda: _obey(typed))
+
+
+def _obey(typed: Sequence[str]) -> int:
+    parser = _parser()
+    args = parser.parse_args(typed)
+    if args.do is None:
+        parser.print_help()
+        return DONE
+    args.typed = ["teleop", *typed]
+    args.do(args)
+    return DONE
+
+
+def _run(args: Namespace) -> None:
+    from dataclasses import replace
+    from time import perf_counter_ns
+
+    from teleop.folder import new_folder
+    from teleop.lockstep import run
+    from teleop.scene import load_scene
+
+    scene = load_scene(args.scene, **knobs_from(args))
+    _check_plot(args)
+    out = _out(args)
+    with new_folder(out) as inside:  # before the run: a folder that cannot be written is found at once
+        result = run(scene, seed=args.seed, clock=perf_counter_ns)
+        result.write(inside, args.typed)
+        _plot(args, result, inside)
+    _tell(args, replace(result, path=out))
+
+
+def _demo(args: Namespace) -> None:
+    from teleop.live.demo import demo
+
+    _check_plot(args)
+    result = demo(args.scene, knobs_from(args), seed=args.seed, out=_out(args), json=args.json,
+                  lockstep=args.lockstep, command=args.typed)
+    if result.path is not None:
+        _plot(args, result, result.path)
+    _tell(args, result)
+
+
+def _list(args: Namespace) -> None:
+    from teleop.catalogue import details, overview
+
+    _say(overview() if args.name is None else details(args.name))
+
+
+def _report(args: Namespace) -> None:
+    from teleop.errors import Refused
+    from teleop.figure import draw, drawable
+    from teleop.result import load_result
+
+    result = load_result(args.run)
+    if args.json:
+        _say((Path(args.run) / "summary.json").read_text(encoding="utf-8").rstrip())
+        return
+    _tell(args, result)
+    if drawable():
+        try:
+            draw(result, Path(args.run) / "figure.png")
+        except Refused as refused:  # the report has been given; a folder that may only be read is no error
+            _say(f"no figure: {refused}")
+
+
+def _tell(args: Namespace, result: Result) -> None:
+    if args.json:
+        from json import dumps
+
+        _say(dumps({**result.summary(args.typed), "path": str(result.path)}, allow_nan=False, default=str))
+        return
+    from teleop.console import table
+
+    _say(f"{table(result)}\nwritten to {result.path}")
+
+
+def _say(text: str) -> None:
+    """Print `text`; what the terminal's encoding does not know is escaped, and stops nothing."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    print(text.encode(encoding, "backslashreplace").decode(encoding))
+
+
+def _out(args: Namespace) -> Path:
+    from teleop.folder import numbered
+
+    if args.out is not None:
+        return Path(args.out)
+    return numbered(Path("runs"), Path(args.scene).name.removesuffix(".py"))
+
+
+def _check_plot(args: Namespace) -> None:
+    if args.plot:
+        from teleop.figure import need_plot
+
+        need_plot()
+
+
+def _plot(args: Namespace, result: Result, folder: Path) -> None:
+    if args.plot:
+        from teleop.figure import draw
+
+        draw(result, folder / "figure.png")
+
+
+def _parser() -> ArgumentParser:
+    parser = Parser(
+        prog="teleop", epilog=EXAMPLES, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False,
+        description="A delayed bilateral teleoperation stack: run a scene in virtual time or live.",
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    parser.set_defaults(do=None)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+
+    def command(name: str, do: object, text: str) -> ArgumentParser:
+        added: ArgumentParser = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+        added.set_defaults(do=do)
+        return added
+
+    run = command("run", _run, "Run a scene in virtual time: the same seed gives the same bits.")
+    demo = command("demo", _demo, "Run a scene live, slave, channel and master as three processes.")
+    scene_options(run)
+    scene_options(demo, default="hard_wall")
+    for sub in (run, demo):
+        sub.add_argument("--out", metavar="DIR", help="the new folder to write; default runs/SCENE-NUMBER")
+        sub.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+        sub.add_argument("--plot", action="store_true", help="draw figure.png too (needs the extra `plot`)")
+    demo.add_argument("--lockstep", action="store_true",
+                      help="step both ends together over UDP: bit for bit what `teleop run` gives")
+    listing = command("list", _list, "List scenes, laws and effects, or the knobs of one of them.")
+    listing.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law or an effect")
+    report = command("report", _report, "Show a stored run again, and draw it if the extra `plot` is there.")
+    report.add_argument("run", metavar="RUN", help="the folder that a run wrote")
+    report.add_argument("--json", action="store_true", help="print the stored summary and nothing else")
+    return parser
+
+
+def _version() -> str:
+    from teleop import __version__
+
+    return f"bilateral-teleop {__version__}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

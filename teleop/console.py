@@ -1,0 +1,201 @@
+"""What a person reads in a terminal: the table of a run, and the line that shows how far one has come."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:
+    from teleop.result import Packets, Result
+
+PREFIX = {-3: "n", -2: "u", -1: "m", 0: "", 1: "k", 2: "M", 3: "G"}  # u: a terminal may know ASCII only
+_WAYS = (("forth", "fwd"), ("back", "bwd"))
+_LATE = (("half under", "p50"), ("99 % under", "p99"), ("at most", "p100"))
+_MODE = {"virtual": "virtual time", "lockstep": "live in lockstep", "live": "live"}
+_COUNTS = (("lost", "lost"), ("late", "late"), ("overtaken", "overtaken"), ("duplicates", "doubled"),
+           ("in_flight", "under way at the end"))
+
+
+def si(value: float, unit: str) -> str:
+    """`value` to three digits with an SI prefix.
+
+    >>> si(0.03181, "m"), si(-1.1e-2, "J"), si(999.96, "N"), si(0.0, "J")
+    ('31.8 mm', '-11.0 mJ', '1.00 kN', '0 J')
+    """
+    if value == 0.0:
+        return f"0 {unit}"
+    digits, _, power = f"{value:.2e}".partition("e")
+    if power == "":  # not finite
+        return f"{value} {unit}"
+    thousands, rest = divmod(int(power), 3)
+    if thousands not in PREFIX:
+        return f"{value:.2e} {unit}"
+    return f"{float(digits) * 10**rest:.{2 - rest}f} {PREFIX[thousands]}{unit}"
+
+
+def table(result: Result) -> str:
+    """The run in a few lines: what it was, how it ended, and the figures that its scene has."""
+    rows = [
+        ("run", f"{heading(result)}, {_MODE.get(result.mode, result.mode)}, seed {result.seed}"),
+        ("status", verdict(result)),
+        *((label, text) for label, tell in _ROWS for text in tell(result)),
+        *(("note", note) for note in result.notes),
+    ]
+    width = max(len(label) for label, _ in rows)
+    return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
+
+
+def heading(result: Result) -> str:
+    """Scene and law."""
+    law = result.parameters.get("law")
+    return f"{result.scene}, law {law['name'] if isinstance(law, Mapping) else law}"
+
+
+def verdict(result: Result) -> str:
+    """The status and its sentence, which may begin with the status itself."""
+    said = result.sentence.startswith(result.status)
+    return result.sentence if said else f"{result.status}: {result.sentence}"
+
+
+def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:
+    def tell(result: Result) -> Iterator[str]:
+        got = result.metrics
+        if f"{key}_rms" in got:
+            yield f"{si(got[f'{key}_rms'], unit)} rms, {si(got[f'{key}_max'], unit)} max"
+
+    return tell
+
+
+def _energy(key: str) -> Callable[[Result], Iterator[str]]:
+    def tell(result: Result) -> Iterator[str]:
+        got = result.metrics
+        if f"{key}_min" in got:
+            yield f"{si(got[f'{key}_min'], 'J')} smallest, {si(got[f'{key}_end'], 'J')} at the end"
+
+    return tell
+
+
+def _delay(result: Result) -> Iterator[str]:
+    got = result.metrics
+    if any(f"fresh_{way}" in got for _, way in _WAYS):
+        yield ", ".join(f"{_seen(got, way)} {word}" for word, way in _WAYS)
+
+
+def _seen(got: Mapping[str, float], way: str) -> str:
+    if f"T_{way}_mean" not in got:
+        return "nothing came"
+    mean, most = got[f"T_{way}_mean"], got[f"T_{way}_max"]
+    return si(mean, "s") if most - mean < 1e-9 else f"{si(mean, 's')} (up to {si(most, 's')})"
+
+
+def _packets(result: Result) -> Iterator[str]:
+    for word, way in _WAYS:
+        if f"fresh_{way}" in result.metrics and word in result.packets:
+            yield f"{word}: {_counts(result.packets[word])}"
+
+
+def _counts(packets: Packets) -> str:
+    said = [f"{packets.sent} sent", f"{packets.received} received"]
+    for key, word in _COUNTS:
+        count = getattr(packets, key)
+        said += [f"{count} {word}"] * (count > 0 or key in ("lost", "late"))
+    said += [f"{count} rejected ({cause})" for cause, count in packets.rejected.items() if count]
+    return ", ".join(said)
+
+
+def _watchdog(result: Result) -> Iterator[str]:
+    fell = [(end, result.metrics.get(f"g_{e}_min", 1.0)) for end, e in (("master", "m"), ("slave", "s"))]
+    if any(gain < 1.0 for _, gain in fell):
+        yield "let go: smallest gain " + ", ".join(f"{gain:.0%} at the {end}" for end, gain in fell)
+
+
+def _late_ticks(result: Result) -> Iterator[str]:
+    for end, own in _live_ends(result):
+        late = own.get("late_us") or {}
+        text = f"{end}: {own.get('skipped', 0)} skipped"
+        yield text + "".join(f", {word} {si(late[q] * 1e-6, 's')} late" for word, q in _LATE if q in late)
+
+
+def _per_tick(result: Result) -> Iterator[str]:
+    ends = [f"{si(own['cpu'] * result.dt, 's')} {end}" for end, own in _live_ends(result) if own.get("cpu")]
+    if ends:
+        yield ", ".join(ends) + " of processor time"
+    elif result.run_time and result.ticks:
+        each = result.run_time / result.ticks
+        yield f"{si(each, 's')}, {result.dt / each:.3g} times real time"
+
+
+def _live_ends(result: Result) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """What each end of a live run said of its own ticks; in lockstep there is nothing to be late for."""
+    for end in ("master", "slave"):
+        own = result.extra.get(end)
+        if result.mode == "live" and isinstance(own, Mapping):
+            yield end, own
+
+
+_ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
+    ("tracking error", _error("x_err", "m")),
+    ("force error", _error("f_err", "N")),
+    ("delay seen", _delay),
+    ("packets", _packets),
+    ("watchdog", _watchdog),
+    ("late ticks", _late_ticks),
+    ("link energy", _energy("E_link")),
+    ("port energy", _energy("E_port")),
+    ("time per tick", _per_tick),
+)
+
+
+class Progress:
+    """One line on `stream` that says how far something of size `total` has come.
+
+    On a terminal the line is written over itself; elsewhere there is a plain line now and then, and none for
+    what takes no longer. There is no colour anywhere, so NO_COLOR has nothing to switch off.
+    """
+
+    __slots__ = ("_began", "_due", "_stream", "_terminal", "_total", "_width")
+
+    def __init__(self, stream: TextIO, total: float) -> None:
+        self._stream, self._total = stream, total
+        self._terminal = stream.isatty()
+        self._began: float | None = None
+        self._due = 0.0  # the time before which nothing is written
+        self._width = 0  # of what stands on the terminal's line
+
+    def show(self, done: float, now_s: float, text: str = "") -> None:
+        """`done` of the total is done at `now_s` (s, of any clock that does not go back); `text` follows."""
+        pause = 0.1 if self._terminal else 5.0
+        if self._began is None:
+            self._began = now_s
+            self._due = now_s if self._terminal else now_s + pause
+        if now_s < self._due and not (self._terminal and done >= self._total):
+            return
+        self._due = now_s + pause
+        part = min(max(done / self._total, 0.0), 1.0) if self._total > 0.0 else 1.0
+        left = "" if part == 0.0 else f"{(now_s - self._began) * (1.0 - part) / part:.1f} s left"
+        words = [f"{part:4.0%}", left, text]
+        if not self._terminal:
+            self._stream.write("  ".join(word.strip() for word in words if word) + "\n")
+        else:
+            filled = round(20 * part)
+            bar = "[" + "#" * filled + "." * (20 - filled) + "]"
+            line = "  ".join(word for word in [bar, *words] if word)[: _columns(self._stream) - 1]
+            self._stream.write("\r" + line.ljust(self._width))
+            self._width = len(line)
+        self._stream.flush()
+
+    def end(self) -> None:
+        """Leave the line as it stands and go on below it."""
+        if self._width:
+            self._stream.write("\n")
+            self._stream.flush()
+            self._width = 0
+
+
+def _columns(stream: TextIO) -> int:
+    """The terminal's width; 80 where it cannot be told."""
+    try:
+        return os.get_terminal_size(stream.fileno()).columns or 80
+    except (OSError, ValueError):
+        return 80

@@ -1,0 +1,144 @@
+"""The keyword parameters of a scene, read from texts or from Python, each checked by name and type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+from inspect import signature
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, get_args, get_type_hints
+
+from teleop.errors import Refused, nearest, number
+from teleop.law import find_law, law_name
+from teleop.library import house
+from teleop.playout import Fixed, Hold, Zero
+
+_TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+
+def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
+    """A scene function's knobs: `name -> (type, default)`; the default is `...` where one must be given."""
+    hints = get_type_hints(function)
+    return {
+        p.name: (hints.get(p.name, float), ... if p.default is p.empty else p.default)
+        for p in signature(function).parameters.values()
+    }
+
+
+def settle(
+    name: str, function: Callable[..., Any], given: Mapping[str, object]
+) -> tuple[dict[str, object], tuple[str, Any] | None]:
+    """All knobs of a scene with their values, and the link that replaces the scene's, if one was given."""
+    known = knobs_of(function)
+    values: dict[str, Any] = {key: default for key, (_, default) in known.items() if default is not ...}
+    link: tuple[str, Any] | None = None
+    of_law: dict[str, object] = {}
+    for key, value in given.items():
+        if key.startswith("law.") and "law" in known:
+            of_law[key.removeprefix("law.")] = value
+        elif key == "link" and key not in known:
+            link = _link(value)
+        elif key not in known:
+            raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, 'link'])}")
+        else:
+            values[key] = read(key, value, known[key][0])
+    missing = [key for key in known if key not in values]
+    if missing:
+        raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
+    if of_law:
+        values["law"] = _tuned(values["law"], of_law)
+    return values, link
+
+
+def read(key: str, value: object, hint: Any) -> object:
+    """`value` (a text, or already of the type) as the knob's type. Raises `Refused`."""
+    kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    if NoneType in kinds and (value is None or value == "none"):
+        return None
+    if bool in kinds:
+        return _truth(key, value)
+    if Path in kinds:
+        return _path(key, value)
+    if Zero in kinds or hint == Zero | Hold | Fixed:
+        return _playout(key, value)
+    if float in kinds or int in kinds:
+        return _number(key, value, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds))
+    if key == "law":
+        return _law(value)
+    if str in kinds and isinstance(value, str):
+        return value
+    if isinstance(value, str):
+        raise Refused(f"{key} cannot be written as text; set it from Python")
+    return value
+
+
+def _truth(key: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, str) and value.lower() in _TRUTH:
+        return _TRUTH[value.lower()]
+    raise Refused(f"{key} is true or false, not {value!r}; write {key}=true")
+
+
+def _path(key: str, value: object) -> Path:
+    if isinstance(value, (str, Path)) and str(value):
+        return Path(value)
+    raise Refused(f"{key} is the path of a file, not {value!r}")
+
+
+def _number(key: str, value: object, *, whole: bool, vector: bool) -> object:
+    if vector and isinstance(value, str) and "," in value:
+        return tuple(_number(key, part, whole=whole, vector=False) for part in value.split(","))
+    if vector and isinstance(value, tuple):
+        return tuple(_number(key, part, whole=whole, vector=False) for part in value)
+    if isinstance(value, str):
+        try:
+            value = float(value)
+        except ValueError:
+            raise Refused(f"{key} must be a number, not {value!r}; write for example {key}=1.5") from None
+    got = number(key, value)
+    if not whole:
+        return got
+    if got != int(got):
+        raise Refused(f"{key} must be a whole number, not {got:g}")
+    return int(got)
+
+
+def _law(value: object) -> object:
+    if isinstance(value, str):
+        return find_law(value)()
+    if not hasattr(value, "master_start"):
+        raise Refused(f"law must be a law or the name of one, not {value!r}; write law=wave")
+    return value
+
+
+def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
+    own = [f.name for f in fields(law)]
+    for key in changes:
+        if key not in own:
+            raise Refused(f"law {law_name(law)} has no knob {key!r}; {nearest(key, own)}")
+    return replace(law, **{k: _number(f"law.{k}", v, whole=False, vector=False) for k, v in changes.items()})
+
+
+def _playout(key: str, value: object) -> Zero | Hold | Fixed:
+    """`zero`, `hold`, `fixed:0.1` or `fixed:0.1:hold` (gaps)."""
+    if isinstance(value, (Zero, Hold, Fixed)):
+        return value
+    kind, *rest = str(value).split(":")
+    gaps: dict[str, Zero | Hold] = {"zero": Zero(), "hold": Hold()}
+    if kind in gaps and not rest:
+        return gaps[kind]
+    if kind == "fixed" and rest and (len(rest) == 1 or rest[1] in gaps):
+        delay = _number(key, rest[0], whole=False, vector=False)
+        return Fixed(delay=delay, gaps=gaps[rest[1]] if len(rest) > 1 else Zero())  # type: ignore[arg-type]
+    raise Refused(f"{key} is zero, hold, fixed:SECONDS or fixed:SECONDS:hold, not {value!r}; write {key}=fixed:0.1")
+
+
+def _link(value: object) -> tuple[str, Any]:
+    module = house("channel.link")
+    if value is None or value == "none":
+        return "none", None
+    if isinstance(value, str):
+        return value, module.parse_link(value)
+    return module.describe(value), value

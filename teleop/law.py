@@ -1,0 +1,120 @@
+"""What a control law is, and how one is found.
+
+A law is a frozen, keyword-only dataclass of floats with both of its ends in one file. It has no base
+class; this module says what the ends are given and what they answer.
+
+    master_start(at) -> state, Back        slave_start(at) -> state, Forth
+    master(state, at, rx: Back) -> f_m, Forth, state
+    slave(state, at, rx: Forth) -> f_s, Back, state
+
+`Forth` (master to slave) and `Back` are NamedTuples of floats: their fields are what the packet
+carries. The states are NamedTuples of floats too (or `()`); the message that a `*_start` returns is
+the one held before the first arrives. Everything is per axis. An end that couples the axes also has
+`master_sums(state, at, rx) -> Sums` (or `slave_sums`), a NamedTuple of floats that is summed over the
+axes, left to right, and is then given to the end as a fourth argument `over`.
+
+An end pays only for the fields of `At` that its lines name: what it does not read is not computed and
+is NaN, so a field read by a way that `reads` cannot see shows at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import CodeType, FunctionType
+from typing import Any, NamedTuple, Protocol
+
+from teleop.errors import Refused, nearest
+
+
+class At(NamedTuple):
+    """All that one end knows at one tick, in one axis. SI units.
+
+    A field added later breaks no law. `f_held` and `dx` belong together: the force really held over
+    the last tick (cap and watchdog included) and the motion under it.
+    """
+
+    x: float  # position, m
+    v: float  # velocity, m/s
+    f: float  # external force, N: f_h at the master (sensor or observer), f_env at the slave
+    f_held: float  # N
+    dx: float  # m
+    fresh: bool  # is there a message to play at this tick
+    age: float  # s since the newest message was sent, inf before the first
+    dt: float  # s
+
+
+class Law(Protocol):
+    """The shape of a law; see the module's text. `claims` names the ledgers it keeps from going below zero."""
+
+    @property
+    def claims(self) -> frozenset[str]: ...
+
+    def master_start(self, at: At, /) -> tuple[Any, Any]: ...
+    def slave_start(self, at: At, /) -> tuple[Any, Any]: ...
+
+
+BUILT_IN = {
+    "direct": "teleop.laws.direct:Direct",
+    "pfra": "teleop.laws.pfra:PFRA",
+    "wave": "teleop.laws.wave:Wave",
+}
+
+
+def known_laws() -> dict[str, str]:
+    """Every law that can be named: `name -> "module:class"`, built in and from plug-ins, none imported."""
+    from importlib.metadata import entry_points
+
+    return {**{e.name: e.value for e in entry_points(group="teleop.laws")}, **BUILT_IN}
+
+
+def find_law(name: str) -> Callable[..., Any]:
+    """The law's class, loaded now. Raises `Refused`, naming the nearest, if there is none of that name.
+
+    >>> find_law("wave")(b=2.0).b
+    2.0
+    """
+    from importlib import import_module
+
+    where = BUILT_IN.get(name)
+    if where is None:
+        laws = known_laws()
+        if name not in laws:
+            raise Refused(f"there is no law {name!r}; {nearest(name, laws)}")
+        where = laws[name]
+    module, _, attribute = where.partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), attribute)
+    return found
+
+
+def law_name(law: object) -> str:
+    """The name under which `find_law` finds this law, or its class's name for one that is not listed."""
+    kind = type(law)
+    where = f"{kind.__module__}:{kind.__name__}"
+    return next((name for name, place in BUILT_IN.items() if place == where), kind.__name__)
+
+
+def start_at(x: float, v: float, f: float, dt: float) -> At:
+    """What an end knows before the first tick: at rest in `f`, nothing held, nothing received."""
+    return At(x, v, f, 0.0, 0.0, False, float("inf"), dt)
+
+
+def messages(law: Law, dt: float = 1e-3) -> tuple[type[Any], type[Any]]:
+    """The law's message types `(Forth, Back)`, as its two starts show them."""
+    still = start_at(0.0, 0.0, 0.0, dt)
+    return type(law.slave_start(still)[1]), type(law.master_start(still)[1])
+
+
+def reads(end: Callable[..., Any]) -> frozenset[str]:
+    """Which fields of `At` an end's lines name, those of the plain functions it calls included."""
+    found: set[str] = set()
+    seen: set[CodeType] = set()
+    waiting: list[Any] = [getattr(end, "__func__", end)]
+    while waiting:
+        function = waiting.pop()
+        if not isinstance(function, FunctionType) or function.__code__ in seen:
+            continue
+        seen.add(function.__code__)
+        names = function.__code__.co_names
+        found.update(name for name in names if name in At._fields)
+        waiting.extend(function.__globals__.get(name) for name in names)
+    return frozenset(found)

@@ -1,0 +1,59 @@
+"""Direct position-force control: the honest unstable baseline.
+
+The master sends its motion, the slave tracks it with a spring-damper and sends back the force it
+meets, which is put on the hand as it is, scaled by a reflection gain kf:
+
+    f_s = K (x_d - x_s) + B (v_d - v_s)        f_m = kf f_env
+
+Source: the position-force architecture, e.g. B. Hannaford, "A design framework for teleoperators with
+kinesthetic feedback", IEEE Trans. Robotics and Automation 5(4), 1989; unstable for any delay against a
+wall stiff enough.
+
+Claims: nothing. It sends no waves, and its two-port generates energy as soon as there is a delay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+from teleop.errors import number
+from teleop.law import At
+
+
+class Forth(NamedTuple):
+    x: float  # the master's position, m
+    v: float  # the master's velocity, m/s
+
+
+class Back(NamedTuple):
+    f_env: float  # force of the slave on the environment, N
+
+
+@dataclass(frozen=True, kw_only=True)
+class Direct:
+    """Position forth, measured force back, nothing in between."""
+
+    K: float = 500.0  # coupling stiffness, N/m, >= 0
+    B: float = 20.0  # coupling damping, N s/m, >= 0
+    kf: float = 1.0  # reflection gain, >= 0
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def __post_init__(self) -> None:
+        number("K", self.K, low=0.0)
+        number("B", self.B, low=0.0)
+        number("kf", self.kf, low=0.0)
+
+    def master_start(self, at: At) -> tuple[tuple[()], Back]:  # noqa: ARG002 (the start is the same anywhere)
+        return (), Back(0.0)
+
+    def slave_start(self, at: At) -> tuple[tuple[()], Forth]:
+        return (), Forth(at.x, 0.0)  # until the first message: stay
+
+    def master(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Forth, tuple[()]]:
+        return self.kf * rx.f_env, Forth(at.x, at.v), s
+
+    def slave(self, s: tuple[()], at: At, rx: Forth) -> tuple[float, Back, tuple[()]]:
+        f_s = self.K * (rx.x - at.x) + self.B * (rx.v - at.v)
+        return f_s, Back(at.f), s

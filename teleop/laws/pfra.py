@@ -1,0 +1,80 @@
+"""Projection-based force reflection (PFRA).
+
+Source: I. G. Polushin, P. X. Liu and C.-H. Lung, "A force-reflection algorithm for improved
+transparency in bilateral teleoperation with communication delay", IEEE/ASME Trans. Mechatronics
+12(3), 2007, and "Projection-based force reflection algorithm for stable bilateral teleoperation over
+networks", IEEE Trans. Instrumentation and Measurement 57(9), 2008.
+
+The master sends its motion, the slave tracks it with a spring-damper and sends f_env back. Of the
+reflected force, scaled by a gain kf, the part that the hand already resists is felt in full; the
+rest, which would move the master by itself, is scaled by alpha:
+
+    phi_env = sat[0,1]( <f_env, f_h> / max(|f_h|^2, eps) ) f_h        f_m = alpha f_env + (1 - alpha) phi_env
+
+with sat[a,b]{x} = max(a, min(x, b)), eps = 1e-12 N^2, and f_h from a force sensor or an observer
+(teleop.observer). <.,.> runs over all axes, so this end couples them. alpha = 1 is direct force
+reflection, bit for bit on finite inputs (up to the sign of a zero).
+
+Claims: nothing of the ledgers. With alpha = 0: <f_m, f_h> >= 0 and |f_m| <= |f_h|, so a master that
+nobody holds is never moved by the reflection, at any gain and any delay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+from teleop.errors import number
+from teleop.law import At
+
+EPS = 1e-12  # N^2: below this |f_h|^2 the hand's direction means nothing
+
+
+class Forth(NamedTuple):
+    x: float  # the master's position, m
+    v: float  # the master's velocity, m/s
+
+
+class Back(NamedTuple):
+    f_env: float  # force of the slave on the environment, N
+
+
+class Sums(NamedTuple):
+    eh: float  # <kf f_env, f_h>, N^2
+    hh: float  # |f_h|^2, N^2
+
+
+@dataclass(frozen=True, kw_only=True)
+class PFRA:
+    """Force reflection projected on the force of the hand."""
+
+    alpha: float = 0.0  # weight of the part the hand does not resist, 0..1
+    kf: float = 1.0  # reflection gain, >= 0
+    K: float = 500.0  # coupling stiffness, N/m, >= 0
+    B: float = 20.0  # coupling damping, N s/m, >= 0
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def __post_init__(self) -> None:
+        number("alpha", self.alpha, low=0.0, high=1.0)
+        number("kf", self.kf, low=0.0)
+        number("K", self.K, low=0.0)
+        number("B", self.B, low=0.0)
+
+    def master_start(self, at: At) -> tuple[tuple[()], Back]:  # noqa: ARG002 (the start is the same anywhere)
+        return (), Back(0.0)
+
+    def slave_start(self, at: At) -> tuple[tuple[()], Forth]:
+        return (), Forth(at.x, 0.0)  # until the first message: stay
+
+    def master_sums(self, s: tuple[()], at: At, rx: Back) -> Sums:  # noqa: ARG002 (no state)
+        return Sums(self.kf * rx.f_env * at.f, at.f * at.f)
+
+    def master(self, s: tuple[()], at: At, rx: Back, over: Sums) -> tuple[float, Forth, tuple[()]]:
+        share = max(0.0, min(over.eh / max(over.hh, EPS), 1.0))
+        f_m = self.alpha * (self.kf * rx.f_env) + (1.0 - self.alpha) * (share * at.f)
+        return f_m, Forth(at.x, at.v), s
+
+    def slave(self, s: tuple[()], at: At, rx: Forth) -> tuple[float, Back, tuple[()]]:
+        f_s = self.K * (rx.x - at.x) + self.B * (rx.v - at.v)
+        return f_s, Back(at.f), s

@@ -1,0 +1,103 @@
+"""Where scenes are found: those shipped beside this package, those of plug-ins, those at a path.
+
+Built-in scenes are loaded from the folder beside the installed `teleop` package, so that a folder
+`scenarios` or a file `master.py` where the command is typed shadows nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from teleop.errors import Refused, nearest
+
+if TYPE_CHECKING:
+    from teleop.scene import Scene
+
+ROOT = Path(__file__).resolve().parent.parent  # holds teleop, master, slave, channel and scenarios
+
+
+def house(module: str) -> Any:
+    """Import a module of this distribution, whatever lies in the current folder."""
+    top = module.partition(".")[0]
+    if top not in sys.modules:
+        sys.path.insert(0, str(ROOT))
+        try:
+            import_module(top)
+        finally:
+            sys.path.remove(str(ROOT))
+    origin = getattr(sys.modules[top], "__file__", None) or ""
+    if ROOT not in Path(origin).resolve().parents:
+        raise Refused(
+            f"the package {top!r} was taken from {origin or 'elsewhere'}, not from beside teleop; rename that one, "
+            f"or run from another folder"
+        )
+    return import_module(module)
+
+
+def built_in_scenes() -> list[str]:
+    """The names of the scenes that come with this package."""
+    return sorted(p.stem for p in (ROOT / "scenarios").glob("*.py") if not p.stem.startswith("_"))
+
+
+def known_scenes() -> list[str]:
+    """Every scene that can be named: built in and of plug-ins, none imported."""
+    from importlib.metadata import entry_points
+
+    return sorted({*built_in_scenes(), *(e.name for e in entry_points(group="teleop.scenes"))})
+
+
+def scene_function(name: str) -> Callable[..., Scene]:
+    """The function behind a scene's name or path; its keyword parameters are the scene's knobs."""
+    if name.endswith(".py"):
+        module = _from_path(Path(name))
+    elif (ROOT / "scenarios" / f"{name}.py").is_file() and not name.startswith("_"):
+        # The hands, robots and effects that a scene file imports must be ours too.
+        for package in ("master", "slave", "channel"):
+            _claim(package)
+        module = house(f"scenarios.{name}")
+    else:
+        module = _from_plugin(name)
+    function = getattr(module, "scene", None)
+    if not callable(function):
+        raise Refused(f"{name} has no function called `scene`; write `def scene(*, k_e: float = 1e3) -> Scene:` in it")
+    return function  # type: ignore[no-any-return]  # what it returns is checked when it has run
+
+
+def _claim(package: str) -> None:
+    """Make later imports of `package` find ours, without importing it now."""
+    if package in sys.modules:
+        house(package)
+    elif str(ROOT) != (sys.path[0] if sys.path else None):
+        if str(ROOT) in sys.path:
+            sys.path.remove(str(ROOT))
+        sys.path.insert(0, str(ROOT))
+
+
+def _from_path(path: Path) -> Any:
+    if not path.is_file():
+        raise Refused(f"there is no file {path}; a scene is named ({', '.join(built_in_scenes())}) or a path to a .py file")
+    spec = spec_from_file_location(f"teleop_scene_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise Refused(f"{path} cannot be loaded as Python")
+    module = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Refused:
+        raise
+    except Exception as error:
+        raise Refused(f"{path} stopped with {type(error).__name__}: {error}; mend it and run again") from error
+    return module
+
+
+def _from_plugin(name: str) -> Any:
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group="teleop.scenes"):
+        if entry.name == name:
+            return entry.load()
+    raise Refused(f"there is no scene {name!r}; {nearest(name, known_scenes())}")

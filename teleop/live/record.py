@@ -1,0 +1,82 @@
+"""The record that a live end appends to as it goes: flat, so that what is on disk can be read at any time.
+
+One line of JSON (the header), then rows of little-endian float64: tick, lateness (ns), packet played,
+and the end's columns. A row cut off at the end is left out when it is read.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from array import array
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from teleop.errors import Refused
+from teleop.scene import Scene
+from teleop.tick import columns
+from teleop.trace import EndRecord
+
+FILE = "record.bin"
+EVERY = 250  # rows between two writes
+OWN = 3  # columns before the end's: tick, lateness, packet played
+
+
+class Recorder:
+    """Appends an end's rows to `folder/record.bin`. A full disk stops the record, never the loop."""
+
+    def __init__(self, scene: Scene, e: str, folder: Path) -> None:
+        names = [n for name in columns(scene, e) for n in ([name] * scene.axes if "@" in name else [name])]
+        header = {"end": e, "scene": scene.name, "dt_ns": scene.dt_ns, "axes": scene.axes,
+                  "columns": ["k", "late_ns", "seq", *[n.removesuffix("@") for n in names]]}
+        self.trouble: str | None = None
+        self._rows = array("d")
+        self._count = 0
+        self._file: BinaryIO = (folder / FILE).open("wb")
+        self._file.write(json.dumps(header).encode() + b"\n")
+
+    def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
+        """One tick."""
+        self._rows.extend((k, late_ns, played, *row))
+        self._count += 1
+        if self._count % EVERY == 0:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand what there is to the system."""
+        rows, self._rows = self._rows, array("d")
+        if self.trouble is not None:
+            return
+        if sys.byteorder == "big":
+            rows.byteswap()
+        try:
+            self._file.write(rows.tobytes())
+            self._file.flush()
+        except OSError as error:
+            self.trouble = f"the record stopped at row {self._count}: {error.strerror or error}"
+
+    def close(self) -> None:
+        """Write the rest."""
+        self.flush()
+        try:
+            self._file.close()
+        except OSError as error:
+            self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
+
+
+def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float]]:
+    """The header, the rows and the lateness (ns) of each tick of the record in `folder`. Raises `Refused`."""
+    import numpy as np
+
+    try:
+        data = (folder / FILE).read_bytes()
+        line, _, body = data.partition(b"\n")
+        header: dict[str, Any] = json.loads(line)
+    except (OSError, ValueError) as error:
+        raise Refused(f"{folder} holds no record of a live end ({error})") from error
+    width = len(header["columns"])
+    whole = len(body) // (8 * width) * 8 * width
+    table = np.frombuffer(body[:whole], dtype="<f8").reshape(-1, width)
+    ticks: list[int] = table[:, 0].astype(np.int64).tolist()
+    played: list[int] = table[:, 2].astype(np.int64).tolist()
+    return header, EndRecord(ticks, table[:, OWN:].ravel().tolist(), played), table[:, 1].tolist()

@@ -1,0 +1,116 @@
+"""Figures of a run, each with its SI unit, worked out from its trace."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from teleop.scene import Scene
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+UNITS = {
+    "x_err_rms": "m", "x_err_max": "m", "f_err_rms": "N", "f_err_max": "N", "f_m_max": "N", "f_s_max": "N",
+    "f_h_max": "N", "f_env_max": "N", "T_fwd_mean": "s", "T_fwd_max": "s", "T_bwd_mean": "s", "T_bwd_max": "s",
+    "fresh_fwd": "1", "fresh_bwd": "1", "E_link_min": "J", "E_link_end": "J", "E_port_min": "J",
+    "E_port_end": "J", "E_fwd_min": "J", "E_bwd_min": "J", "g_m_min": "1", "g_s_min": "1",
+}
+MEANING = {
+    "x_err_rms": "tracking: slave against the master as it was one forward delay ago",
+    "f_err_rms": "force felt against the force touched one backward delay ago",
+    "T_fwd_mean": "age of a forward message when it was first played",
+    "fresh_fwd": "share of the slave's ticks with a fresh message",
+    "E_link_min": "smallest energy stored in the link",
+    "E_fwd_min": "forward: sender's stamped energy less what was received, smallest",
+    "g_m_min": "smallest gain the master's watchdog came to",
+}
+
+
+def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
+    """Every figure of `UNITS` that the scene has, by name.
+
+    Tracking error is `|x_s(k) - x_m(k - d)|` with d the median age, in ticks, at which forward messages were
+    played; force error is `|f_m(k) - f_env(k - d)|` with that of the backward ones. Without a link d is 1.
+    """
+    import numpy as np
+
+    if not len(trace["t"]):
+        return {}
+    dt = scene.dt_ns / 1e9
+    out: dict[str, float] = {}
+    ages = {"fwd": _ages(trace, "seq_s", dt), "bwd": _ages(trace, "seq_m", dt)}
+    for way, age in ages.items():
+        if age is not None:
+            out[f"fresh_{way}"] = len(age) / len(trace["t"])
+            if len(age):
+                out |= {f"T_{way}_mean": float(age.mean()), f"T_{way}_max": float(age.max())}
+    out |= _error("x_err", trace["x_s"], trace["x_m"], trace["t"], _lag(ages["fwd"], dt))
+    out |= _error("f_err", trace["f_m"], trace["f_env"], trace["t"], _lag(ages["bwd"], dt))
+    out |= {f"{name}_max": float(_size(trace[name]).max()) for name in ("f_m", "f_s", "f_h", "f_env")}
+    for ledger in ("E_link", "E_port"):
+        if ledger in trace:
+            out |= {f"{ledger}_min": float(trace[ledger].min()), f"{ledger}_end": float(trace[ledger][-1])}
+    for way, e in (("fwd", "s"), ("bwd", "m")):
+        if f"E_in_{way}" in trace and f"seq_{e}" in trace:
+            out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
+    out |= {f"{g}_min": float(trace[g].min()) for g in ("g_m", "g_s") if g in trace}
+    return {name: value for name, value in out.items() if np.isfinite(value)}
+
+
+def _ticks(trace: dict[str, Any], dt: float) -> NDArray[np.int64]:
+    import numpy as np
+
+    return np.rint(trace["t"] / dt).astype(np.int64)
+
+
+def _ages(trace: dict[str, Any], seq: str, dt: float) -> NDArray[np.float64] | None:
+    """Ages (s) of the fresh messages when they were played; None without a link."""
+    if seq not in trace:
+        return None
+    fresh = trace[seq] >= 0
+    age: NDArray[np.float64] = (_ticks(trace, dt)[fresh] - trace[seq][fresh]) * dt
+    return age
+
+
+def _lag(age: NDArray[np.float64] | None, dt: float) -> float:
+    import numpy as np
+
+    if age is None:
+        return dt
+    return float(np.median(age)) if len(age) else 0.0
+
+
+def _size(column: NDArray[Any]) -> NDArray[Any]:
+    """Magnitude over the axes."""
+    import numpy as np
+
+    size: NDArray[Any] = np.abs(column) if column.ndim == 1 else np.sqrt((column * column).sum(axis=1))
+    return size
+
+
+def _error(name: str, mine: NDArray[Any], theirs: NDArray[Any], t: NDArray[Any], lag: float) -> dict[str, float]:
+    """RMS and maximum of `mine(t) - theirs(t - lag)`, from the first tick at which both exist."""
+    import numpy as np
+
+    at = np.searchsorted(t, t - lag + 1e-12, side="right") - 1
+    has = at >= 0
+    if not has.any():
+        return {}
+    with np.errstate(all="ignore"):
+        size = _size(mine[has] - theirs[at[has]])
+        return {f"{name}_rms": float(np.sqrt(np.mean(size * size))), f"{name}_max": float(size.max())}
+
+
+def _stamped(trace: dict[str, Any], way: str, e: str, dt: float) -> float:
+    """Smallest of (energy the sender had put in when it sent) - (energy taken out when it was played)."""
+    import numpy as np
+
+    played = trace[f"seq_{e}"]
+    ticks = _ticks(trace, dt)
+    row = np.searchsorted(ticks, played)
+    ok = (played >= 0) & (row < len(ticks))
+    ok[ok] = ticks[row[ok]] == played[ok]
+    if not ok.any():
+        return 0.0
+    return float((trace[f"E_in_{way}"][row[ok]] - trace[f"E_out_{way}"][ok]).min())

@@ -1,0 +1,39 @@
+"""The human-force observer: f_h from the master's own motion, where there is no force sensor.
+
+Derivation. Without the hand the master obeys M_m dv/dt + b_m v = f_h - f_m with f_m held over a tick.
+Over one tick, with e = exp(-b_m dt/M_m),
+
+    v(k) = e v(k-1) + (1 - e)/b_m (f_bar - f_m(k-1)),
+
+where f_bar is the mean of f_h over the tick weighted with exp(-b_m (t_k - t)/M_m). Solved for it,
+
+    f_bar(k) = b_m (v(k) - e v(k-1))/(1 - e) + f_m(k-1)      (b_m = 0: M_m (v(k) - v(k-1))/dt + f_m(k-1)),
+
+exact for exact velocities and the force really held. A first-order filter of bandwidth L follows:
+f_h_hat += (1 - exp(-L dt)) (f_bar - f_h_hat). M_m and b_m are the device's own, without the hand.
+"""
+
+from __future__ import annotations
+
+from math import exp, expm1
+from typing import NamedTuple
+
+
+class Coefficients(NamedTuple):
+    e: float  # exp(-b_m dt/M_m)
+    gain: float  # b_m/(1 - e), or M_m/dt for b_m = 0; kg/s
+    rate: float  # 1 - exp(-L dt)
+
+
+def coefficients(L: float, mass: float, damping: float, dt: float) -> Coefficients:
+    """The numbers one tick needs: bandwidth L (1/s), device mass (kg) and damping (N s/m), tick (s)."""
+    decay = damping * dt / mass
+    # (1 - e)/decay -> 1 for a vanishing damping: the gain is then M_m/dt.
+    gain = damping / -expm1(-decay) if decay > 0.0 else mass / dt
+    return Coefficients(exp(-decay), gain, -expm1(-L * dt))
+
+
+def observe(c: Coefficients, f_h_hat: float, v_before: float, v: float, f_held: float) -> float:
+    """`f_h_hat` after the tick over which the velocity went from `v_before` to `v` under `f_held`. N."""
+    e, gain, rate = c
+    return f_h_hat + rate * (gain * (v - e * v_before) + f_held - f_h_hat)

@@ -1,0 +1,316 @@
+"""The wire format: packets to bytes and back, the replay judge, and the comparison of manifests.
+
+A datagram is, in network byte order,
+
+    magic 2 | version 1 | kind 1 | length of the body 2 | body | padding | CRC-32 4
+
+The body is one msgpack array `[session, seq, sent_ns, echo, payload, E_in]`; the padding is zero bytes, so
+that a scene's packets have the size it names; the CRC (zlib's) covers all before it. It guards against
+accident, not malice: off loopback the link has to be encrypted. Nothing a peer sends can raise: what is
+wrong with a datagram is a value, a `Rejection`, for the caller to count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum, StrEnum
+from math import isfinite
+from shlex import quote
+from struct import Struct
+from typing import Any, Literal, NamedTuple
+from zlib import crc32
+
+from msgpack import Packer, unpackb
+
+from teleop.errors import Refused, number
+
+VERSION = 1
+MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments
+MOST_CONTROL = 8192
+MOST_SENTENCE = 1000  # characters of a REFUSE or BYE
+MOST_SEQ = 2**32 - 1
+_MOST_NS = 2**63 - 1
+_MAGIC = b"BT"  # "B" cannot begin a DTLS record (RFC 7983), so the two can share a port
+_HEAD = Struct("!2sBBH")
+_CHECKSUM = 4
+_LEAST = _HEAD.size + _CHECKSUM
+_FLOAT = 9  # msgpack's size of a float, and of an integer of 64 bits
+_pack = Packer().pack
+
+
+class Kind(IntEnum):
+    """What a packet is for, which fixes what its payload is."""
+
+    DATA = 0  # the law's message: a flat tuple of finite floats
+    HELLO = 1  # master to slave: the manifest
+    WELCOME = 2  # slave to master: the manifest
+    REFUSE = 3  # a sentence
+    START = 4  # the time of tick 0, ns
+    BYE = 5  # a sentence
+
+
+class Rejection(StrEnum):
+    """Why a datagram was not accepted; in the order in which it is looked for."""
+
+    OVERSIZE = "oversize"
+    TRUNCATED = "truncated"
+    MAGIC = "magic"
+    VERSION = "version"
+    CHECKSUM = "checksum"
+    MALFORMED = "malformed"
+    NON_FINITE = "non-finite"
+
+
+class Echo(NamedTuple):
+    """The newest send time seen from the peer, and how long ago it came, both in ns.
+
+    `sent_ns` is on the peer's clock, `held_ns` on the sender's: round trip = now - sent_ns - held_ns.
+    """
+
+    sent_ns: int
+    held_ns: int
+
+
+Payload = tuple[float, ...] | dict[str, str] | str | int
+
+
+class Packet(NamedTuple):
+    """One packet, as sent and as received. Times in ns of the sender's clock, energy in J."""
+
+    kind: Kind
+    session: int  # 0 .. 2**64 - 1
+    seq: int  # 0 .. 2**32 - 1; for DATA the tick it was sent at. It does not wrap: 49 days at 1 kHz
+    sent_ns: int
+    echo: Echo | None  # None: nothing heard yet
+    payload: Payload  # of the type that the kind says
+    E_in: float | None = None  # the sender's cumulative energy; None: the scene has no ledger
+
+
+_KINDS = tuple(Kind)
+_DATA = int(Kind.DATA)
+
+
+def encode(packet: Packet, size: int | None = None) -> bytes:
+    """The datagram of `packet`, padded to `size` bytes (None: no padding).
+
+    `decode` gives the same packet back to the bit. The sentence of a REFUSE or BYE is sent as `one_line`
+    makes it. Raises `Refused` if the packet does not fit or a manifest has unprintable text. What a DATA
+    packet carries is not checked here, at every tick: the peer rejects what is not finite floats.
+    """
+    kind, payload = packet.kind, packet.payload
+    if isinstance(payload, str):
+        packet = packet._replace(payload=one_line(payload))
+    elif isinstance(payload, dict) and not _is_manifest(payload):
+        raise Refused(f"knobs are sent as printable text; write them without control characters: {payload!r}")
+    body = _pack(packet[1:])
+    most = size or (MOST_CONTROL if kind else MOST_DATA)
+    if len(body) + _LEAST > most:
+        cure = "shorten the scene's knobs" if kind else "send fewer numbers or write a larger packet_size"
+        raise Refused(f"a {Kind(kind).name} packet of {len(body) + _LEAST} bytes is above {most}; {cure}")
+    data: bytes = _HEAD.pack(_MAGIC, VERSION, kind, len(body)) + body
+    if size:
+        data = data.ljust(size - _CHECKSUM, b"\0")
+    return data + crc32(data).to_bytes(_CHECKSUM, "big")
+
+
+def decode(data: bytes, width: int) -> Packet | Rejection:  # noqa: PLR0911 (one return for each cause)
+    """The packet in a datagram, or why there is none. Never raises, whatever the bytes.
+
+    `width` is how many numbers a DATA packet carries, exactly. Session and replay are not judged here.
+    """
+    size = len(data)
+    if size > MOST_CONTROL:
+        return Rejection.OVERSIZE
+    if size < _LEAST:
+        return Rejection.TRUNCATED
+    magic, version, kind, length = _HEAD.unpack_from(data)
+    if magic != _MAGIC:
+        return Rejection.MAGIC
+    if version != VERSION:
+        return Rejection.VERSION
+    if kind == _DATA and size > MOST_DATA:
+        return Rejection.OVERSIZE
+    if length + _LEAST > size:
+        return Rejection.TRUNCATED
+    if crc32(data[:-_CHECKSUM]) != int.from_bytes(data[-_CHECKSUM:], "big"):
+        return Rejection.CHECKSUM
+    end = _HEAD.size + length
+    if kind >= len(_KINDS) or data[end:-_CHECKSUM].strip(b"\0"):
+        return Rejection.MALFORMED
+    try:
+        fields = unpackb(
+            data[_HEAD.size : end], use_list=False, strict_map_key=True, max_bin_len=0, max_ext_len=0,
+            max_array_len=MOST_DATA // _FLOAT, max_map_len=MOST_CONTROL // 2, max_str_len=MOST_CONTROL,
+        )
+    except Exception:  # a stranger's bytes: whatever msgpack raises over them, they are not a packet
+        return Rejection.MALFORMED
+    return _checked(_KINDS[kind], fields, width)
+
+
+def _checked(kind: Kind, fields: Any, width: int) -> Packet | Rejection:
+    """The packet of these fields, if each is exactly of its type and within its range."""
+    if type(fields) is not tuple or len(fields) != 6:
+        return Rejection.MALFORMED
+    session, seq, sent_ns, echo, payload, E_in = fields
+    if not (
+        # `type(..) is` and not isinstance: a bool is an int, and msgpack carries both.
+        type(session) is int and session >= 0
+        and type(seq) is int and 0 <= seq <= MOST_SEQ
+        and _is_time(sent_ns)
+        and (echo is None or _is_echo(echo))
+        and (E_in is None or type(E_in) is float)
+        and (_is_message(payload, width) if kind == _DATA else _is_control(kind, payload))
+    ):
+        return Rejection.MALFORMED
+    if not ((kind != _DATA or all(map(isfinite, payload))) and (E_in is None or isfinite(E_in))):
+        return Rejection.NON_FINITE
+    return Packet(kind, session, seq, sent_ns, None if echo is None else Echo(*echo), payload, E_in)
+
+
+def _is_time(value: Any) -> bool:
+    return type(value) is int and -_MOST_NS - 1 <= value <= _MOST_NS  # msgpack goes up to uint64
+
+
+def _is_echo(value: Any) -> bool:
+    return type(value) is tuple and len(value) == 2 and all(map(_is_time, value)) and value[1] >= 0
+
+
+def _is_message(payload: Any, width: int) -> bool:
+    return type(payload) is tuple and len(payload) == width and {float}.issuperset(map(type, payload))
+
+
+def _is_control(kind: Kind, payload: Any) -> bool:
+    if kind is Kind.START:
+        return _is_time(payload)
+    if kind in (Kind.REFUSE, Kind.BYE):
+        return type(payload) is str and len(payload) <= MOST_SENTENCE and payload.isprintable()
+    return type(payload) is dict and _is_manifest(payload)
+
+
+def _is_manifest(entries: Mapping[str, str]) -> bool:
+    # A peer's texts are shown to people: an escape sequence in one would reach their terminal.
+    texts = [*entries, *entries.values()]
+    return {str}.issuperset(map(type, texts)) and "".join(texts).isprintable()
+
+
+def one_line(text: str) -> str:
+    """`text` as a sentence that can be sent: on one line, printable, at most 1000 characters.
+
+    >>> one_line("disk full:\\n  stopped\\x1b[2J")
+    'disk full: stopped?[2J'
+    """
+    line = " ".join(text.split())[:MOST_SENTENCE]
+    return line if line.isprintable() else "".join(c if c.isprintable() else "?" for c in line)
+
+
+def least_size(width: int, *, energy: bool = True) -> int:
+    """The bytes that a DATA packet of `width` numbers needs at most; `energy`: E_in is sent along.
+
+    Bytes of UDP payload. Raises `Refused` if no packet can carry that many numbers.
+
+    >>> least_size(5, energy=False)
+    100
+    """
+    # The array, session, seq, sent_ns, echo, payload, and E_in or nil.
+    payload = (1 if width < 16 else 3) + width * _FLOAT
+    body = 1 + _FLOAT + 5 + _FLOAT + (1 + 2 * _FLOAT) + payload + (_FLOAT if energy else 1)
+    if _LEAST + body > MOST_DATA:
+        raise Refused(f"a packet carries at most {MOST_DATA} bytes, too few for {width} numbers; send fewer")
+    return _LEAST + body
+
+
+def check_size(size: int, width: int, *, energy: bool = True) -> int:
+    """`size` if every DATA packet of `width` numbers can be padded to it, otherwise `Refused`."""
+    least = least_size(width, energy=energy)
+    got = int(number("packet_size", size, high=MOST_DATA))
+    if got != size or got < least:
+        needed = f"packet_size must be at least {least} whole bytes, which {width} numbers need, not {size:g}"
+        raise Refused(f"{needed}; write packet_size={least}")
+    return got
+
+
+class Window:
+    """Which sequence numbers of one session have come, so that each is taken once.
+
+    Remembers the last `size` numbers in one integer (as RFC 4303, 3.4.3). A number more than `ahead` beyond
+    both the newest and the receiver's own tick is not believed: taken at its word, one forged 2**32 - 1
+    would make every honest packet old. No single one can, with `ahead` + the delay in ticks within `size`.
+    """
+
+    __slots__ = ("_ahead", "_mask", "_seen", "_size", "newest")
+
+    def __init__(self, ahead: int = 1024, size: int = 4096) -> None:
+        if not 1 <= ahead <= size:
+            raise Refused(f"ahead must be from 1 to size={size}, not {ahead}; write ahead={size // 4}")
+        self.newest = -1  # the greatest number taken
+        self._ahead, self._size, self._mask = ahead, size, (1 << size) - 1
+        self._seen = 0  # bit i: newest - i has come
+
+    def judge(self, seq: int, tick: int = 0) -> Literal["new", "duplicate", "old", "ahead"]:
+        """Take `seq` down if it is "new", and say so; otherwise why it is not to be used.
+
+        `tick` is the receiver's own tick: packets are numbered by ticks, so that after a long silence the
+        honest ones are as far ahead of the newest as the clock is.
+        """
+        step = seq - self.newest
+        if step > 0:
+            if step > self._ahead and seq > tick + self._ahead:
+                return "ahead"
+            self._seen = (self._seen << step | 1) & self._mask if step < self._size else 1
+            self.newest = seq
+            return "new"
+        if -step >= self._size or seq < 0:
+            return "old"
+        bit = 1 << -step
+        if self._seen & bit:
+            return "duplicate"
+        self._seen |= bit
+        return "new"
+
+
+_CURES = {
+    "wire version": "install the same release of bilateral-teleop at both ends",
+    "scene": "start both ends with the same scene",
+    "law": "start both ends with the same --set law=NAME and the same law.* knobs",
+}
+
+
+def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
+    """The sentence that names the first entry in which two manifests differ and what to do, or None.
+
+    Wire version, scene and law come first, for the rest follows from them; then the order of `mine`.
+    "Here" is the end of `mine`: call it the other way round for the peer's sentence.
+
+    >>> manifest_difference({"k_e": "50000.0"}, {"k_e": "2000.0"})
+    'k_e is 50000.0 here and 2000.0 there: start both ends with the same --set k_e=50000.0'
+    """
+    names = dict.fromkeys([*_CURES, *mine, *theirs])
+    apart = [name for name in names if mine.get(name) != theirs.get(name)]
+    if not apart:
+        return None
+    name, *more = apart
+    here, there = ((end.get(name, "missing") or "empty")[:300] for end in (mine, theirs))
+    if name in _CURES:
+        cure = _CURES[name]
+    elif name in mine and name in theirs:
+        cure = f"start both ends with the same --set {name}={quote(mine[name][:300])}"
+    else:
+        cure = "install the same release, and the same scene file, at both ends"
+    others = f" ({len(more)} more differ)" if more else ""
+    return f"{name} is {here} here and {there} there{others}: {cure}"
+
+
+def peek(data: bytes) -> tuple[Kind, int] | tuple[None, int]:
+    """A datagram's kind and number, for a relay it is not for; (None, -1) if it is no packet. Never raises."""
+    if not _LEAST <= len(data) <= MOST_CONTROL:
+        return None, -1
+    magic, version, kind, length = _HEAD.unpack_from(data)
+    if magic != _MAGIC or version != VERSION or kind >= len(_KINDS):
+        return None, -1
+    if crc32(data[:-_CHECKSUM]) != int.from_bytes(data[-_CHECKSUM:], "big"):
+        return None, -1
+    try:
+        seq = unpackb(data[_HEAD.size : _HEAD.size + length], use_list=False)[1]
+    except Exception:  # a stranger's bytes
+        return None, -1
+    return (_KINDS[kind], seq) if type(seq) is int and 0 <= seq <= MOST_SEQ else (None, -1)

@@ -1,0 +1,148 @@
+"""What a run leaves: a status with its sentence, figures, packet counts, and the trace."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from teleop.errors import Refused
+from teleop.metrics import UNITS, metrics
+from teleop.scene import Scene
+
+if TYPE_CHECKING:
+    from teleop.playout import Plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Packets:
+    """Counts of one direction. `rejected` names the cause of each refusal; it happens live only."""
+
+    sent: int = 0
+    received: int = 0
+    lost: int = 0
+    late: int = 0
+    overtaken: int = 0
+    duplicates: int = 0
+    in_flight: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def of_plan(cls, plan: Plan) -> Packets:
+        """The counts of a direction that was drawn up front."""
+        return cls(sent=plan.sent, received=plan.received, lost=plan.lost, late=plan.late, overtaken=plan.overtaken,
+                   duplicates=plan.duplicates, in_flight=plan.in_flight)
+
+    @classmethod
+    def without_link(cls, ticks: int) -> Packets:
+        """No queue and no packets: each end sees the other's last message."""
+        return cls(sent=ticks, received=max(0, ticks - 1), in_flight=min(1, ticks))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """One run. `status` is ok, diverged or stopped; `trace` maps names to arrays, one row per tick."""
+
+    scene: str
+    parameters: Mapping[str, object]
+    seed: int
+    mode: str  # virtual, lockstep or live
+    status: str
+    sentence: str
+    ticks: int
+    dt: float
+    run_time: float | None  # s
+    metrics: Mapping[str, float]
+    packets: Mapping[str, Packets]
+    notes: Sequence[str] = ()
+    extra: Mapping[str, object] = field(default_factory=dict)
+    trace: Mapping[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+
+    @classmethod
+    def make(
+        cls, scene: Scene, *, seed: int, mode: str, status: str, sentence: str, ticks: int, run_time: float | None,
+        trace: dict[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
+        extra: Mapping[str, object] | None = None,
+    ) -> Result:
+        """The result of a run of `scene`, its figures worked out from the trace."""
+        return cls(
+            scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=status, sentence=sentence,
+            ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=metrics(scene, trace), packets=packets,
+            notes=tuple(notes), extra=extra or {}, trace=trace,
+        )
+
+    def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
+        """What goes into summary.json."""
+        import numpy
+
+        from teleop import __version__
+
+        return {
+            "status": self.status, "sentence": self.sentence, "scene": self.scene, "mode": self.mode,
+            "parameters": dict(self.parameters), "seed": self.seed,
+            "versions": {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__},
+            "command": list(command), "dt": self.dt, "ticks": self.ticks, "run_time": self.run_time,
+            "metrics": {k: {"value": v, "unit": UNITS[k]} for k, v in self.metrics.items()},
+            "packets": {way: asdict(counts) for way, counts in self.packets.items()},
+            "notes": list(self.notes), **self.extra,
+        }
+
+    def save(self, folder: Path, command: Sequence[str] = ()) -> Result:
+        """Write summary.json and trace.npz as the new `folder`, all of it or nothing."""
+        from teleop.folder import new_folder
+
+        with new_folder(folder) as inside:
+            self.write(inside, command)
+        return replace(self, path=folder)
+
+    def write(self, folder: Path, command: Sequence[str] = ()) -> None:
+        """Write the files of the run into a folder that is there."""
+        import json
+
+        import numpy as np
+
+        np.savez(folder / "trace.npz", allow_pickle=False, **self.trace)
+        text = json.dumps(self.summary(command), indent=2, allow_nan=False, default=str)
+        (folder / "summary.json").write_text(text + "\n")
+
+
+def parameters(scene: Scene) -> dict[str, object]:
+    """The scene's knobs as JSON can hold them; the law by its name and numbers."""
+    from dataclasses import fields, is_dataclass
+
+    from teleop.law import law_name
+
+    plain: dict[str, object] = {}
+    for key, value in {**scene.knobs, "law": scene.law}.items():
+        if key == "law" and is_dataclass(value):
+            plain[key] = {"name": law_name(value), **{f.name: getattr(value, f.name) for f in fields(value)}}
+        else:
+            plain[key] = value if isinstance(value, (int, float, str, bool, type(None), list, tuple)) else str(value)
+    return plain
+
+
+def load_result(folder: Path | str) -> Result:
+    """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none."""
+    import json
+
+    import numpy as np
+
+    at = Path(folder)
+    try:
+        summary = json.loads((at / "summary.json").read_text())
+        with np.load(at / "trace.npz", allow_pickle=False) as arrays:
+            trace = dict(arrays)
+    except (OSError, ValueError) as error:
+        raise Refused(f"{at} holds no complete run ({error}); give the folder that `teleop run` printed") from error
+    known = {"status", "sentence", "scene", "mode", "parameters", "seed", "dt", "ticks", "run_time"}
+    rest = {"versions", "command", "metrics", "packets", "notes"}
+    return Result(
+        **{key: summary[key] for key in known},
+        metrics={key: entry["value"] for key, entry in summary["metrics"].items()},
+        packets={way: Packets(**counts) for way, counts in summary["packets"].items()},
+        notes=tuple(summary["notes"]), extra={k: v for k, v in summary.items() if k not in known | rest},
+        trace=trace, path=at,
+    )

@@ -1,0 +1,109 @@
+"""From the rows that the two ends left to the arrays of a trace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.scene import Scene
+from teleop.tick import columns
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+class EndRecord(NamedTuple):
+    """What one end wrote down: the ticks it ran, its rows as flat floats, the packets it played."""
+
+    ticks: Sequence[int]
+    rows: Sequence[float]
+    played: Sequence[int] | None  # the packet played at each of these ticks, or -1; None without a link
+
+
+def end_arrays(scene: Scene, e: str, record: EndRecord) -> dict[str, NDArray[Any]]:
+    """One end's columns as arrays of shape (rows,), or (rows, axes) where there are several axes."""
+    import numpy as np
+
+    names = columns(scene, e)
+    widths = [scene.axes if "@" in name else 1 for name in names]
+    table: NDArray[np.float64] = np.array(record.rows, dtype=float).reshape(-1, sum(widths))
+    out: dict[str, NDArray[Any]] = {}
+    at = 0
+    for name, width in zip(names, widths, strict=True):
+        block = table[:, at : at + width]
+        out[name.removesuffix("@")] = np.ascontiguousarray(block[:, 0] if width == 1 else block)
+        at += width
+    if record.played is not None:
+        out[f"seq_{e}"] = np.array(record.played, dtype=np.int64)
+    if e == "m" and "f_h" not in out:
+        out["f_h"] = _hand_force(scene, record.ticks, out)
+    if e == "s" and "f_env" not in out:
+        out["f_env"] = _touch(scene, out)
+    return out
+
+
+def assemble(scene: Scene, records: dict[str, EndRecord]) -> dict[str, NDArray[Any]]:
+    """The trace of a run: `t`, then each end's columns, at the ticks that both ends ran."""
+    import numpy as np
+
+    ends = {e: end_arrays(scene, e, record) for e, record in records.items()}
+    ticks_m, ticks_s = (np.asarray(records[e].ticks, dtype=np.int64) for e in ("m", "s"))
+    if not np.array_equal(ticks_m, ticks_s):
+        both, at_m, at_s = np.intersect1d(ticks_m, ticks_s, assume_unique=True, return_indices=True)
+        ends = {
+            e: {name: column[at] for name, column in ends[e].items()} for e, at in (("m", at_m), ("s", at_s))
+        }
+        ticks_m = both
+    trace: dict[str, NDArray[Any]] = {"t": ticks_m * scene.dt_ns / 1e9, **ends["m"], **ends["s"]}
+    if scene.energy:
+        _add_ledgers(trace)
+    return trace
+
+
+def _add_ledgers(trace: dict[str, NDArray[Any]]) -> None:
+    """E_link and E_port from each end's own sums, so that both ways of running add in the same order."""
+    if "E_in_fwd" in trace:
+        trace["E_link"] = (trace["E_in_fwd"] - trace["E_out_fwd"]) + (trace["E_in_bwd"] - trace["E_out_bwd"])
+    trace["E_port"] = trace["E_port_m"] - trace["E_port_s"]
+
+
+def _per_axis(column: NDArray[Any]) -> list[list[float]]:
+    return [column.tolist()] if column.ndim == 1 else column.T.tolist()
+
+
+def _back_together(axes: list[list[float]]) -> NDArray[Any]:
+    import numpy as np
+
+    return np.array(axes[0]) if len(axes) == 1 else np.array(axes).T.copy()
+
+
+def _hand_force(scene: Scene, ticks: Sequence[int], out: dict[str, NDArray[Any]]) -> NDArray[Any]:
+    """f_h of a master without a force sensor, worked out after the run from what it recorded."""
+    import numpy as np
+
+    from teleop.bodies import master_plant, reference_samples
+
+    reference = reference_samples(scene)
+    if reference is None:
+        return np.zeros_like(out["x_m"])
+    from teleop.plant import grip_force
+
+    c, dt = master_plant(scene), scene.dt_ns / 1e9
+    forces = []
+    for x, v, f, r in zip(*(_per_axis(out[name]) for name in ("x_m", "v_m", "f_m")), reference, strict=True):
+        held = [0.0, *f[:-1]]
+        forces.append([
+            grip_force(c, x[i], v[i], held[i], r[k], (r[k] - r[k - 1]) / dt if k else 0.0) for i, k in enumerate(ticks)
+        ])
+    return _back_together(forces)
+
+
+def _touch(scene: Scene, out: dict[str, NDArray[Any]]) -> NDArray[Any]:
+    """f_env of a slave whose law reads no force, worked out after the run."""
+    from teleop.bodies import slave_plants
+
+    return _back_together([
+        [plant.force(plant.c, a, b) for a, b in zip(x, v, strict=True)]
+        for plant, x, v in zip(slave_plants(scene), _per_axis(out["x_s"]), _per_axis(out["v_s"]), strict=True)
+    ])

@@ -1,0 +1,341 @@
+"""The wall: against two of scipy's integrators with events, closed forms, and what a wall may not do."""
+
+import math
+import random
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from teleop.contact import MOST_EVENTS, events, wall
+from teleop.plant import MassDamper, Plant, free_space
+
+quiet = settings(deadline=None, derandomize=True, max_examples=300)
+
+
+def ten_to(low: float, high: float) -> Any:
+    """Positive numbers of every magnitude between 10^low and 10^high."""
+    return st.floats(low, high).map(lambda e: 10.0**e)
+
+
+def either_sign(magnitude: Any) -> Any:
+    return st.tuples(magnitude, st.sampled_from([-1.0, 1.0])).map(math.prod)
+
+
+class Case(NamedTuple):
+    """A body (mass m, damping b), a wall (k, d), and a tick dt from depth p and inward speed u under f."""
+
+    m: float
+    b: float
+    k: float
+    d: float
+    dt: float
+    p: float
+    u: float
+    f: float
+
+    @property
+    def w(self) -> float:
+        return math.sqrt(self.k / self.m)
+
+
+any_case = st.builds(
+    Case,
+    m=ten_to(-4, 1),
+    b=st.just(0.0) | ten_to(-3, 2),
+    k=st.just(0.0) | ten_to(0, 9) | ten_to(2, 5),
+    d=st.just(0.0) | ten_to(-3, 3),
+    dt=ten_to(-5, -1),
+    p=st.just(0.0) | either_sign(ten_to(-7, -1)),
+    u=st.just(0.0) | either_sign(ten_to(-5, 0.5)),
+    f=st.just(0.0) | either_sign(ten_to(-3, 2)),
+)
+
+
+def beside(case: Case, at: float = 0.0, side: float = 1.0) -> Plant:
+    return wall(MassDamper(mass=case.m, damping=case.b), case.dt, k=case.k, d=case.d, at=at, side=side)
+
+
+def step(*numbers: float) -> tuple[float, float, int]:
+    case = Case(*numbers)
+    plant = beside(case)
+    return plant.move(plant.c, case.p, case.u, case.f)
+
+
+def stored(m: float, k: float, p: float, u: float) -> float:
+    return 0.5 * m * u * u + 0.5 * k * max(p, 0.0) ** 2
+
+
+# -- against numerical integration
+
+
+def integrated(method: str, case: Case) -> tuple[float, float, list[str]]:
+    """Depth and speed after the tick, and the modes passed through, by integration from event to event.
+
+    An event of scipy's is as exact as its interpolation: from there its instant is polished by Newton's
+    method on integrations that end at it.
+    """
+    m, b, k, d, left, p, u, f = case
+    soon = min(left, 1.0 / case.w)
+    far = abs(p) + (abs(u) + abs(f) / m * left) * soon
+    fast = abs(u) + case.w * max(p, 0.0) + abs(f) / m * soon
+    limits = {"atol": [1e-15 * far, 1e-15 * fast], "rtol": 3e-14 if method == "DOP853" else 3e-13,
+              "max_step": min(left / 10, 0.5 / case.w)}
+    exits = {"free": [(-1.0, 0.0, "contact")], "contact": [(k, d, "detached")],
+             "detached": [(1.0, 0.0, "free"), (-k, -d, "contact")]}
+
+    def rate(_: float, y: Any, k: float, c: float) -> Any:
+        return np.array([y[1], (f - c * y[1] - k * y[0]) / m])
+
+    def run(span: float, start: Any, linear: tuple[float, float], events: Any = None) -> Any:
+        jacobian = np.array([[0.0, 1.0], [-linear[0] / m, -linear[1] / m]])
+        extra = {"jac": lambda *_: jacobian} if method == "Radau" else {}
+        return solve_ivp(rate, (0.0, span), start, method, args=linear, events=events, **limits, **extra)
+
+    modes = ["free" if p < 0 else "contact" if k * p + d * u > 0 else "detached"]
+    y = np.array([p, u])
+    while True:
+        linear = (k, b + d) if modes[-1] == "contact" else (0.0, b)
+        leave = [leaving(alpha, beta) for alpha, beta, _ in exits[modes[-1]]]
+        done = run(left, y, linear, leave)
+        if done.status == 0:
+            return float(done.y[0, -1]), float(done.y[1, -1]), modes
+        which = next(i for i, found in enumerate(done.t_events) if len(found))
+        alpha, beta, mode = exits[modes[-1]][which]
+        t = float(done.t_events[which][0])
+        for _ in range(3):
+            end = run(t, y, linear).y[:, -1]
+            slope = rate(t, end, *linear)
+            t -= (alpha * end[0] + beta * end[1]) / (alpha * slope[0] + beta * slope[1])
+        y = run(t, y, linear).y[:, -1]
+        if mode == "detached" and d == 0.0:
+            mode = "free"
+        if "free" in (mode, modes[-1]):
+            y[0] = 0.0
+        modes.append(mode)
+        left -= t
+
+
+def leaving(alpha: float, beta: float) -> Any:
+    """The event that alpha p + beta p' falls through zero, as scipy asks for it."""
+
+    def event(_t: float, y: Any, _k: float, _c: float) -> float:
+        return float(alpha * y[0] + beta * y[1])
+
+    event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
+    return event
+
+
+def stiff_case(dice: random.Random) -> Case:
+    """A body near a stiff wall, with up to some five oscillations within a tick."""
+    m, k = 10 ** dice.uniform(-2, 0.5), 10 ** dice.uniform(3, 8)
+    w = math.sqrt(k / m)
+    dt = 10 ** dice.uniform(-1, 1.5) / w
+    b = dice.choice([0.0, m * w * 10 ** dice.uniform(-3, -1)])
+    d = dice.choice([0.0, 2 * m * w * 10 ** dice.uniform(-3, 0.7)])
+    u = dice.choice([-1.0, 1.0]) * 10 ** dice.uniform(-2, 0)
+    p = dice.choice([-1.0, 1.0, 1.0]) * abs(u) / w * 10 ** dice.uniform(-2, 0.5)
+    f = dice.choice([-1.0, 1.0, 0.0]) * m * w * abs(u) * 10 ** dice.uniform(-1, 0.5)
+    if dice.random() < 0.2:  # drawn out of a wall that is too slow to follow, and pushed back in
+        p, u, d, f = abs(p), -abs(u), 4 * k * abs(p / u), 2 * m * u * u / abs(p)
+    return Case(m, b, k, d, dt, p, u, f)
+
+
+@pytest.mark.parametrize(("method", "count"), [("DOP853", 60), ("Radau", 6)])
+def test_stiff_walls_match_integrators_to_1e_10(method: str, count: int) -> None:
+    dice = random.Random(7)
+    passed: set[tuple[str, str]] = set()
+    for _ in range(count):
+        case = stiff_case(dice)
+        p1, u1, modes = integrated(method, case)
+        got_p, got_u, capped = step(*case)
+        held = abs(case.f) / case.m * min(case.dt, 1 / case.w)
+        fast = abs(case.u) + abs(u1) + case.w * max(case.p, 0.0) + held
+        assert capped == 0
+        assert abs(got_p - p1) <= 1e-10 * (abs(case.p) + abs(p1) + fast / case.w), case
+        assert abs(got_u - u1) <= 1e-10 * fast, case
+        passed |= set(pairwise(modes))
+    if method == "DOP853":  # the cases drawn show every change of mode there is
+        assert passed == {("free", "contact"), ("contact", "free"), ("contact", "detached"),
+                          ("detached", "free"), ("detached", "contact")}
+
+
+# -- closed forms
+
+
+def test_strike_within_one_tick_is_seen() -> None:
+    # Undamped: in contact for half a period, then away as fast as it came. Both ends of the tick are free.
+    m, k, u, gap, dt = 0.5, 2e6, 0.8, 2e-4, 5e-3
+    contact = math.pi * math.sqrt(m / k)
+    p1, u1, _ = step(m, 0.0, k, 0.0, dt, -gap, u, 0.0)
+    assert p1 == pytest.approx(-u * (dt - gap / u - contact), rel=1e-13)
+    assert u1 == pytest.approx(-u, rel=1e-13)
+
+
+def test_wall_touched_only_at_the_apex_is_felt() -> None:
+    # Thrown at the wall and pulled back: it would reach 1 um deep in the middle of the tick.
+    m, u, f, dt = 0.1, 0.1, -1.0, 0.02
+    apex = 0.5 * m * u * u / -f
+    p, v, _ = step(m, 0.0, 1e5, 0.0, dt, 1e-6 - apex, u, f)
+    missed, same, _ = step(m, 0.0, 1e5, 0.0, dt, -1e-9 - apex, u, f)
+    assert missed == pytest.approx(-1e-9 - apex, abs=1e-15)
+    assert same == pytest.approx(-u, rel=1e-13)
+    # The wall turns it round earlier than the pull would: it is further out, and as fast as its energy says.
+    assert p < 1e-6 - apex - 4e-6
+    assert 0.5 * m * v * v - f * p == pytest.approx(0.5 * m * u * u - f * (1e-6 - apex), rel=1e-12)
+
+
+def test_zero_stiffness_is_a_viscous_wall() -> None:
+    # Driven in it creeps; let go it stays where it is; drawn out it is free at once.
+    m, d, u = 0.2, 4.0, 0.5
+    p, v, _ = step(m, 0.0, 0.0, d, 0.05, 0.0, u, 0.0)
+    assert p == pytest.approx(m * u / d * -math.expm1(-d * 0.05 / m), rel=1e-13)
+    assert v == pytest.approx(u * math.exp(-d * 0.05 / m), rel=1e-13)
+    assert step(m, 0.0, 0.0, d, 0.05, 0.01, -u, 0.0)[:2] == pytest.approx((0.01 - 0.05 * u, -u))
+    # Pushed while it is on its way out: free until it turns, then against the damper.
+    turn = m * u / 2.0
+    p, v, _ = step(m, 0.0, 0.0, d, turn + 0.1, 1.0, -u, 2.0)
+    assert v == pytest.approx(2.0 / d * -math.expm1(-d * 0.1 / m), rel=1e-12)
+
+
+def test_no_stiffness_and_no_damping_is_free_space() -> None:
+    body = MassDamper(mass=0.2, damping=0.1)
+    assert wall(body, 1e-3, k=0.0, d=0.0, at=0.0, side=1.0) == free_space(body, 1e-3)
+
+
+def test_start_inside_is_thrown_out_with_the_springs_energy() -> None:
+    m, k, p = 0.5, 5000.0, 0.002
+    p1, u1, _ = step(m, 0.0, k, 0.0, 1.0, p, 0.0, 0.0)
+    assert u1 == pytest.approx(-p * math.sqrt(k / m), rel=1e-13)
+    assert p1 == pytest.approx(u1 * (1.0 - 0.5 * math.pi * math.sqrt(m / k)), rel=1e-13)
+
+
+def test_damped_wall_is_left_before_the_surface() -> None:
+    # Drawn out at 1 m/s from 1 mm deep a wall with k p < d u cannot follow: no force, no pull.
+    plant = wall(MassDamper(mass=1.0), 1e-4, k=1000.0, d=5.0, at=0.0, side=1.0)
+    assert plant.force(plant.c, 1e-3, -1.0) == 0.0
+    assert plant.move(plant.c, 1e-3, -1.0, 0.0)[:2] == pytest.approx((9e-4, -1.0), rel=1e-14)
+
+
+def test_pressed_body_comes_to_rest_at_f_over_k() -> None:
+    x, v = -0.01, 0.0
+    plant = wall(MassDamper(mass=0.5, damping=1.0), 1e-3, k=5000.0, d=50.0, at=0.0, side=1.0)
+    for _ in range(2000):
+        x, v, capped = plant.move(plant.c, x, v, 10.0)
+        assert capped == 0
+    assert (x, v) == pytest.approx((10.0 / 5000.0, 0.0), abs=1e-15)
+    assert plant.force(plant.c, x, v) == pytest.approx(10.0, rel=1e-12)
+
+
+def test_undamped_bounces_keep_their_energy() -> None:
+    # Pressed on the wall by a constant force, it bounces for ever: m v^2/2 + k p^2/2 - f x stays.
+    m, k, f, x, v = 0.3, 8e5, 2.0, -0.003, 0.0
+    plant = wall(MassDamper(mass=m), 1e-3, k=k, d=0.0, at=0.0, side=1.0)
+    before, bounces = stored(m, k, x, v) - f * x, 0
+    for _ in range(20000):
+        x, new, capped = plant.move(plant.c, x, v, f)
+        bounces += v > 0.0 > new
+        v = new
+        assert capped == 0
+    assert bounces > 200
+    assert stored(m, k, x, v) - f * x == pytest.approx(before, rel=1e-11)
+
+
+def test_force_is_the_left_limit() -> None:
+    plant = wall(MassDamper(mass=1.0), 1e-3, k=1000.0, d=5.0, at=0.03, side=1.0)
+    assert plant.force(plant.c, 0.03, 2.0) == 0.0  # it has just arrived, and has not been in contact yet
+    assert plant.force(plant.c, 0.02, 2.0) == 0.0
+    assert plant.force(plant.c, 0.031, 2.0) == pytest.approx(11.0)
+
+
+# -- what holds for every wall
+
+
+@quiet
+@given(any_case)
+def test_quick_decisions_are_those_of_the_events(case: Case) -> None:
+    assume(case.k > 0.0 or case.d > 0.0)
+    m, b, k, d, dt, p, u, f = case
+    p1, u1, capped = step(*case)
+    p2, u2, again = events(m, b, k, d, dt, p, u, f)
+    far, fast = abs(p) + abs(p1) + dt * abs(u), abs(u) + abs(u1) + abs(f) / m * dt + case.w * max(p, 0.0)
+    assert capped == again
+    assert abs(p1 - p2) <= 1e-13 * (1 + case.w * dt) * far
+    assert abs(u1 - u2) <= 1e-13 * (1 + case.w * dt) * fast
+
+
+@quiet
+@given(any_case)
+def test_one_tick_is_two_halves(case: Case) -> None:
+    half = case._replace(dt=0.5 * case.dt)
+    p1, u1, capped = step(*case)
+    ph, uh, first = step(*half)
+    p2, u2, second = step(*half._replace(p=ph, u=uh))
+    assume(not capped and not first and not second)
+    _, _, _, _, dt, p, u, f = case
+    fast = abs(u) + abs(uh) + abs(u1) + abs(f) / case.m * dt + case.w * (max(p, 0.0) + max(ph, 0.0))
+    far = abs(p) + abs(ph) + abs(p1) + dt * (abs(u) + abs(uh))
+    assert abs(p1 - p2) <= 1e-12 * (1 + case.w * dt) * far
+    assert abs(u1 - u2) <= 1e-12 * (1 + case.w * dt) * fast
+
+
+@quiet
+@given(any_case)
+def test_wall_makes_no_energy(case: Case) -> None:
+    # Not even where its events are capped.
+    m, _, k, _, _, p, u, f = case
+    p1, u1, _ = step(*case)
+    before, after = stored(m, k, p, u), stored(m, k, p1, u1)
+    passed = before + after + abs(f) * (abs(p) + abs(p1)) + (2 * f * f / k if k else 0.0)
+    assert after - before - f * (p1 - p) <= 1e-12 * passed
+
+
+@quiet
+@given(any_case)
+def test_wall_only_pushes(case: Case) -> None:
+    # Its impulse over the tick, by the balance of momentum, is never inward.
+    m, b, _, _, dt, p, u, f = case
+    plant = beside(case)
+    p1, u1, capped = plant.move(plant.c, p, u, f)
+    assert plant.force(plant.c, p, u) >= 0.0
+    assert plant.force(plant.c, p1, u1) >= 0.0
+    assume(not capped)
+    impulse = f * dt - m * (u1 - u) - b * (p1 - p)
+    passed = m * (abs(u) + abs(u1)) + b * (abs(p) + abs(p1)) + abs(f) * dt + m * case.w * max(p, 0.0)
+    assert impulse >= -1e-13 * (1 + case.w * dt) * passed
+
+
+@quiet
+@given(any_case, either_sign(ten_to(-3, 0)))
+def test_mirrored_wall_gives_mirrored_motion(case: Case, at: float) -> None:
+    right, left = beside(case, at), beside(case, -at, side=-1.0)
+    x, v, capped = right.move(right.c, at + case.p, case.u, case.f)
+    assert left.move(left.c, -at - case.p, -case.u, -case.f) == (-x, -v, capped)
+    assert left.force(left.c, -x, -v) == -right.force(right.c, x, v)
+
+
+def test_endless_chatter_is_capped_and_makes_no_energy() -> None:
+    # 0.1 g on 1 GN/m, pressed with 100 N: its bounces are far too many for a tick of 0.1 s.
+    m, k, f = 1e-4, 1e9, 100.0
+    p, u = -1e-6, 0.0
+    before = stored(m, k, p, u) - f * p
+    p, u, capped = step(m, 0.0, k, 0.0, 0.1, p, u, f)
+    assert capped == 1
+    assert stored(m, k, p, u) - f * p <= before * (1 + 1e-9)
+    assert MOST_EVENTS == 32
+
+
+@pytest.mark.parametrize("m", [1e-4, 10.0])
+@pytest.mark.parametrize("k", [0.0, 1.0, 1e9])
+@pytest.mark.parametrize("d", [0.0, 1e-3, 1e5])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, -1e200])
+def test_extremes_end_and_do_not_raise(m: float, k: float, d: float, bad: float) -> None:
+    for state in ((bad, 0.5, 1.0), (0.0, bad, 1.0), (0.001, 0.5, bad), (-0.001, bad, -bad), (bad, bad, bad)):
+        got = step(m, 0.0, k, d, 0.1, *state)
+        assert abs(bad) < math.inf or not all(map(math.isfinite, got[:2]))
+    for p, u, f in ((0.0, 0.0, 0.0), (5e-324, -5e-324, 0.0), (0.0, 0.0, 1e-300), (1e-18, -1e3, 1e3)):
+        assert all(map(math.isfinite, step(m, 0.0, k, d, 0.1, p, u, f)))
