@@ -28,7 +28,7 @@ def check_effect(effect: Effect, *, size: int = 100) -> None:
         _rows(effect, rows, size)
         _pieces(effect, rows, size)
     out, _ = _carried(effect, [in_step], size)
-    _say(effect.reorders or bool(np.all(np.diff(out) >= 0)), effect, "reorders, but its class says it does not")
+    _say(effect.reorders or bool(np.all(np.diff(out) >= 0)), effect, "reorders; its class says it does not")
     _dice(effect, size)
 
 
@@ -59,7 +59,7 @@ def _pieces(effect: Effect, rows: Rows, size: int) -> None:
     uneven = [0, 1, 1, 3, 10, 300, 301, count]
     for cuts in (range(count + 1), uneven):
         pieces = [(rows[0][a:b], rows[1][a:b]) for a, b in zip(cuts, [*cuts][1:], strict=False)]
-        _say(_same(whole, _carried(effect, pieces, size)), effect, "treats a run in pieces unlike the whole run")
+        _say(_same(whole, _carried(effect, pieces, size)), effect, "treats pieces of a run unlike the whole")
         if effect.order == "any":
             _say(_same(whole, _carried(effect, pieces[::-1], size)), effect,
                  'depends on the order of packets, so its class must say order = "time" or "number"')

@@ -100,7 +100,7 @@ class Hold:
     def __post_init__(self) -> None:
         vector("at", self.at)
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:  # noqa: ARG002 - at rest
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
         return tuple([a] * count for a in along("at", self.at, axes))
 

@@ -35,7 +35,7 @@ def scene(
     return Scene(
         law=law,
         axes=3,
-        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Recording(path=motion)),
+        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Recording(path=str(motion))),
         master=MassDamper(mass=0.1, damping=0.5),
         link=Delay(delay),
         slave=MassDamper(mass=0.5, damping=1.0),

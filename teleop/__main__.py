@@ -6,7 +6,7 @@ import sys
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from teleop.options import DONE, Parser, guarded, knobs_from, scene_options
 
@@ -20,6 +20,7 @@ examples:
   teleop run hard_wall --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)' --seed 7 --json
   teleop demo jittery_wan
   teleop list hard_wall
+  teleop report runs/hard_wall-1
 """
 
 
@@ -82,7 +83,9 @@ def _report(args: Namespace) -> None:
 
     result = load_result(args.run)
     if args.json:
-        _say((Path(args.run) / "summary.json").read_text(encoding="utf-8").rstrip())
+        from json import loads
+
+        _say_json(loads((Path(args.run) / "summary.json").read_text()), result)
         return
     _tell(args, result)
     if drawable():
@@ -94,13 +97,17 @@ def _report(args: Namespace) -> None:
 
 def _tell(args: Namespace, result: Result) -> None:
     if args.json:
-        from json import dumps
-
-        _say(dumps({**result.summary(args.typed), "path": str(result.path)}, allow_nan=False, default=str))
+        _say_json(result.summary(args.typed), result)
         return
     from teleop.console import table
 
     _say(f"{table(result)}\nwritten to {result.path}")
+
+
+def _say_json(summary: dict[str, Any], result: Result) -> None:
+    from json import dumps
+
+    _say(dumps({**summary, "path": str(result.path)}, allow_nan=False, default=str))
 
 
 def _say(text: str) -> None:

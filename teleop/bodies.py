@@ -17,7 +17,8 @@ def master_plant(scene: Scene) -> Any:
     dt = scene.dt_ns / 1e9
     if scene.hand is None:
         return free_space(scene.master, dt).c
-    return grip(scene.master, scene.hand.mass, scene.hand.k, scene.hand.d, dt)
+    # A plain tuple: it unpacks faster than a NamedTuple, at every tick.
+    return tuple(grip(scene.master, scene.hand.mass, scene.hand.k, scene.hand.d, dt))
 
 
 def slave_plants(scene: Scene) -> list[Plant]:

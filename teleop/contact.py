@@ -7,9 +7,6 @@ only in a bracket that is proven to hold the first one. The mode at a tick's sta
 and the force, nothing is remembered. Method: event location in piecewise linear systems, derived below.
 """
 
-# A closed form takes as many numbers as it takes, and positions are quicker than names.
-# ruff: noqa: PLR0917
-
 from __future__ import annotations
 
 from math import atan2, inf, isfinite, log1p, nan, pi, sqrt
@@ -121,8 +118,8 @@ def events(m: float, b: float, k: float, d: float, span: float, p: float, u: flo
     """
     if not isfinite(abs(p) + abs(u) + abs(f)):
         return nan, nan, 0
-    inside = p > 0.0 or (p == 0.0 and (u > 0.0 or (u == 0.0 and f > 0.0)))
-    touching = inside and (p == 0.0 or k * p + d * u > 0.0)
+    inside = p > 0.0  # at p = 0 it is free, and enters at once if it moves or is pushed inward
+    touching = inside and k * p + d * u > 0.0
     for _ in range(MOST_EVENTS):
         if touching:
             t = falls(m, b + d, k, f, p, u, k, d, span)
@@ -171,16 +168,30 @@ def falls(m: float, c: float, k: float, f: float, p: float, u: float, alpha: flo
           ) -> float:
     """The first instant in [0, span] at which `g = alpha p + beta p'` falls through zero, or -1.0.
 
-    Under `m p'' + c p' + k p = f`, starting from g >= 0. h = g' obeys `m h'' + c h' + k h = 0`, so its zeros,
+    Under `m p'' + c p' + k p = f`, starting from g >= 0. g' obeys the same equation without f, so its zeros,
     the extrema of g, are closed form: at most one if overdamped, else one every half period, and of the
     minima of g the first is the lowest (they are a constant plus a decaying oscillation). So g falls through
     zero on its first descent or never. The bracket starts where that descent does: a root at the very start,
     which is where the last event was, is not found again while g rises from it.
     """
-    a = (f - c * u - k * p) / m
-    h = alpha * u + beta * a
-    j = alpha * a - beta * (c * a + k * u) / m  # h'
-    turn, half = turning(0.5 * c / m, k / m, h, j)
+    sigma, w2, pull = 0.5 * c / m, k / m, (f - k * p) / m
+    a = pull - 2.0 * sigma * u
+    h = alpha * u + beta * a  # g'
+    j = alpha * a - beta * (2.0 * sigma * a + w2 * u)  # g''
+    gap = sigma * sigma - w2
+    turn = half = inf
+    if gap < 0.0:  # g' is a decaying A cos + B sin of the angle root t with A = h, B = (j + sigma h)/root
+        root = sqrt(-gap)
+        angle = atan2(h, -(j + sigma * h) / root) if h != 0.0 else pi
+        turn, half = (angle if angle > 0.0 else angle + pi) / root, pi / root
+    else:
+        # g' is the sum of a fast and a slow exponential. With `slow` the rate of the latter, `across` is
+        # j + fast h, written so that the fast part, which may be far larger, is not subtracted from itself.
+        apart = 2.0 * sqrt(gap)
+        slow = w2 / (sigma + 0.5 * apart) if w2 > 0.0 else 0.0
+        across = (alpha - beta * slow) * (pull - slow * u)
+        if h < 0.0 < across or across < 0.0 < h:
+            turn = log1p(-apart * h / across) / apart if apart > 0.0 else -h / across
     low, high = 0.0, turn
     if h > 0.0 or (h == 0.0 and j >= 0.0):
         low, high = turn, turn + half
@@ -208,22 +219,3 @@ def falls(m: float, c: float, k: float, f: float, p: float, u: float, alpha: flo
                 break
         t = new
     return t
-
-
-def turning(sigma: float, w2: float, h: float, j: float) -> tuple[float, float]:
-    """First zero after 0 of h, and the time from it to the next; infinite where there is none.
-
-    `h'' + 2 sigma h' + w2 h = 0` with h(0) = h and h'(0) = j.
-    """
-    gap = sigma * sigma - w2
-    if gap < 0.0:
-        root = sqrt(-gap)
-        # h is a decaying A cos + B sin of the angle root*t, with A = h and B below
-        angle = atan2(h, -(j + sigma * h) / root) if h != 0.0 else pi
-        return (angle if angle > 0.0 else angle + pi) / root, pi / root
-    apart = 2.0 * sqrt(gap)
-    across = j + (sigma + 0.5 * apart) * h
-    if h < 0.0 < across or across < 0.0 < h:
-        y = -h / across
-        return (log1p(apart * y) / apart if apart > 0.0 else y), inf
-    return inf, inf

@@ -34,7 +34,7 @@ class Heard(NamedTuple):
 
 
 class Way:
-    """One-way delays as they are seen: from the tick a packet was sent at to its arrival, on the common grid.
+    """One-way delays as they are seen: from the tick a packet was sent at to the tick that took it in.
 
     In ns; they carry the uncertainty of the clock offset, half the fastest round trip of the first exchange.
     """
@@ -67,7 +67,7 @@ class Stepped:
         self._keep = 2 if plan is None else plan.lag + 2
         self._held: dict[int, Heard] = {}
 
-    def put(self, packet: int, tick: int, entry: Heard) -> None:  # noqa: ARG002 (the schedule says when)
+    def put(self, packet: int, tick: int, entry: Heard) -> None:
         self._held[packet] = entry
         self._held.pop(packet - self._keep, None)
 

@@ -8,6 +8,7 @@ written; what happens *during* a run is a status of the run, never an exception.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import isfinite
 
 
 class Refused(ValueError):
@@ -36,7 +37,7 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise Refused(f"{name} must be a number, not {value!r}; write for example {name}=1.0")
     got = float(value)
-    if got != got or got in (float("inf"), float("-inf")):
+    if not isfinite(got):
         raise Refused(f"{name} must be finite, not {got}; leave it out to use its default")
     if above is not None and got <= above:
         raise Refused(f"{name} must be above {above:g}, not {got:g}")

@@ -14,8 +14,7 @@ from teleop.errors import Refused
 def numbered(parent: Path, stem: str) -> Path:
     """The first of `stem-1`, `stem-2`, ... in `parent` that is neither there nor being written."""
     taken = {p.name for p in parent.iterdir()} if parent.is_dir() else set()
-    writing = {name[1:].rsplit(".", 2)[0] for name in taken if name.startswith(".") and name.endswith(".part")}
-    taken |= writing
+    taken |= {name[1:].rsplit(".", 2)[0] for name in taken if name.endswith(".part")}
     number = 1
     while f"{stem}-{number}" in taken:
         number += 1
@@ -39,19 +38,21 @@ def claim(folder: Path) -> Path:
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
     """A folder to write into that becomes `folder` when all went well, and is gone when it did not."""
-    missing = [parent for parent in folder.parents if not parent.exists()]  # innermost first
-    hidden = claim(folder)
+    missing = [parent for parent in folder.parents if not os.path.lexists(parent)]  # innermost first
+    hidden = None
     try:
+        hidden = claim(folder)
         yield hidden
         hidden.rename(folder)
     except OSError as error:
         raise Refused(
-            f"could not write {folder} ({error.strerror or error}); nothing was left there: free some space, or give "
-            f"another folder with --out"
+            f"could not write {folder} ({error.strerror or error}), so nothing was left there; free some space, "
+            f"or give another folder with --out"
         ) from error
     finally:
-        shutil.rmtree(hidden, ignore_errors=True)
-        if not folder.exists():
-            with suppress(OSError):
+        if hidden is not None:
+            shutil.rmtree(hidden, ignore_errors=True)
+        if not os.path.lexists(folder):
+            with suppress(OSError):  # a parent in use by somebody else stays
                 for parent in missing:
                     parent.rmdir()

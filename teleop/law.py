@@ -108,13 +108,20 @@ def reads(end: Callable[..., Any]) -> frozenset[str]:
     """Which fields of `At` an end's lines name, those of the plain functions it calls included."""
     found: set[str] = set()
     seen: set[CodeType] = set()
-    waiting: list[Any] = [getattr(end, "__func__", end)]
+    waiting = _code(getattr(end, "__func__", end))
     while waiting:
-        function = waiting.pop()
-        if not isinstance(function, FunctionType) or function.__code__ in seen:
+        code, around = waiting.pop()
+        if code in seen:
             continue
-        seen.add(function.__code__)
-        names = function.__code__.co_names
-        found.update(name for name in names if name in At._fields)
-        waiting.extend(function.__globals__.get(name) for name in names)
+        seen.add(code)
+        found.update(name for name in code.co_names if name in At._fields)
+        # Comprehensions and lambdas are code of their own; which of them are depends on the Python version.
+        waiting.extend((inner, around) for inner in code.co_consts if isinstance(inner, CodeType))
+        for name in code.co_names:
+            waiting.extend(_code(around.get(name)))
     return frozenset(found)
+
+
+def _code(function: object) -> list[tuple[CodeType, dict[str, Any]]]:
+    """A plain function's code and what it finds by name; nothing of anything else."""
+    return [(function.__code__, function.__globals__)] if isinstance(function, FunctionType) else []

@@ -53,12 +53,11 @@ def known_scenes() -> list[str]:
 
 def scene_function(name: str) -> Callable[..., Scene]:
     """The function behind a scene's name or path; its keyword parameters are the scene's knobs."""
+    for package in ("master", "slave", "channel"):
+        _claim(package)  # the hands, robots and effects that a scene file imports must be ours too
     if name.endswith(".py"):
         module = _from_path(Path(name))
-    elif (ROOT / "scenarios" / f"{name}.py").is_file() and not name.startswith("_"):
-        # The hands, robots and effects that a scene file imports must be ours too.
-        for package in ("master", "slave", "channel"):
-            _claim(package)
+    elif name in built_in_scenes():
         module = house(f"scenarios.{name}")
     else:
         module = _from_plugin(name)
@@ -80,7 +79,8 @@ def _claim(package: str) -> None:
 
 def _from_path(path: Path) -> Any:
     if not path.is_file():
-        raise Refused(f"there is no file {path}; a scene is named ({', '.join(built_in_scenes())}) or a path to a .py file")
+        named = ", ".join(built_in_scenes())
+        raise Refused(f"there is no file {path}; a scene is named ({named}) or a path to a .py file")
     spec = spec_from_file_location(f"teleop_scene_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise Refused(f"{path} cannot be loaded as Python")

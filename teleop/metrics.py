@@ -61,7 +61,8 @@ def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
 def _ticks(trace: dict[str, Any], dt: float) -> NDArray[np.int64]:
     import numpy as np
 
-    return np.rint(trace["t"] / dt).astype(np.int64)
+    ticks: NDArray[np.int64] = np.rint(trace["t"] / dt).astype(np.int64)
+    return ticks
 
 
 def _ages(trace: dict[str, Any], seq: str, dt: float) -> NDArray[np.float64] | None:
@@ -78,7 +79,8 @@ def _lag(age: NDArray[np.float64] | None, dt: float) -> float:
 
     if age is None:
         return dt
-    return float(np.median(age)) if len(age) else 0.0
+    # Not np.median, which loads numpy.ma: 12 ms of every run.
+    return float(np.sort(age)[len(age) // 2]) if len(age) else 0.0
 
 
 def _size(column: NDArray[Any]) -> NDArray[Any]:

@@ -6,9 +6,6 @@ tick functions (`move_*`, `*_force`) are pure functions of floats and of one tup
 coefficients are made once, before the run. Signs and words: DESIGN 3. SI units.
 """
 
-# A closed form takes as many numbers as it takes, and positions are quicker than names.
-# ruff: noqa: PLR0917
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -113,7 +110,7 @@ def linear(m: float, c: float, k: float, dt: float) -> Linear:
     """The exact step of `m q'' + c q' + k q = f` over dt; Refused where no finite one exists."""
     s, ds, w = response(m, c, k, dt)
     w2 = k / m
-    a11 = 1.0 - w2 * w if w2 * w < 0.5 else ds + c / m * s
+    a11 = 1.0 - w2 * w if w2 * w < 0.5 else ds + c / m * s  # exactly 1 without a spring: nothing creeps
     step = Linear(a11, s, w / m, -w2 * s, ds, s / m)
     if not all(map(isfinite, step)):
         raise Refused(f"a body of {m:g} kg with {c:g} N s/m and {k:g} N/m has no finite step of {dt:g} s; "

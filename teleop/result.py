@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,7 +105,7 @@ class Result:
 
         import numpy as np
 
-        np.savez(folder / "trace.npz", allow_pickle=False, **self.trace)
+        np.savez(folder / "trace.npz", **self.trace)
         text = json.dumps(self.summary(command), indent=2, allow_nan=False, default=str)
         (folder / "summary.json").write_text(text + "\n")
 
@@ -119,24 +120,33 @@ def parameters(scene: Scene) -> dict[str, object]:
     for key, value in {**scene.knobs, "law": scene.law}.items():
         if key == "law" and is_dataclass(value):
             plain[key] = {"name": law_name(value), **{f.name: getattr(value, f.name) for f in fields(value)}}
+        elif isinstance(value, float) and not isfinite(value):  # JSON has no word for these
+            plain[key] = str(value)
         else:
-            plain[key] = value if isinstance(value, (int, float, str, bool, type(None), list, tuple)) else str(value)
+            plain[key] = value if isinstance(value, int | float | str | list | tuple | None) else str(value)
     return plain
 
 
 def load_result(folder: Path | str) -> Result:
     """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none."""
+    at = Path(folder)
+    try:
+        return _read(at)
+    except Exception as error:  # no folder, no JSON, no zip, cut short, of another version
+        raise Refused(
+            f"{at} holds no complete run ({type(error).__name__}: {error}); give the folder that `teleop run` "
+            f"printed"
+        ) from error
+
+
+def _read(at: Path) -> Result:
     import json
 
     import numpy as np
 
-    at = Path(folder)
-    try:
-        summary = json.loads((at / "summary.json").read_text())
-        with np.load(at / "trace.npz", allow_pickle=False) as arrays:
-            trace = dict(arrays)
-    except (OSError, ValueError) as error:
-        raise Refused(f"{at} holds no complete run ({error}); give the folder that `teleop run` printed") from error
+    summary = json.loads((at / "summary.json").read_text())
+    with np.load(at / "trace.npz", allow_pickle=False) as arrays:
+        trace = dict(arrays)
     known = {"status", "sentence", "scene", "mode", "parameters", "seed", "dt", "ticks", "run_time"}
     rest = {"versions", "command", "metrics", "packets", "notes"}
     return Result(

@@ -78,7 +78,7 @@ class Scene:
     master: MassDamper
     slave: MassDamper
     hand: Hand | None = None
-    environment: Environment | None | tuple[Environment | None, ...] = None  # one: on the first axis
+    environment: Environment | tuple[Environment | None, ...] | None = None  # one: on the first axis
     link: Link | None = None
     playout: Playout = Zero()
     observer: float | None = 200.0  # bandwidth L (1/s) of the human-force observer; None: a force sensor
@@ -188,7 +188,16 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
 
     function = scene_function(name)
     settled, link = settle(name, function, knobs)
-    scene = function(**settled)
+    try:
+        scene = function(**settled)
+    except Refused as refused:  # a part of the scene may know a knob by another name
+        if not knobs or any(key in str(refused) for key in knobs):
+            raise
+        asked = ", ".join(f"{key}={value}" for key, value in knobs.items())
+        raise Refused(f"{refused} (asked for: {asked})") from None
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        raise Refused(f"scene {name} stopped with {why}; mend it and run again") from error
     if not isinstance(scene, Scene):
         raise Refused(f"scene {name!r} returned {type(scene).__name__}; its function must return a teleop.Scene")
     stem = name.rsplit("/", 1)[-1].removesuffix(".py")

@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from teleop.law import At, messages, reads
+from teleop.law import At, reads
 from teleop.playout import repeats
 from teleop.scene import Scene
 
@@ -97,11 +97,11 @@ def loop(scene, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size,
         seq = play_m[k]; got_m = seq >= 0                      #? link
         if got_m:                                              #? link
             newest_m = seq                                     #? link age_m
-            <<rx_m@>>, = ring_s[seq % size]                    #? link
+            <<rx_m@>> = ring_s[seq % size]                    #? link
         seq = play_s[k]; got_s = seq >= 0                      #? link
         if got_s:                                              #? link
             newest_s = seq                                     #? link age_s
-            <<rx_s@>>, = ring_m[seq % size]                    #? link
+            <<rx_s@>> = ring_m[seq % size]                    #? link
         got_m = got_s = k > 0                                  #? !link
         newest_m = k - 1                                       #? !link age_m
         newest_s = k - 1                                       #? !link age_s
@@ -111,14 +111,16 @@ def loop(scene, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size,
         rows_m(({row_m},))
         [END s]
         rows_s(({row_s},))
-        ring_m[k % size] = (<<tx_m@>>,); ring_s[k % size] = (<<tx_s@>>,)  #? link
+        ring_m[k % size] = <<tx_m@>>; ring_s[k % size] = <<tx_s@>>  #? link
         # 4. the forces are held for one tick while the plants move exactly
         x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, r@[k], r@[k + 1])  #? hand
         slope@ = (r@[k + 1] - r@[k]) / dt                      #? hand sense_m
         x_m@, v_m@, _ = move_free(grip, x_m@, v_m@, -f_m@)     #? !hand
         x_s@, v_s@, more = move@(c@, x_s@, v_s@, f_s@); capped += more
-        if not (-x_limit < x_m@ < x_limit and -x_limit < x_s@ < x_limit): return k + 1, capped, ((<<x_m@>>,), (<<x_s@>>,))
-    return count, capped, None
+        if not (-x_limit < x_m@ < x_limit and -x_limit < x_s@ < x_limit): break
+    else:
+        return count, capped, None
+    return k + 1, capped, ((<<x_m@>>,), (<<x_s@>>,))
 """
 
 
@@ -201,7 +203,7 @@ def compiled(scene: Scene, text: str, name: str) -> Callable[..., Any]:
     if has & {"watchdog", "cap"}:
         from teleop.safety import cap, watch
 
-        parts |= {"watch": watch, "cap": cap}
+        parts["watch"], parts["cap"] = watch, cap
     from teleop.plant import grip_force, move_free, move_gripped
 
     parts |= {"grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped}

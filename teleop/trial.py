@@ -73,9 +73,9 @@ def _waves_balance(law: Any, name: str) -> None:
             stored += dt * (sign * f * v + 0.5 * (came * came - went * went))
             through += dt * (abs(f * v) + 0.5 * (came * came + went * went))
             if not stored >= -1e-9 - 1e-6 * through:
-                raise Refused(f"{name} claims E_link, but by tick {k} its {end} had given its port {-stored:.3g} J "
-                              "more than the waves brought; put zero for a wave that is not fresh, solve force "
-                              "and velocity together, or leave E_link out of its claims")
+                raise Refused(f"{name} claims E_link, but by tick {k} its {end} gave its port {-stored:.3g} J "
+                              "more than the waves brought; put zero for a wave that is not fresh, solve "
+                              "force and velocity together, or leave E_link out of its claims")
 
 
 def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
@@ -159,9 +159,11 @@ class Water:
     copies: float
     key: float
 
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:  # noqa: ARG002
-        """See `teleop.scene.Link`. The seed makes no difference: a trial is one fixed case."""
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+        """See `teleop.scene.Link`. The seed and the size make no difference: a trial is one fixed case."""
         import numpy as np
+
+        del seed, size
 
         packets = np.arange(count)
         drawn = [_hash(packets, self.key + direction + place / 7.0) for place in range(4)]

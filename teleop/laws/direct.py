@@ -45,7 +45,7 @@ class Direct:
         number("B", self.B, low=0.0)
         number("kf", self.kf, low=0.0)
 
-    def master_start(self, at: At) -> tuple[tuple[()], Back]:  # noqa: ARG002 (the start is the same anywhere)
+    def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)
 
     def slave_start(self, at: At) -> tuple[tuple[()], Forth]:

@@ -61,13 +61,13 @@ class PFRA:
         number("K", self.K, low=0.0)
         number("B", self.B, low=0.0)
 
-    def master_start(self, at: At) -> tuple[tuple[()], Back]:  # noqa: ARG002 (the start is the same anywhere)
+    def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)
 
     def slave_start(self, at: At) -> tuple[tuple[()], Forth]:
         return (), Forth(at.x, 0.0)  # until the first message: stay
 
-    def master_sums(self, s: tuple[()], at: At, rx: Back) -> Sums:  # noqa: ARG002 (no state)
+    def master_sums(self, s: tuple[()], at: At, rx: Back) -> Sums:
         return Sums(self.kf * rx.f_env * at.f, at.f * at.f)
 
     def master(self, s: tuple[()], at: At, rx: Back, over: Sums) -> tuple[float, Forth, tuple[()]]:

@@ -45,7 +45,8 @@ class Child:
 
     async def watch(self, live: dict[str, dict[str, Any]]) -> tuple[int, str]:
         """Read its events until it ends; its exit code and what it said on stderr."""
-        assert self.process.stdout is not None and self.process.stderr is not None
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
         trouble = asyncio.create_task(self.process.stderr.read())
         async for line in self.process.stdout:
             event = json.loads(line)
@@ -174,9 +175,9 @@ def merge(scene: Scene, out: Path, *, seed: int, channel: dict[str, Any], run_ti
     skipped = sum(int(end["skipped"]) for end in ends.values())
     notes = [f"{names[e]}: {end['record']}" for e, end in ends.items() if end["record"]]
     extra: dict[str, object] = {"channel": channel}
+    shown = ("status", "sentence", "ticks", "skipped", "late_us", "delay", "clock", "stamp_margin", "cpu")
     for e, end in ends.items():
-        extra[names[e]] = {key: end[key] for key in ("status", "sentence", "ticks", "skipped", "late_us", "delay", "clock",
-                                                     "stamp_margin", "cpu")}
+        extra[names[e]] = {key: end[key] for key in shown}
     extra["skipped"] = skipped
     return Result.make(scene, seed=seed, mode=mode, status=status, sentence=sentence, ticks=len(trace["t"]),
                        run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)

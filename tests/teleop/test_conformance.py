@@ -101,8 +101,10 @@ def counting() -> Any:
     return master
 
 
-def helper(at: At) -> float:
-    return at.x + sum(a * at.v for a in (1.0, 2.0))
+class Helper:
+    @staticmethod
+    def spring(at: At) -> float:
+        return at.x + at.v
 
 
 def hides(s: Any, at: At, rx: Any) -> Any:
@@ -168,9 +170,9 @@ def test_what_an_end_answers_wrongly_is_named(parts: dict[str, Any], sentence: s
         check_law(spoilt(**parts))
 
 
-def test_a_field_read_inside_a_nested_function_is_either_seen_or_named() -> None:
+def test_a_field_read_inside_a_method_that_reads_does_not_follow_is_named() -> None:
     with pytest.raises(Refused, match="reads v where it cannot be seen"):
-        check_law(spoilt(master=lambda s, at, rx: (helper(at), X(at.x), s)))
+        check_law(spoilt(master=lambda s, at, rx: (Helper.spring(at), X(at.x), s)))
 
 
 def test_a_law_that_keeps_count_in_itself_is_caught() -> None:
@@ -314,12 +316,12 @@ def test_a_ledger_that_is_kept_may_be_claimed() -> None:
 
 
 def test_a_slave_that_sends_back_more_than_it_got_is_caught() -> None:
-    with pytest.raises(Refused, match=r"its slave had given its port .* J more than the waves brought"):
+    with pytest.raises(Refused, match=r"its slave gave its port .* J more than the waves brought"):
         check_law(OtherWave(gain=1.3))
 
 
 def test_a_law_that_plays_a_wave_again_in_the_gaps_is_caught() -> None:
-    with pytest.raises(Refused, match=r"its master had given its port .*; put zero for a wave"):
+    with pytest.raises(Refused, match=r"its master gave its port .*; put zero for a wave"):
         check_law(OtherWave(deaf=1.0))
 
 
@@ -339,7 +341,7 @@ def test_a_slave_that_uses_the_last_commanded_point_is_caught() -> None:
             back = type(Wave().master_start(at)[1])
             return f_s, back(u - f_s), type(s)(s.x_d + at.dt * (u - 0.5 * f_s))
 
-    with pytest.raises(Refused, match=r"its slave had given its port.*solve force and velocity together"):
+    with pytest.raises(Refused, match=r"its slave gave its port.*solve force and velocity together"):
         check_law(Late())
 
 
@@ -349,9 +351,9 @@ def test_direct_reflection_cannot_claim_the_port() -> None:
 
 
 def test_it_needs_no_test_library() -> None:
-    program = ("import sys; from teleop import check_law; from teleop.laws.wave import Wave; check_law(Wave()); "
-               "print([m for m in ('pytest', 'hypothesis', 'scipy', 'asyncio', 'random', 'master', 'channel') "
-               "if m in sys.modules])")
+    program = ("import sys; from teleop import check_law, find_law; check_law(find_law('wave')()); "
+               "others = 'pytest', 'hypothesis', 'scipy', 'asyncio', 'random', 'master', 'channel'; "
+               "print([name for name in others if name in sys.modules])")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

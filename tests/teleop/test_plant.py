@@ -120,6 +120,14 @@ def test_body_in_free_space_keeps_its_speed() -> None:
     assert (x, v) == pytest.approx((0.5 * 2.0 * 0.25**2, 2.0 * 0.25), rel=1e-15)
 
 
+@quiet
+@given(m=ten_to(-4, 3), c=ten_to(-5, 5), dt=ten_to(-6, -1))
+def test_a_body_at_rest_without_a_spring_stays_to_the_last_bit(m: float, c: float, dt: float) -> None:
+    step = linear(m, c, 0.0, dt)
+    assert step.a11 == 1.0
+    assert step.a21 == 0.0
+
+
 def test_viscous_drag_stops_a_body_after_m_v_over_b() -> None:
     plant = free_space(MassDamper(mass=0.2, damping=0.5), 100.0)
     x, v, _ = plant.move(plant.c, 0.0, 3.0, 0.0)

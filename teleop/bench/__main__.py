@@ -1,0 +1,32 @@
+"""`python -m teleop.bench [virtual|live]`: measure here what the README claims, side by side."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser
+
+from teleop.bench.live import live
+from teleop.bench.virtual import virtual
+
+BENCHES = {"virtual": virtual, "live": live}
+
+
+def main() -> int:
+    """Run the named benches, or all of them."""
+    parser = ArgumentParser(prog="python -m teleop.bench", description=__doc__)
+    parser.add_argument("bench", nargs="*", help=f"{', '.join(BENCHES)}; default: all")
+    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement; default 5")
+    args = parser.parse_args()
+    unknown = set(args.bench) - set(BENCHES)
+    if unknown:
+        print(f"bench: there is no bench {unknown.pop()!r}; there are {', '.join(BENCHES)}", file=sys.stderr)
+        return 2
+    for name in args.bench or BENCHES:
+        print(f"-- {name}")
+        for what, value, asked in BENCHES[name](args.rounds):
+            print(f"{what:<58} {value:<22} {asked}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,43 @@
+"""Recordings made up on the spot, and every built-in effect at knobs that make it do something."""
+
+from pathlib import Path
+
+import pytest
+
+from channel.bernoulli import Bernoulli
+from channel.blackout import Blackout
+from channel.delay import Delay
+from channel.duplicate import Duplicate
+from channel.effect import Effect
+from channel.gamma import GammaJitter
+from channel.gilbert_elliott import GilbertElliott
+from channel.in_order import InOrder
+from channel.mahimahi import Mahimahi
+from channel.normal import NormalJitter
+from channel.ping_log import PingLog
+from channel.uniform import UniformJitter
+
+
+@pytest.fixture(scope="session")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `trace` (a delivery trace of 500 ms) and `ping` (200 probes, 10 ms apart, every 20th lost)."""
+    folder = tmp_path_factory.mktemp("recordings")
+    times = [ms for ms in range(1, 501) if ms % 7 < 3 and not 200 < ms < 260] + [500, 500]
+    (folder / "trace").write_text("".join(f"{ms}\n" for ms in times))
+    replies = [f"[{1700000000 + seq * 0.01 + rtt / 1e3:.6f}] 64 bytes from 192.0.2.1: icmp_seq={seq} ttl=57 "
+               f"time={rtt} ms" for seq in range(1, 201) for rtt in [20 + 37 * seq % 11 + 0.5] if seq % 20]
+    (folder / "ping").write_text("PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.\n" + "\n".join(sorted(replies)))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def every_effect(recordings: Path) -> list[Effect]:
+    """All built-in effects, some at more than one setting."""
+    return [
+        Delay(0.05), Delay(0.0), UniformJitter(0.02), UniformJitter(7e-9), NormalJitter(0.01, 0.005),
+        GammaJitter(0.01, 2.0), GammaJitter(0.01, 0.3), InOrder(), Bernoulli(0.1), Bernoulli(0.0), Bernoulli(1.0),
+        GilbertElliott(0.02, 0.2), GilbertElliott(0.9, 0.7, loss_good=0.1, loss_bad=0.6),
+        GilbertElliott(0.0005, 0.001), Duplicate(0.2), Duplicate(0.2, after=0.003), Blackout(0.3, 0.1),
+        Blackout(0.05, 0.01, every=0.033), PingLog(str(recordings / "ping"), start=0.4),
+        Mahimahi(str(recordings / "trace")), Mahimahi(str(recordings / "trace"), queue=3, start=0.1),
+    ]

@@ -1,0 +1,141 @@
+"""Links as text: read, written, and refused with the words that help."""
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from channel.bernoulli import Bernoulli
+from channel.blackout import Blackout
+from channel.delay import Delay
+from channel.duplicate import Duplicate
+from channel.effect import Chain, Effect
+from channel.gamma import GammaJitter
+from channel.gilbert_elliott import GilbertElliott
+from channel.in_order import InOrder
+from channel.link import EFFECTS, Link, describe, parse_link
+from teleop.errors import Refused
+
+
+@pytest.mark.parametrize(("text", "link"), [
+    ("delay(0.05)", Delay(0.05)),
+    ("  delay( delay = 0.05 ) ", Delay(0.05)),
+    ("delay(0.05) | bernoulli(p=0.02)", Delay(0.05) | Bernoulli(0.02)),
+    ("delay(0.05) ; delay(0.2) | bernoulli(0.1)", Link(Delay(0.05), Delay(0.2) | Bernoulli(0.1))),
+    ("gamma(0.01, shape=2) | in_order()", GammaJitter(0.01, 2.0) | InOrder()),
+    ("gilbert_elliott(0.01, 0.3, loss_bad=0.8)", GilbertElliott(0.01, 0.3, loss_bad=0.8)),
+    ("blackout(1, 0.5, every=None) | duplicate(1e-3)", Blackout(1.0, 0.5) | Duplicate(0.001)),
+    ("delay(0.05) | (bernoulli(0.1) )", Delay(0.05) | Bernoulli(0.1)),
+])
+def test_texts_and_their_links(text: str, link: Effect | Chain | Link) -> None:
+    assert parse_link(text) == link
+    assert parse_link(describe(link)) == link
+
+
+def test_describe_is_short() -> None:
+    assert describe(Delay(0.05) | Bernoulli(0.02)) == "delay(0.05) | bernoulli(0.02)"
+    assert describe(Link(GilbertElliott(0.01, 0.3), InOrder())) == (
+        "gilbert_elliott(p_good_to_bad=0.01, p_bad_to_good=0.3) ; in_order()")
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_every_link_reads_back_equal(every_effect: list[Effect], data: st.DataObject) -> None:
+    one = st.sampled_from(every_effect)
+    ways = []
+    for _ in range(data.draw(st.integers(1, 2))):
+        effects = data.draw(st.lists(one, min_size=1, max_size=4))
+        try:
+            ways.append(effects[0] if len(effects) == 1 else Chain(tuple(effects)))
+        except Refused:
+            return
+    link = ways[0] if len(ways) == 1 else Link(*ways)
+    assert parse_link(describe(link)) == link
+
+
+@given(delay=st.floats(0, 3600), p=st.floats(0, 1))
+def test_numbers_survive_exactly(delay: float, p: float) -> None:
+    link = Delay(delay) | Bernoulli(p)
+    assert parse_link(describe(link)) == link
+
+
+def test_a_path_may_hold_what_separates_effects(recordings) -> None:
+    awkward = recordings / 'a ; b | c "d".txt'
+    awkward.write_text((recordings / "trace").read_text())
+    link = parse_link(f"delay(0.1) ; mahimahi({str(awkward)!r}, queue=7)")
+    assert link.backward.path == str(awkward)  # type: ignore[union-attr]
+    assert parse_link(describe(link)) == link
+
+
+def test_a_link_has_a_way_for_each_direction() -> None:
+    link = parse_link("delay(0.001) ; delay(0.002)")
+    assert link.arrivals(0, 1, 10, 1, 100).time_ns.tolist() == [1_000_000]
+    assert link.arrivals(1, 1, 10, 1, 100).time_ns.tolist() == [2_000_000]
+    for direction in (0, 1):
+        stream = link.stream(direction, 1, 100)
+        stream.send(0, 0)
+        assert stream.next_ns() == (direction + 1) * 1_000_000
+    with pytest.raises(Refused, match=r"forward must be an effect.*forward=Delay\(0.0\)"):
+        Link(None, Delay(0.1))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("text", "sentence"), [
+    ("dealy(0.05)", "no effect 'dealy'; did you mean delay"),
+    ("zzz(0.05)", "there are: bernoulli, blackout"),
+    ("delay", r"needs brackets: write delay\(\.\.\.\)"),
+    ("delay(0.05", "cannot be read; write for example"),
+    ("", "one way for both directions or two"),
+    ("delay(1); delay(1); delay(1)", "not 3"),
+    ("delay(0.05) & bernoulli(0.1)", "part that is no effect, 'delay"),
+    ("0.05", "part that is no effect, '0.05'"),
+    ("import os", "part that is no effect, 'import os'"),
+    ("x = delay(1)", "part that is no effect"),
+    ("os.system('true')", "part that is no effect"),
+    ("__import__('os')", "no effect '__import__'"),
+    ("delay()", r"delay needs delay: write delay\(delay\)"),
+    ("gilbert_elliott(0.1)", r"needs p_bad_to_good: write gilbert_elliott\(p_good_to_bad, p_bad_to_good, loss_good="),
+    ("delay(0.05, 3)", "delay takes at most 1 arguments without their names"),
+    ("duplicate(0.1, 0.2)", r"at most 1.*duplicate\(p, after=\.\.\.\)"),
+    ("delay(dealy=0.05)", "delay does not take dealy as an argument"),
+    ("delay(0.05, delay=0.05)", "does not take delay twice"),
+    ("delay(*[0.05])", "delay takes at most 1"),
+    ("delay(**{'delay': 1})", r"does not take \*\*"),
+    ("delay(_sent=1)", "does not take _sent"),
+    ("delay(open('x'))", "must be numbers or texts in quotes"),
+    ("delay(delay)", "must be numbers or texts in quotes"),
+    ("delay('50ms')", "delay must be a number, not '50ms'"),
+    ("delay(4000)", "at most 3600 s"),
+    ("delay(1e999)", "delay must be finite"),
+    ("ping_log('/no/such/log')", "/no/such/log cannot be read"),
+    ("mahimahi(3)", "path must name a recording"),
+    ("delay(0.05)\0", "cannot be read"),
+    ("(" * 5000 + ")" * 5000, "cannot be read"),
+    ("delay(1)" * 5000, "at most 10000 characters"),
+    (3, "a link is a text"),
+])
+def test_refusals(text: str, sentence: str) -> None:
+    with pytest.raises(Refused, match=sentence):
+        parse_link(text)
+
+
+def test_a_very_long_chain_is_read() -> None:
+    assert len(parse_link(" | ".join(["in_order()"] * 700)).way(0)) == 700
+
+
+def test_an_effect_without_a_name_cannot_be_written() -> None:
+    class Own(Delay):
+        """Somebody's own."""
+
+    with pytest.raises(Refused, match="has no name in a link's text; there are: bernoulli"):
+        describe(Own(0.1))
+
+
+def test_only_what_a_text_names_is_loaded() -> None:
+    """Importing `channel.link` loads no effect; reading a text loads those in it."""
+    files = {home.partition(":")[0] for home in EFFECTS.values()}
+    code = (f"import sys; from channel.link import parse_link; files = {files!r};"
+            "assert not files & set(sys.modules); parse_link('delay(0.1) | bernoulli(0.1)');"
+            "assert files & set(sys.modules) == {'channel.delay', 'channel.bernoulli'}")
+    subprocess.run([sys.executable, "-c", code], check=True)

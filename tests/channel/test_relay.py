@@ -1,0 +1,104 @@
+"""The relay's core: schedules kept, session datagrams passed on, every datagram accounted for, memory bounded."""
+
+import pytest
+
+import channel.relay
+from channel.bernoulli import Bernoulli
+from channel.delay import Delay
+from channel.duplicate import Duplicate
+from channel.effect import Effect
+from channel.link import Link, parse_link
+from channel.relay import Counts, Relay
+
+MS = 1_000_000
+
+
+def settled(counts: Counts) -> bool:
+    return counts.received + counts.doubled == (
+        counts.lost + counts.overflowed + counts.rejected + counts.delivered + counts.under_way)
+
+
+def test_both_directions_get_what_the_link_would_give_them() -> None:
+    link = parse_link("uniform(0.02) | bernoulli(0.1) | duplicate(0.1, after=0.001) ;"
+                      "gilbert_elliott(0.1, 0.3) | delay(0.01)")
+    relay = Relay(link, 7, 100)
+    out: list[tuple[int, bytes]] = []
+    for k in range(1000):
+        for direction in (0, 1):
+            relay.receive(direction, k, b"%d" % k, k * MS)
+        out += relay.due(k * MS)
+    while (soon := relay.next_ns()) is not None:
+        out += relay.due(soon)
+    for direction in (0, 1):
+        drawn = link.arrivals(direction, 1000, MS, 7, 100).packet.tolist()
+        assert [int(data) for towards, data in out if towards == direction] == drawn
+        counts = relay.counts(direction)
+        assert settled(counts)
+        assert (counts.received, counts.delivered, counts.under_way) == (1000, len(drawn), 0)
+        assert counts.most_under_way > 0
+
+
+def test_directions_come_out_in_order_of_time() -> None:
+    relay = Relay(Link(Delay(0.003), Delay(0.001)), 1, 100)
+    for k in range(3):
+        relay.receive(0, k, b"to slave %d" % k, k * MS)
+        relay.receive(1, k, b"to master %d" % k, k * MS)
+    assert relay.next_ns() == 1 * MS
+    assert relay.due(5 * MS) == [(1, b"to master 0"), (1, b"to master 1"), (0, b"to slave 0"), (1, b"to master 2"),
+                                 (0, b"to slave 1"), (0, b"to slave 2")]
+    assert relay.next_ns() is None
+
+
+def test_the_sessions_own_datagrams_pass_at_once_and_whole() -> None:
+    relay = Relay(Bernoulli(1.0) | Delay(1.0), 1, 100)
+    relay.receive(0, 5, b"data", 10)
+    relay.receive(0, None, b"hello", 10)
+    relay.receive(1, None, b"bye", 11)
+    assert relay.next_ns() == 10
+    assert relay.due(11) == [(0, b"hello"), (1, b"bye")]
+    assert relay.counts(0) == Counts(received=2, doubled=0, lost=1, overflowed=0, rejected=0, delivered=1, under_way=0,
+                                     most_under_way=1)
+    assert relay.counts(1).delivered == 1
+
+
+def test_without_a_link_everything_passes() -> None:
+    relay = Relay(None, 1, 100)
+    relay.receive(1, 3, b"x", 5)
+    assert relay.due(5) == [(1, b"x")]
+
+
+@pytest.mark.parametrize("number", [-1, 2**62, 2**200])
+def test_a_number_that_no_packet_has_is_rejected(number: int, every_effect: list[Effect]) -> None:
+    for effect in every_effect:
+        relay = Relay(effect, 1, 100)
+        relay.receive(0, number, b"x", 5)
+        relay.receive(0, 2**62 - 1, b"far", 6)
+        assert relay.counts(0).rejected == 1
+        assert settled(relay.counts(0))
+
+
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More datagrams than the bound are dropped and counted, and the next ones find room again."""
+    assert channel.relay.MOST == 2**18
+    monkeypatch.setattr(channel.relay, "MOST", 100)
+    relay = Relay(Duplicate(1.0) | Delay(1.0), 1, 100)
+    for k in range(200):
+        relay.receive(k % 2, k, b"x", k)
+    for _ in range(200):
+        relay.receive(0, None, b"flood", 200)
+    one, other = relay.counts(0), relay.counts(1)
+    assert one.under_way + other.under_way == 100
+    assert one.overflowed + other.overflowed == 350
+    assert settled(one)
+    assert settled(other)
+    assert len(relay.due(2 * 10**9)) == 100
+    relay.receive(0, 500, b"again", 2 * 10**9)
+    assert relay.counts(0).under_way == 2
+
+
+def test_a_clock_that_goes_back_does_no_harm() -> None:
+    relay = Relay(Delay(0.001), 1, 100)
+    relay.receive(0, 0, b"a", 10 * MS)
+    relay.receive(0, 1, b"b", -5 * MS)
+    assert relay.next_ns() == 11 * MS
+    assert relay.due(11 * MS) == [(0, b"a"), (0, b"b")]

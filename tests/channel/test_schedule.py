@@ -1,0 +1,174 @@
+"""One link, two forms: `arrivals` draws a whole direction, `Stream` the same live; both leave a log."""
+
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from channel.bernoulli import Bernoulli
+from channel.delay import Delay
+from channel.duplicate import Duplicate
+from channel.effect import Chain, Effect
+from channel.gamma import GammaJitter
+from channel.in_order import InOrder
+from channel.link import Link, parse_link
+from channel.mahimahi import Mahimahi
+from channel.schedule import Stream, Verdicts, Way, arrivals, verdicts
+from channel.uniform import UniformJitter
+from teleop.errors import Refused
+
+MS = 1_000_000
+
+
+def streamed(link: Way, count: int, dt_ns: int, polls: set[int], seed: int = 1) -> tuple[Stream, list[tuple[int, int]]]:
+    """The same packets live; after the sends named in `polls`, what is due is taken out."""
+    stream = Stream(link, 0, seed, 100)
+    out = []
+    for k in range(count):
+        stream.send(k, k * dt_ns)
+        if k in polls:
+            out += stream.due(k * dt_ns)
+        assert stream.sent + stream.doubled == stream.lost + stream.delivered + stream.under_way
+    while (soon := stream.next_ns()) is not None:
+        out += stream.due(soon)
+    return stream, out
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), dt_ns=st.sampled_from([1, 3, 1000, 333_333, MS]), count=st.integers(0, 120))
+def test_the_stream_gives_the_arrivals(every_effect: list[Effect], data: st.DataObject, dt_ns: int, count: int) -> None:
+    """For any chain: reordering before queues, copies, ties of many packets in one nanosecond, any polling."""
+    effects = tuple(data.draw(st.lists(st.sampled_from(every_effect), min_size=1, max_size=5)))
+    try:
+        link = Chain(effects)
+    except Refused:  # in_order behind a queue that sees disorder
+        return
+    polls = data.draw(st.sets(st.integers(0, max(count - 1, 0))))
+    drawn = arrivals(link, 0, count, dt_ns, 1, 100)
+    _, live = streamed(link, count, dt_ns, polls)
+    assert live == list(zip(drawn.packet.tolist(), drawn.time_ns.tolist(), strict=True))
+
+
+def test_jitter_before_a_narrow_queue(recordings) -> None:
+    """The case that needs events: packets overtake each other, then compete for room in the order they come."""
+    link = UniformJitter(0.02) | Mahimahi(str(recordings / "trace"), queue=5) | Bernoulli(0.1)
+    drawn = arrivals(link, 0, 2000, MS // 8, 1, 1500)
+    stream = Stream(link, 0, 1, 1500)
+    out = []
+    for k in range(2000):
+        stream.send(k, k * MS // 8)
+        out += stream.due(k * MS // 8)
+    out += stream.due(10**15)
+    assert [one[0] for one in out] == drawn.packet.tolist()
+    assert [one[1] for one in out] == drawn.time_ns.tolist()
+    assert 0 < len(out) < 1000  # the queue was full
+    assert (np.diff(drawn.packet) < 0).any()
+
+
+@pytest.mark.parametrize("text", [
+    "uniform(0.02)", "uniform(0.02) | bernoulli(0.2)", "gamma(0.01, 1) | duplicate(0.3, after=0.002)"])
+def test_arrivals_are_sorted_and_ties_go_by_number(text: str) -> None:
+    packet, time_ns = parse_link(text).arrivals(0, 5000, 100, 1, 100)
+    rows = list(zip(time_ns.tolist(), packet.tolist(), strict=True))
+    assert rows == sorted(rows)
+
+
+def test_an_effect_added_behind_changes_no_draw_before_it() -> None:
+    jitter, loss = GammaJitter(0.01, 2.0), Bernoulli(0.2)
+    alone = verdicts(jitter, 0, 3000, MS, 1, 100)[0]
+    longer = verdicts(jitter | loss | Duplicate(0.1), 0, 3000, MS, 1, 100)
+    assert np.array_equal(alone.time_out, longer[0].time_out)
+    assert np.array_equal(longer[1].packet_out, verdicts(jitter | loss, 0, 3000, MS, 1, 100)[1].packet_out)
+
+
+def test_more_packets_change_none_before_them() -> None:
+    link = parse_link("gilbert_elliott(0.05, 0.3) | delay(0.01)")
+    few, many = (link.arrivals(1, count, MS, 5, 100) for count in (1000, 5000))
+    assert np.array_equal(few.packet, many.packet[many.packet < 1000])
+
+
+def test_seed_direction_and_place_matter_and_nothing_else() -> None:
+    loss = Bernoulli(0.5)
+    base = loss.arrivals(0, 1000, MS, 1, 100).packet
+    assert np.array_equal(base, Bernoulli(0.5).arrivals(0, 1000, 2 * MS, 1, 200).packet)
+    assert np.array_equal(base, Link(loss, Delay(1.0)).arrivals(0, 1000, MS, 1, 100).packet)
+    for other in (loss.arrivals(0, 1000, MS, 2, 100), loss.arrivals(1, 1000, MS, 1, 100),
+                  (Delay(0.0) | loss).arrivals(0, 1000, MS, 1, 100)):
+        agree = np.isin(np.arange(1000), base) == np.isin(np.arange(1000), other.packet)
+        assert agree.mean() == pytest.approx(0.5, abs=0.07)
+
+
+def test_in_order_waits_for_those_in_front_but_not_for_the_lost() -> None:
+    """Packet k leaves at the latest entry of all packets up to k: a running maximum over those that came."""
+    link = Bernoulli(0.3) | UniformJitter(0.02) | Bernoulli(0.3) | InOrder()
+    before, done = verdicts(link, 0, 3000, MS, 1, 100)[-2:]
+    came = dict(zip(before.packet_out.tolist(), before.time_out.tolist(), strict=True))
+    latest, expected = 0, {}
+    for packet in sorted(came):
+        latest = expected[packet] = max(latest, came[packet])
+    assert dict(zip(done.packet_out.tolist(), done.time_out.tolist(), strict=True)) == expected
+    assert np.all(np.diff(done.packet_out) > 0)
+    assert np.all(np.diff(done.time_out) >= 0)
+
+
+def test_verdicts_tell_who_was_lost_late_and_doubled_and_the_stream_tells_the_same() -> None:
+    link = Duplicate(0.2, after=0.001) | Bernoulli(0.2) | UniformJitter(0.003)
+    log = verdicts(link, 0, 500, MS, 1, 100)
+    assert [one.effect for one in log] == [
+        "Duplicate(p=0.2, after=0.001)", "Bernoulli(p=0.2)", "UniformJitter(width=0.003)"]
+    assert len(log[0].packet_out) > 500 > len(log[1].packet_out) == len(log[2].packet_out)
+    for one, behind in pairwise(log):
+        assert np.array_equal(one.packet_out, behind.packet_in)
+    live: list[Verdicts] = []
+    stream = Stream(link, 0, 1, 100, log=live.append)
+    for k in range(500):
+        stream.send(k, k * MS)
+    for one in log:
+        mine = [row for row in live if row.effect == one.effect]
+        for drawn, rows in (((one.packet_in, one.time_in), [(r.packet_in, r.time_in) for r in mine]),
+                            ((one.packet_out, one.time_out), [(r.packet_out, r.time_out) for r in mine])):
+            together = sorted((t, p) for packets, times in rows
+                              for p, t in zip(packets.tolist(), times.tolist(), strict=True))
+            assert together == list(zip(drawn[1].tolist(), drawn[0].tolist(), strict=True))
+
+
+def test_the_stream_carries_loads_and_counts() -> None:
+    stream = Stream(Duplicate(1.0, after=0.002) | Delay(0.01), 0, 1, 100)
+    stream.send(0, 0, b"zero")
+    assert (stream.sent, stream.doubled, stream.under_way, stream.next_ns()) == (1, 1, 2, 10 * MS)
+    assert stream.deliver(10 * MS - 1) == []
+    assert stream.deliver(11 * MS) == [(0, 10 * MS, b"zero")]
+    assert stream.due(12 * MS) == [(0, 12 * MS)]
+    assert (stream.delivered, stream.lost, stream.under_way, stream.next_ns()) == (2, 0, 0, None)
+
+
+def test_no_packets_no_arrivals(every_effect: list[Effect]) -> None:
+    for effect in every_effect:
+        packet, time_ns = effect.arrivals(0, 0, MS, 1, 100)
+        assert packet.shape == time_ns.shape == (0,)
+
+
+@pytest.mark.parametrize(("arguments", "sentence"), [
+    ((0, -1, MS, 1, 100), "count"), ((0, 10, 0, 1, 100), "dt_ns"), ((0, 10, MS, -1, 100), "seed"),
+    ((0, 10, MS, 1, 0), "size"), ((2, 10, MS, 1, 100), "direction"), ((0, 1.5, MS, 1, 100), "count")])
+def test_refusals(arguments: tuple[int, int, int, int, int], sentence: str) -> None:
+    with pytest.raises(Refused, match=sentence):
+        Delay(0.01).arrivals(*arguments)
+
+
+def test_a_size_that_cannot_be_carried_is_refused_before_the_first_packet(recordings) -> None:
+    with pytest.raises(Refused, match="1500 bytes, not 1501"):
+        Mahimahi(str(recordings / "trace")).stream(0, 1, 1501)
+
+
+def test_dice_are_loaded_when_thrown() -> None:
+    """A constant delay imports no generator (numpy itself may)."""
+    code = ("import sys, numpy; had = 'numpy.random' in sys.modules; from channel.delay import Delay;"
+            "Delay(0.05).arrivals(0, 100, 1000000, 1, 100); Delay(0.05).stream(0, 1, 100).send(0, 0);"
+            "assert had or 'numpy.random' not in sys.modules; from channel.bernoulli import Bernoulli;"
+            "Bernoulli(0.5).arrivals(0, 100, 1000000, 1, 100); assert 'numpy.random' in sys.modules")
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,142 @@
+"""Recordings: what is replayed, and what is refused with path and line."""
+
+from collections.abc import Callable
+from math import pi, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenarios
+from master.recording import Recording
+from teleop.errors import Refused
+
+MS = 1_000_000
+Write = Callable[[str], str]
+SHIPPED = str(Path(scenarios.__file__).with_name("reach.csv"))
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def at(text: str) -> str:
+        path = tmp_path / "motion.csv"
+        path.write_bytes(text.encode())
+        return str(path)
+
+    return at
+
+
+def test_motion_is_straight_between_rows_and_held_outside(write: Write) -> None:
+    path = write("t, x\n0.002, 1.0\n0.004, 3.0\n0.005, -1.0\n")
+    (x,) = Recording(path=path).samples(1, 8, MS)
+    assert x == pytest.approx([1.0, 1.0, 1.0, 2.0, 3.0, -1.0, -1.0, -1.0], rel=1e-15)
+    assert x[4] == 3.0
+
+
+def test_motion_is_what_numpy_interpolates(write: Write) -> None:
+    dice = np.random.default_rng(5)
+    t = np.cumsum(dice.uniform(1e-4, 5e-3, 200)) - 0.05
+    motion = dice.normal(size=(200, 3))
+    path = write("".join(f"{float(a)!r},{b[0]!r},{b[1]!r},{b[2]!r}\n" for a, b in zip(t, motion.tolist(), strict=True)))
+    got = Recording(path=path, scale=-2.0).samples(3, 700, MS)
+    for axis in range(3):
+        np.testing.assert_allclose(got[axis], -2.0 * np.interp(np.arange(700) / 1e3, t, motion[:, axis]), atol=1e-12)
+
+
+def test_rows_at_ticks_are_replayed_to_the_last_bit(write: Write) -> None:
+    motion = np.random.default_rng(6).normal(size=300).tolist()
+    path = write("".join(f"{k * MS / 1e9!r}, {x!r}\n" for k, x in enumerate(motion)))
+    assert Recording(path=path).samples(1, 300, MS) == (motion,)
+
+
+@pytest.mark.parametrize("text", [
+    "t,x\n0,0.5\n1,1.5\n",
+    "0,0.5\n1,1.5\n",
+    "# made by hand\n\n  T , X\n# more\n0 , 5e-1  # here\n\n1,+1.5",
+    "\ufefft,x\r\n0,0.5\r\n1,1.5\r\n",
+])
+def test_ways_to_write_the_same_motion(write: Write, text: str) -> None:
+    (x,) = Recording(path=write(text)).samples(1, 3, 500 * MS)
+    assert x == [0.5, 1.0, 1.5]
+
+
+def test_one_row_is_a_hand_that_stays(write: Write) -> None:
+    assert Recording(path=write("0, 0.5")).samples(1, 2, MS) == ([0.5, 0.5],)
+
+
+def test_one_column_moves_the_first_axis_and_three_need_three(write: Write) -> None:
+    assert Recording(path=write("0, 0.5")).samples(3, 1, MS) == ([0.5], [0.0], [0.0])
+    with pytest.raises(Refused, match="along 3 axes, the scene has axes=1; set axes=3"):
+        Recording(path=write("0, 0.5, 0, 0")).samples(1, 1, MS)
+
+
+def test_the_file_is_read_once_and_only_named_in_the_text(write: Write) -> None:
+    path = write("0, 0.5")
+    recording = Recording(path=path, scale=2.0)
+    write("0, 0.7")
+    assert recording.samples(1, 1, MS) == ([1.0],)
+    assert repr(recording) == f"Recording(path={path!r}, scale=2.0)"
+    assert recording == Recording(path=path, scale=2.0)
+    assert recording != Recording(path=path)
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    ("", "holds no motion"),
+    ("t, x\n# nothing came\n", "holds no motion"),
+    ("t, x\n0, 1\n0.1\n", "line 3: 1 columns in place of 2"),
+    ("t, x, y, z\n0, 1, 2\n", "line 2: 3 columns in place of 4"),
+    ("t, x\n0, 1, 2, 3\n", "line 2: 4 columns in place of 2"),
+    ("0, 1, 2\n", "line 1: 3 columns in place of 2 or 4"),
+    ("0, 1, 2, 3\n0.1, 1, 2, \n", "line 2: '' is not a number"),
+    ("t, x\n0, 1\n0.1, one\n", "line 3: 'one' is not a number"),
+    ("time, x\n0, 1\n", "line 1: 'time' is not a number"),
+    ("t, x\n0, 1\nt, x\n", "line 3: 't' is not a number"),
+    ("0; 1\n", "line 1: '0; 1' is not a number"),
+    ("0, 1_0\n", "line 1: '1_0' is not a number"),
+    ("0, nan\n", "line 1: 'nan' is not finite"),
+    ("0, 1e999\n", "line 1: '1e999' is not finite"),
+    ("0, 1\n0.2, 1\n0.1, 1\n", r"line 3: t = 0\.1 s does not come after 0\.2 s"),
+    ("0, 1\n0, 2\n", "line 2: t = 0 s does not come after 0 s"),
+])
+def test_broken_recordings_are_refused_with_path_and_line(write: Write, text: str, says: str) -> None:
+    with pytest.raises(Refused, match=says) as refused:
+        Recording(path=write(text))
+    assert "motion.csv" in str(refused.value)
+
+
+def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(Refused, match=r"cannot read the recording .*missing\.csv.*: No such file"):
+        Recording(path=str(tmp_path / "missing.csv"))
+    with pytest.raises(Refused, match="cannot read the recording"):
+        Recording(path=str(tmp_path))
+    with pytest.raises(Refused, match="path must be the name of a CSV file, not 0"):
+        Recording(path=0)  # type: ignore[arg-type]
+    (tmp_path / "photo.csv").write_bytes(b"\x89PNG\xff\xfe")
+    with pytest.raises(Refused, match="is not text"):
+        Recording(path=str(tmp_path / "photo.csv"))
+    with pytest.raises(Refused, match="scale must be finite"):
+        Recording(path=SHIPPED, scale=float("inf"))
+
+
+def test_shipped_reach_is_what_its_head_says() -> None:
+    def m(t: float, a: float, b: float) -> float:
+        s = min(max((t - a) / (b - a), 0.0), 1.0)
+        return s**3 * (10 - 15 * s + 6 * s * s)
+
+    def h(t: float, a: float, b: float) -> float:
+        return 4 * m(t, a, b) * (1 - m(t, a, b))
+
+    def tremor(t: float, i: int) -> float:
+        fast = 0.20 * sin(2 * pi * 8.7 * t + 2.1 * i) + 0.12 * sin(2 * pi * 10.9 * t + 4.3 * i)
+        return m(t, 0, 0.5) * (fast + 0.5 * sin(2 * pi * 0.37 * t + 1.3 * i))
+
+    x, y, z = Recording(path=SHIPPED).samples(3, 601, 10 * MS)
+    for k in range(601):
+        t = k / 100
+        presses = 8 * m(t, 1.9, 2.3) - 9 * m(t, 2.4, 2.8) + 12 * m(t, 2.9, 3.3) - 10 * m(t, 3.4, 3.8)
+        want_x = 40 * m(t, 0.5, 1.4) + presses + 6 * m(t, 3.9, 4.2) - 43 * m(t, 4.6, 5.5) + tremor(t, 0)
+        want_y = 6 * h(t, 0.5, 1.4) + 10 * m(t, 1.8, 4.4) - 8 * m(t, 4.6, 5.6) + tremor(t, 1)
+        want_z = 9 * h(t, 0.5, 1.4) + 5 * h(t, 4.6, 5.5) - 2 * m(t, 1.4, 1.9) + tremor(t, 2)
+        assert (1e3 * x[k], 1e3 * y[k], 1e3 * z[k]) == pytest.approx((want_x, want_y, want_z), abs=6e-4)
+    assert x[0] == y[0] == z[0] == 0.0  # it begins where a master at rest stands
+    assert 0.045 < max(x) < 0.055  # and goes deeper than the canonical wall, at 0.03 m

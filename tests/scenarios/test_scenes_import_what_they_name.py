@@ -1,0 +1,100 @@
+"""A scene pays only for what it names: each runs in a fresh interpreter, and what it loaded is looked at."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from channel.link import EFFECTS
+from teleop import Scene, load_scene
+from teleop.law import BUILT_IN
+from teleop.library import ROOT, built_in_scenes
+
+DICE = {"bernoulli", "duplicate", "gamma", "gilbert_elliott", "normal", "uniform"}  # effects that throw them
+NEVER = {"asyncio", "socket", "select", "msgpack", "matplotlib", "scipy", "difflib", "importlib.metadata",
+         "concurrent.futures", "subprocess", "teleop.live", "teleop.packet", "teleop.endpoint", "teleop.session",
+         "teleop.figure", "teleop.catalogue", "teleop.conformance", "channel.relay"}
+ENVIRONMENTS = {"slave.wall", "slave.tissue"}
+REFERENCES = {"master.recording"}  # the other references share a file with the grip
+CODE = """
+import sys, json
+from teleop.__main__ import main
+code = main(sys.argv[1:])
+print(json.dumps([code, *sys.modules]))
+"""
+
+
+def knobs_of(name: str, folder: Path) -> dict[str, str]:
+    """What the scene must be given, and a short run."""
+    (folder / "delivery").write_text("".join(f"{ms}\n" for ms in range(1, 50)))
+    needed = {"up": str(folder / "delivery"), "down": str(folder / "delivery")} if name == "lte" else {}
+    return {"duration": "0.02", **needed}
+
+
+def loaded_by(name: str, knobs: dict[str, str], folder: Path) -> set[str]:
+    settings = [part for key, value in knobs.items() for part in ("--set", f"{key}={value}")]
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, "run", name, *settings, "--json"], cwd=folder, text=True, check=True,
+        capture_output=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    code, *modules = json.loads(done.stdout.splitlines()[-1])
+    assert code == 0, done.stderr
+    return set(modules)
+
+
+def effects(link: Any) -> set[str]:
+    return set() if link is None else {type(effect).__module__ for way in (0, 1) for effect in link.way(way)}
+
+
+def homes(table: dict[str, str], names: set[str] | None = None) -> set[str]:
+    return {where.partition(":")[0] for name, where in table.items() if names is None or name in names}
+
+
+def named_by(scene: Scene) -> set[str]:
+    """The modules, out of those that a scene may leave out, that this one names."""
+    hand = scene.hand
+    parts: set[Any] = {type(scene.law), type(hand.reference) if hand else None, *map(type, scene.environments)}
+    modules = {part.__module__ for part in parts if part is not None}
+    thrown = effects(scene.link) & homes(EFFECTS, DICE)
+    return (
+        (modules & (homes(BUILT_IN) | ENVIRONMENTS | REFERENCES))
+        | effects(scene.link)
+        | ({"channel"} if scene.link is not None else set())
+        | ({"numpy.random"} if thrown else set())
+        | ({"teleop.safety"} if scene.watchdog or scene.cap else set())
+        # only a law that reads the hand's force has use for the observer
+        | ({"teleop.observer"} if scene.observer and type(scene.law).__name__ == "PFRA" else set())
+    )
+
+
+OPTIONAL = homes(EFFECTS) | homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | {
+    "channel", "numpy.random", "teleop.safety", "teleop.observer",
+}
+
+
+@pytest.mark.parametrize("name", built_in_scenes())
+def test_a_built_in_scene(name: str, tmp_path: Path) -> None:
+    knobs = knobs_of(name, tmp_path)
+    loaded = loaded_by(name, knobs, tmp_path)
+    assert loaded & OPTIONAL == named_by(load_scene(name, **knobs))
+    assert not loaded & NEVER
+
+
+@pytest.mark.parametrize(
+    ("change", "gained", "lost"),
+    [
+        ({"link": "bernoulli(0.1)"}, {"channel.bernoulli", "numpy.random"}, {"channel.gamma"}),
+        ({"law": "pfra"}, {"teleop.laws.pfra", "teleop.observer"}, set()),
+        ({"law": "pfra", "observer": "none"}, {"teleop.laws.pfra"}, {"teleop.observer"}),
+    ],
+)
+def test_a_knob_turned(change: dict[str, str], gained: set[str], lost: set[str], tmp_path: Path) -> None:
+    loaded = loaded_by("canonical", {"duration": "0.02", **change}, tmp_path)
+    assert gained <= loaded
+    assert not lost & loaded

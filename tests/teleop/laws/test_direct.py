@@ -1,0 +1,77 @@
+"""Direct position-force control: what each end does, and the delay it stands (ORACLES 6)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from channel.delay import Delay
+from channel.link import Link
+from master.hand import Grip, Hold
+from slave.tissue import Tissue
+from teleop.errors import Refused
+from teleop.law import At, start_at
+from teleop.laws.direct import Back, Direct, Forth
+from teleop.lockstep import run
+from teleop.plant import MassDamper
+from teleop.scene import Scene
+
+
+def test_the_slave_is_drawn_to_the_master_by_a_spring_damper() -> None:
+    at = At(0.02, 0.1, 7.0, 0.0, 0.0, True, 0.0, 1e-3)
+    f_s, back, _ = Direct(K=500.0, B=20.0).slave((), at, Forth(0.05, 0.3))
+    assert f_s == 500.0 * (0.05 - 0.02) + 20.0 * (0.3 - 0.1)
+    assert back == Back(7.0)
+
+
+def test_the_hand_gets_the_force_as_it_came_times_the_gain() -> None:
+    at = At(0.02, 0.1, 7.0, 0.0, 0.0, False, 1.0, 1e-3)
+    assert Direct(kf=0.5).master((), at, Back(3.0)) == (1.5, Forth(0.02, 0.1), ())
+
+
+def test_until_the_first_message_the_slave_stays_and_the_hand_feels_nothing() -> None:
+    law, at = Direct(), start_at(0.4, 0.0, 0.0, 1e-3)
+    (state, held), (_, none) = law.slave_start(at), law.master_start(at)
+    assert law.slave(state, at, held)[0] == 0.0
+    assert none == Back(0.0)
+
+
+@pytest.mark.parametrize(("knob", "value"), [("K", -1.0), ("B", -1.0), ("kf", -0.1), ("K", float("nan")), ("kf", True)])
+def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
+    with pytest.raises(Refused, match=knob):
+        Direct(**{knob: value})
+
+
+def growth(round_trip: int, *, dt: float, K: float, B: float, k_e: float) -> float:
+    """How a small oscillation has grown over the second half of a run, two handles as in ORACLES 4.
+
+    Forth and back take `round_trip` ticks together. The hand is 100 N/m and 2 N s/m, held still; the slave
+    is bonded to a wall of k_e.
+    """
+    there = round_trip // 2
+    handle = MassDamper(mass=0.04, damping=0.8)
+    scene = Scene(
+        law=Direct(K=K, B=B), master=handle, slave=handle, environment=Tissue(k=k_e, d=0.0),
+        hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Hold(at=0.0)), start_m=1e-3, dt=dt, duration=4.0,
+        link=Link(forward=Delay(there * dt), backward=Delay((round_trip - there) * dt)), x_limit=1e9,
+    )
+    x = np.abs(run(scene).trace["x_m"])
+    half = len(x) // 2
+    return float(np.log(x[-half // 4:].max() / x[half: half + half // 4].max()))
+
+
+@pytest.mark.parametrize(("stable", "unstable", "dt", "K", "B", "k_e"), [
+    (94, 95, 1e-4, 400.0, 4.0, 400.0),  # first unstable at 9.5 ms, continuous time 9.504 ms
+    (14, 15, 1e-4, 2000.0, 8.0, 2000.0),  # 1.5 ms, continuous time 1.520 ms
+    (8, 9, 1e-3, 400.0, 4.0, 400.0),  # sampled at 1 kHz: first unstable at 9 ticks
+])
+def test_it_is_stable_up_to_the_delay_that_theory_gives(
+    stable: int, unstable: int, dt: float, K: float, B: float, k_e: float
+) -> None:
+    """The margins of ORACLES 6: |L| = 1 of the loop hand and master, delay, coupled slave in the wall, delay."""
+    assert growth(stable, dt=dt, K=K, B=B, k_e=k_e) < 0.0
+    assert growth(unstable, dt=dt, K=K, B=B, k_e=k_e) > 0.0
+
+
+def test_the_least_round_trip_there_is_at_1_khz_is_too_long_for_a_hard_wall() -> None:
+    assert growth(2, dt=1e-3, K=2000.0, B=8.0, k_e=2000.0) > 0.0

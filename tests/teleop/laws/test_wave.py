@@ -1,0 +1,306 @@
+"""Wave variables: the algebra of both ends to rounding, what the channel feels like, and its energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from channel.bernoulli import Bernoulli
+from channel.delay import Delay
+from channel.duplicate import Duplicate
+from channel.uniform import UniformJitter
+from master.hand import Grip, Sine
+from slave.wall import Wall
+from teleop.errors import Refused
+from teleop.law import At, start_at
+from teleop.laws.wave import Back, Forth, Slave, Wave
+from teleop.lockstep import run
+from teleop.plant import MassDamper
+from teleop.playout import Fixed, Hold, Zero, plan
+from teleop.scene import Link, Playout, Scene
+
+MS = 1_000_000
+NO_REPEATS = Zero()
+
+
+def spread(low: float, high: float) -> st.SearchStrategy[float]:
+    """Values between low and high, evenly in the logarithm."""
+    return st.floats(0.0, 1.0).map(lambda part: low * (high / low) ** part)
+
+
+def at(x: float = 0.0, v: float = 0.0, dt: float = 1e-3, *, fresh: bool = True) -> At:
+    """What a wave end is told; the rest is not computed."""
+    nan = float("nan")
+    return At(x, v, nan, nan, nan, fresh, nan, dt)
+
+
+motion = st.floats(-10.0, 10.0).map(lambda value: round(value, 12))  # no squares that vanish
+
+
+# The transforms
+
+
+@given(b=spread(1e-3, 1e3), v=motion, w=motion)
+@settings(derandomize=True)
+def test_the_masters_power_is_that_of_its_waves(b: float, v: float, w: float) -> None:
+    f, (u,), _ = Wave(b=b).master((), at(v=v), Back(w))
+    size = u * u + w * w
+    assert (u * u - w * w) / 2.0 == pytest.approx(f * v, abs=1e-14 * size)
+    assert (u + w) / sqrt(2.0 * b) == pytest.approx(v, abs=1e-14 * sqrt(size / b))
+    assert sqrt(b / 2.0) * (u - w) == pytest.approx(f, abs=1e-14 * sqrt(size * b))
+
+
+def test_a_worked_example() -> None:
+    """ORACLES 5: b = 0.8, v = 0.05, f = 1 has u = 0.8222, w = -0.7589, 0.0500 W."""
+    w = (0.8 * 0.05 - 1.0) / sqrt(1.6)
+    f, (u,), _ = Wave(b=0.8).master((), at(v=0.05), Back(w))
+    assert (round(u, 4), round(w, 4)) == (0.8222, -0.7589)
+    assert f == pytest.approx(1.0, rel=1e-15)
+    assert (u * u - w * w) / 2.0 == pytest.approx(0.0500, rel=1e-15)
+
+
+gains = st.one_of(st.just(0.0), spread(1e-2, 1e9))
+
+
+@given(b=spread(1e-3, 1e3), K=gains, B=st.one_of(st.just(0.0), spread(1e-3, 1e4)), dt=spread(1e-5, 1e-1),
+       u=motion, v=motion, x=st.floats(-0.01, 0.01))
+@settings(derandomize=True, max_examples=300)
+def test_the_slaves_power_is_that_of_its_waves(
+    b: float, K: float, B: float, dt: float, u: float, v: float, x: float
+) -> None:
+    """With the x_d that the tick ends with, at any stiffness: (u^2 - w^2)/2 = f_s v_d.
+
+    The commanded point starts at 0, so that v_d = x_d/dt keeps all its digits. What it cannot keep below
+    one part in 2^53 of the position is a force of K times that.
+    """
+    f_s, (w,), (x_d,) = Wave(b=b, K=K, B=B).slave(Slave(0.0), at(x=x, v=v, dt=dt), Forth(u))
+    v_d = x_d / dt
+    grain = 1e-15 * (K * (abs(x) + abs(x_d)) + B * (abs(v) + abs(v_d)))
+    near = 5e-14 * (abs(f_s * v_d) + u * u + w * w) + grain * (abs(v_d) + abs(w) / sqrt(b / 2.0))
+    assert (u * u - w * w) / 2.0 == pytest.approx(f_s * v_d, abs=near)
+
+
+@pytest.mark.parametrize("K", [0.0, 500.0, 1e6, 1e9])
+@given(b=spread(1e-3, 1e3), B=spread(1e-3, 1e4), dt=spread(1e-5, 1e-1), u=motion, v=motion,
+       x=motion, x_d=motion)
+@settings(derandomize=True, max_examples=40)
+def test_velocity_and_force_of_the_slaves_port_solve_their_two_equations_together(
+    K: float, b: float, B: float, dt: float, u: float, v: float, x: float, x_d: float
+) -> None:
+    """Against mpmath: f = sqrt(2b) u - b v_d and f = K (x_d + dt v_d - x) + B (v_d - v), solved at 50 digits."""
+    with mpmath.workdps(50):
+        mb, mK, mB, mdt, mu, mv, mx, mx_d = map(mpmath.mpf, (b, K, B, dt, u, v, x, x_d))
+        v_d, f = mpmath.lu_solve(
+            mpmath.matrix([[mb, 1], [mK * mdt + mB, -1]]),
+            mpmath.matrix([mpmath.sqrt(2 * mb) * mu, -mK * (mx_d - mx) + mB * mv]),
+        )
+        w = mu - mpmath.sqrt(2 / mb) * f
+        got_f, (got_w,), (got_x_d,) = Wave(b=b, K=K, B=B).slave(Slave(x_d), at(x, v, dt), Forth(u))
+        # A position is known to one part in 2^53 and the spring makes that a force.
+        spring, damper = K * (abs(x) + abs(x_d) + dt * abs(v_d)), B * (abs(v) + abs(v_d))
+        grain = 2e-15 * (spring + damper + abs(f) + sqrt(2 * b) * abs(u))
+        assert abs(got_f - f) <= grain
+        assert abs(got_w - w) <= mpmath.sqrt(2 / mb) * grain + 4e-15 * abs(u)
+        moved = 4e-15 * (abs(x_d) + dt * abs(v_d)) + dt * grain / (b + B + K * dt)
+        assert abs(got_x_d - (mx_d + mdt * v_d)) <= moved
+
+
+@given(b=spread(1e-3, 1e3), v=motion, w=motion, x=motion)
+@settings(derandomize=True)
+def test_a_missing_wave_counts_as_zero_whatever_came_before(b: float, v: float, w: float, x: float) -> None:
+    law = Wave(b=b)
+    assert law.master((), at(v=v, fresh=False), Back(w)) == law.master((), at(v=v), Back(0.0))
+    stale = law.slave(Slave(x), at(x, v, fresh=False), Forth(w))
+    assert stale == law.slave(Slave(x), at(x, v), Forth(0.0))
+
+
+def test_it_starts_at_rest_where_the_slave_is() -> None:
+    law, here = Wave(), start_at(0.3, 0.0, float("nan"), 1e-3)
+    state, held = law.slave_start(here)
+    f_s, back, after = law.slave(state, at(x=0.3), held)
+    assert (f_s, back.w, after.x_d) == (0.0, 0.0, 0.3)
+    assert law.master_start(here) == ((), Back(0.0))
+
+
+@pytest.mark.parametrize(("knob", "value"), [
+    ("b", 0.0), ("b", -1.0), ("K", -1.0), ("B", -1.0), ("b", float("inf")), ("b", "2"), ("K", float("nan"))
+])
+def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
+    with pytest.raises(Refused, match=knob):
+        Wave(**{knob: value})
+
+
+# What the channel feels like
+
+
+def impedance(law: Wave, frequency: float, delay: int, *, seconds: int = 2) -> complex:
+    """F/V at the master, at a frequency in whole Hz, with a held slave behind `delay` ticks of 1 ms each way.
+
+    Nothing dissipates in an unmatched channel, so what the start left rings for ever, but at odd multiples
+    of 1/(4T): over one whole second a sum picks out the frequency alone.
+    """
+    dt, count = 1e-3, 1000 * seconds
+    forth, back = [Forth(0.0)] * delay, [Back(0.0)] * delay
+    state = Slave(0.0)
+    speeds, forces = [], []
+    for k in range(count):
+        v = np.cos(2.0 * pi * frequency * k * dt)
+        f, u, _ = law.master((), at(v=v), back[k])
+        _, w, state = law.slave(state, at(), forth[k])
+        forth.append(u)
+        back.append(w)
+        speeds.append(v)
+        forces.append(f)
+    turn = np.exp(-2j * pi * frequency * dt * np.arange(count - 1000, count))
+    return complex((turn @ forces[-1000:]) / (turn @ speeds[-1000:]))
+
+
+def z_in(b: float, z_load: float, T: float, frequency: float) -> complex:
+    """ORACLES 5: Z_in = b (1 - G e^-2sT)/(1 + G e^-2sT) with G = (b - Z_L)/(b + Z_L)."""
+    gamma = 1.0 if z_load == 0.0 else -1.0 if z_load == float("inf") else (b - z_load) / (b + z_load)
+    turn = gamma * np.exp(-2j * 2.0 * pi * frequency * T)
+    return complex(b * (1.0 - turn) / (1.0 + turn))
+
+
+FREE, CLAMPED = Wave(b=0.8, K=0.0, B=0.0), Wave(b=0.8, K=1e12, B=1e12)
+
+
+@pytest.mark.parametrize(("frequency", "magnitude"), [(1.0, 0.25994), (4.0, 2.46215)])
+def test_a_free_slave_feels_like_the_published_impedance(frequency: float, magnitude: float) -> None:
+    assert abs(impedance(FREE, frequency, 50)) == pytest.approx(magnitude, abs=5e-6)
+
+
+@pytest.mark.parametrize("frequency", [1.0, 3.0, 4.0, 7.0, 18.0])
+@pytest.mark.parametrize(("law", "z_load"), [
+    (FREE, 0.0), (CLAMPED, float("inf")), (Wave(b=0.8, K=0.0, B=2.0), 2.0), (Wave(b=0.8, K=0.0, B=0.3), 0.3)
+])
+def test_the_channel_transforms_an_impedance_like_a_transmission_line(
+    law: Wave, z_load: float, frequency: float
+) -> None:
+    want = z_in(0.8, z_load, 0.05, frequency)
+    assert impedance(law, frequency, 50, seconds=12) == pytest.approx(want, rel=1e-9)
+
+
+@pytest.mark.parametrize("frequency", [1.0, 4.0, 5.0, 33.0])
+def test_a_matched_slave_sends_nothing_back(frequency: float) -> None:
+    assert impedance(Wave(b=0.8, K=0.0, B=0.8), frequency, 50) == pytest.approx(0.8, rel=1e-12)
+
+
+def test_at_low_frequency_a_free_end_is_a_mass_and_a_clamped_end_a_spring() -> None:
+    """A mass b T = 0.04 kg, a spring b/T = 16 N/m, for T = 50 ms."""
+    omega = 2.0 * pi
+    assert impedance(FREE, 1.0, 50).imag / omega == pytest.approx(0.04, rel=0.04)
+    assert -impedance(CLAMPED, 1.0, 50).imag * omega == pytest.approx(16.0, rel=0.04)
+
+
+# The energy of the link
+
+
+def scene(law: Wave, link: Link | None, playout: Playout = NO_REPEATS, **other: float) -> Scene:
+    """A hand that swings a master, and a slave that strikes a wall."""
+    knobs = {"m_m": 0.1, "m_s": 0.5, "k_h": 200.0, "k_e": 5000.0, "wall": 0.01, "rate": 2.0, "duration": 0.8} | other
+    return Scene(
+        law=law, link=link, playout=playout, energy=True, duration=knobs["duration"], observer=None,
+        master=MassDamper(mass=knobs["m_m"], damping=0.2), slave=MassDamper(mass=knobs["m_s"], damping=0.1),
+        hand=Grip(mass=0.1, k=knobs["k_h"], d=1.0, reference=Sine(amplitude=0.05, frequency=knobs["rate"])),
+        environment=Wall(k=knobs["k_e"], d=1.0, at=knobs["wall"]),
+    )
+
+
+def lowest(scene: Scene, seed: int = 0) -> float:
+    """The smallest E_link of a run, J, rounding of what went through taken off."""
+    trace = run(scene, seed=seed).trace
+    through = float(trace["E_in_fwd"].max() + trace["E_in_bwd"].max())
+    return float(trace["E_link"].min()) + 1e-13 * through
+
+
+bodies = {
+    "b": spread(1e-3, 1e3), "m_m": spread(0.01, 5.0), "m_s": spread(0.05, 5.0), "k_h": spread(1.0, 2000.0),
+    "k_e": st.one_of(st.just(0.0), spread(10.0, 1e6)), "wall": st.floats(-0.03, 0.03), "rate": spread(0.3, 20.0),
+}
+
+
+@given(delay=st.floats(0.0, 0.5), **bodies)
+@settings(derandomize=True, max_examples=25, deadline=None)
+def test_the_link_never_gives_more_than_it_got_at_any_constant_delay(delay: float, b: float, **other: float) -> None:
+    assert lowest(scene(Wave(b=b), Delay(delay), **other)) >= -1e-9
+
+
+@given(delay=st.floats(0.0, 0.2), loss=st.floats(0.0, 0.9), jitter=st.floats(0.0, 0.05),
+       copies=st.floats(0.0, 1.0), seed=st.integers(0, 2**64 - 1),
+       gaps=st.sampled_from([Zero(), Fixed(0.03), Fixed(0.15)]), **bodies)
+@settings(derandomize=True, max_examples=25, deadline=None)
+def test_nor_with_random_loss_jitter_and_copies_if_the_gaps_are_zero(
+    delay: float, loss: float, jitter: float, copies: float, seed: int, gaps: Playout, b: float, **other: float
+) -> None:
+    link = Delay(delay) | UniformJitter(jitter) | Bernoulli(loss) | Duplicate(copies, after=0.003)
+    assert lowest(scene(Wave(b=b), link, gaps, **other), seed) >= -1e-9
+
+
+def test_holding_the_last_wave_makes_energy_in_the_whole_scene() -> None:
+    link = Delay(0.01) | UniformJitter(0.02)
+    held = run(scene(Wave(b=2.0), link, Hold(), duration=4.0), seed=1)
+    assert held.metrics["E_link_min"] < -1e-3
+    assert any("E_link may fall below zero" in note for note in held.notes)
+    zero = run(scene(Wave(b=2.0), link, Zero(), duration=4.0), seed=1)
+    assert zero.metrics["E_link_min"] >= 0.0
+    assert not zero.notes
+
+
+def stored(link: Link, wave: Sequence[float], playout: Playout, seed: int) -> float:
+    """The smallest energy stored in one direction of a link at 1 kHz, into which `wave` is sent."""
+    u, count = np.asarray(wave), len(wave)
+    arrived = link.arrivals(0, count, MS, seed, 100)
+    played = np.array(plan(playout, arrived.packet, arrived.time_ns, count, MS).play)
+    fresh = played >= 0
+    newest = np.maximum.accumulate(played)
+    taken = np.where(fresh if playout == Zero() else newest >= 0, u[newest], 0.0)
+    return float(np.cumsum(0.5e-3 * (u * u - taken * taken)).min())
+
+
+TWO_TONES = [0.5 * (np.sin(2.0 * pi * 5.0 * t) + np.sin(2.0 * pi * 6.0 * t)) for t in np.arange(20_000) * 1e-3]
+
+
+@pytest.mark.parametrize("link", [
+    Delay(0.05) | Bernoulli(0.1), Delay(0.05) | UniformJitter(0.02) | Bernoulli(0.1)
+], ids=["loss", "loss and jitter"])
+def test_zero_for_a_lost_wave_is_passive_and_holding_the_last_one_is_not(link: Link) -> None:
+    """ORACLES 5: 10 % loss, 50 ms, a two-tone wave at 1 kHz, 20 s; its signs."""
+    held = [stored(link, TWO_TONES, Hold(), seed) for seed in range(8)]
+    assert min(held) < 0.0
+    assert min(stored(link, TWO_TONES, Zero(), seed) for seed in range(8)) >= 0.0
+
+
+@dataclass(frozen=True)
+class Echo:
+    """Every packet arrives at once, and again `after` ticks later."""
+
+    after: int
+
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Echo.Twice:
+        first = np.arange(count)
+        time = np.concatenate([first, first + self.after]) * dt_ns
+        order = np.argsort(time, kind="stable")
+        return self.Twice(np.concatenate([first, first])[order], time[order])
+
+    @dataclass(frozen=True)
+    class Twice:
+        packet: np.ndarray
+        time_ns: np.ndarray
+
+
+def test_a_copy_is_played_once_on_a_wave_made_to_be_told_twice() -> None:
+    """One wave in each ten ticks, doubled: a copy counted as fresh would give twice what was sent."""
+    wave = np.array([float(k % 10 == 0) for k in range(1000)])
+    link = Echo(after=4)
+    assert stored(link, wave, Zero(), 0) >= 0.0
+    arrived = link.arrivals(0, len(wave), MS, 0, 100)
+    told_twice = np.cumsum(0.5e-3 * wave**2)[-1] - 0.5e-3 * (wave[arrived.packet] ** 2).sum()
+    assert told_twice < -0.04

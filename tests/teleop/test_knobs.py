@@ -1,0 +1,139 @@
+"""Knobs: a scene's keyword parameters, given as texts or from Python, each checked by name and type."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from channel.delay import Delay
+from teleop import Refused, load_scene
+from teleop.knobs import knobs_of, read, settle
+from teleop.law import Law
+from teleop.laws.pfra import PFRA
+from teleop.laws.wave import Wave
+from teleop.playout import Fixed, Hold, Zero
+from teleop.scene import Playout, Vector
+
+WAVE = Wave()
+
+
+def scene(*, up: Path, k_e: float = 1.0, law: Law = WAVE, steps: int = 3) -> None: ...
+
+
+class TestNames:
+    def test_of_a_function_come_with_type_and_default(self) -> None:
+        assert knobs_of(scene) == {"up": (Path, ...), "k_e": (float, 1.0), "law": (Law, Wave()), "steps": (int, 3)}
+
+    def test_that_are_not_given_keep_their_defaults(self) -> None:
+        values, link = settle("s", scene, {"up": "a", "k_e": "2"})
+        assert values == {"up": Path("a"), "k_e": 2.0, "law": Wave(), "steps": 3}
+        assert link is None
+
+    def test_that_must_be_given_are_asked_for(self) -> None:
+        with pytest.raises(Refused, match=r"scene s needs up: add --set up=VALUE"):
+            settle("s", scene, {})
+
+    def test_that_nobody_knows_are_refused_with_the_nearest(self) -> None:
+        with pytest.raises(Refused, match=r"no knob 'k_f'.*did you mean k_e"):
+            settle("s", scene, {"up": "a", "k_f": "1"})
+
+
+class TestNumbers:
+    @given(st.floats(allow_nan=False, allow_infinity=False))
+    def test_are_read_from_their_own_text_to_the_last_bit(self, value: float) -> None:
+        assert read("k", repr(value), float) == value
+        assert read("k", value, float) == value
+
+    @given(st.integers(-(2**53), 2**53))
+    def test_that_are_whole_stay_whole(self, value: int) -> None:
+        got = read("n", str(value), int)
+        assert got == value
+        assert isinstance(got, int)
+
+    @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e999", "", "1,5", "0x10", "one", True, None, [1.0]])
+    def test_that_are_none_are_refused(self, value: object) -> None:
+        with pytest.raises(Refused, match="k must be"):
+            read("k", value, float)
+
+    def test_in_several_axes_are_parted_by_commas(self) -> None:
+        assert read("to", "0.1,0,-2", Vector) == (0.1, 0.0, -2.0)
+        assert read("to", (0.1, 2), Vector) == (0.1, 2.0)
+        assert read("to", "0.1", Vector) == 0.1
+        with pytest.raises(Refused, match="to must be a number"):
+            read("to", "0.1,,3", Vector)
+
+    def test_that_may_be_left_out_take_none(self) -> None:
+        assert read("observer", "none", float | None) is None
+        assert read("observer", None, float | None) is None
+        assert read("observer", "5", float | None) == 5.0
+
+
+class TestOtherKinds:
+    @pytest.mark.parametrize("text", ["true", "True", "yes", "on", "1"])
+    def test_truths(self, text: str) -> None:
+        assert read("energy", text, bool) is True
+
+    @pytest.mark.parametrize("text", ["false", "FALSE", "no", "off", "0"])
+    def test_untruths(self, text: str) -> None:
+        assert read("energy", text, bool) is False
+
+    @pytest.mark.parametrize(
+        ("text", "playout"),
+        [("zero", Zero()), ("hold", Hold()), ("fixed:0.1", Fixed(0.1)), ("fixed:0.1:hold", Fixed(0.1, Hold()))],
+    )
+    def test_playouts(self, text: str, playout: Playout) -> None:
+        assert read("playout", text, Playout) == playout
+        assert read("playout", playout, Playout) == playout
+
+    @pytest.mark.parametrize("text", ["fixed", "fixed:", "fixed:soon", "fixed:-1", "fixed:0.1:never", "hold:1", "none"])
+    def test_playouts_that_are_none(self, text: str) -> None:
+        with pytest.raises(Refused):
+            read("playout", text, Playout)
+
+    def test_paths_are_not_looked_at(self) -> None:
+        assert read("up", "some/file", Path) == Path("some/file")
+        with pytest.raises(Refused, match="up is the path"):
+            read("up", "", Path)
+
+    def test_what_no_text_can_say_is_left_to_python(self) -> None:
+        thing = object()
+        assert read("thing", thing, object) is thing
+        with pytest.raises(Refused, match="set it from Python"):
+            read("thing", "text", object)
+
+
+class TestLaws:
+    def test_are_named_and_tuned(self) -> None:
+        assert load_scene("canonical", law="pfra").law == PFRA()
+        tuned = load_scene("canonical", **{"law.b": "4", "law": "wave"}).law
+        assert tuned == Wave(b=4.0)
+
+    def test_keep_the_numbers_of_the_scene_that_are_not_turned(self) -> None:
+        base: Any = load_scene("canonical").law
+        assert load_scene("canonical", **{"law.b": 3.0}).law == Wave(b=3.0, K=base.K, B=base.B)
+
+    @pytest.mark.parametrize(("given", "words"), [
+        ({"law": "wavee"}, "did you mean wave"), ({"law.c": "1"}, "law wave has no knob 'c'"),
+        ({"law.b": "nan"}, "law.b must be finite"), ({"law": 3}, "law=wave"), ({"law.b": "-1"}, "b must be above 0"),
+    ])
+    def test_that_are_wrong_are_refused(self, given: dict[str, Any], words: str) -> None:
+        with pytest.raises(Refused, match=words):
+            load_scene("canonical", **given)
+
+
+class TestLinks:
+    def test_replace_the_scenes_own_and_stand_in_its_knobs_as_text(self) -> None:
+        for link in ("delay(0.2)", Delay(0.2)):
+            got = load_scene("canonical", link=link)
+            assert got.link == Delay(0.2)
+            assert load_scene("canonical", link=str(got.knobs["link"])).link == Delay(0.2)
+
+    @pytest.mark.parametrize("link", ["none", None])
+    def test_may_be_left_out(self, link: str | None) -> None:
+        got = load_scene("canonical", link=link)
+        assert got.link is None
+        assert got.knobs["link"] == "none"

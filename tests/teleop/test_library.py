@@ -1,0 +1,96 @@
+"""Where scenes are found: built in, of plug-ins, at a path; and whose packages they get."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from teleop import Refused, load_scene
+from teleop.knobs import knobs_of
+from teleop.library import ROOT, built_in_scenes, house, known_scenes, scene_function
+
+
+class TestBuiltIn:
+    def test_scenes_of_the_issue_are_there(self) -> None:
+        assert {
+            "canonical", "free_motion", "hard_wall", "soft_tissue", "jittery_wan", "burst_loss", "blackout",
+            "satellite", "local", "lte",
+        } <= set(built_in_scenes())
+
+    @pytest.mark.parametrize("name", built_in_scenes())
+    def test_scenes_say_what_they_are_and_take_only_keywords(self, name: str) -> None:
+        function = scene_function(name)
+        assert function.__doc__
+        assert function.__doc__.splitlines()[0].endswith(".")
+        assert {"dt", "duration", "law", "energy", "observer"} <= set(knobs_of(function))
+
+    @pytest.mark.parametrize("name", ["__init__", "__main__", "_x", "../scenarios/canonical", "a/b", "", "."])
+    def test_nothing_else_in_the_folder_is_a_scene(self, name: str) -> None:
+        with pytest.raises(Refused, match="there is no scene"):
+            scene_function(name)
+
+    def test_names_that_are_close_are_offered(self) -> None:
+        with pytest.raises(Refused, match=r"there is no scene 'canonicle'; did you mean canonical"):
+            scene_function("canonicle")
+
+
+class TestAtAPath:
+    def test_a_users_own_scene_is_loaded_with_its_knobs(self, tmp_path: Path) -> None:
+        source = (ROOT / "scenarios" / "canonical.py").read_text()
+        (tmp_path / "my own.py").write_text(source)
+        scene = load_scene(str(tmp_path / "my own.py"), delay=0.2)
+        assert scene.name == "my own"
+        assert scene.knobs["delay"] == 0.2
+
+    def test_two_files_of_one_name_are_two_scenes(self, tmp_path: Path) -> None:
+        for k, folder in enumerate("ab", start=1):
+            (tmp_path / folder).mkdir()
+            (tmp_path / folder / "same.py").write_text(f"def scene(*, k: float = {k}.0): ...\n")
+        for k, folder in enumerate("ab", start=1):
+            assert knobs_of(scene_function(str(tmp_path / folder / "same.py"))) == {"k": (float, float(k))}
+
+    @pytest.mark.parametrize(("text", "words"), [
+        ("def scene(:", "SyntaxError"), ("import nonsense_of_mine", "nonsense_of_mine"), ("1 / 0", "ZeroDivision"),
+        ("", "no function called `scene`"), ("scene = 3", "no function called `scene`"),
+    ])
+    def test_a_file_that_is_none_is_refused(self, tmp_path: Path, text: str, words: str) -> None:
+        (tmp_path / "mine.py").write_text(text)
+        with pytest.raises(Refused, match=words):
+            scene_function(str(tmp_path / "mine.py"))
+
+    def test_a_file_that_is_not_there_is_refused(self, tmp_path: Path) -> None:
+        with pytest.raises(Refused, match="there is no file"):
+            scene_function(str(tmp_path / "mine.py"))
+
+
+class TestOfPlugIns:
+    def test_scenes_are_known_without_being_imported_and_loaded_by_name(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        module = types.ModuleType("plugged_in")
+        module.scene = load_scene  # type: ignore[attr-defined]
+        entry = importlib.metadata.EntryPoint("theirs", "plugged_in", "teleop.scenes")
+        monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: [entry])
+        assert "theirs" in known_scenes()
+        with pytest.raises(ModuleNotFoundError):
+            scene_function("theirs")
+        monkeypatch.setitem(sys.modules, "plugged_in", module)
+        assert scene_function("theirs") is load_scene
+
+
+class TestTheHouse:
+    def test_is_found_beside_teleop(self) -> None:
+        assert Path(house("channel.delay").__file__).is_relative_to(ROOT)
+
+    def test_is_not_taken_from_elsewhere(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        stranger = types.ModuleType("slave")
+        stranger.__file__ = str(tmp_path / "slave.py")
+        monkeypatch.setitem(sys.modules, "slave", stranger)
+        with pytest.raises(Refused, match=r"'slave' was taken from .*slave.py"):
+            house("slave.wall")
+        with pytest.raises(Refused, match="was taken from"):
+            scene_function("canonical")

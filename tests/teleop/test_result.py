@@ -1,0 +1,110 @@
+"""What a run leaves: a summary that JSON can hold, a trace, and both read back as they were."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from teleop import Refused, Result, load_result, load_scene, run
+from teleop.metrics import UNITS
+from teleop.result import Packets, parameters
+
+
+@pytest.fixture(scope="module")
+def wan() -> Result:
+    return run(load_scene("jittery_wan", duration=0.3), seed=3)
+
+
+class TestSummary:
+    def test_has_what_makes_the_run_again(self, wan: Result) -> None:
+        summary = wan.summary(["teleop", "run"])
+        assert summary["command"] == ["teleop", "run"]
+        assert (summary["scene"], summary["seed"], summary["dt"], summary["ticks"]) == ("jittery_wan", 3, 1e-3, 300)
+        assert summary["parameters"]["law"] == {"name": "wave", "b": 2.0, "K": 500.0, "B": 20.0}
+        assert summary["parameters"]["duration"] == 0.3
+        assert set(summary["versions"]) == {"bilateral-teleop", "python", "numpy"}
+
+    def test_gives_every_figure_its_unit(self, wan: Result) -> None:
+        for name, entry in wan.summary()["metrics"].items():
+            assert entry == {"value": wan.metrics[name], "unit": UNITS[name]}
+
+    def test_is_strict_json_even_where_a_scene_has_an_infinite_knob(self) -> None:
+        scene = load_scene("canonical", duration=0.05)
+        scene = replace(scene, knobs={**scene.knobs, "slew": float("inf"), "file": Path("a/b"), "none": None})
+        told = json.loads(json.dumps(run(scene).summary(), allow_nan=False))["parameters"]
+        assert (told["slew"], told["file"], told["none"]) == ("inf", "a/b", None)
+
+    def test_of_a_diverged_run_has_only_finite_figures(self) -> None:
+        result = run(load_scene("canonical", **{"law": "direct", "law.K": 1e9}))
+        assert result.status == "diverged"
+        assert result.ticks < 10_000
+        assert all(np.isfinite(list(result.metrics.values())))
+        json.dumps(result.summary(), allow_nan=False)
+
+
+class TestPackets:
+    def test_of_every_way_add_up(self, wan: Result) -> None:
+        for counts in wan.packets.values():
+            assert counts.sent == 300
+            assert counts.sent == counts.received + counts.lost + counts.in_flight
+
+    def test_without_a_link_one_message_is_always_under_way(self) -> None:
+        counts = Packets.without_link(10)
+        assert (counts.sent, counts.received, counts.in_flight) == (10, 9, 1)
+        assert Packets.without_link(0) == Packets()
+
+
+class TestParameters:
+    def test_keep_numbers_texts_and_truths_and_write_the_rest_out(self) -> None:
+        told = parameters(load_scene("jittery_wan", law="pfra"))
+        assert told["law"]["name"] == "pfra"  # type: ignore[index]
+        assert told["playout"] == "Fixed(delay=0.065, gaps=Zero())"
+        assert told["energy"] is True
+
+
+class TestStored:
+    def test_reads_back_as_it_was(self, wan: Result, tmp_path: Path) -> None:
+        saved = wan.save(tmp_path / "run", ["teleop"])
+        read = load_result(tmp_path / "run")
+        assert saved.path == read.path == tmp_path / "run"
+        for field in ("scene", "seed", "mode", "status", "sentence", "ticks", "dt", "metrics", "packets", "notes"):
+            assert getattr(read, field) == getattr(wan, field), field
+        assert read.trace.keys() == wan.trace.keys()
+        for name, column in wan.trace.items():
+            np.testing.assert_array_equal(read.trace[name], column)
+            assert read.trace[name].dtype == column.dtype
+
+    def test_keeps_what_only_a_live_run_knows(self, wan: Result, tmp_path: Path) -> None:
+        replace(wan, extra={"master": {"skipped": 3}}).save(tmp_path / "run")
+        assert load_result(tmp_path / "run").extra == {"master": {"skipped": 3}}
+
+    def test_is_an_archive_that_numpy_reads_alone_with_time_first(self, wan: Result, tmp_path: Path) -> None:
+        wan.save(tmp_path / "run")
+        with np.load(tmp_path / "run" / "trace.npz", allow_pickle=False) as arrays:
+            assert arrays.files == list(wan.trace)
+            assert arrays.files[0] == "t"
+
+    @pytest.mark.parametrize("break_it", [
+        lambda folder: (folder / "summary.json").unlink(),
+        lambda folder: (folder / "trace.npz").unlink(),
+        lambda folder: (folder / "summary.json").write_text("{"),
+        lambda folder: (folder / "summary.json").write_text("[]"),
+        lambda folder: (folder / "summary.json").write_text('{"status": "ok"}'),
+        lambda folder: (folder / "summary.json").write_bytes(b"\xff\xfe\x00"),
+        lambda folder: (folder / "trace.npz").write_bytes(b""),
+        lambda folder: (folder / "trace.npz").write_bytes(b"garbage"),
+        lambda folder: (folder / "trace.npz").write_bytes((folder / "trace.npz").read_bytes()[:-100]),
+        lambda folder: np.save(folder.joinpath("trace.npz").open("wb"), np.zeros(3)),
+    ])
+    def test_refuses_what_is_no_complete_run(
+        self, wan: Result, tmp_path: Path, break_it: Callable[[Path], object]
+    ) -> None:
+        wan.save(tmp_path / "run")
+        break_it(tmp_path / "run")
+        with pytest.raises(Refused, match="holds no complete run"):
+            load_result(tmp_path / "run")
