@@ -27,7 +27,8 @@ class RelayShell:
     """Two sockets and a timer around a `Relay`."""
 
     def __init__(self, scene: Scene, seed: int, near: Wire, far: Wire) -> None:
-        self.relay = Relay(scene.link, seed, scene.wire_size)
+        link: Any = scene.link  # a scene asks less of its link than a relay does
+        self.relay = Relay(link, seed, scene.wire_size)
         self.wires = (near, far)  # where direction 0 and direction 1 come in
         self.foreign = 0  # datagrams that are no packets of this scene
         self._dt_ns, self._ticks = scene.dt_ns, scene.ticks

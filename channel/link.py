@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import ast
 from dataclasses import MISSING, dataclass, fields
-from importlib import import_module
 from typing import Any
 
 from channel.effect import Chain, Effect
 from channel.schedule import Arrivals, Stream, arrivals
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused
+from teleop.plugins import find, known
 
 EFFECTS = {
     "bernoulli": "channel.bernoulli:Bernoulli",
@@ -33,6 +33,7 @@ EFFECTS = {
 }
 """What a text may name, and where it is."""
 
+GROUP = "teleop.effects"  # of entry points
 _LONGEST = 10_000  # characters of a text
 _FORM = 'write for example "delay(0.05) | bernoulli(p=0.02)", or "FORWARD ; BACKWARD"'
 
@@ -61,6 +62,11 @@ class Link:
     def stream(self, direction: int, seed: int, size: int) -> Stream:
         """The same packet by packet: see `channel.schedule.Stream`."""
         return Stream(self, direction, seed, size)
+
+
+def known_effects() -> dict[str, str]:
+    """Every effect that can be named: `name -> "module:class"`, built in and from plug-ins, none imported."""
+    return known(GROUP, EFFECTS)
 
 
 def parse_link(text: str) -> Effect | Chain | Link:
@@ -109,10 +115,7 @@ def _effect(node: ast.AST, text: str) -> Effect:
         part = ast.unparse(node)[:40]
         raise Refused(f"the link {text[:80]!r} has a part that is no effect, {part!r}; {_FORM}")
     name = node.func.id
-    if name not in EFFECTS:
-        raise Refused(f"there is no effect {name!r}; {nearest(name, EFFECTS)}")
-    module, _, kind = EFFECTS[name].partition(":")
-    made: type[Effect] = getattr(import_module(module), kind)
+    made: type[Effect] = find("effect", GROUP, EFFECTS, name)
     effect: Effect = made(**_arguments(name, made, node))
     return effect
 

@@ -8,10 +8,14 @@ from teleop.bodies import master_plant, reference_samples
 from teleop.endpoint import Axes, Reading
 from teleop.plant import grip_force, move_free, move_gripped
 from teleop.scene import Scene
+from teleop.tick import features
 
 
 class SimulatedMaster:
-    """Reads where the master is at a tick, and holds the motor's force until the next one is read."""
+    """Reads where the master is at a tick, and holds the motor's force until the next one is read.
+
+    It has a force sensor if the scene's law reads f_h and no observer stands in for one.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._c: Any = master_plant(scene)
@@ -20,6 +24,7 @@ class SimulatedMaster:
         self._v = [0.0] * scene.axes
         self._f = [0.0] * scene.axes
         self._dt = scene.dt_ns / 1e9
+        self._sensor = "sense_m" in features(scene)
         self._k = 0
 
     def read(self, k: int) -> Reading:
@@ -27,7 +32,7 @@ class SimulatedMaster:
         while self._k < k:
             self._move(self._k)
             self._k += 1
-        return Reading(tuple(self._x), tuple(self._v), self._hand())
+        return Reading(tuple(self._x), tuple(self._v), self._hand() if self._sensor else None)
 
     def hold(self, force: Axes) -> None:
         """Hold `force` (N, against the hand) from now on."""

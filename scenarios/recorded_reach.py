@@ -22,7 +22,7 @@ def scene(
     delay: float = 0.05,
     k_e: float = 2e3,
     d_e: float = 10.0,
-    wall: float = 0.08,
+    wall: float = 0.04,
     timeout: float = 0.2,
     f_max: float = 20.0,
     slew: float = 2000.0,

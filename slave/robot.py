@@ -5,16 +5,21 @@ from __future__ import annotations
 from teleop.bodies import slave_plants
 from teleop.endpoint import Axes, Reading
 from teleop.scene import Scene
+from teleop.tick import features
 
 
 class SimulatedSlave:
-    """Reads where the slave is at a tick, and holds the motor's force until the next one is read."""
+    """Reads where the slave is at a tick, and holds the motor's force until the next one is read.
+
+    It has a force sensor if the scene's law reads f_env.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._plants = slave_plants(scene)
         self._x = list(scene.vector("start_s", scene.start_s))
         self._v = [0.0] * scene.axes
         self._f = [0.0] * scene.axes
+        self._sensor = "sense_s" in features(scene)
         self._k = 0
 
     def read(self, k: int) -> Reading:
@@ -23,8 +28,10 @@ class SimulatedSlave:
             for i, (move, _, c) in enumerate(self._plants):
                 self._x[i], self._v[i], _ = move(c, self._x[i], self._v[i], self._f[i])
             self._k += 1
-        touch = tuple([p.force(p.c, x, v) for p, x, v in zip(self._plants, self._x, self._v, strict=True)])
-        return Reading(tuple(self._x), tuple(self._v), touch)
+        return Reading(tuple(self._x), tuple(self._v), self._touch() if self._sensor else None)
+
+    def _touch(self) -> Axes:
+        return tuple([p.force(p.c, x, v) for p, x, v in zip(self._plants, self._x, self._v, strict=True)])
 
     def hold(self, force: Axes) -> None:
         """Hold `force` (N) from now on."""

@@ -20,7 +20,7 @@ Knob = tuple[str, str, str, str]  # name, type, default, remark
 
 def overview() -> str:
     """Scenes, laws and effects with a line each; those of plug-ins are named without being imported."""
-    effects = house("channel.link").EFFECTS
+    effects = house("channel.link").known_effects()
     laws = known_laws()
     parts = {
         "scenes": [(name, _scene_line(name)) for name in known_scenes()],
@@ -33,7 +33,7 @@ def overview() -> str:
 
 def details(name: str) -> str:
     """The knobs of whatever is called `name`, scene, law or effect. Raises `Refused` if nothing is."""
-    effects: Mapping[str, str] = house("channel.link").EFFECTS
+    effects: Mapping[str, str] = house("channel.link").known_effects()
     laws, scenes = known_laws(), known_scenes()
     parts = []
     if name in scenes or name.endswith(".py"):

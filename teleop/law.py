@@ -23,7 +23,7 @@ from collections.abc import Callable
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple, Protocol
 
-from teleop.errors import Refused, nearest
+from teleop.plugins import find, known
 
 
 class At(NamedTuple):
@@ -60,11 +60,12 @@ BUILT_IN = {
 }
 
 
+GROUP = "teleop.laws"  # of entry points
+
+
 def known_laws() -> dict[str, str]:
     """Every law that can be named: `name -> "module:class"`, built in and from plug-ins, none imported."""
-    from importlib.metadata import entry_points
-
-    return {**{e.name: e.value for e in entry_points(group="teleop.laws")}, **BUILT_IN}
+    return known(GROUP, BUILT_IN)
 
 
 def find_law(name: str) -> Callable[..., Any]:
@@ -73,17 +74,8 @@ def find_law(name: str) -> Callable[..., Any]:
     >>> find_law("wave")(b=2.0).b
     2.0
     """
-    from importlib import import_module
-
-    where = BUILT_IN.get(name)
-    if where is None:
-        laws = known_laws()
-        if name not in laws:
-            raise Refused(f"there is no law {name!r}; {nearest(name, laws)}")
-        where = laws[name]
-    module, _, attribute = where.partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), attribute)
-    return found
+    law: Callable[..., Any] = find("law", GROUP, BUILT_IN, name)
+    return law
 
 
 def law_name(law: object) -> str:

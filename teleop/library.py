@@ -13,11 +13,13 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused
+from teleop.plugins import find, known
 
 if TYPE_CHECKING:
     from teleop.scene import Scene
 
+GROUP = "teleop.scenes"  # of entry points
 ROOT = Path(__file__).resolve().parent.parent  # holds teleop, master, slave, channel and scenarios
 
 
@@ -46,21 +48,17 @@ def built_in_scenes() -> list[str]:
 
 def known_scenes() -> list[str]:
     """Every scene that can be named: built in and of plug-ins, none imported."""
-    from importlib.metadata import entry_points
-
-    return sorted({*built_in_scenes(), *(e.name for e in entry_points(group="teleop.scenes"))})
+    return sorted({*built_in_scenes(), *known(GROUP, {})})
 
 
 def scene_function(name: str) -> Callable[..., Scene]:
     """The function behind a scene's name or path; its keyword parameters are the scene's knobs."""
-    for package in ("master", "slave", "channel"):
+    for package in ("master", "slave", "channel", "scenarios"):
         _claim(package)  # the hands, robots and effects that a scene file imports must be ours too
     if name.endswith(".py"):
         module = _from_path(Path(name))
-    elif name in built_in_scenes():
-        module = house(f"scenarios.{name}")
     else:
-        module = _from_plugin(name)
+        module = find("scene", GROUP, {stem: f"scenarios.{stem}" for stem in built_in_scenes()}, name)
     function = getattr(module, "scene", None)
     if not callable(function):
         raise Refused(f"{name} has no function called `scene`; write `def scene(*, k_e: float = 1e3) -> Scene:` in it")
@@ -92,12 +90,3 @@ def _from_path(path: Path) -> Any:
     except Exception as error:
         raise Refused(f"{path} stopped with {type(error).__name__}: {error}; mend it and run again") from error
     return module
-
-
-def _from_plugin(name: str) -> Any:
-    from importlib.metadata import entry_points
-
-    for entry in entry_points(group="teleop.scenes"):
-        if entry.name == name:
-            return entry.load()
-    raise Refused(f"there is no scene {name!r}; {nearest(name, known_scenes())}")

@@ -113,7 +113,7 @@ def encode(packet: Packet, size: int | None = None) -> bytes:
     return data + crc32(data).to_bytes(_CHECKSUM, "big")
 
 
-def decode(data: bytes, width: int) -> Packet | Rejection:  # noqa: PLR0911 (one return for each cause)
+def decode(data: bytes, width: int) -> Packet | Rejection:
     """The packet in a datagram, or why there is none. Never raises, whatever the bytes.
 
     `width` is how many numbers a DATA packet carries, exactly. Session and replay are not judged here.

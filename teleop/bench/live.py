@@ -68,7 +68,8 @@ def live(rounds: int) -> list[Row]:
         rows.append((f"{end}: tick late by, p99", f"{late['p99']:.0f} us", asked))
         rows.append((f"{end}: share of a core", f"{median(s['cpu'] for s in summaries) * 100:.1f} %",
                      "asked: at most 10"))
-        rows.append((f"{end}: ticks skipped, of {SECONDS * 1000}", f"{median(s['skipped'] for s in summaries):.0f}", ""))
+        skipped = median(s["skipped"] for s in summaries)
+        rows.append((f"{end}: ticks skipped, of {SECONDS * 1000}", f"{skipped:.0f}", ""))
     if beside:
         rows.append(("C clock_nanosleep beside it: late by, median / p99",
                      f"{median(c[0] for c in beside):.0f} / {median(c[1] for c in beside):.0f} us", ""))

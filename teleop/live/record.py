@@ -30,21 +30,21 @@ class Recorder:
         header = {"end": e, "scene": scene.name, "dt_ns": scene.dt_ns, "axes": scene.axes,
                   "columns": ["k", "late_ns", "seq", *[n.removesuffix("@") for n in names]]}
         self.trouble: str | None = None
-        self._rows = array("d")
+        self._rows: list[float] = []
         self._count = 0
         self._file: BinaryIO = (folder / FILE).open("wb")
         self._file.write(json.dumps(header).encode() + b"\n")
 
     def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
         """One tick."""
-        self._rows.extend((k, late_ns, played, *row))
+        self._rows += (k, late_ns, played, *row)
         self._count += 1
         if self._count % EVERY == 0:
             self.flush()
 
     def flush(self) -> None:
         """Hand what there is to the system."""
-        rows, self._rows = self._rows, array("d")
+        rows, self._rows = array("d", self._rows), []
         if self.trouble is not None:
             return
         if sys.byteorder == "big":

@@ -1,0 +1,311 @@
+"""Runs in virtual time: the same bits for the same seed, an independent reference, and runs that go wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import count
+from math import pi, sin, sqrt
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from channel.bernoulli import Bernoulli
+from channel.delay import Delay
+from channel.link import Link
+from channel.uniform import UniformJitter
+from master.hand import Grip, Hold, Sine
+from slave.tissue import Tissue
+from slave.wall import Wall
+from teleop.errors import Refused
+from teleop.law import At
+from teleop.laws.direct import Back, Direct, Forth
+from teleop.laws.wave import Wave
+from teleop.lockstep import run
+from teleop.plant import MassDamper
+from teleop.scene import Scene, load_scene
+
+ROUGH = Delay(0.02) | UniformJitter(0.02) | Bernoulli(0.2)
+
+
+def same(one: Any, other: Any) -> bool:
+    """Are two runs the same to the bit, in all that they recorded?"""
+    return list(one.trace) == list(other.trace) and all(
+        np.array_equal(one.trace[name], other.trace[name], equal_nan=True) for name in one.trace
+    )
+
+
+# Seeds
+
+
+def test_the_same_seed_gives_the_same_bits() -> None:
+    scene = load_scene("canonical", duration=0.5, link=ROUGH)
+    one, other = run(scene, seed=3), run(scene, seed=3)
+    assert same(one, other)
+    assert one.metrics == other.metrics
+    assert one.packets == other.packets
+
+
+def test_other_seeds_draw_other_links() -> None:
+    scene = load_scene("canonical", duration=0.5, link=ROUGH)
+    runs = [run(scene, seed=seed) for seed in (0, 1, 2**64 - 1)]
+    assert not any(same(one, other) for one, other in zip(runs, runs[1:], strict=False))
+
+
+def test_a_seed_means_nothing_to_a_link_without_dice() -> None:
+    scene = load_scene("canonical", duration=0.5)
+    assert same(run(scene, seed=0), run(scene, seed=9))
+
+
+@pytest.mark.parametrize("seed", [-1, 2**64, 1.0, True, "1", None])
+def test_what_is_no_seed_is_refused(seed: Any) -> None:
+    with pytest.raises(Refused, match=r"seed must be a whole number .* write --seed 1"):
+        run(load_scene("canonical", duration=0.01), seed=seed)
+
+
+# The canonical scene, integrated anew
+
+
+@dataclass
+class Reference:
+    """The canonical scene of DESIGN 2 as its equations say, by general-purpose integrators.
+
+    The gripped master goes by a matrix exponential of the whole state (x, v, x_ref, v_ref, f), the slave by
+    DOP853 with the changes of contact located as events; waves go through plain lists. Nothing of the stack
+    is used.
+    """
+
+    b: float = 2.0
+    K: float = 500.0
+    B: float = 20.0
+    delay: int = 50
+    dt: float = 1e-3
+
+    k_e: ClassVar[float] = 5000.0
+    d_e: ClassVar[float] = 5.0
+    at: ClassVar[float] = 0.03
+
+    def __post_init__(self) -> None:
+        M, b_m, k_h, d_h = 0.1 + 0.4, 0.5, 200.0, 5.0
+        rates = np.zeros((5, 5))
+        rates[0, 1] = rates[2, 3] = 1.0
+        rates[1] = np.array([-k_h, -(d_h + b_m), k_h, d_h, -1.0]) / M
+        self.master_step = expm(rates * self.dt)
+        self.contacts = 0
+
+    def slave_step(self, x: float, v: float, f: float) -> tuple[float, float]:
+        """0.5 kg and 1 N s/m beside a wall that cannot pull, f held."""
+        def push(y: np.ndarray) -> float:
+            return self.k_e * (y[0] - self.at) + self.d_e * y[1]
+
+        def depth(t: float, y: np.ndarray) -> float:
+            return float(y[0] - self.at)
+
+        def grip(t: float, y: np.ndarray) -> float:
+            return push(y)
+
+        depth.terminal = grip.terminal = True  # type: ignore[attr-defined]
+        t, y = 0.0, np.array([x, v])
+        inside = x > self.at or (x == self.at and v > 0.0)
+        touching = inside and (x == self.at or push(y) > 0.0)
+        while t < self.dt:
+            depth.direction = -1.0 if inside else 1.0  # type: ignore[attr-defined]
+            grip.direction = -1.0 if touching else 1.0  # type: ignore[attr-defined]
+            events = [grip] if touching else [depth, grip] if inside else [depth]
+            force = push if touching else lambda _: 0.0
+            got = solve_ivp(
+                lambda _, y, force=force: [y[1], (f - force(y) - y[1]) / 0.5], (t, self.dt), y,
+                method="DOP853", rtol=1e-12, atol=1e-15, events=events,
+            )
+            t, y = got.t[-1], got.y[:, -1]
+            if got.status == 1:
+                self.contacts += 1
+                if not inside:
+                    inside = touching = True
+                    y[0] = self.at
+                elif touching:
+                    touching = False
+                else:
+                    touching = len(got.t_events) > 1 and len(got.t_events[1]) > 0
+                    inside = touching
+        return float(y[0]), float(y[1])
+
+    def run(self, ticks: int) -> dict[str, np.ndarray]:
+        root, b, K, B, dt = sqrt(2.0 * self.b), self.b, self.K, self.B, self.dt
+        x_m = v_m = x_s = v_s = x_d = 0.0
+        u_sent, w_sent = [0.0] * self.delay, [0.0] * self.delay
+        rows = []
+        for k in range(ticks):
+            w_m, u_s = w_sent[k], u_sent[k]
+            f_m = b * v_m - root * w_m
+            u_sent.append(root * v_m - w_m)
+            v_d = (root * u_s - K * (x_d - x_s) + B * v_s) / (b + B + K * dt)
+            x_d += dt * v_d
+            f_s = root * u_s - b * v_d
+            w_sent.append(u_s - sqrt(2.0 / b) * f_s)
+            rows.append((x_m, v_m, f_m, x_s, v_s, f_s))
+            r0, r1 = (0.05 * sin(2.0 * pi * dt * j) for j in (k, k + 1))
+            x_m, v_m, *_ = self.master_step @ [x_m, v_m, r0, (r1 - r0) / dt, f_m]
+            x_s, v_s = self.slave_step(x_s, v_s, f_s)
+        return dict(zip(("x_m", "v_m", "f_m", "x_s", "v_s", "f_s"), np.array(rows).T, strict=True))
+
+
+def test_the_canonical_scene_is_what_its_equations_say() -> None:
+    reference = Reference()
+    want = reference.run(700)
+    got = run(load_scene("canonical", duration=0.7)).trace
+    assert reference.contacts >= 2
+    assert got["f_env"].max() > 0.5
+    for name, scale in (("x_m", 1.0), ("v_m", 10.0), ("f_m", 10.0), ("x_s", 1.0), ("v_s", 100.0), ("f_s", 100.0)):
+        assert np.abs(got[name] - want[name]).max() < 1e-11 * scale, name
+
+
+# Delays
+
+
+@pytest.mark.parametrize("law", [Wave(), Direct(K=200.0, B=5.0, kf=0.2)])
+def test_no_link_zero_delay_and_one_tick_are_the_same_run(law: Any) -> None:
+    scene = load_scene("canonical", duration=0.6, law=law)
+    without = run(replace(scene, link=None))
+    for delay in (0.0, 1e-9, 0.5e-3, 1e-3):
+        linked = run(replace(scene, link=Delay(delay)))
+        for name, column in without.trace.items():
+            assert np.array_equal(column, linked.trace[name]), (delay, name)
+    assert not same(without, run(replace(scene, link=Delay(1.001e-3))))
+
+
+@pytest.mark.parametrize(("dt", "delay", "ticks"), [
+    (1e-3, 0.05, 50), (1e-3, 0.0501, 51), (1e-3, 0.0499, 50), (0.7e-3, 0.07, 100), (0.01, 0.3, 30), (1e-3, 0.0, 1),
+])
+def test_a_delay_is_whole_ticks_rounded_up_at_every_tick(dt: float, delay: float, ticks: int) -> None:
+    trace = run(load_scene("canonical", dt=dt, delay=delay, duration=1500 * dt)).trace
+    k = np.arange(1500)
+    for seq in ("seq_m", "seq_s"):
+        assert np.array_equal(trace[seq], np.where(k >= ticks, k - ticks, -1))
+
+
+def test_each_direction_has_its_own_delay() -> None:
+    scene = load_scene("canonical", duration=0.3)
+    trace = run(replace(scene, link=Link(forward=Delay(0.03), backward=Delay(0.11)))).trace
+    assert trace["seq_s"][200] == 170
+    assert trace["seq_m"][200] == 90
+
+
+# Status
+
+
+def test_a_run_that_ends_says_so() -> None:
+    got = run(load_scene("canonical", duration=0.25))
+    assert (got.status, got.ticks, got.mode) == ("ok", 250, "virtual")
+    assert got.sentence == "ran to its end, 250 ticks of 0.001 s"
+
+
+UNSTABLE = Scene(
+    law=Direct(K=2000.0, B=8.0, kf=3.0), master=MassDamper(mass=0.04, damping=0.8), link=Delay(0.05),
+    slave=MassDamper(mass=0.04, damping=0.8), environment=Tissue(k=2000.0, d=0.0), start_m=1e-3, duration=60.0,
+    hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Hold()), x_limit=1e3, energy=True,
+)
+
+
+def test_a_run_that_diverges_ends_early_and_says_when_and_what() -> None:
+    got = run(UNSTABLE)
+    assert got.status == "diverged"
+    assert 100 < got.ticks < UNSTABLE.ticks
+    assert all(len(column) == got.ticks for column in got.trace.values())
+    when = f"diverged at t = {(got.ticks - 1) * 1e-3:g} s (tick {got.ticks - 1}): "
+    assert got.sentence.startswith(when)
+    assert any(f"{name} passed 1000 m; a smaller dt, gain or delay may hold it" in got.sentence for name in ("x_m", "x_s"))
+    assert np.abs(got.trace["x_m"]).max() < 1e3  # the record ends before the limit was passed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Breaks:
+    """Direct, until the master's force is no number any more."""
+
+    at: float
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def master_start(self, at: At) -> tuple[tuple[()], Back]:
+        return Direct().master_start(at)
+
+    def slave_start(self, at: At) -> tuple[tuple[()], Forth]:
+        return Direct().slave_start(at)
+
+    def master(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Forth, tuple[()]]:
+        return (float("nan") if at.x > self.at else 0.0), Forth(at.x, at.v), s
+
+    def slave(self, s: tuple[()], at: At, rx: Forth) -> tuple[float, Back, tuple[()]]:
+        return 0.0, Back(0.0), s
+
+
+def test_a_force_that_is_no_number_is_named() -> None:
+    got = run(load_scene("canonical", law=Breaks(at=0.02)))
+    assert got.status == "diverged"
+    assert "f_m is not finite; a smaller dt" in got.sentence
+    assert np.isnan(got.trace["f_m"][-1])
+    assert np.isfinite(got.trace["f_m"][:-1]).all()
+
+
+def test_a_clock_times_the_loop_and_without_one_there_is_no_time() -> None:
+    scene, ticking = load_scene("canonical", duration=0.01), count(0, 2_500_000_000)
+    assert run(scene).run_time is None
+    assert run(scene, clock=lambda: next(ticking)).run_time == 2.5
+
+
+def test_packets_are_counted() -> None:
+    got = run(load_scene("canonical", duration=0.2))
+    for way in ("forth", "back"):
+        counts = got.packets[way]
+        assert (counts.sent, counts.received, counts.in_flight, counts.lost) == (200, 150, 50, 0)
+    bare = run(replace(load_scene("canonical", duration=0.2), link=None)).packets["forth"]
+    assert (bare.sent, bare.received, bare.in_flight) == (200, 199, 1)
+
+
+# Plants at their edges, in whole runs
+
+
+def pushed(**other: Any) -> Any:
+    """A slave that is drawn to and fro across a wall, everything else left as it is."""
+    return run(Scene(**{
+        "law": Direct(K=300.0, B=4.0, kf=0.1), "master": MassDamper(mass=0.1), "slave": MassDamper(mass=0.3),
+        "hand": Grip(mass=0.2, k=300.0, d=2.0, reference=Sine(amplitude=0.05, frequency=2.0)), "link": Delay(0.01),
+        "environment": Wall(k=5e3, at=0.01), "duration": 1.0, "energy": True, **other,
+    }))
+
+
+def test_a_wall_on_the_other_side_mirrors_the_whole_run() -> None:
+    hand = Grip(mass=0.2, k=300.0, d=2.0, reference=Sine(amplitude=-0.05, frequency=2.0))
+    one, other = pushed().trace, pushed(environment=Wall(k=5e3, at=-0.01, side=-1), hand=hand).trace
+    assert one["f_env"].max() > 1.0
+    for name in ("x_m", "v_m", "f_m", "f_h", "x_s", "v_s", "f_s", "f_env"):
+        assert np.array_equal(one[name], -other[name]), name
+    assert np.array_equal(one["E_port"], other["E_port"])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_slave_that_starts_inside_the_wall_is_pushed_out(side: int) -> None:
+    law = Direct(K=0.0, B=0.0, kf=0.0)
+    got = pushed(law=law, environment=Wall(k=5e3, at=0.01, side=side), start_s=0.01 + 0.02 * side, hand=None)
+    trace = got.trace
+    assert trace["f_env"][0] == pytest.approx(100.0 * side)
+    # All of k p^2/2 becomes M v^2/2, and there it stays.
+    assert trace["v_s"][-1] == pytest.approx(-side * 0.02 * sqrt(5e3 / 0.3), rel=1e-12)
+    assert got.status == "ok"
+
+
+@pytest.mark.parametrize("other", [
+    {"environment": Wall(k=5e3, d=0.0, at=0.01), "master": MassDamper(mass=0.1), "slave": MassDamper(mass=0.3)},
+    {"environment": Wall(k=0.0, d=5.0, at=0.01)}, {"environment": Wall(k=0.0, d=0.0, at=0.01)},
+    {"environment": Wall(k=1e8, d=0.0, at=0.0)}, {"environment": Tissue(k=0.0, d=0.0)},
+    {"hand": Grip(mass=0.0, k=0.0, d=0.0, reference=Hold()), "start_m": 0.05},
+], ids=["no damping", "no stiffness", "no wall", "very stiff", "no tissue", "limp hand"])
+def test_coefficients_may_be_zero_or_huge(other: dict[str, Any]) -> None:
+    got = pushed(**other)
+    assert got.status == "ok"
+    assert all(np.isfinite(column).all() for column in got.trace.values())
+
+
+def test_a_wall_of_nothing_is_free_space() -> None:
+    assert same(pushed(environment=Wall(k=0.0, d=0.0, at=0.01)), pushed(environment=None))
