@@ -16,8 +16,8 @@ from typing import Any
 
 from channel.relay import Relay
 from teleop.live.address import address, bound, shown
-from teleop.live.shell import DRAIN, Wire
 from teleop.live.ticker import Alarm
+from teleop.live.wire import DRAIN, Wire
 from teleop.options import Parser, guarded, knobs_from, scene_options
 from teleop.packet import Kind, peek
 from teleop.scene import Scene, load_scene

@@ -65,8 +65,10 @@ def _demo(args: Namespace) -> None:
     _check_plot(args)
     result = demo(args.scene, knobs_from(args), seed=args.seed, out=_out(args), json=args.json,
                   lockstep=args.lockstep, command=args.typed)
-    if result.path is not None:
-        _plot(args, result, result.path)
+    from teleop.figure import draw, drawable
+
+    if result.path is not None and drawable():  # a live run takes its time anyway
+        draw(result, result.path / "figure.png")
     _tell(args, result)
 
 

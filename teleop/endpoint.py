@@ -9,7 +9,7 @@ from collections import Counter
 from math import isfinite
 from typing import Any, NamedTuple, Protocol
 
-from teleop.packet import Echo, Kind, Packet, Rejection, check_size, decode, encode
+from teleop.packet import Echo, Kind, Packet, Rejection, Window, check_size, decode, encode
 from teleop.playout import Inbox, Plan
 from teleop.scene import Scene
 from teleop.session import Session
@@ -33,23 +33,20 @@ class Heard(NamedTuple):
     E_in: float | None
 
 
-class Way:
-    """One-way delays as they are seen: from the tick a packet was sent at to the tick that took it in.
-
-    In ns; they carry the uncertainty of the clock offset, half the fastest round trip of the first exchange.
-    """
+class Times:
+    """Mean, least and most of times in ns, taken one by one."""
 
     def __init__(self) -> None:
         self.count, self.total, self.least, self.most = 0, 0, 0, 0
         self.recent = 0.0  # mean over about the last 200
 
-    def add(self, delay_ns: int) -> None:
-        """One more packet."""
-        self.least = delay_ns if not self.count else min(self.least, delay_ns)
-        self.most = delay_ns if not self.count else max(self.most, delay_ns)
+    def add(self, ns: int) -> None:
+        """One more."""
+        self.least = ns if not self.count else min(self.least, ns)
+        self.most = ns if not self.count else max(self.most, ns)
         self.count += 1
-        self.total += delay_ns
-        self.recent += (delay_ns - self.recent) / min(self.count, 200)
+        self.total += ns
+        self.recent += (ns - self.recent) / min(self.count, 200)
 
 
 class Messages(Protocol):
@@ -66,10 +63,14 @@ class Stepped:
         self._play = None if plan is None else plan.play
         self._keep = 2 if plan is None else plan.lag + 2
         self._held: dict[int, Heard] = {}
+        self._newest = -1
 
     def put(self, packet: int, tick: int, entry: Heard) -> None:
-        self._held[packet] = entry
-        self._held.pop(packet - self._keep, None)
+        if packet > self._newest - self._keep:  # a copy of one that was dropped would stay for ever
+            self._held[packet] = entry
+        if packet > self._newest:
+            self._newest = packet
+            self._held.pop(packet - self._keep, None)
 
     def has(self, packet: int) -> bool:
         """Has this packet come? Asked for the newest only: old ones are dropped."""
@@ -94,6 +95,10 @@ class Endpoint:
 
     `now` is the end's own monotonic clock in ns. `force_failed` names a force that was not finite: nothing may
     be held then, the run has diverged.
+
+    `way` are the one-way delays as they are seen, from the tick a packet was sent at to the tick that took it
+    in: they carry the uncertainty of the clock offset, half the fastest round trip of the first exchange.
+    `rtt` are the round trips that the packets' echoes tell, which need no common clock.
     """
 
     def __init__(self, scene: Scene, e: str, session: Session, messages: Messages | None = None) -> None:
@@ -104,9 +109,11 @@ class Endpoint:
         self.received = 0  # DATA packets of this session, copies included
         self.force_failed: str | None = None
         self.stamp_margin: float | None = None  # smallest of (sender's stamp) - (energy received here), J
-        self.way = Way()
+        self.way, self.rtt = Times(), Times()
+        self._window = Window()  # so that a copy or a replay is no second measurement
         self._tick = -1
         self._newest: tuple[int, int] | None = None  # peer's newest send time, and when it came here
+        self._live = compiled(scene, live_text(scene, e), "live")  # now: at tick 0 there is no time for it
         self._started: Any = None
         law: Any = scene.law
         self._axes = range(scene.axes)
@@ -133,7 +140,7 @@ class Endpoint:
             self.rejected[packet.value] += 1
             return []
         if packet.kind is not Kind.DATA:
-            if packet.kind is not Kind.HELLO and packet.session != self.session.number:
+            if not self.session.belongs(packet, now):
                 self.rejected["session"] += 1
                 return []
             return self.session.receive(packet, now)
@@ -142,8 +149,10 @@ class Endpoint:
             return []
         self.session.data_came()
         self.received += 1
-        if not self.stepped:
+        if not self.stepped and self._window.judge(packet.seq, self._tick) == "new":
             self.way.add(now - self.session.start_ns - packet.seq * self.scene.dt_ns)
+            if packet.echo is not None:
+                self.rtt.add(now - packet.echo.sent_ns - packet.echo.held_ns)
         if self._newest is None or packet.sent_ns > self._newest[0]:
             self._newest = (packet.sent_ns, now)
         self.inbox.put(packet.seq, self._tick + 1, Heard(self._message(packet.payload), packet.E_in))
@@ -170,8 +179,7 @@ class Endpoint:
         return None if self._g is None else row[self._g]
 
     def _begin(self, reading: Reading) -> None:
-        live = compiled(self.scene, live_text(self.scene, self.e), "live")
-        self._started = live(self.scene, self.scene.law, self._dt, reading.x, reading.v, reading.f)
+        self._started = self._live(self.scene, self.scene.law, self._dt, reading.x, reading.v, reading.f)
         self._started.send(None)
 
     def _message(self, payload: Any) -> tuple[Any, ...]:

@@ -23,6 +23,7 @@ from teleop.packet import Echo, Kind, Packet, encode, manifest_difference
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken
 LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
+HOLD_NS = 1_000_000_000  # a master that fell silent before START keeps others out for this long
 
 
 class Session:
@@ -32,27 +33,27 @@ class Session:
     stop; `farewell` the reason the peer gave for leaving.
     """
 
-    def __init__(self, *, master: bool, manifest: Mapping[str, str], number: int = 0) -> None:
+    def __init__(self, *, master: bool, manifest: Mapping[str, str], number: int | None = None) -> None:
         self.master = master
         self.manifest = dict(manifest)
-        self.number = number  # of the session; a slave takes the master's
+        self.number = number  # of the session; a slave takes that of the master it welcomes
         self.start_ns: int | None = None
         self.failure: str | None = None
         self.farewell: str | None = None
-        self.heard = False  # has the peer been heard at all
         self.offset_ns = 0  # the peer's clock less ours (known to the master)
         self.rtt_ns: int | None = None  # of the fastest first exchange
         self._rounds = 0
         self._acknowledged = not master
         self._next_ns: int | None = None
+        self._heard_ns = 0  # when the master last spoke (known to the slave)
 
     def receive(self, packet: Packet, now: int) -> list[bytes]:
         """Take a control packet; the datagrams to send back at once."""
+        if not self.belongs(packet, now):
+            return []
+        self._heard_ns = now
         if packet.kind is Kind.HELLO and not self.master:
             return self._welcome(packet, now)
-        if packet.session != self.number:
-            return []
-        self.heard = True
         if packet.kind is Kind.WELCOME and self.master and self.start_ns is None:
             return self._measure(packet, now)
         if packet.kind is Kind.START and isinstance(packet.payload, int):
@@ -67,6 +68,16 @@ class Session:
         if packet.kind is Kind.BYE:
             self.farewell = str(packet.payload)
         return []
+
+    def belongs(self, packet: Packet, now: int) -> bool:
+        """Is this packet of our session, or the HELLO of one that this slave may take up?
+
+        One session at a time: a running one is not taken over, nor one whose master has just been heard.
+        """
+        if packet.session == self.number:
+            return True
+        free = self.number is None or (self.start_ns is None and now - self._heard_ns > HOLD_NS)
+        return free and packet.kind is Kind.HELLO and not self.master
 
     def data_came(self) -> None:
         """The peer sends DATA: it has had START."""
@@ -83,15 +94,13 @@ class Session:
             return [self._packet(Kind.HELLO, now, self.manifest)]
         return [self._packet(Kind.START, now, self.start_ns + self.offset_ns)]
 
-    def bye(self, reason: str, now: int) -> bytes:
-        """The farewell to send when this end leaves."""
-        return self._packet(Kind.BYE, now, reason)
+    def bye(self, reason: str, now: int) -> list[bytes]:
+        """The farewell to send when this end leaves; nothing if it never met anybody."""
+        return [] if self.number is None else [self._packet(Kind.BYE, now, reason)]
 
     def _welcome(self, hello: Packet, now: int) -> list[bytes]:
-        if self.start_ns is not None and hello.session != self.number:
-            return []  # one session at a time; a running one is not taken over
         assert isinstance(hello.payload, dict)
-        self.number, self.heard = hello.session, True
+        self.number = hello.session
         difference = manifest_difference(self.manifest, hello.payload)
         if difference is None:
             return [self._packet(Kind.WELCOME, now, self.manifest, Echo(hello.sent_ns, 0))]
@@ -104,7 +113,7 @@ class Session:
         difference = manifest_difference(self.manifest, welcome.payload)
         if difference is not None:
             self.failure = f"the slave is set up for another run: {difference}"
-            return [self.bye("the master refused", now)]
+            return self.bye("the master refused", now)
         if welcome.echo is None:
             return []
         rtt = now - welcome.echo.sent_ns - welcome.echo.held_ns
@@ -119,4 +128,5 @@ class Session:
         return [self._packet(Kind.START, now, self.start_ns + self.offset_ns)]
 
     def _packet(self, kind: Kind, now: int, payload: dict[str, str] | str | int, echo: Echo | None = None) -> bytes:
+        assert self.number is not None
         return encode(Packet(kind, self.number, 0, now, echo, payload))

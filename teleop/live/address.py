@@ -16,9 +16,18 @@ def address(text: str, option: str) -> Address:
         raise Refused(f"{option} takes HOST:PORT, not {text!r}; write for example {option} 127.0.0.1:9001")
     try:
         found = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
-    except OSError as error:
-        raise Refused(f"{option} names the host {host!r}, which is not known here ({error.strerror})") from error
+    except (OSError, UnicodeError) as error:  # a name that cannot even be asked for is no OSError
+        why = getattr(error, "strerror", None) or "it is no host's name"
+        raise Refused(f"{option} names the host {host!r}, which is not known here ({why}); try its number") from error
     return str(found[0][4][0]), int(found[0][4][1])
+
+
+def peer_address(text: str) -> Address:
+    """The address of --peer, which has to be one that can be sent to. Raises `Refused`."""
+    found = address(text, "--peer")
+    if found[1] == 0:
+        raise Refused("--peer needs the port that the other side said it listens on, not 0; for example --peer 127.0.0.1:9001")
+    return found
 
 
 def bound(at: Address, option: str) -> socket.socket:

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import shutil
 import sys
 import time
-from argparse import ArgumentParser
-from collections.abc import Callable, Sequence
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import randbits
 from typing import Any
 
 from teleop.endpoint import Endpoint, Stepped
-from teleop.errors import Refused
+from teleop.errors import Refused, number
 from teleop.folder import numbered
-from teleop.live.address import address, bound, shown
-from teleop.live.record import Recorder, read_record
-from teleop.live.shell import Device, Shell, Wire
+from teleop.live.address import address, bound, peer_address, shown
+from teleop.live.interrupt import Interrupt
+from teleop.live.record import Recorder
+from teleop.live.shell import Device, Shell
+from teleop.live.summary import write_end
+from teleop.live.wire import Wire
 from teleop.options import guarded, knobs_from, scene_options
 from teleop.scene import Scene, load_scene
 from teleop.session import Session
@@ -33,42 +38,44 @@ def end_main(e: str, device: Callable[[Scene], Device], argv: Sequence[str] | No
 
 def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     args = _parser(e).parse_args(argv)
-    knobs = knobs_from(args)
-    scene = load_scene(args.scene, **knobs)
-    mode = "lockstep" if args.lockstep else "live"
-    manifest = {**scene.manifest(), "mode": mode}
-    if args.lockstep:
-        manifest |= {"seed": str(args.seed), "link": str(scene.link)}
-    session = Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else 0)
-    inbox = None
-    if args.lockstep:
-        from teleop.lockstep import link_plans
-
-        inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
-    endpoint = Endpoint(scene, e, session, inbox)
+    if args.wait is not None:
+        number("--wait", args.wait, above=0.0)
+    scene = load_scene(args.scene, **knobs_from(args))
+    endpoint = _endpoint(scene, e, args)
     stand = device(scene)
-    wire = _wire(e, args)
-    folder = Path(args.out) if args.out else numbered(Path("runs"), f"{scene.name}-{NAMES[e]}")
-    _make(folder)
-    say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else _Line(scene).show
-    _greet(e, args, wire)
-    try:
-        recorder = Recorder(scene, e, folder)
-        shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait)
-        asyncio.run(shell.run())
-        if shell.status == "refused":
-            raise Refused(shell.sentence)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)  # nothing ran: nothing half-written stays
-        raise
-    finally:
-        wire.sock.close()
-    summary = _write(scene, e, mode, args.seed, shell, folder, ["python", "-m", NAMES[e], *argv])
+    with _wire(e, args) as wire, Interrupt() as interrupt:
+        folder = Path(args.out) if args.out else numbered(Path("runs"), f"{scene.name}-{NAMES[e]}")
+        with _folder(folder) as keep:
+            say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else _Line(scene).show
+            shell = Shell(endpoint, stand, wire, Recorder(scene, e, folder), say, patience=args.wait, interrupt=interrupt)
+            _greet(e, args, wire)
+            try:
+                asyncio.run(shell.run())
+            finally:
+                if shell.ticks:
+                    keep()
+                    summary = write_end(shell, folder, args.seed, ["python", "-m", NAMES[e], *argv])
+            if not shell.ticks and interrupt.name is not None:
+                raise KeyboardInterrupt
+            if not shell.ticks:
+                raise Refused(shell.sentence)
     if args.json:
         print(json.dumps({"event": "done", "path": str(folder), "summary": summary}, default=str), flush=True)
     else:
         print(f"{NAMES[e]}: {shell.status}: {shell.sentence}\n{NAMES[e]}: wrote {folder}")
     return 0
+
+
+def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
+    """The end without its sockets. What the two ends have to agree on goes into the session's manifest."""
+    manifest = {**scene.manifest(), "mode": "lockstep" if args.lockstep else "live"}
+    inbox = None
+    if args.lockstep:
+        from teleop.lockstep import link_plans
+
+        manifest |= {"seed": str(args.seed), "link": str(scene.link)}
+        inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
+    return Endpoint(scene, e, Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None), inbox)
 
 
 def _parser(e: str) -> ArgumentParser:
@@ -93,20 +100,38 @@ def _parser(e: str) -> ArgumentParser:
     return parser
 
 
-def _wire(e: str, args: Any) -> Wire:
+@contextmanager
+def _wire(e: str, args: Namespace) -> Iterator[Wire]:
     if e == "m":
-        peer = address(args.peer, "--peer")
-        return Wire(bound(("0.0.0.0" if not peer[0].startswith("127.") else "127.0.0.1", 0), "--peer"), peer)
-    return Wire(bound(address(args.listen, "--listen"), "--listen"), None)
-
-
-def _make(folder: Path) -> None:
-    if folder.exists():
-        raise Refused(f"{folder} is there already; give another folder with --out, or remove it")
+        peer = peer_address(args.peer)
+        wire = Wire(bound(("127.0.0.1" if peer[0].startswith("127.") else "0.0.0.0", 0), "--peer"), peer)
+    else:
+        wire = Wire(bound(address(args.listen, "--listen"), "--listen"), None)
     try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise Refused(f"cannot write to {folder} ({error.strerror or error}); give another folder with --out") from error
+        yield wire
+    finally:
+        wire.sock.close()
+
+
+@contextmanager
+def _folder(folder: Path) -> Iterator[Callable[[], None]]:
+    """The new folder of an end, made at once and gone again, parents too, if nobody called what this gives."""
+    if os.path.lexists(folder):
+        raise Refused(f"{folder} is there already; give another folder with --out, or remove it")
+    missing = [parent for parent in folder.parents if not parent.exists()]  # innermost first
+    kept: list[bool] = []
+    try:
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise Refused(f"cannot write to {folder} ({error.strerror or error}); give another with --out") from error
+        yield lambda: kept.append(True)
+    finally:
+        if not kept:
+            shutil.rmtree(folder, ignore_errors=True)
+            with suppress(OSError):  # a parent in use by somebody else stays
+                for parent in missing:
+                    parent.rmdir()
 
 
 def _greet(e: str, args: Any, wire: Wire) -> None:
@@ -147,41 +172,3 @@ def live_text(numbers: dict[str, Any]) -> str:
     parts += [f"delay {delay * 1e3:5.1f} ms"] if delay is not None else ["nothing heard"]
     parts += [f"watchdog holds {NAMES[e]} at {gain * 100:.0f} %"] if gain is not None and gain < 1.0 else []
     return "  ".join(parts)
-
-
-def _write(
-    scene: Scene, e: str, mode: str, seed: int, shell: Shell, folder: Path, command: list[str]
-) -> dict[str, Any]:
-    """summary.json and trace.npz of one end, from its record."""
-    import numpy as np
-
-    from teleop import __version__
-    from teleop.result import parameters
-    from teleop.trace import end_arrays
-
-    _, record, late = read_record(folder)
-    arrays = {"t": np.array(record.ticks, dtype=np.int64) * scene.dt_ns / 1e9, **end_arrays(scene, e, record)}
-    arrays |= {f"late_{e}": np.array(late) / 1e9}
-    np.savez(folder / "trace.npz", allow_pickle=False, **arrays)
-    endpoint, session, way = shell.endpoint, shell.endpoint.session, shell.endpoint.way
-    inbox: Any = endpoint.inbox
-    lateness = np.array(late) / 1e3
-    summary: dict[str, Any] = {
-        "status": shell.status, "sentence": shell.sentence, "end": NAMES[e], "scene": scene.name, "mode": mode,
-        "parameters": parameters(scene), "seed": seed, "dt": scene.dt_ns / 1e9, "ticks": shell.ticks,
-        "skipped": shell.skipped, "versions": {"bilateral-teleop": __version__, "python": sys.version.split()[0]},
-        "command": command,
-        "packets": {
-            "sent": shell.data_sent, "received": getattr(inbox, "received", endpoint.received),
-            **{name: getattr(inbox, name, 0) for name in ("late", "overtaken", "duplicates", "refused")},
-            "rejected": dict(endpoint.rejected),
-        },
-        "late_us": {f"p{q}": float(np.percentile(lateness, q)) for q in (50, 99, 100)} if len(lateness) else {},
-        "delay": {"mean": way.total / way.count / 1e9, "least": way.least / 1e9, "most": way.most / 1e9}
-        if way.count else None,
-        "clock": {"start_ns": session.start_ns, "offset_ns": session.offset_ns,
-                  "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
-        "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "record": shell.recorder.trouble,
-    }
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2, default=str) + "\n")
-    return summary

@@ -72,9 +72,10 @@ def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float]]:
         data = (folder / FILE).read_bytes()
         line, _, body = data.partition(b"\n")
         header: dict[str, Any] = json.loads(line)
-    except (OSError, ValueError) as error:
-        raise Refused(f"{folder} holds no record of a live end ({error})") from error
-    width = len(header["columns"])
+        width = len(header["columns"])
+    except (OSError, ValueError, TypeError, KeyError) as error:  # no file, no JSON, or JSON of something else
+        why = f"{type(error).__name__}: {error}"
+        raise Refused(f"{folder} holds no record of a live end ({why}); give the folder of one") from error
     whole = len(body) // (8 * width) * 8 * width
     table = np.frombuffer(body[:whole], dtype="<f8").reshape(-1, width)
     ticks: list[int] = table[:, 0].astype(np.int64).tolist()

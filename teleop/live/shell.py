@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import signal
-import socket
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
 from teleop.endpoint import Axes, Endpoint, Reading, Stepped
+from teleop.live.address import shown
+from teleop.live.interrupt import Interrupt
 from teleop.live.record import Recorder
 from teleop.live.ticker import Alarm
+from teleop.live.wire import DRAIN, Wire
 from teleop.lockstep import divergence
 from teleop.scene import Scene
 
-DRAIN = 16  # datagrams taken at one tick or wake-up: more would let a flood starve the tick
 SAY_NS = 250_000_000  # between two live lines
 HUSH = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
 AGAIN = 0.02  # s: a stepped end sends its last packets again after this silence
 SILENT = 250  # such silences in a row, and a stepped end gives the other up
+HEED = 15  # arrivals or silences, and a stepped end heeds a farewell: last packets may come behind it
 LINGER = 50  # such pauses at most for the farewell of the other
-Address = tuple[str, int]
+EARLY_NS = 10_000_000  # so long before tick 0 the first exchange is over at the latest
 
 
 class Device(Protocol):
@@ -37,40 +38,12 @@ class Device(Protocol):
         ...
 
 
-class Wire:
-    """A non-blocking UDP socket with one peer. Nothing that happens on it raises into the loop."""
-
-    def __init__(self, sock: socket.socket, peer: Address | None) -> None:
-        sock.setblocking(False)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        self.sock, self.peer = sock, peer
-        self.sent = self.unsent = 0
-
-    def send(self, data: bytes) -> None:
-        """To the peer, if there is one yet. What the system does not take now is lost, as on any network."""
-        if self.peer is None:
-            return
-        try:
-            self.sock.sendto(data, self.peer)
-            self.sent += 1
-        except OSError:
-            self.unsent += 1
-
-    def receive(self) -> tuple[bytes, Address] | None:
-        """A datagram and where it came from, or None if there is none now."""
-        try:
-            data, address = self.sock.recvfrom(65536)
-        except OSError:  # nothing there, or the peer's port is not open (yet)
-            return None
-        return data, address[:2]
-
-
 class Shell:
     """Runs one end: `await shell.run()` returns when the run is over; then `status` and `sentence` say how."""
 
     def __init__(
         self, endpoint: Endpoint, device: Device, wire: Wire, recorder: Recorder, say: Callable[[dict[str, Any]], None],
-        *, patience: float | None,
+        *, patience: float | None, interrupt: Interrupt,
     ) -> None:
         self.endpoint, self.device, self.wire, self.recorder = endpoint, device, wire, recorder
         self.scene: Scene = endpoint.scene
@@ -80,8 +53,9 @@ class Shell:
         self.cpu: float | None = None  # share of a core while it ran
         self._late_most = 0  # ns, since the last live line
         self._shown: tuple[Reading, Axes, tuple[float, ...]] | None = None
-        self._say, self._patience = say, patience
+        self._say, self._patience, self._interrupt = say, patience, interrupt
         self._over = asyncio.Event()
+        self._broken: Exception | None = None  # what a callback of the loop raised
         self._last = -1  # the last tick that was due
         self._ran = 0  # the last tick that ran
         self._recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
@@ -89,11 +63,9 @@ class Shell:
         self._said_ns = 0
 
     async def run(self) -> None:
-        """The whole run: first exchange, ticks, farewell. Ctrl-C and SIGTERM end it cleanly."""
+        """The whole run: first exchange, ticks, farewell. An interrupt ends it cleanly; what is a bug raises."""
         loop = asyncio.get_running_loop()
-        for name in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(name, self.stop, f"it was asked to stop ({name.name})")
-        loop.add_reader(self.wire.sock, self._drain)
+        loop.add_reader(self.wire.sock, self._guarded, self._drain)
         try:
             if await self._meet():
                 gc.collect()
@@ -104,12 +76,18 @@ class Shell:
                 else:
                     await self._by_clock(loop)
                 self.cpu = (time.process_time_ns() - used) / max(1, time.monotonic_ns() - began)
+            if self._broken is not None:
+                raise self._broken
+        except Exception as error:
+            self._over.clear()
+            self.stop(f"it failed with {type(error).__name__}: {error}")
+            raise
         finally:
             loop.remove_reader(self.wire.sock)
             self.device.hold((0.0,) * self.scene.axes)
             self.recorder.close()
             for _ in range(3):  # a farewell may be lost too
-                self.wire.send(self.endpoint.session.bye(self._farewell(), time.monotonic_ns()))
+                self._send(self._bye())
                 await asyncio.sleep(0.002)
 
     async def _by_clock(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -119,87 +97,113 @@ class Shell:
         third of the processor time, and a flood cannot take more than `DRAIN` datagrams' worth of a tick.
         """
         loop.remove_reader(self.wire.sock)
-        alarm = Alarm(loop, self._wake)
         start = self.endpoint.session.start_ns
         assert start is not None
-        alarm.set(start, self.scene.dt_ns)
-        await self._over.wait()
-        alarm.close()
+        alarm = Alarm(loop, lambda: self._guarded(self._wake))
+        try:
+            alarm.set(start, self.scene.dt_ns)
+            await self._over.wait()
+        finally:
+            alarm.close()
 
     async def _by_packets(self, inbox: Stepped) -> None:
         """Tick when the peer's packet of the tick before has come; what is lost on the way is sent again."""
         self._arrived = asyncio.Event()
         for k in range(self.scene.ticks):
-            if not await self._until(lambda k=k: inbox.has(k - 1)):  # type: ignore[misc]
-                return
+            if not await self._until_there(inbox, k - 1):
+                break
+            self._last = k
             self.tick(k, now := time.monotonic_ns(), 0)
             self._announce(now)
-        self._finish()
+        else:
+            self._finish()
         for _ in range(LINGER):  # the peer may still wait for the last packets
-            if self.endpoint.session.farewell is not None:
+            if self.endpoint.session.farewell is not None or self._broken is not None:
                 return
-            for data in (*self._recent, self.endpoint.session.bye(self._farewell(), time.monotonic_ns())):
-                self.wire.send(data)
+            self._send([*self._recent, *self._bye()])
             await asyncio.sleep(AGAIN)
 
-    async def _until(self, ready: Callable[[], bool]) -> bool:
-        """Wait for `ready`; False if the run is over, or nothing has come for a time."""
+    async def _until_there(self, inbox: Stepped, packet: int) -> bool:
+        """Wait for the peer's packet; False if the run is over, or nothing has come for a time."""
         assert self._arrived is not None
         quiet = 0
-        while not ready():
-            if self._over.is_set():
-                return False
-            if self.endpoint.session.farewell not in (None, HUSH) or quiet > SILENT:
+        while not self._over.is_set():
+            if inbox.has(packet):
+                return True
+            left = self.endpoint.session.farewell not in (None, HUSH)
+            if quiet > (HEED if left else SILENT):
                 self.stop(f"the other end left: {self.endpoint.session.farewell or 'it fell silent'}")
-                return False
+            if self._interrupt.name is not None:
+                self.stop(f"it was asked to stop ({self._interrupt.name})")
             self._arrived.clear()
             try:
                 await asyncio.wait_for(self._arrived.wait(), AGAIN)
-                quiet = 0
+                quiet = quiet + 1 if left else 0
             except TimeoutError:
                 quiet += 1
-                for data in (*self._recent, *self.endpoint.session.due(time.monotonic_ns())):
-                    self.wire.send(data)
-        return not self._over.is_set()
+                self._send([*self._recent, *self.endpoint.session.due(time.monotonic_ns())])
+        return False
 
     def stop(self, why: str) -> None:
         """End the run now, as a stop that is none of the scene's doing."""
         self._end("stopped", f"stopped at t = {(self._last + 1) * self.scene.dt_ns / 1e9:.3f} s: {why}")
 
-    def _farewell(self) -> str:
-        return HUSH if self.status == "ok" else self.sentence
+    def _bye(self) -> list[bytes]:
+        """The farewell that says how the run ended for this end."""
+        return self.endpoint.session.bye(HUSH if self.status == "ok" else self.sentence, time.monotonic_ns())
 
     async def _meet(self) -> bool:
         """The first exchange; False if the run was over before it began."""
-        session = self.endpoint.session
+        session, stepped = self.endpoint.session, self.endpoint.stepped
         began = time.monotonic_ns()
         while not self._over.is_set():
             now = time.monotonic_ns()
             if session.failure is not None:
                 self._end("refused", session.failure)
+            elif session.farewell not in (None, HUSH):
+                self._end("refused", f"the other end left before the run began: {session.farewell}")
+            elif self._interrupt.name is not None:
+                self.stop(f"it was asked to stop ({self._interrupt.name})")
             elif session.start_ns is not None:
-                return True
-            elif session.farewell is not None:
-                self._end("stopped", f"the other end left before the run began: {session.farewell}")
+                # Until then what was lost of the exchange can be said again.
+                if stepped or now > session.start_ns - EARLY_NS:
+                    return True
             elif self._patience is not None and now - began > self._patience * 1e9:
-                self._end("refused", f"no answer from {_text(self.wire.peer)} in {self._patience:g} s; "
-                                     f"start the other end first, and check the address and the port")
-            for data in session.due(now):
-                self.wire.send(data)
+                self._end("refused", self._nobody(self._patience))
+            self._send(session.due(now))
             await asyncio.sleep(0.005)
         return False
 
+    def _nobody(self, patience: float) -> str:
+        if self.endpoint.session.master:
+            there = shown(self.wire.peer or ("", 0))
+            return f"no answer from {there} in {patience:g} s; start the other end first, and check the address and the port"
+        return f"no master came in {patience:g} s; start one with --peer and this address, or wait longer with --wait"
+
+    def _guarded(self, callback: Callable[[], None]) -> None:
+        """Call `callback`; what it raises ends the run. The event loop itself would only log it and go on."""
+        try:
+            callback()
+        except Exception as error:
+            self._broken = self._broken or error
+            self._over.set()
+
+    def _send(self, datagrams: list[bytes]) -> None:
+        for data in datagrams:
+            self.wire.send(data)
+
     def _drain(self) -> None:
+        session = self.endpoint.session
         for _ in range(DRAIN):
             got = self.wire.receive()
             if got is None:
                 break
             data, address = got
+            meeting = session.start_ns is None
             replies = self.endpoint.receive(data, time.monotonic_ns())
-            if replies:
-                self.wire.peer = address  # it has shown that it belongs to this session
-            for reply in replies:
-                self.wire.send(reply)
+            if replies and meeting:  # it has shown that it belongs to this session
+                self.wire.peer = address  # later, a stranger's copy of a packet must not draw ours to it
+            self._send(replies)
         if self._arrived is not None:
             self._arrived.set()
 
@@ -208,47 +212,56 @@ class Shell:
         session, scene = self.endpoint.session, self.scene
         assert session.start_ns is not None
         k = (now - session.start_ns) // scene.dt_ns
-        if k <= self._last:
+        if k <= self._last or self._over.is_set():
             return
         self._drain()
         if session.farewell not in (None, HUSH):
             self.stop(f"the other end left: {session.farewell}")
             return
+        if self._interrupt.name is not None:
+            self.stop(f"it was asked to stop ({self._interrupt.name})")
+            return
+        late = now - (session.start_ns + k * scene.dt_ns)
+        self.skipped += min(k, scene.ticks) - self._last - 1  # missed ticks are left out whole, never caught up
+        self._last = k
         if k >= scene.ticks:
             self._finish()
             return
-        late = now - (session.start_ns + k * scene.dt_ns)
-        self.skipped += k - self._last - 1  # missed ticks are left out whole, never caught up
-        self._last = k
         self.tick(k, now, late)
-        for data in session.due(now):
-            self.wire.send(data)
+        self._send(session.due(now))
         self._announce(now)
 
     def _announce(self, now: int) -> None:
         if now - self._said_ns > SAY_NS and self._shown is not None:
             self._said_ns = now
-            self._say(self.live_numbers())
+            try:
+                self._say(self.live_numbers())
+            except OSError:  # whoever read along has left: that is no reason to let go of the robot
+                self._say = lambda numbers: None
 
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end."""
         reading = self.device.read(k)
-        if self.beyond(reading):
+        if self.ticks and self.beyond(reading):
             return
         out = self.endpoint.tick(k, now, reading)
-        self.recorder.add(k, late, out.played, out.row)
-        self.ticks += 1
-        self._ran = k
-        self._late_most = max(self._late_most, late)
-        if self.endpoint.force_failed is not None:
-            self._end("diverged", divergence(self.scene, k, f"{self.endpoint.force_failed} is not finite"))
-            return
-        self.device.hold(out.force)
+        failed = self.endpoint.force_failed
+        if failed is None:
+            self.device.hold(out.force)
         if out.datagram is not None:
             self.wire.send(out.datagram)
             self.data_sent += 1
             self._recent = (*self._recent[-1:], out.datagram)
-        self._shown = reading, out.force, out.row
+        elif self.endpoint.stepped and failed is None:
+            failed = "the message"  # the other end cannot step without it
+        self.recorder.add(k, late, out.played, out.row)
+        self.ticks += 1
+        self._ran = k
+        self._late_most = max(self._late_most, late)
+        if failed is None:
+            self._shown = reading, out.force, out.row
+        else:
+            self._end("diverged", divergence(self.scene, k, f"{failed} is not finite"))
 
     def beyond(self, reading: Reading) -> bool:
         """Has the motion left the scene's bounds? Then the run is over, at the tick before this one."""
@@ -279,7 +292,3 @@ class Shell:
         if not self._over.is_set():
             self.status, self.sentence = status, sentence
             self._over.set()
-
-
-def _text(peer: Address | None) -> str:
-    return "the other end" if peer is None else f"{peer[0]}:{peer[1]}"

@@ -51,7 +51,8 @@ class Alarm:
         if self.precise:
             # A value of zero would disarm the timer.
             spec = _Itimerspec(_timespec(interval_ns), _timespec(max(1, due_ns)))
-            self._settime(self._fd, _ABSOLUTE, ctypes.byref(spec), None)
+            if self._settime(self._fd, _ABSOLUTE, ctypes.byref(spec), None):
+                raise OSError(ctypes.get_errno(), "the timer cannot be set")
         else:
             self._due, self._interval = due_ns, interval_ns
             self._arm()

@@ -41,11 +41,16 @@ class Sums(NamedTuple):
     push: float
 
 
+def read_all(at: At, over: Sums) -> float:
+    """Something of every field of `At`."""
+    return 0.1 * (min(at.age, 1.0) + at.dt) * at.fresh + 0.01 * over.push + over.power - at.v
+
+
 @dataclass(frozen=True, kw_only=True)
 class Curious:
-    """A law that reads every field at both ends and couples the axes at both."""
+    """A law that reads every field at both ends, couples the axes at both, and can write down what it is told."""
 
-    K: float = 300.0
+    told: dict[str, list[At]] | None = None
     claims: ClassVar[frozenset[str]] = frozenset()
 
     def master_start(self, at: At) -> tuple[Note, Note]:
@@ -61,14 +66,15 @@ class Curious:
         return Sums(at.f_held * at.dx, rx.f)
 
     def master(self, s: Note, at: At, rx: Note, over: Sums) -> tuple[float, Note, Note]:
-        late = min(at.age, 1.0) + at.dt
-        f_m = self.K * 0.1 * (at.x - s.x) + 0.1 * rx.f + 0.01 * over.push + over.power + 0.1 * late * at.fresh
+        if self.told is not None:
+            self.told["m"].append(at)
+        f_m = 30.0 * (at.x - s.x) + 0.1 * rx.f - read_all(at, over)
         return f_m, Note(at.x, at.v), Note(0.9 * s.x + 0.1 * at.x, at.f)
 
     def slave(self, s: Note, at: At, rx: Note, over: Sums) -> tuple[float, Note, Note]:
-        late = min(at.age, 1.0) + at.dt
-        f_s = self.K * (rx.x - at.x) - 10.0 * at.v + over.power + 0.1 * late * at.fresh + 0.01 * over.push
-        return f_s, Note(at.x, at.f), Note(at.x, at.f_held)
+        if self.told is not None:
+            self.told["s"].append(at)
+        return 300.0 * (rx.x - at.x) + 10.0 * read_all(at, over), Note(at.x, at.f), Note(at.x, at.f_held)
 
 
 LAWS = (Wave(), Direct(K=300.0, B=6.0, kf=0.3), PFRA(K=300.0, B=6.0), Curious())
@@ -182,6 +188,36 @@ def test_sums_go_over_the_axes_from_left_to_right() -> None:
     parts = [Sums(1e16, 1.0), Sums(1.0, 2.0), Sums(-1e16, 3.0)]
     assert over_axes(*parts) == Sums((1e16 + 1.0) - 1e16, 6.0)
     assert over_axes(parts[0]) is parts[0]
+
+
+# What an end is told
+
+
+@pytest.mark.parametrize("link", [JITTERY, None])
+@pytest.mark.parametrize("observer", [200.0, None])
+def test_an_end_is_told_its_reading_what_was_held_and_how_old_the_news_is(link: Any, observer: float | None) -> None:
+    told: dict[str, list[At]] = {"m": [], "s": []}
+    scene = make(Curious(told=told), link=link, observer=observer, cap=Cap(f_max=1.0, slew=100.0))
+    trace = run(scene, seed=3).trace
+    for e, touch in (("m", "f_h" if observer is None else "f_h_hat"), ("s", "f_env")):
+        at = At(*np.array(told[e]).T)
+        before = np.concatenate([[0.0], trace[f"f_{e}"][:-1]])
+        assert np.array_equal(at.x, trace[f"x_{e}"])
+        assert np.array_equal(at.v, trace[f"v_{e}"])
+        assert np.array_equal(at.f, trace[touch])
+        assert np.array_equal(at.f_held, before)
+        assert np.array_equal(at.dx, np.diff(trace[f"x_{e}"], prepend=trace[f"x_{e}"][0]))
+        k = np.arange(scene.ticks)
+        seq = trace[f"seq_{e}"] if link else k - 1
+        newest = np.maximum.accumulate(seq)
+        assert np.array_equal(at.fresh, seq >= 0)
+        assert np.array_equal(at.age, np.where(newest >= 0, (k - newest) * 1e-3, np.inf))
+        assert (at.dt == 1e-3).all()
+
+
+def test_no_link_is_a_delay_of_nothing_for_a_law_that_reads_all_there_is() -> None:
+    none, zero = run(make(Curious(), energy=True)).trace, run(make(Curious(), energy=True, link=Delay(0.0))).trace
+    assert all(np.array_equal(none[name], zero[name]) for name in none)
 
 
 # Live and virtual
