@@ -11,65 +11,103 @@ import json
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from channel.relay import Relay
-from teleop.live.address import address, bound, shown
+from teleop.live.address import Address, address, bound, peer_address, shown
 from teleop.live.ticker import Alarm
 from teleop.live.wire import DRAIN, Wire
 from teleop.options import Parser, guarded, knobs_from, scene_options
-from teleop.packet import Kind, peek
+from teleop.packet import Kind, Packet, decode, peek
 from teleop.scene import Scene, load_scene
+
+QUIET_NS = 1_000_000_000  # a session that has sent no message for so long gives way to another one's HELLO
 
 
 class RelayShell:
-    """Two sockets and a timer around a `Relay`."""
+    """Two sockets and a timer around a `Relay`, one session after the other.
+
+    A session is whose HELLO came last when none was running; from its first message on, it has the link for
+    itself until nothing more of it comes. Only its two ends are listened to.
+    """
 
     def __init__(self, scene: Scene, seed: int, near: Wire, far: Wire) -> None:
-        link: Any = scene.link  # a scene asks less of its link than a relay does
-        self.relay = Relay(link, seed, scene.wire_size)
         self.wires = (near, far)  # where direction 0 and direction 1 come in
-        self.foreign = 0  # datagrams that are no packets of this scene
+        self.foreign = 0  # datagrams that are no packets of this session
         self._dt_ns, self._ticks = scene.dt_ns, scene.ticks
+        link: Any = scene.link  # a scene asks less of its link than a relay does
+        self._water = link, seed, scene.wire_size
+        self.relay = Relay(*self._water)
+        self._session: int | None = None
         self._origin: int | None = None  # our clock at tick 0
+        self._busy_ns = 0  # when the session's last message came
         self._alarm: Alarm | None = None
         self._set_to: int | None = None
         self._over = asyncio.Event()
+        self._broken: Exception | None = None
 
     async def run(self) -> None:
         """Relay until Ctrl-C or SIGTERM."""
         loop = asyncio.get_running_loop()
         for name in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(name, self._over.set)
-        self._alarm = Alarm(loop, self._deliver)
+        self._alarm = Alarm(loop, lambda: self._guarded(self._rang))
         for direction, wire in enumerate(self.wires):
-            loop.add_reader(wire.sock, self._drain, direction)
+            loop.add_reader(wire.sock, self._guarded, self._drain, direction)
         await self._over.wait()
         self._deliver()
         for wire in self.wires:
             loop.remove_reader(wire.sock)
         self._alarm.close()
+        if self._broken is not None:
+            raise self._broken
+
+    def _guarded(self, callback: Callable[..., None], *arguments: int) -> None:
+        """Call `callback`; what it raises ends the relay. The event loop itself would only log it and go on."""
+        try:
+            callback(*arguments)
+        except Exception as error:
+            self._broken = self._broken or error
+            self._over.set()
 
     def _drain(self, direction: int) -> None:
-        wire = self.wires[direction]
         for _ in range(DRAIN):
-            got = wire.receive()
+            got = self.wires[direction].receive()
             if got is None:
                 break
-            data, sender = got
-            now = time.monotonic_ns()
-            kind, seq = peek(data)
-            if kind is None or (kind is Kind.DATA and seq >= self._ticks):
-                self.foreign += 1
-                continue
-            if kind is Kind.HELLO and direction == 0:
-                wire.peer = sender  # where the master is
-            data_packet = kind is Kind.DATA
-            if data_packet and self._origin is None:
+            self._take(direction, *got, time.monotonic_ns())
+        self._deliver()
+
+    def _take(self, direction: int, data: bytes, sender: Address, now: int) -> None:
+        kind, seq = peek(data)
+        if kind in (Kind.HELLO, Kind.WELCOME):
+            self._introduce(direction, data, sender, now)
+        wire = self.wires[direction]
+        if kind is None or sender != wire.peer or (kind is Kind.DATA and seq >= self._ticks):
+            self.foreign += 1
+            return
+        if kind is Kind.DATA:
+            self._busy_ns = now
+            if self._origin is None:
                 self._origin = now - seq * self._dt_ns
-            at = 0 if self._origin is None else now - self._origin
-            self.relay.receive(direction, seq if data_packet else None, data, at)
+        at = 0 if self._origin is None else now - self._origin
+        self.relay.receive(direction, seq if kind is Kind.DATA else None, data, at)
+
+    def _introduce(self, direction: int, data: bytes, sender: Address, now: int) -> None:
+        """Learn from a HELLO or WELCOME which session this is and where its ends are."""
+        packet = decode(data, 0)
+        if not isinstance(packet, Packet):
+            return
+        running = self._origin is not None and now - self._busy_ns < QUIET_NS
+        if packet.kind is Kind.HELLO and packet.session != self._session and not running:
+            self._session, self._origin, self._set_to = packet.session, None, None
+            self.relay = Relay(*self._water)
+        if packet.session == self._session and self._origin is None and direction == (packet.kind is Kind.WELCOME):
+            self.wires[direction].peer = sender
+
+    def _rang(self) -> None:
+        self._set_to = None
         self._deliver()
 
     def _deliver(self) -> None:
@@ -96,7 +134,7 @@ def _run(argv: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     args = parser.parse_args(argv)
     scene = load_scene(args.scene, **knobs_from(args))
-    peer = address(args.peer, "--peer")
+    peer = peer_address(args.peer)
     near = Wire(bound(address(args.listen, "--listen"), "--listen"), None)
     far = Wire(bound(("127.0.0.1" if peer[0].startswith("127.") else "0.0.0.0", 0), "--peer"), peer)
     shell = RelayShell(scene, args.seed, near, far)

@@ -6,9 +6,9 @@ import sys
 
 
 def main() -> int:
-    """Check whose `teleop` is installed, then hand over to its command line."""
+    """Check whose `teleop` is installed, then hand over to its command line; returns the exit code."""
     try:
-        import scenarios  # noqa: F401  (its marker check is the point)
+        import channel  # noqa: F401  (its check of `teleop` is the point)
     except ImportError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2

@@ -65,11 +65,9 @@ def _demo(args: Namespace) -> None:
     _check_plot(args)
     result = demo(args.scene, knobs_from(args), seed=args.seed, out=_out(args), json=args.json,
                   lockstep=args.lockstep, command=args.typed)
-    from teleop.figure import draw, drawable
-
-    if result.path is not None and drawable():  # a live run takes its time anyway
-        draw(result, result.path / "figure.png")
     _tell(args, result)
+    if result.path is not None:  # a live run takes its time anyway
+        _draw_if_possible(args, result, result.path)
 
 
 def _list(args: Namespace) -> None:
@@ -79,8 +77,6 @@ def _list(args: Namespace) -> None:
 
 
 def _report(args: Namespace) -> None:
-    from teleop.errors import Refused
-    from teleop.figure import draw, drawable
     from teleop.result import load_result
 
     result = load_result(args.run)
@@ -90,10 +86,20 @@ def _report(args: Namespace) -> None:
         _say_json(loads((Path(args.run) / "summary.json").read_text()), result)
         return
     _tell(args, result)
-    if drawable():
-        try:
-            draw(result, Path(args.run) / "figure.png")
-        except Refused as refused:  # the report has been given; a folder that may only be read is no error
+    _draw_if_possible(args, result, Path(args.run))
+
+
+def _draw_if_possible(args: Namespace, result: Result, folder: Path) -> None:
+    """The figure, where the extra is there; that it cannot be written is no error, for what was asked is done."""
+    from teleop.errors import Refused
+    from teleop.figure import draw, drawable
+
+    if not drawable():
+        return
+    try:
+        draw(result, folder / "figure.png")
+    except Refused as refused:
+        if not args.json:
             _say(f"no figure: {refused}")
 
 

@@ -188,8 +188,9 @@ class Endpoint:
 
     def _datagram(self, k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
         payload = tuple(tx[0]) if len(tx) == 1 else tuple([number for message in tx for number in message])
-        if not all(map(isfinite, payload)):
+        session = self.session.number
+        if session is None or not all(map(isfinite, payload)):
             return None
         echo = None if self._newest is None else Echo(self._newest[0], max(0, now - self._newest[1]))
         stamp = None if self._E_in is None else row[self._E_in]
-        return encode(Packet(Kind.DATA, self.session.number, k, now, echo, payload, stamp), self._size)
+        return encode(Packet(Kind.DATA, session, k, now, echo, payload, stamp), self._size)

@@ -26,7 +26,7 @@ def peer_address(text: str) -> Address:
     """The address of --peer, which has to be one that can be sent to. Raises `Refused`."""
     found = address(text, "--peer")
     if found[1] == 0:
-        raise Refused("--peer needs the port that the other side said it listens on, not 0; for example --peer 127.0.0.1:9001")
+        raise Refused("--peer needs the port that the other side listens on, not 0; for example --peer 127.0.0.1:9001")
     return found
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import shutil
 import signal
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,8 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.library import ROOT
 from teleop.live.end import live_text
-from teleop.live.record import read_record
+from teleop.live.interrupt import Interrupt
+from teleop.live.record import fresh_folder, read_record
 from teleop.result import Packets, Result
 from teleop.scene import Scene, load_scene
 from teleop.trace import assemble
@@ -30,6 +31,7 @@ class Child:
     def __init__(self, name: str, process: asyncio.subprocess.Process) -> None:
         self.name, self.process = name, process
         self.listening: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        self.listening.add_done_callback(lambda port: port.exception())  # nobody may wait for it any more
         self.done: dict[str, Any] | None = None
 
     @classmethod
@@ -40,6 +42,7 @@ class Child:
             sys.executable, "-P", "-m", name, *arguments, "--json", stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE, env={**os.environ, "PYTHONPATH": path},
             start_new_session=True,  # Ctrl-C reaches them through us, once
+            preexec_fn=_die_with_parent,
         )
         return cls(name, process)
 
@@ -49,7 +52,7 @@ class Child:
         assert self.process.stderr is not None
         trouble = asyncio.create_task(self.process.stderr.read())
         async for line in self.process.stdout:
-            event = json.loads(line)
+            event = _event(line)
             if event["event"] == "listening" and not self.listening.done():
                 self.listening.set_result(event["port"])
             elif event["event"] == "live":
@@ -59,13 +62,42 @@ class Child:
         said = (await trouble).decode(errors="replace").strip()
         code = await self.process.wait()
         if not self.listening.done():
-            self.listening.set_exception(Refused(said.removeprefix("teleop: ") or f"the {self.name} ended with {code}"))
+            self.listening.set_exception(self.failed(code, said))
         return code, said
+
+    async def port(self) -> int:
+        """The port that it listens on, as soon as it does. Raises `Refused` if it never does."""
+        try:
+            return await asyncio.wait_for(asyncio.shield(self.listening), PATIENCE)
+        except TimeoutError:
+            raise Refused(f"the {self.name} did not come up in {PATIENCE:g} s; give this machine some rest, and try "
+                          f"again") from None
+
+    def failed(self, code: int, said: str) -> Refused:
+        """Why it ended with `code`, having said so much on stderr."""
+        return Refused(said.removeprefix("teleop: ") or f"the {self.name} ended with exit code {code} and no word")
 
     def interrupt(self) -> None:
         """Ask it to stop cleanly."""
         if self.process.returncode is None:
             self.process.send_signal(signal.SIGTERM)
+
+
+def _event(line: bytes) -> dict[str, Any]:
+    """The event in a line; a scene's own prints are none."""
+    try:
+        event = json.loads(line)
+    except ValueError:
+        event = None
+    return event if isinstance(event, dict) and "event" in event else {"event": None}
+
+
+def _die_with_parent() -> None:
+    """Have the system end this process, cleanly, should the demo be killed; only Linux can."""
+    import ctypes
+
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
 
 
 def demo(
@@ -76,70 +108,78 @@ def demo(
     `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself.
     """
     scene = load_scene(scene_name, **knobs)
-    if out.exists():
-        raise Refused(f"{out} is there already; give another folder with --out, or remove it")
-    try:
-        out.mkdir(parents=True)
-    except OSError as error:
-        raise Refused(f"cannot write to {out} ({error.strerror or error}); give another folder with --out") from error
     options = [scene_name, "--seed", str(seed)]
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
-    try:
+    with Interrupt() as interrupt, fresh_folder(out) as keep:
         began = time.monotonic()
-        channel = asyncio.run(_conduct(scene, options, out, show=not json, lockstep=lockstep))
+        try:
+            channel = asyncio.run(_conduct(scene, options, out, interrupt, show=not json, lockstep=lockstep))
+        except Refused as refused:
+            raise Refused(f"{refused}; what was recorded is in {out}" if _ran(out) else str(refused)) from refused
+        finally:
+            if _ran(out):
+                keep()
+        if interrupt.name is not None and not _ran(out):
+            raise KeyboardInterrupt
         result = merge(scene, out, seed=seed, channel=channel, run_time=time.monotonic() - began)
         result.write(out, command)
-    except BaseException:
-        if not _ran(out):
-            shutil.rmtree(out, ignore_errors=True)
-        raise
     return replace(result, path=out)
 
 
-async def _conduct(scene: Scene, options: list[str], out: Path, *, show: bool, lockstep: bool) -> dict[str, Any]:
+async def _conduct(
+    scene: Scene, options: list[str], out: Path, interrupt: Interrupt, *, show: bool, lockstep: bool
+) -> dict[str, Any]:
     """Start the processes, watch them to their end; what the channel counted."""
     live: dict[str, dict[str, Any]] = {}
     children: list[Child] = []
     watches: list[asyncio.Task[tuple[int, str]]] = []
-    loop = asyncio.get_running_loop()
 
     async def start(name: str, *arguments: str) -> Child:
+        if interrupt.name is not None:
+            raise Refused("interrupted")
         child = await Child.start(name, [*options, *arguments])
         children.append(child)
         watches.append(asyncio.create_task(child.watch(live)))
         return child
 
-    def interrupt() -> None:
+    async def pass_on() -> None:
+        while interrupt.name is None:
+            await asyncio.sleep(0.05)
         for child in children:
             if child.name != "channel":
                 child.interrupt()
 
-    for name in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(name, interrupt)
     stepping = ["--lockstep"] * lockstep
-    line = asyncio.create_task(_line(scene, live)) if show else None
+    beside = [asyncio.create_task(pass_on()), *([asyncio.create_task(_line(scene, live))] if show else [])]
     try:
         slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *stepping)
-        port = await asyncio.wait_for(asyncio.shield(slave.listening), PATIENCE)
+        port = await slave.port()
         if not lockstep:
             channel = await start("channel", "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
-            port = await asyncio.wait_for(asyncio.shield(channel.listening), PATIENCE)
+            port = await channel.port()
         await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *stepping)
         ends = [watch for child, watch in zip(children, watches, strict=True) if child.name != "channel"]
-        for code, said in await asyncio.gather(*ends):
+        await asyncio.gather(*ends)
+        for child, watch in zip(children, watches, strict=True):
+            code, said = watch.result() if watch in ends else (0, "")
             if code:
-                raise Refused(said.removeprefix("teleop: ") or f"an end stopped with exit code {code}")
+                raise child.failed(code, said)
+    except Refused:
+        if interrupt.name is None or _ran(out):
+            raise  # otherwise what they say of each other's leaving is our doing
     finally:
-        if line is not None:
-            line.cancel()
-            await asyncio.wait([line])
+        for task in beside:
+            task.cancel()
+        await asyncio.wait(beside)
         for child in children:
             child.interrupt()
-        await asyncio.wait(watches, timeout=5.0)
-        for child in children:
+        if watches:
+            await asyncio.wait(watches, timeout=5.0)
+        for child, watch in zip(children, watches, strict=True):
             if child.process.returncode is None:
                 child.process.kill()
+                await asyncio.wait([watch])
     return next((child.done or {} for child in children if child.name == "channel"), {})
 
 
@@ -175,7 +215,7 @@ def merge(scene: Scene, out: Path, *, seed: int, channel: dict[str, Any], run_ti
     skipped = sum(int(end["skipped"]) for end in ends.values())
     notes = [f"{names[e]}: {end['record']}" for e, end in ends.items() if end["record"]]
     extra: dict[str, object] = {"channel": channel}
-    shown = ("status", "sentence", "ticks", "skipped", "late_us", "delay", "clock", "stamp_margin", "cpu")
+    shown = ("status", "sentence", "ticks", "skipped", "late_us", "delay", "rtt", "clock", "stamp_margin", "cpu")
     for e, end in ends.items():
         extra[names[e]] = {key: end[key] for key in shown}
     extra["skipped"] = skipped

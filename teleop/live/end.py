@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import shutil
 import sys
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from secrets import randbits
 from typing import Any
@@ -20,7 +18,7 @@ from teleop.errors import Refused, number
 from teleop.folder import numbered
 from teleop.live.address import address, bound, peer_address, shown
 from teleop.live.interrupt import Interrupt
-from teleop.live.record import Recorder
+from teleop.live.record import Recorder, fresh_folder
 from teleop.live.shell import Device, Shell
 from teleop.live.summary import write_end
 from teleop.live.wire import Wire
@@ -45,13 +43,16 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     stand = device(scene)
     with _wire(e, args) as wire, Interrupt() as interrupt:
         folder = Path(args.out) if args.out else numbered(Path("runs"), f"{scene.name}-{NAMES[e]}")
-        with _folder(folder) as keep:
-            say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else _Line(scene).show
-            shell = Shell(endpoint, stand, wire, Recorder(scene, e, folder), say, patience=args.wait, interrupt=interrupt)
+        with fresh_folder(folder) as keep:
+            line = _Line(scene)
+            say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else line.show
+            recorder = Recorder(scene, e, folder)
+            shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
             _greet(e, args, wire)
             try:
                 asyncio.run(shell.run())
             finally:
+                line.end()
                 if shell.ticks:
                     keep()
                     summary = write_end(shell, folder, args.seed, ["python", "-m", NAMES[e], *argv])
@@ -75,7 +76,8 @@ def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
 
         manifest |= {"seed": str(args.seed), "link": str(scene.link)}
         inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
-    return Endpoint(scene, e, Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None), inbox)
+    session = Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None)
+    return Endpoint(scene, e, session, inbox)
 
 
 def _parser(e: str) -> ArgumentParser:
@@ -85,7 +87,8 @@ def _parser(e: str) -> ArgumentParser:
     parser = Parser(prog=f"python -m {name}", description=f"The {name}'s end of a scene, live over UDP.")
     scene_options(parser)
     if e == "m":
-        parser.add_argument("--peer", metavar="HOST:PORT", required=True, help="where the slave, or the channel, listens")
+        parser.add_argument("--peer", metavar="HOST:PORT", required=True,
+                            help="where the slave, or the channel, listens")
     else:
         parser.add_argument("--listen", metavar="HOST:PORT", required=True, help="where to wait for the master")
     parser.add_argument("--out", metavar="DIR", help=f"folder for the record; default runs/SCENE-{name}-N")
@@ -113,34 +116,13 @@ def _wire(e: str, args: Namespace) -> Iterator[Wire]:
         wire.sock.close()
 
 
-@contextmanager
-def _folder(folder: Path) -> Iterator[Callable[[], None]]:
-    """The new folder of an end, made at once and gone again, parents too, if nobody called what this gives."""
-    if os.path.lexists(folder):
-        raise Refused(f"{folder} is there already; give another folder with --out, or remove it")
-    missing = [parent for parent in folder.parents if not parent.exists()]  # innermost first
-    kept: list[bool] = []
-    try:
-        try:
-            folder.mkdir(parents=True)
-        except OSError as error:
-            raise Refused(f"cannot write to {folder} ({error.strerror or error}); give another with --out") from error
-        yield lambda: kept.append(True)
-    finally:
-        if not kept:
-            shutil.rmtree(folder, ignore_errors=True)
-            with suppress(OSError):  # a parent in use by somebody else stays
-                for parent in missing:
-                    parent.rmdir()
-
-
 def _greet(e: str, args: Any, wire: Wire) -> None:
     at = wire.sock.getsockname()[:2]
     if args.json:
         print(json.dumps({"event": "listening", "address": shown(at), "port": at[1]}), flush=True)
     elif e == "s":
-        print(f"slave: listening on {shown(at)}; start the master with: python -m master {args.scene} --peer {shown(at)}",
-              flush=True)
+        print(f"slave: listening on {shown(at)}; start the master with: "
+              f"python -m master {args.scene} --peer {shown(at)}", flush=True)
 
 
 def _said(numbers: dict[str, Any]) -> None:
@@ -163,6 +145,10 @@ class _Line:
     def show(self, numbers: dict[str, Any]) -> None:
         """One set of live numbers."""
         self._progress.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
+
+    def end(self) -> None:
+        """Go on below it."""
+        self._progress.end()
 
 
 def live_text(numbers: dict[str, Any]) -> str:

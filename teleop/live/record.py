@@ -7,8 +7,12 @@ and the end's columns. A row cut off at the end is left out when it is read.
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sys
 from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -81,3 +85,27 @@ def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float]]:
     ticks: list[int] = table[:, 0].astype(np.int64).tolist()
     played: list[int] = table[:, 2].astype(np.int64).tolist()
     return header, EndRecord(ticks, table[:, OWN:].ravel().tolist(), played), table[:, 1].tolist()
+
+
+@contextmanager
+def fresh_folder(folder: Path) -> Iterator[Callable[[], None]]:
+    """Make the folder of a live run; it is gone again in the end, parents too, if nobody called what this gives.
+
+    It cannot be written beside and renamed as a whole: what a killed process leaves has to be found.
+    """
+    if os.path.lexists(folder):
+        raise Refused(f"{folder} is there already; give another folder with --out, or remove it")
+    missing = [parent for parent in folder.parents if not parent.exists()]  # innermost first
+    kept: list[bool] = []
+    try:
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise Refused(f"cannot write to {folder} ({error.strerror or error}); give another with --out") from error
+        yield lambda: kept.append(True)
+    finally:
+        if not kept:
+            shutil.rmtree(folder, ignore_errors=True)
+            with suppress(OSError):  # a parent in use by somebody else stays
+                for parent in missing:
+                    parent.rmdir()

@@ -175,10 +175,10 @@ class Shell:
         return False
 
     def _nobody(self, patience: float) -> str:
-        if self.endpoint.session.master:
-            there = shown(self.wire.peer or ("", 0))
-            return f"no answer from {there} in {patience:g} s; start the other end first, and check the address and the port"
-        return f"no master came in {patience:g} s; start one with --peer and this address, or wait longer with --wait"
+        peer = self.wire.peer
+        if peer is None:
+            return f"no master came in {patience:g} s; start one that has this address as its --peer, or --wait longer"
+        return f"no answer from {shown(peer)} in {patience:g} s; start the other end first, and check address and port"
 
     def _guarded(self, callback: Callable[[], None]) -> None:
         """Call `callback`; what it raises ends the run. The event loop itself would only log it and go on."""
@@ -237,7 +237,7 @@ class Shell:
             try:
                 self._say(self.live_numbers())
             except OSError:  # whoever read along has left: that is no reason to let go of the robot
-                self._say = lambda numbers: None
+                self._said_ns = 1 << 63
 
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end."""

@@ -47,8 +47,9 @@ def _write_trace(shell: Shell, folder: Path) -> list[float]:
 
     scene, e = shell.scene, shell.endpoint.e
     _, record, late = read_record(folder)
-    arrays = {"t": np.array(record.ticks, dtype=np.int64) * scene.dt_ns / 1e9, **end_arrays(scene, e, record)}
-    np.savez(folder / "trace.npz", allow_pickle=False, **arrays, **{f"late_{e}": np.array(late) / 1e9})
+    arrays: dict[str, Any] = {"t": np.array(record.ticks, dtype=np.int64) * scene.dt_ns / 1e9}
+    arrays |= {**end_arrays(scene, e, record), f"late_{e}": np.array(late) / 1e9}
+    np.savez(folder / "trace.npz", **arrays)
     return late
 
 

@@ -8,6 +8,7 @@ import sys
 import types
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,7 @@ class TestDemo:
 
         def demo(scene_name: str, knobs: dict[str, str], **rest: Any) -> Any:
             asked.append((scene_name, knobs, rest))
+            rest["out"].mkdir(parents=True)
             return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=rest["out"])
 
         monkeypatch.setitem(sys.modules, "teleop.live.demo", types.SimpleNamespace(demo=demo))
@@ -176,6 +178,8 @@ class TestDemo:
         assert answer.out.endswith("written to runs/hard_wall-1\n")
         command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep"]
         rest = {"seed": 3, "out": Path("runs/hard_wall-1"), "json": False, "lockstep": True, "command": command}
+        if find_spec("matplotlib"):
+            assert Path("runs/hard_wall-1/figure.png").is_file()
         assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -102,9 +102,7 @@ def counting() -> Any:
 
 
 class Helper:
-    @staticmethod
-    def spring(at: At) -> float:
-        return at.x + at.v
+    spring = staticmethod(lambda at: at.x + at.v)
 
 
 def hides(s: Any, at: At, rx: Any) -> Any:
@@ -227,6 +225,15 @@ class Whole:
 class Loose:
     K: float = 1.0
 
+    def __post_init__(self) -> None:
+        if self.K < 0.0:
+            raise Refused("K must be at least 0")
+
+
+@class_of(frozen=True, kw_only=True)
+class Unchecked:
+    K: float = 1.0
+
 
 @class_of(frozen=True, kw_only=True)
 class Asserting:
@@ -272,7 +279,6 @@ CLASSES = [
     (dataclass(frozen=True, kw_only=True)(Endless)(), "Endless has no master_start"),
     (spoilt(claims={"E_link"}), r"claims is \{'E_link'\}; write claims: ClassVar"),
     (spoilt(claims=frozenset({"E_lnk"})), "claims 'E_lnk', which is no ledger; did you mean E_link"),
-    (spoilt(claims=frozenset({"E_link"})), "carry no waves; call their fields u .forth. and w .back."),
 ]
 
 
@@ -282,72 +288,8 @@ def test_what_is_wrong_with_the_class_is_named(law: Any, sentence: str) -> None:
         check_law(law)
 
 
-@dataclass(frozen=True, kw_only=True)
-class OtherWave:
-    """A wave law with a way to be wrong."""
-
-    gain: float = 1.0
-    deaf: float = 0.0
-    claims: ClassVar[frozenset[str]] = frozenset({"E_link"})
-
-    def __post_init__(self) -> None:
-        number("gain", self.gain)
-        number("deaf", self.deaf)
-
-    def master_start(self, at: At) -> Any:
-        return Wave().master_start(at)
-
-    def slave_start(self, at: At) -> Any:
-        return Wave().slave_start(at)
-
-    def master(self, s: Any, at: At, rx: Any) -> Any:
-        w = rx.w * max(at.fresh, self.deaf)
-        return 2.0 * at.v - 2.0 * w, type(Wave().slave_start(at)[1])(2.0 * at.v - w), s
-
-    def slave(self, s: Any, at: At, rx: Any) -> Any:
-        u = rx.u * max(at.fresh, self.deaf)
-        known = At(at.x, at.v, 0.0, 0.0, 0.0, True, 0.0, at.dt)
-        f_s, back, state = Wave().slave(s, known, type(rx)(u))
-        return f_s, type(back)(self.gain * back.w), state
-
-
-def test_a_ledger_that_is_kept_may_be_claimed() -> None:
-    check_law(OtherWave())
-
-
-def test_a_slave_that_sends_back_more_than_it_got_is_caught() -> None:
-    with pytest.raises(Refused, match=r"its slave gave its port .* J more than the waves brought"):
-        check_law(OtherWave(gain=1.3))
-
-
-def test_a_law_that_plays_a_wave_again_in_the_gaps_is_caught() -> None:
-    with pytest.raises(Refused, match=r"its master gave its port .*; put zero for a wave"):
-        check_law(OtherWave(deaf=1.0))
-
-
-def test_a_slave_that_uses_the_last_commanded_point_is_caught() -> None:
-    """With the old x_d in f_s, force and velocity of the wave port do not belong together."""
-
-    @dataclass(frozen=True, kw_only=True)
-    class Late:
-        claims: ClassVar[frozenset[str]] = frozenset({"E_link"})
-        master_start = staticmethod(Wave().master_start)
-        slave_start = staticmethod(Wave().slave_start)
-        master = staticmethod(Wave().master)
-
-        def slave(self, s: Any, at: At, rx: Any) -> Any:
-            f_s = 500.0 * (s.x_d - at.x)
-            u = rx.u * at.fresh
-            back = type(Wave().master_start(at)[1])
-            return f_s, back(u - f_s), type(s)(s.x_d + at.dt * (u - 0.5 * f_s))
-
-    with pytest.raises(Refused, match=r"its slave gave its port.*solve force and velocity together"):
-        check_law(Late())
-
-
-def test_direct_reflection_cannot_claim_the_port() -> None:
-    with pytest.raises(Refused, match=r"claims E_port, which fell to -\d.* J over Water"):
-        check_law(spoilt(claims=frozenset({"E_port"})))
+def test_a_law_need_not_check_its_knobs() -> None:
+    check_law(Unchecked)
 
 
 def test_it_needs_no_test_library() -> None:
@@ -356,9 +298,3 @@ def test_it_needs_no_test_library() -> None:
                "print([name for name in others if name in sys.modules])")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_a_law_that_passed_passes_again() -> None:
-    law = PFRA(alpha=0.5)
-    check_law(law)
-    check_law(replace(law))

@@ -1,0 +1,162 @@
+"""Two ways to a live run: both ends in this process, over real sockets; and processes of their own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from master.device import SimulatedMaster
+from slave.robot import SimulatedSlave
+from teleop.endpoint import Endpoint, Stepped
+from teleop.library import ROOT
+from teleop.live.address import bound
+from teleop.live.interrupt import Interrupt
+from teleop.live.record import Recorder
+from teleop.live.shell import Shell
+from teleop.live.summary import write_end
+from teleop.live.wire import Wire
+from teleop.lockstep import link_plans
+from teleop.scene import Scene
+from teleop.session import Session
+
+PATIENCE = 30.0  # s that nothing in here takes, however busy the machine is
+DEVICES: dict[str, Callable[[Scene], Any]] = {"m": SimulatedMaster, "s": SimulatedSlave}
+
+
+def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | None = None, **other: Any) -> Shell:
+    """A shell as the command line makes it; with a `seed` it is stepped."""
+    inbox = None if seed is None else Stepped(link_plans(scene, seed)[0 if e == "s" else 1])
+    session = Session(master=e == "m", manifest=scene.manifest(), number=99 if e == "m" else None)
+    folder.mkdir(parents=True)
+    device = other.pop("device", DEVICES[e](scene))
+    parts = {"say": lambda _numbers: None, "patience": PATIENCE, "interrupt": Interrupt(), **other}
+    return Shell(Endpoint(scene, e, session, inbox), device, wire, Recorder(scene, e, folder), **parts)
+
+
+@dataclass
+class Pair:
+    """A master and a slave in one event loop, over sockets of their own on loopback."""
+
+    scene: Scene
+    out: Path
+    seed: int | None = None  # given: stepped
+    wire: Callable[..., Wire] = Wire
+    parts: dict[str, dict[str, Any]] = field(default_factory=lambda: {"m": {}, "s": {}})
+    shells: dict[str, Shell] = field(init=False)
+    errors: dict[str, BaseException | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        slave = self.wire(bound(("127.0.0.1", 0), "--listen"), None)
+        master = self.wire(bound(("127.0.0.1", 0), "--peer"), slave.sock.getsockname())
+        self.shells = {
+            e: make_shell(self.scene, e, wire, self.out / name, seed=self.seed, **self.parts[e])
+            for e, name, wire in (("s", "slave", slave), ("m", "master", master))
+        }
+
+    def run(self) -> Pair:
+        """Run both to their ends; what they raised is in `errors`."""
+        async def both() -> None:
+            ends = [asyncio.create_task(self.shells[e].run()) for e in "sm"]
+            done = await asyncio.wait_for(asyncio.gather(*ends, return_exceptions=True), PATIENCE)
+            self.errors = dict(zip("sm", done, strict=True))
+
+        try:
+            asyncio.run(both())
+        finally:
+            for shell in self.shells.values():
+                shell.wire.sock.close()
+        return self
+
+    def write(self) -> Path:
+        """Have both write what they leave; the folder above both."""
+        for name, shell in zip(("slave", "master"), self.shells.values(), strict=True):
+            write_end(shell, self.out / name, self.seed or 0, [])
+        return self.out
+
+    def status(self) -> dict[str, str]:
+        return {e: shell.status for e, shell in self.shells.items()}
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Callable[..., Pair]:
+    """`pair(scene, ...)`: two ends, not run yet, that record below a fresh folder."""
+    return lambda scene, **other: Pair(scene, tmp_path / f"pair{time.monotonic_ns()}", **other)
+
+
+@dataclass
+class Command:
+    """`python -m NAME ...` as a process; its stdout is read line by line."""
+
+    process: subprocess.Popen[str]
+    lines: list[str] = field(default_factory=list)
+
+    def event(self, name: str) -> dict[str, Any]:
+        """Read on to the next event of this name. Only with --json."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line)
+            found: dict[str, Any] = json.loads(line)
+            if found["event"] == name:
+                return found
+        pytest.fail(f"it ended without the event {name}: {self.process.communicate()[1]}")
+
+    def port(self) -> int:
+        """The port that it listens on."""
+        return int(self.event("listening")["port"])
+
+    def signal(self, number: signal.Signals) -> None:
+        self.process.send_signal(number)
+
+    def end(self) -> tuple[int, str, str]:
+        """Wait for it: its exit code, and all of its stdout and stderr."""
+        out, err = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, "".join(self.lines) + out, err
+
+    def refused(self, *words: str) -> str:
+        """It ends with exit code 2 and one sentence that has the words in it, which is returned."""
+        code, out, err = self.end()
+        assert code == 2, (out, err)
+        assert err.startswith("teleop: "), err
+        assert err.count("\n") == 1, err
+        for word in words:
+            assert word in err
+        return err
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> Iterator[Callable[..., Command]]:
+    """`command("slave", ...)`: `python -m slave ...` in a folder of its own, and gone when the test is over."""
+    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    started: list[Command] = []
+
+    def start(name: str, *arguments: str, **other: Any) -> Command:
+        process = subprocess.Popen(
+            [sys.executable, "-m", name, *arguments], cwd=tmp_path, env={**own, "PYTHONPATH": str(ROOT)}, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **other,
+        )
+        started.append(Command(process))
+        return started[-1]
+
+    yield start
+    for one in started:
+        with suppress(ProcessLookupError):
+            one.process.kill()
+        one.process.communicate()
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    """The summary.json in a folder."""
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found

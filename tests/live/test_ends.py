@@ -1,0 +1,260 @@
+"""`python -m slave`, `python -m channel` and `python -m master`, started by hand."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop.live.demo import merge
+from teleop.live.record import FILE, read_record
+from teleop.scene import load_scene
+
+pytestmark = pytest.mark.live
+Start = Callable[..., Any]
+
+SCENE = ("hard_wall", "--set", "duration=1", "--set", "timeout=0.06")
+ONE = load_scene("hard_wall", duration="1", timeout="0.06")
+LONG = ("hard_wall", "--set", "duration=60")  # nobody waits for its end
+ANY = ("--listen", "127.0.0.1:0")
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found
+
+
+def slave_and_master(command: Start, *scene: str, slave: tuple[str, ...] = (), master: tuple[str, ...] = ()) -> Any:
+    one = command("slave", *scene, *ANY, "--json", *slave)
+    other = command("master", *scene, "--peer", f"127.0.0.1:{one.port()}", "--json", *master)
+    return one, other
+
+
+def nothing_left(folder: Path) -> None:
+    assert sorted(folder.iterdir()) == []
+
+
+# Runs
+
+
+def test_three_processes_make_a_run_and_both_ends_save_it(command: Start, tmp_path: Path) -> None:
+    slave = command("slave", *SCENE, *ANY, "--json")
+    channel = command("channel", *SCENE, *ANY, "--peer", f"127.0.0.1:{slave.port()}", "--json")
+    master = command("master", *SCENE, "--peer", f"127.0.0.1:{channel.port()}", "--json")
+    ended = {name: one.end() for name, one in (("master", master), ("slave", slave))}
+    channel.signal(signal.SIGTERM)
+    ended["channel"] = channel.end()
+    assert {name: (code, err) for name, (code, _, err) in ended.items()} == dict.fromkeys(ended, (0, ""))
+    for name in ("master", "slave"):
+        events = [json.loads(line) for line in ended[name][1].splitlines()]
+        assert [events[0]["event"], events[-1]["event"]] == ["listening", "done"]
+        assert {event["event"] for event in events[1:-1]} == {"live"}
+        left = summary(tmp_path / "runs" / f"hard_wall-{name}-1")
+        assert events[-1]["summary"] == left
+        assert (left["status"], left["ticks"] + left["skipped"]) == ("ok", 1000)
+        assert left["delay"]["least"] >= 0.045
+        assert left["rtt"]["least"] >= 0.095
+        assert left["packets"]["rejected"] == {}
+        with np.load(tmp_path / "runs" / f"hard_wall-{name}-1" / "trace.npz") as trace:
+            assert len(trace["t"]) == left["ticks"] == len(trace[f"late_{name[0]}"])
+    counts = json.loads(ended["channel"][1].splitlines()[-1])["summary"]["counts"]
+    assert counts["forth"]["lost"] == counts["back"]["lost"] == 0
+    assert counts["forth"]["delivered"] > 800
+
+
+def test_two_ends_do_without_a_channel_and_talk_plainly_to_people(command: Start, tmp_path: Path) -> None:
+    slave = command("slave", *SCENE, *ANY)
+    said = slave.process.stdout.readline()
+    assert said.startswith("slave: listening on 127.0.0.1:")
+    master = command("master", *SCENE, "--peer", said.split(";")[0].rpartition(" ")[2])
+    for one in (slave, master):
+        code, out, err = one.end()
+        assert (code, err) == (0, "")
+        assert "ok: ran to its end, 1000 ticks" in out
+        assert "\x1b" not in out
+        assert "\r" not in out
+        assert "wrote runs/hard_wall-" in out
+    assert summary(tmp_path / "runs" / "hard_wall-slave-1")["delay"]["least"] < 0.03
+
+
+def test_stepped_ends_by_hand_agree_on_seed_and_mode(command: Start) -> None:
+    slave = command("slave", "canonical", "--lockstep", "--seed", "1", *ANY, "--json")
+    master = command("master", "canonical", "--lockstep", "--seed", "2", "--peer", f"127.0.0.1:{slave.port()}", "--json")
+    assert "seed is 2 here and 1 there" in master.refused()
+    assert "seed is 1 here and 2 there" in slave.refused()
+
+
+# Ends that do not match, or do not meet
+
+
+@pytest.mark.parametrize(("at_slave", "at_master", "words"), [
+    (("hard_wall",), ("hard_wall", "--set", "law=pfra"), ["law is", "pfra", "wave"]),
+    (("hard_wall",), ("hard_wall", "--set", "law.b=3"), ["law is", "b=3.0", "b=2.0"]),
+    (("hard_wall", "--set", "k_e=1000"), ("hard_wall",), ["k_e is", "1000.0", "20000.0", "--set k_e="]),
+    (("hard_wall", "--set", "dt=0.002"), ("hard_wall",), ["dt is", "0.002", "--set dt="]),
+    (("hard_wall",), ("soft_tissue",), ["scene is", "hard_wall", "soft_tissue"]),
+    (("hard_wall",), ("hard_wall", "--lockstep"), ["mode is", "live", "lockstep"]),
+], ids=["law", "law's knob", "knob", "dt", "scene", "mode"])
+def test_ends_that_differ_stop_both_and_leave_nothing(
+    at_slave: tuple[str, ...], at_master: tuple[str, ...], words: list[str], command: Start, tmp_path: Path
+) -> None:
+    slave = command("slave", *at_slave, *ANY, "--json")
+    master = command("master", *at_master, "--peer", f"127.0.0.1:{slave.port()}", "--json")
+    for one in (master, slave):
+        one.refused(*words, "here", "there")
+    nothing_left(tmp_path)
+
+
+def test_a_port_in_use_is_refused_in_one_sentence(command: Start, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        at = f"127.0.0.1:{taken.getsockname()[1]}"
+        slave = command("slave", *SCENE, "--listen", at)
+        channel = command("channel", *SCENE, "--listen", at, "--peer", "127.0.0.1:9")
+        for one in (slave, channel):
+            one.refused(at, "in use", "--listen")
+    nothing_left(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "arguments", "words"), [
+    ("master", ("--peer", "127.0.0.1:9", "--wait", "0.3"), ["no answer from 127.0.0.1:9 in 0.3 s", "start the other end"]),
+    ("slave", (*ANY, "--wait", "0.3"), ["no master came in 0.3 s"]),
+    ("master", ("--peer", "127.0.0.1"), ["--peer takes HOST:PORT", "write for example"]),
+    ("master", ("--peer", "127.0.0.1:0"), ["--peer needs the port"]),
+    ("master", ("--peer", "no..such..host:1"), ["--peer names the host 'no..such..host'"]),
+    ("slave", ("--listen", "127.0.0.1:99999"), ["--listen takes HOST:PORT"]),
+    ("slave", ("--listen", "203.0.113.1:9001"), ["cannot listen on 203.0.113.1:9001"]),
+    ("slave", (*ANY, "--wait", "nan"), ["--wait", "finite"]),
+    ("slave", (*ANY, "--wait", "0"), ["--wait", "above 0"]),
+    ("slave", (*ANY, "--out", "/dev/null/x"), ["cannot write to /dev/null/x", "--out"]),
+    ("master", (), ["--peer", "--help"]),
+], ids=lambda value: "" if isinstance(value, list) else " ".join(value) if isinstance(value, tuple) else value)
+def test_a_request_that_comes_to_nothing_is_one_sentence(
+    name: str, arguments: tuple[str, ...], words: list[str], command: Start, tmp_path: Path
+) -> None:
+    command(name, *SCENE, *arguments).refused(*words)
+    nothing_left(tmp_path)
+
+
+# Stopping
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("who", ["slave", "master"])
+def test_a_signal_stops_both_ends_and_both_keep_what_they_have(
+    who: str, number: signal.Signals, command: Start, tmp_path: Path
+) -> None:
+    slave, master = slave_and_master(command, *LONG)
+    first, other = (slave, master) if who == "slave" else (master, slave)
+    first.event("live")
+    first.event("live")
+    first.signal(number)
+    first.signal(number)  # an impatient finger
+    assert first.end()[0] == other.end()[0] == 0
+    name, its = (who, "master" if who == "slave" else "slave")
+    left = {end: summary(tmp_path / "runs" / f"hard_wall-{end}-1") for end in ("master", "slave")}
+    assert left[name]["status"] == left[its]["status"] == "stopped"
+    assert left[name]["sentence"].endswith(f"it was asked to stop ({number.name})")
+    assert "the other end left: stopped at t = " in left[its]["sentence"]
+    for end in left:
+        header, record, _ = read_record(tmp_path / "runs" / f"hard_wall-{end}-1")
+        assert len(record.ticks) == left[end]["ticks"] > 100
+        assert header["end"] == end[0]
+
+
+def test_a_slave_that_is_stopped_while_it_waits_leaves_nothing(command: Start, tmp_path: Path) -> None:
+    slave = command("slave", *SCENE, *ANY, "--json")
+    slave.port()
+    slave.signal(signal.SIGTERM)
+    code, out, err = slave.end()
+    assert (code, len(out.splitlines()), len(err.splitlines())) == (130, 1, 1)
+    nothing_left(tmp_path)
+
+
+def test_killed_outright_an_end_leaves_a_record_and_the_other_lets_go_and_goes_on(command: Start, tmp_path: Path) -> None:
+    slave, master = slave_and_master(command, "hard_wall", "--set", "duration=1.5", "--set", "timeout=0.1")
+    slave.event("live")
+    slave.event("live")
+    slave.signal(signal.SIGKILL)
+    code, out, _ = master.end()
+    assert code == 0
+    left = summary(tmp_path / "runs" / "hard_wall-master-1")
+    assert (left["status"], left["ticks"] + left["skipped"]) == ("ok", 1500)
+    with np.load(tmp_path / "runs" / "hard_wall-master-1" / "trace.npz") as trace:
+        assert (trace["g_m"].max(), trace["g_m"][-1], trace["f_m"][-1]) == (1.0, 0.0, 0.0)
+    gains = [event["gain"] for event in map(json.loads, out.splitlines()) if event["event"] == "live"]
+    assert gains[-1] == 0.0
+    assert len(read_record(tmp_path / "runs" / "hard_wall-slave-1")[1].ticks) >= 250
+
+
+def test_a_run_that_diverges_is_saved_and_its_status_says_so(command: Start, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text("from dataclasses import replace\nfrom scenarios import canonical\n\n"
+                    "def scene(*, x_limit: float = 0.01):\n    return replace(canonical.scene(), x_limit=x_limit)\n")
+    for one in slave_and_master(command, "mine.py"):
+        code, out, err = one.end()
+        assert (code, err) == (0, "")
+    left = [summary(tmp_path / "runs" / f"mine-{end}-1") for end in ("master", "slave")]
+    assert "diverged" in {end["status"] for end in left}
+    assert all("passed 0.01 m" in end["sentence"] for end in left)
+
+
+# Strangers, and the state of the machine
+
+
+def test_garbage_at_a_slaves_port_is_counted_and_the_run_goes_on(command: Start, tmp_path: Path) -> None:
+    slave = command("slave", *SCENE, *ANY, "--json")
+    at = ("127.0.0.1", slave.port())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for data in (b"", b"GET / HTTP/1.1", bytes(60000)):
+            stranger.sendto(data, at)
+        master = command("master", *SCENE, "--peer", f"127.0.0.1:{at[1]}", "--json")
+        master.event("live")
+        for i in range(300):
+            stranger.sendto(bytes([i % 256]) * (i + 1), at)
+            time.sleep(0.0005)
+        assert master.end()[0] == slave.end()[0] == 0
+    left = summary(tmp_path / "runs" / "hard_wall-slave-1")
+    assert left["status"] == "ok"
+    assert left["packets"]["rejected"] == {"truncated": 10, "magic": 292, "oversize": 1}
+    assert left["packets"]["received"] > 800
+
+
+def test_a_disk_that_fills_up_stops_the_record_and_not_the_loop(command: Start, tmp_path: Path) -> None:
+    """A limit on the size of a file stands for the disk; the summary and the arrays of what there is still fit."""
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+
+    slave = command("slave", *SCENE, *ANY, "--json", preexec_fn=small)
+    master = command("master", *SCENE, "--peer", f"127.0.0.1:{slave.port()}", "--json")
+    assert master.end()[0] == 0
+    code, out, err = slave.end()
+    folder = tmp_path / "runs" / "hard_wall-slave-1"
+    if code == 0:
+        left = summary(folder)
+        assert "the record stopped at row" in left["record"]
+    else:
+        assert code == 2
+        assert err.startswith("teleop: ran to its end, 1000 ticks")
+        assert str(Path("runs") / "hard_wall-slave-1" / FILE) in err
+        assert not (folder / "summary.json").exists()
+    rows = read_record(folder)[1]
+    assert 200 < len(rows.ticks) < 1000
+    assert summary(tmp_path / "runs" / "hard_wall-master-1")["packets"]["received"] > 800
+
+
+def test_what_two_ends_left_can_be_put_together_later(command: Start, tmp_path: Path) -> None:
+    slave, master = slave_and_master(command, *SCENE, slave=("--out", "one/slave"), master=("--out", "one/master"))
+    assert master.end()[0] == slave.end()[0] == 0
+    whole = merge(ONE, tmp_path / "one", seed=0, channel={}, run_time=1.0)
+    assert whole.status == "ok"
+    assert whole.ticks > 800
+    assert whole.metrics["x_err_max"] < 0.05

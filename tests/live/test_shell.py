@@ -1,0 +1,303 @@
+"""The live loop by the clock: two ends in this process, and what may go wrong between and around them."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from master.device import SimulatedMaster
+from slave.robot import SimulatedSlave
+from teleop.live.demo import merge
+from teleop.live.interrupt import Interrupt
+from teleop.live.record import FILE, read_record
+from teleop.live.wire import Wire
+from teleop.packet import Kind, peek
+from teleop.safety import Watchdog
+from teleop.scene import load_scene
+
+pytestmark = pytest.mark.live
+Make = Callable[..., Any]
+
+SCENE = replace(load_scene("canonical", duration=0.4, wall=0.005), link=None)
+
+
+class Faulty:
+    """A device that does something at one tick."""
+
+    def __init__(self, inner: Any, at: int, act: Callable[[], object]) -> None:
+        self.inner, self.at, self.act, self.held = inner, at, act, [(0.0,)]
+
+    def read(self, k: int) -> Any:
+        if self.at is not None and k >= self.at:
+            self.at, act = None, self.act  # type: ignore[assignment]
+            act()
+        return self.inner.read(k)
+
+    def hold(self, force: Any) -> None:
+        self.held.append(force)
+        self.inner.hold(force)
+
+
+def breaks(message: str) -> Callable[[], object]:
+    def act() -> None:
+        raise RuntimeError(message)
+
+    return act
+
+
+def test_both_ends_run_to_their_end_and_every_tick_is_accounted_for(pair: Make) -> None:
+    both = pair(SCENE).run()
+    assert both.errors == {"m": None, "s": None}
+    assert both.status() == {"m": "ok", "s": "ok"}
+    for shell in both.shells.values():
+        assert shell.ticks + shell.skipped == SCENE.ticks
+        assert shell.sentence.startswith("ran to its end, 400 ticks of 0.001 s")
+        assert shell.endpoint.way.count > 200
+        assert not shell.endpoint.rejected
+    result = merge(SCENE, both.write(), seed=0, channel={}, run_time=1.0)
+    assert result.status == "ok"
+    assert result.mode == "live"
+    assert np.abs(result.trace["f_m"]).max() > 0.1
+    assert result.metrics["E_link_min"] >= -1e-12
+
+
+def test_the_ends_leave_the_motor_free(pair: Make) -> None:
+    devices = {"m": Faulty(SimulatedMaster(SCENE), 10**9, breaks("never")),
+               "s": Faulty(SimulatedSlave(SCENE), 10**9, breaks("never"))}
+    pair(SCENE, parts={e: {"device": device} for e, device in devices.items()}).run()
+    for device in devices.values():
+        assert device.held[-1] == (0.0,)
+        assert max(abs(f) for f, in device.held) > 0.1
+
+
+@pytest.mark.parametrize("seed", [None, 1], ids=["by the clock", "stepped"])
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_what_a_device_raises_ends_the_run_and_the_other_end_is_told(e: str, seed: int | None, pair: Make) -> None:
+    device = Faulty({"m": SimulatedMaster, "s": SimulatedSlave}[e](SCENE), 100, breaks("the cable is off"))
+    both = pair(SCENE, seed=seed, parts={**{"m": {}, "s": {}}, e: {"device": device}})
+    both.run()
+    other = "sm"["ms".index(e)]
+    error = both.errors.pop(e)
+    assert isinstance(error, RuntimeError)
+    assert error.__traceback__ is not None
+    assert both.errors == {other: None}
+    assert both.status() == {"m": "stopped", "s": "stopped"}
+    assert "it failed with RuntimeError: the cable is off" in both.shells[e].sentence
+    assert "the cable is off" in both.shells[other].sentence
+    assert device.held[-1] == (0.0,)
+    assert len(read_record(both.write() / {"m": "master", "s": "slave"}[e])[1].ticks) == both.shells[e].ticks > 50
+
+
+def test_whoever_reads_along_may_leave(pair: Make) -> None:
+    said = []
+
+    def say(numbers: dict[str, Any]) -> None:
+        said.append(numbers)
+        raise BrokenPipeError
+
+    both = pair(replace(SCENE, duration=0.8), parts={"m": {"say": say}, "s": {}}).run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    assert len(said) == 1
+
+
+def test_what_is_said_while_it_runs(pair: Make) -> None:
+    said: list[dict[str, Any]] = []
+    pair(replace(SCENE, duration=0.8), parts={"m": {"say": said.append}, "s": {}}).run()
+    assert 2 <= len(said) <= 5
+    assert [numbers["end"] for numbers in said] == ["m"] * len(said)
+    assert all(0 <= numbers["k"] < 800 and 0.0 <= numbers["delay"] < 0.5 for numbers in said[1:])
+    assert {numbers["gain"] for numbers in said} == {None}
+
+
+@pytest.mark.parametrize("seed", [None, 1], ids=["by the clock", "stepped"])
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_an_interrupt_stops_both_ends_and_both_keep_their_records(e: str, seed: int | None, pair: Make) -> None:
+    interrupt = Interrupt()
+
+    def press() -> None:
+        interrupt.name = "SIGINT"
+
+    device = Faulty({"m": SimulatedMaster, "s": SimulatedSlave}[e](SCENE), 200, press)
+    both = pair(SCENE, seed=seed, parts={**{"m": {}, "s": {}}, e: {"device": device, "interrupt": interrupt}}).run()
+    assert both.errors == {"m": None, "s": None}
+    assert both.status() == {"m": "stopped", "s": "stopped"}
+    assert both.shells[e].sentence.endswith("s: it was asked to stop (SIGINT)")
+    assert "the other end left: stopped at t = 0.2" in both.shells["sm"["ms".index(e)]].sentence
+    result = merge(SCENE, both.write(), seed=1, channel={}, run_time=1.0)
+    assert (result.status, result.sentence) == ("stopped", both.shells[e].sentence if e == "m" else result.sentence)
+    assert 100 < result.ticks < 300
+
+
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_an_interrupt_before_the_start_is_a_run_that_never_was(e: str, pair: Make) -> None:
+    interrupt = Interrupt()
+    interrupt.name = "SIGTERM"
+    both = pair(SCENE, parts={"m": {"patience": 1.0}, "s": {"patience": 1.0}, e: {"interrupt": interrupt}}).run()
+    assert both.shells[e].status == "stopped"
+    assert both.shells["sm"["ms".index(e)]].status == "refused"
+    assert [shell.ticks for shell in both.shells.values()] == [0, 0]
+
+
+def test_a_run_that_diverges_stops_early_at_both_ends(pair: Make) -> None:
+    bounded = replace(SCENE, x_limit=0.02)
+    both = pair(bounded).run()
+    result = merge(bounded, both.write(), seed=0, channel={}, run_time=1.0)
+    assert result.status == "diverged"
+    assert "x_" in result.sentence
+    assert "passed 0.02 m" in result.sentence
+    assert result.ticks < 400
+    assert sorted(both.status().values()) in (["diverged", "stopped"], ["diverged", "diverged"])
+
+
+def test_a_stall_skips_whole_ticks_and_says_how_many(pair: Make) -> None:
+    stall = Faulty(SimulatedSlave(SCENE), 100, lambda: time.sleep(0.05))
+    both = pair(SCENE, parts={"m": {}, "s": {"device": stall}}).run()
+    slave = both.shells["s"]
+    assert both.status() == {"m": "ok", "s": "ok"}
+    assert slave.skipped >= 48
+    assert slave.ticks + slave.skipped == SCENE.ticks
+    assert f"{slave.skipped} of them skipped" in slave.sentence
+
+
+def test_ticks_that_are_missed_at_the_very_end_are_counted_too(pair: Make) -> None:
+    stall = Faulty(SimulatedSlave(SCENE), 390, lambda: time.sleep(0.05))
+    both = pair(SCENE, parts={"m": {}, "s": {"device": stall}}).run()
+    for shell in both.shells.values():
+        assert shell.ticks + shell.skipped == SCENE.ticks
+    assert both.shells["s"].skipped >= 8
+
+
+class Deaf(Wire):
+    """Sends nothing any more from its so-many-th message on, as one that was killed."""
+
+    after = 100
+
+    def send(self, data: bytes) -> None:
+        kind, number = peek(data)
+        if kind is not None and not (kind is Kind.DATA and number > self.after) and kind is not Kind.BYE:
+            super().send(data)
+
+
+def test_when_the_other_falls_silent_the_watchdog_lets_go_and_the_run_ends_by_itself(pair: Make) -> None:
+    watched = replace(SCENE, watchdog=Watchdog(timeout=0.03, ramp=0.02))
+    both = pair(watched, wire=Deaf).run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    result = merge(watched, both.write(), seed=0, channel={}, run_time=1.0)
+    for g, f in (("g_m", "f_m"), ("g_s", "f_s")):
+        assert result.trace[g].max() == 1.0
+        assert result.trace[g][-1] == 0.0
+        assert result.trace[f][-1] == 0.0
+
+
+class Forgetful(Wire):
+    """Loses its first START, which makes the other end wait for the next."""
+
+    lost = 0
+
+    def send(self, data: bytes) -> None:
+        if peek(data)[0] is Kind.START and self.lost < 2:
+            self.lost += 1
+        else:
+            super().send(data)
+
+
+def test_a_start_that_is_lost_is_repeated_before_tick_0(pair: Make) -> None:
+    both = pair(SCENE, wire=Forgetful).run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    assert both.shells["s"].ticks > 300
+
+
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_nobody_there_is_said_in_one_sentence(e: str, pair: Make) -> None:
+    both = pair(SCENE, parts={"m": {}, "s": {}, e: {"patience": 0.2}})
+    shell = both.shells[e]
+    if e == "m":
+        shell.wire.peer = ("127.0.0.1", 9)  # discard: nobody
+    asyncio.run(shell.run())
+    assert (shell.status, shell.ticks) == ("refused", 0)
+    assert "0.2 s; start" in shell.sentence
+    assert ("no answer from 127.0.0.1:9" in shell.sentence) is (e == "m")
+    for other in both.shells.values():
+        other.wire.sock.close()
+
+
+# Strangers
+
+
+class Tapped(Wire):
+    """Everything that comes in is kept."""
+
+    def __init__(self, sock: socket.socket, peer: Any) -> None:
+        super().__init__(sock, peer)
+        self.taken: list[bytes] = []
+
+    def receive(self) -> Any:
+        got = super().receive()
+        if got is not None:
+            self.taken.append(got[0])
+        return got
+
+
+def test_a_stranger_who_copies_what_was_sent_does_not_draw_the_run_to_himself(pair: Make) -> None:
+    """All that the slave has taken in so far is sent to it again, from elsewhere: its START most of all."""
+    both = pair(SCENE, wire=Tapped)
+    slave = both.shells["s"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        stranger.settimeout(0.05)
+
+        def copy() -> None:
+            for data in slave.wire.taken[:40]:
+                stranger.sendto(data, slave.wire.sock.getsockname())
+
+        both.shells["s"].device = Faulty(SimulatedSlave(SCENE), 150, copy)
+        both.run()
+        with pytest.raises(TimeoutError):
+            stranger.recvfrom(65536)
+    assert both.status() == {"m": "ok", "s": "ok"}
+    kinds = {peek(data)[0] for data in slave.wire.taken[:40]}
+    assert {Kind.HELLO, Kind.START, Kind.DATA} <= kinds
+    assert slave.endpoint.inbox.duplicates > 0
+    assert both.shells["m"].endpoint.inbox.received > 300
+
+
+def test_garbage_is_counted_from_the_first_moment_on_and_disturbs_nothing(pair: Make) -> None:
+    both = pair(SCENE)
+    slave = both.shells["s"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        def throw(count: int) -> None:
+            for i in range(count):
+                stranger.sendto((b"", b"GET / HTTP/1.1", b"BT\x09" + bytes(20), bytes(9000))[i % 4], address)
+
+        address = slave.wire.sock.getsockname()
+        throw(40)
+        both.shells["m"].device = Faulty(SimulatedMaster(SCENE), 200, lambda: throw(80))
+        both.run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    assert dict(slave.endpoint.rejected) == {"truncated": 30, "magic": 30, "version": 30, "oversize": 30}
+    assert slave.endpoint.inbox.received > 300
+
+
+# Records that cannot be written
+
+
+def test_a_full_disk_stops_the_record_and_not_the_loop(pair: Make) -> None:
+    both = pair(SCENE)
+    recorder = both.shells["s"].recorder
+    recorder._file.close()
+    recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
+    both.run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    assert both.shells["s"].ticks > 300
+    assert recorder.trouble is not None
+    assert "No space left on device" in recorder.trouble
+    summary = both.write() / "slave" / FILE
+    assert summary.is_file()

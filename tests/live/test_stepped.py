@@ -1,0 +1,136 @@
+"""Two ends that step together through real datagrams make the run of virtual time, to the last bit."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from channel.link import parse_link
+from master.hand import Grip, Hold, Sine
+from slave.tissue import Tissue
+from slave.wall import Wall
+from teleop.laws.direct import Direct
+from teleop.laws.pfra import PFRA
+from teleop.laws.wave import Wave
+from teleop.live.demo import merge
+from teleop.live.wire import Wire
+from teleop.lockstep import run
+from teleop.plant import MassDamper
+from teleop.playout import Fixed
+from teleop.playout import Hold as HoldLast
+from teleop.safety import Cap, Watchdog
+from teleop.scene import Scene
+
+pytestmark = pytest.mark.live
+
+ROUGH = "uniform(0.012) | bernoulli(0.1) | duplicate(0.2, after=0.003)"
+SEED = 11
+
+
+def scene(**other: Any) -> Scene:
+    base: dict[str, Any] = {
+        "law": Wave(), "master": MassDamper(mass=0.1, damping=0.5), "slave": MassDamper(mass=0.5, damping=1.0),
+        "hand": Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=2.0)),
+        "environment": Wall(k=5e3, d=5.0, at=0.004), "link": parse_link("delay(0.02)"), "duration": 0.3, "energy": True,
+    }
+    return Scene(**{**base, **other})
+
+
+def in_three_axes(law: Any, **other: Any) -> Scene:
+    wall = Wall(k=5e3, d=5.0, at=0.004)
+    return scene(law=law, axes=3, environment=(wall, None, wall), start_s=(0.0, 0.005, -0.005), **other)
+
+
+SCENES = {
+    "wave, constant": scene(),
+    "wave, no link": scene(link=None),
+    "wave, rough, zero": scene(link=parse_link(ROUGH)),
+    "wave, rough, hold": scene(link=parse_link(ROUGH), playout=HoldLast()),
+    "wave, rough, fixed": scene(link=parse_link(ROUGH), playout=Fixed(0.008)),
+    "wave, blackout": scene(link=parse_link("delay(0.01) | blackout(0.1, 0.08)"),
+                            watchdog=Watchdog(timeout=0.03, ramp=0.02), cap=Cap(f_max=2.0, slew=500.0)),
+    "wave, three axes": in_three_axes(Wave(), link=parse_link(ROUGH), playout=Fixed(0.008, HoldLast())),
+    "direct, other ways": scene(law=Direct(), link=parse_link(f"{ROUGH} ; delay(0.03) | gilbert_elliott(0.1, 0.3)")),
+    "direct, no hand": scene(law=Direct(), hand=None, start_m=0.03),
+    "pfra, observer": scene(law=PFRA(alpha=0.2), link=parse_link(ROUGH)),
+    "pfra, sensor": scene(law=PFRA(alpha=0.2), observer=None, watchdog=Watchdog(timeout=0.01, ramp=0.01)),
+    "pfra, three axes": in_three_axes(PFRA(alpha=0.2), link=parse_link(ROUGH), cap=Cap(f_max=2.0, slew=500.0)),
+    "another tick": scene(dt=0.7e-3),
+    "one tick": scene(duration=1e-3),
+}
+
+
+def equal(live: Any, virtual: Any) -> None:
+    """Status, sentence, figures and every array's bytes."""
+    assert (live.status, live.sentence, live.ticks) == (virtual.status, virtual.sentence, virtual.ticks)
+    assert list(live.trace) == list(virtual.trace)
+    for name, column in virtual.trace.items():
+        assert live.trace[name].dtype == column.dtype
+        assert live.trace[name].tobytes() == column.tobytes(), name
+    assert live.metrics == virtual.metrics
+
+
+class Leaky(Wire):
+    """Every tenth datagram that this wire sends goes nowhere."""
+
+    def __init__(self, sock: socket.socket, peer: Any) -> None:
+        super().__init__(sock, peer)
+        self.tried = 0
+
+    def send(self, data: bytes) -> None:
+        self.tried += 1
+        if self.tried % 10:
+            super().send(data)
+
+
+def stepped(pair: Callable[..., Any], of: Scene, **other: Any) -> Any:
+    both = pair(of, seed=SEED, **other).run()
+    assert both.errors == {"m": None, "s": None}
+    return merge(of, both.write(), seed=SEED, channel={}, run_time=1.0)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_stepped_run_is_the_virtual_run(name: str, pair: Callable[..., Any]) -> None:
+    virtual = run(SCENES[name], seed=SEED)
+    live = stepped(pair, SCENES[name])
+    equal(live, virtual)
+    assert live.packets == virtual.packets
+    assert name == "one tick" or max(np.abs(virtual.trace["f_m"]).ravel()) > 0.01
+
+
+@pytest.mark.parametrize("name", ["wave, rough, zero", "pfra, three axes", "wave, no link", "one tick"])
+def test_datagrams_that_are_lost_on_the_way_are_sent_again(name: str, pair: Callable[..., Any]) -> None:
+    of = replace(SCENES[name], duration=min(SCENES[name].duration, 0.1))
+    equal(stepped(pair, of, wire=Leaky), run(of, seed=SEED))
+
+
+UNSTABLE = scene(
+    law=Direct(K=2000.0, B=8.0, kf=3.0), master=MassDamper(mass=0.04, damping=0.8), environment=Tissue(k=2000.0, d=0.0),
+    slave=MassDamper(mass=0.04, damping=0.8), hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Hold()),
+    start_m=1e-3, x_limit=0.05,
+)
+
+
+@pytest.mark.parametrize("wire", [Wire, Leaky])
+@pytest.mark.parametrize("of", [
+    UNSTABLE, replace(UNSTABLE, x_limit=0.3), replace(UNSTABLE, link=None),
+    scene(x_limit=1e-4), scene(x_limit=1e-3, start_m=0.5), scene(x_limit=1e-3, start_s=0.5),
+    scene(hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=1e308, frequency=3.0)), law=Direct(K=1e9)),
+], ids=["grows", "grows longer", "no link", "soon", "the master at once", "the slave at once", "not finite"])
+def test_a_run_that_diverges_does_so_at_the_same_tick_and_says_the_same(
+    of: Scene, wire: Any, pair: Callable[..., Any]
+) -> None:
+    virtual = run(of, seed=SEED)
+    assert virtual.status == "diverged"
+    equal(stepped(pair, of, wire=wire), virtual)
+
+
+def test_the_seed_decides_the_schedule(pair: Callable[..., Any]) -> None:
+    of = SCENES["wave, rough, zero"]
+    live = stepped(pair, of)
+    assert live.trace["seq_s"].tobytes() != run(of, seed=SEED + 1).trace["seq_s"].tobytes()

@@ -1,0 +1,87 @@
+"""The simulated slave: at every tick it reads what the equation of motion says, as a robot would."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from slave.robot import SimulatedSlave
+from slave.tissue import Tissue
+from slave.wall import Wall
+from teleop.endpoint import Reading
+from teleop.laws.direct import Direct
+from teleop.laws.wave import Wave
+from teleop.lockstep import run
+from teleop.plant import MassDamper
+from teleop.scene import Scene
+
+BODY = MassDamper(mass=0.5, damping=1.0)
+TISSUE = Tissue(k=300.0, d=2.0, at=0.001)
+
+
+def scene(**other: Any) -> Scene:
+    """A law that reads f_env."""
+    return Scene(**{"law": Direct(), "master": BODY, "slave": BODY, "environment": TISSUE, "duration": 0.3, **other})
+
+
+def readings(robot: SimulatedSlave, held: list[tuple[float, ...]]) -> list[Reading]:
+    """What it reads at each tick, the forces held in between."""
+    out = []
+    for k, force in enumerate(held):
+        out.append(robot.read(k))
+        robot.hold(force)
+    return out
+
+
+def test_it_starts_at_rest_where_the_scene_says_and_feels_it() -> None:
+    got = SimulatedSlave(scene(start_s=0.011)).read(0)
+    assert (got.x, got.v) == ((0.011,), (0.0,))
+    assert got.f == pytest.approx((3.0,))
+
+
+def test_it_moves_as_the_equation_of_motion_says() -> None:
+    """M a + b v = f_s - f_env, with f_env the tissue's spring and damper, integrated by DOP853."""
+    held = [(3.0 * float(np.sin(0.2 * k)),) for k in range(60)]
+    got = readings(SimulatedSlave(scene()), held)
+    x, v = 0.0, 0.0
+    for k in range(len(held) - 1):
+        def rate(t: float, s: Any, f: float = held[k][0]) -> list[float]:
+            return [s[1], (f - 300.0 * (s[0] - 0.001) - 2.0 * s[1] - 1.0 * s[1]) / 0.5 + 0.0 * t]
+
+        x, v = solve_ivp(rate, (0.0, 1e-3), (x, v), method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+        assert got[k + 1].x[0] == pytest.approx(x, abs=1e-12)
+        assert got[k + 1].v[0] == pytest.approx(v, abs=1e-10)
+        assert got[k + 1].f == pytest.approx((300.0 * (x - 0.001) + 2.0 * v,), abs=1e-9)
+
+
+@pytest.mark.parametrize("environment", [
+    None, TISSUE, Wall(k=2e4, d=5.0, at=0.002), (Wall(k=5e3, at=-0.001, side=-1), None, TISSUE),
+], ids=["free", "tissue", "wall", "three axes"])
+def test_given_the_forces_of_a_virtual_run_it_reads_that_run_to_the_bit(environment: Any) -> None:
+    axes = len(environment) if isinstance(environment, tuple) else 1
+    told = scene(environment=environment, axes=axes, start_m=0.03 if axes == 1 else (-0.02, 0.01, 0.02))
+    trace = run(told).trace
+
+    def rows(name: str) -> list[tuple[float, ...]]:
+        return [tuple(row) for row in trace[name].reshape(told.ticks, -1).tolist()]
+
+    got = readings(SimulatedSlave(told), rows("f_s"))
+    for name, read in (("x_s", [r.x for r in got]), ("v_s", [r.v for r in got]), ("f_env", [r.f for r in got])):
+        assert read == rows(name), name
+    assert environment is None or max(np.abs(trace["f_env"]).ravel()) > 0.0
+
+
+def test_over_ticks_that_are_left_out_the_force_goes_on() -> None:
+    every, some = SimulatedSlave(scene()), SimulatedSlave(scene())
+    for robot in (every, some):
+        robot.hold((1.5,))
+    step = [every.read(k) for k in range(41)]
+    assert some.read(7) == step[7]
+    assert some.read(40) == step[40]
+
+
+def test_without_a_use_for_a_force_sensor_it_has_none() -> None:
+    assert SimulatedSlave(scene(law=Wave())).read(5).f is None
