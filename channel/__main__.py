@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from channel.link import describe
 from channel.relay import Relay
-from teleop.live.address import Address, address, bound, peer_address, shown
+from teleop.live.address import Address, address, bound, peer_address, shown, towards
+from teleop.live.interrupt import Interrupt
 from teleop.live.ticker import Alarm
 from teleop.live.wire import DRAIN, Wire
 from teleop.options import Parser, guarded, knobs_from, scene_options
@@ -44,18 +45,16 @@ class RelayShell:
         self._busy_ns = 0  # when the session's last message came
         self._alarm: Alarm | None = None
         self._set_to: int | None = None
-        self._over = asyncio.Event()
         self._broken: Exception | None = None
 
-    async def run(self) -> None:
+    async def run(self, interrupt: Interrupt) -> None:
         """Relay until Ctrl-C or SIGTERM."""
         loop = asyncio.get_running_loop()
-        for name in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(name, self._over.set)
         self._alarm = Alarm(loop, lambda: self._guarded(self._rang))
         for direction, wire in enumerate(self.wires):
             loop.add_reader(wire.sock, self._guarded, self._drain, direction)
-        await self._over.wait()
+        while interrupt.name is None and self._broken is None:
+            await asyncio.sleep(0.05)
         self._deliver()
         for wire in self.wires:
             loop.remove_reader(wire.sock)
@@ -69,14 +68,13 @@ class RelayShell:
             callback(*arguments)
         except Exception as error:
             self._broken = self._broken or error
-            self._over.set()
 
     def _drain(self, direction: int) -> None:
         for _ in range(DRAIN):
             got = self.wires[direction].receive()
             if got is None:
                 break
-            self._take(direction, *got, time.monotonic_ns())
+            self._take(direction, *got)
         self._deliver()
 
     def _take(self, direction: int, data: bytes, sender: Address, now: int) -> None:
@@ -135,16 +133,17 @@ def _run(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     scene = load_scene(args.scene, **knobs_from(args))
     peer = peer_address(args.peer)
-    near = Wire(bound(address(args.listen, "--listen"), "--listen"), None)
-    far = Wire(bound(("127.0.0.1" if peer[0].startswith("127.") else "0.0.0.0", 0), "--peer"), peer)
-    shell = RelayShell(scene, args.seed, near, far)
-    at = near.sock.getsockname()[:2]
-    if args.json:
-        _event("listening", address=shown(at), port=at[1])
-    else:
-        print(f"channel: {scene.link or 'no link'}; {shown(at)} <-> {shown(peer)}; start the master with: "
-              f"python -m master {args.scene} --peer {shown(at)}", flush=True)
-    asyncio.run(shell.run())
+    with bound(address(args.listen, "--listen"), "--listen") as near, towards(peer) as far, Interrupt() as interrupt:
+        shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer))
+        at = near.getsockname()[:2]
+        if args.json:
+            _event("listening", address=shown(at), port=at[1])
+        else:
+            link: Any = scene.link  # a scene asks less of its link than a text does
+            water = "no link" if link is None else describe(link)
+            print(f"channel: {water}; {shown(at)} <-> {shown(peer)}; start the master with: "
+                  f"python -m master {args.scene} --peer {shown(at)}", flush=True)
+        asyncio.run(shell.run(interrupt))
     counts = {way: shell.relay.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
     if args.json:
         _event("done", summary={"counts": counts, "foreign": shell.foreign})

@@ -17,7 +17,7 @@ class Bernoulli(Effect):
     """
 
     reorders: ClassVar[bool] = False
-    p: float
+    p: float  # probability of loss
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "p", probability("p", self.p))

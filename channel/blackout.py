@@ -18,10 +18,10 @@ class Blackout(Effect):
     """
 
     reorders: ClassVar[bool] = False
-    start: float
-    duration: float
+    start: float  # s
+    duration: float  # s
     _: KW_ONLY
-    every: float | None = None
+    every: float | None = None  # s from one start to the next; none: once
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", number("start", self.start, low=0.0, high=1e6))

@@ -8,12 +8,13 @@ import numpy as np
 
 from channel.dice import BLOCK, Dice, Ints
 from channel.effect import Effect, by_number, by_time
+from teleop.errors import Refused
 
 Rows = tuple[Ints, Ints]
 
 
 def check_effect(effect: Effect, *, size: int = 100) -> None:
-    """Raises AssertionError with one sentence for the first promise broken.
+    """Raises `Refused` with one sentence for the first promise broken.
 
     Tried on packets sent at 1 kHz, and on a run with ties, gaps, doubled packets and packets out of order:
     rows in and out, cuts into pieces, states carried on twice, dice, and the class's `order` and `reorders`.
@@ -97,4 +98,4 @@ def _same(one: Rows, other: Rows) -> bool:
 
 def _say(kept: bool, effect: Effect, what: str) -> None:
     if not kept:
-        raise AssertionError(f"{effect!r} {what}")
+        raise Refused(f"{effect!r} {what}")

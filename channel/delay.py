@@ -14,7 +14,7 @@ class Delay(Effect):
     """Every packet leaves `delay` s after it entered (to the nearest ns; 0 to 3600 s)."""
 
     reorders: ClassVar[bool] = False
-    delay: float
+    delay: float  # s
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "delay", seconds("delay", self.delay))

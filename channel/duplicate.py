@@ -17,9 +17,9 @@ class Duplicate(Effect):
     Effects behind it meet both copies with the same dice: both are lost, or late by the same time.
     """
 
-    p: float
+    p: float  # probability of a copy
     _: KW_ONLY
-    after: float = 0.0
+    after: float = 0.0  # s by which the copy is later
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "p", probability("p", self.p))

@@ -21,8 +21,8 @@ class GammaJitter(Effect):
     packet, so packets overtake each other: add `| InOrder()` where they must not.
     """
 
-    mean: float
-    shape: float
+    mean: float  # s
+    shape: float  # 0.05 to 1e6; 1 is exponential
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", seconds("mean", self.mean))

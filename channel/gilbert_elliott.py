@@ -39,11 +39,11 @@ class GilbertElliott(Effect):
     """
 
     reorders: ClassVar[bool] = False
-    p_good_to_bad: float
-    p_bad_to_good: float
+    p_good_to_bad: float  # probability, from one packet to the next
+    p_bad_to_good: float  # the same back
     _: KW_ONLY
-    loss_good: float = 0.0
-    loss_bad: float = 1.0
+    loss_good: float = 0.0  # probability of loss while good
+    loss_bad: float = 1.0  # probability of loss while bad
 
     def __post_init__(self) -> None:
         for name in ("p_good_to_bad", "p_bad_to_good", "loss_good", "loss_bad"):

@@ -10,7 +10,8 @@ are loaded when a text names them.
 from __future__ import annotations
 
 import ast
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
 from channel.effect import Chain, Effect
@@ -32,6 +33,21 @@ EFFECTS = {
     "uniform": "channel.uniform:UniformJitter",
 }
 """What a text may name, and where it is."""
+
+EXAMPLES = {
+    "bernoulli": "bernoulli(0.02)",
+    "blackout": "blackout(4.0, 1.0, every=10.0)",
+    "delay": "delay(0.05)",
+    "duplicate": "duplicate(0.01, after=0.005)",
+    "gamma": "gamma(0.01, 2.0)",
+    "gilbert_elliott": "gilbert_elliott(0.005, 0.05, loss_good=0.0, loss_bad=1.0)",
+    "in_order": "in_order()",
+    "mahimahi": "mahimahi('up.txt', queue=2000, start=0.0)",
+    "normal": "normal(0.01, 0.002)",
+    "ping_log": "ping_log('ping.txt', start=0.0)",
+    "uniform": "uniform(0.02)",
+}
+"""How each is written, with all of its knobs."""
 
 GROUP = "teleop.effects"  # of entry points
 _LONGEST = 10_000  # characters of a text
@@ -88,14 +104,14 @@ def parse_link(text: str) -> Effect | Chain | Link:
 
 
 def describe(link: Effect | Chain | Link) -> str:
-    """The text that `parse_link` reads back to an equal link.
+    """The text that `parse_link` reads back to an equal link; of what has no name there, its `repr`, for the record.
 
     >>> describe(parse_link("delay(delay=0.05)|bernoulli(0.02)"))
     'delay(0.05) | bernoulli(0.02)'
     """
     if isinstance(link, Link):
         return f"{describe(link.forward)} ; {describe(link.backward)}"
-    return " | ".join(_call(effect) for effect in link.way(0))
+    return " | ".join(map(_call, link.way(0))) if isinstance(link, Effect | Chain) else repr(link)
 
 
 def _way(node: ast.AST, text: str) -> Effect | Chain:
@@ -110,12 +126,13 @@ def _way(node: ast.AST, text: str) -> Effect | Chain:
 
 def _effect(node: ast.AST, text: str) -> Effect:
     if isinstance(node, ast.Name):
-        raise Refused(f"the effect {node.id} needs brackets: write {node.id}(...)")
+        made = find("effect", GROUP, EFFECTS, node.id)
+        raise Refused(f"the effect {node.id} needs brackets: {_usage(node.id, made)}")
     if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
         part = ast.unparse(node)[:40]
         raise Refused(f"the link {text[:80]!r} has a part that is no effect, {part!r}; {_FORM}")
     name = node.func.id
-    made: type[Effect] = find("effect", GROUP, EFFECTS, name)
+    made = find("effect", GROUP, EFFECTS, name)
     effect: Effect = made(**_arguments(name, made, node))
     return effect
 
@@ -123,23 +140,29 @@ def _effect(node: ast.AST, text: str) -> Effect:
 def _arguments(name: str, made: type[Effect], node: ast.Call) -> dict[str, Any]:
     """The call's arguments by name; whether their values are any good the effect says itself."""
     knobs = _knobs(made)
-    usage = f"{name}({', '.join(knob if needed else f'{knob}=...' for knob, (needed, _) in knobs.items())})"
+    usage = _usage(name, made)
     in_place = [knob for knob, (_, by_name) in knobs.items() if not by_name]
     if len(node.args) > len(in_place) or any(isinstance(arg, ast.Starred) for arg in node.args):
-        raise Refused(f"{name} takes at most {len(in_place)} arguments without their names: write {usage}")
+        raise Refused(f"{name} takes at most {len(in_place)} arguments without their names: {usage}")
     given = dict(zip(in_place, node.args, strict=False))
     for keyword in node.keywords:
         if keyword.arg is None or keyword.arg in given or keyword.arg not in knobs:
             twice = "twice " if keyword.arg in given else ""
-            raise Refused(f"{name} does not take {keyword.arg or '**'} {twice}as an argument: write {usage}")
+            raise Refused(f"{name} does not take {keyword.arg or '**'} {twice}as an argument: {usage}")
         given[keyword.arg] = keyword.value
     missing = [knob for knob, (needed, _) in knobs.items() if needed and knob not in given]
     if missing:
-        raise Refused(f"{name} needs {' and '.join(missing)}: write {usage}")
+        raise Refused(f"{name} needs {' and '.join(missing)}: {usage}")
     try:
         return {knob: ast.literal_eval(value) for knob, value in given.items()}
     except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):
-        raise Refused(f"the arguments of {name} must be numbers or texts in quotes: write {usage}") from None
+        raise Refused(f"the arguments of {name} must be numbers or texts in quotes: {usage}") from None
+
+
+def _usage(name: str, made: type[Any]) -> str:
+    """What to write for an effect; of a plug-in's only the names of its arguments are known."""
+    named = ", ".join(knob if needed else f"{knob}=..." for knob, (needed, _) in _knobs(made).items())
+    return f"write for example {EXAMPLES.get(name, f'{name}({named})')}"
 
 
 def _knobs(made: type[Any]) -> dict[str, tuple[bool, bool]]:
@@ -149,11 +172,17 @@ def _knobs(made: type[Any]) -> dict[str, tuple[bool, bool]]:
 
 def _call(effect: Effect) -> str:
     where = f"{type(effect).__module__}:{type(effect).__name__}"
-    name = next((name for name, home in EFFECTS.items() if home == where), None)
-    if name is None:
-        raise Refused(f"{effect!r} has no name in a link's text; there are: {', '.join(EFFECTS)}")
-    given = [(knob.name, getattr(effect, knob.name)) for knob in fields(effect)  # type: ignore[arg-type]
+    # The installed packages are looked through only for what is not built in.
+    name = _named(EFFECTS, where) or _named(known_effects(), where)
+    if name is None or not is_dataclass(effect):
+        return repr(effect)
+    given = [(knob.name, getattr(effect, knob.name)) for knob in fields(effect)
              if knob.init and getattr(effect, knob.name) != knob.default]
-    if len(given) == 1 and given[0][0] == fields(effect)[0].name:  # type: ignore[arg-type]
+    if len(given) == 1 and given[0][0] == fields(effect)[0].name:
         return f"{name}({given[0][1]!r})"
     return f"{name}({', '.join(f'{knob}={value!r}' for knob, value in given)})"
+
+
+def _named(effects: Mapping[str, str], where: str) -> str | None:
+    """The name under which the class at `where` is known."""
+    return next((name for name, home in effects.items() if home == where), None)

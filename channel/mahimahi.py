@@ -31,10 +31,10 @@ class Mahimahi(Effect):
 
     order: ClassVar[Order] = "time"
     reorders: ClassVar[bool] = False
-    path: str
+    path: str  # file, a delivery trace
     _: KW_ONLY
-    queue: int = 2000
-    start: float = 0.0
+    queue: int = 2000  # packets that find room to wait
+    start: float = 0.0  # s of it to skip
     crc: int = field(init=False, repr=False)
     """Of the file: other contents under the same path are another effect."""
     _ms: Ints = field(init=False, repr=False, compare=False)

@@ -21,8 +21,8 @@ class NormalJitter(Effect):
     `| InOrder()` where they must not.
     """
 
-    mean: float
-    sigma: float
+    mean: float  # s
+    sigma: float  # s, standard deviation
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", seconds("mean", self.mean))

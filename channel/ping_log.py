@@ -32,9 +32,9 @@ class PingLog(Effect):
     Refused: a file that is missing, no text, empty, cut off in a line, out of order, or without time stamps.
     """
 
-    path: str
+    path: str  # file, what `ping -D` wrote
     _: KW_ONLY
-    start: float = 0.0
+    start: float = 0.0  # s of it to skip
     crc: int = field(init=False, repr=False)
     """Of the file: other contents under the same path are another effect."""
     _sent: Ints = field(init=False, repr=False, compare=False)  # ns from the first probe

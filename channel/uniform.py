@@ -18,7 +18,7 @@ class UniformJitter(Effect):
     `| InOrder()` where they must not.
     """
 
-    width: float
+    width: float  # s
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", seconds("width", self.width))

@@ -15,21 +15,21 @@ from teleop.scene import Scene
 
 def scene(
     *,
-    law: Law = Wave(),
-    delay: float = 0.03,
-    dark_from: float = 4.0,
-    dark_for: float = 1.0,
-    k_e: float = 5e3,
-    d_e: float = 10.0,
-    wall: float = 0.03,
-    to: float = 0.06,
-    timeout: float = 0.2,
-    f_max: float = 20.0,
-    slew: float = 2000.0,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 10.0,
+    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
+    delay: float = 0.03,  # s, each way
+    dark_from: float = 4.0,  # s, when the link goes
+    dark_for: float = 1.0,  # s, how long it is gone
+    k_e: float = 5e3,  # N/m, stiffness of the wall
+    d_e: float = 10.0,  # N s/m, damping of the wall
+    wall: float = 0.03,  # m, where its surface is
+    to: float = 0.06,  # m, where the hand reaches, beyond the wall
+    timeout: float = 0.2,  # s of silence after which the watchdogs let go
+    f_max: float = 20.0,  # N, most force of either end
+    slew: float = 2000.0,  # N/s, most change of either force
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 10.0,  # s
 ) -> Scene:
     """A hand presses a wall; for a second nothing gets through: the watchdogs let go, then take hold again."""
     return Scene(

@@ -13,19 +13,19 @@ from teleop.scene import Scene
 
 def scene(
     *,
-    law: Law = Wave(b=2.0, K=500.0, B=20.0),
-    delay: float = 0.05,
-    k_e: float = 5000.0,
-    d_e: float = 5.0,
-    wall: float = 0.03,
-    amplitude: float = 0.05,
-    frequency: float = 1.0,
-    k_h: float = 200.0,
-    d_h: float = 5.0,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 10.0,
+    law: Law = Wave(b=2.0, K=500.0, B=20.0),  # control law: direct, pfra, wave or one of a plug-in
+    delay: float = 0.05,  # s, each way
+    k_e: float = 5000.0,  # N/m, stiffness of the wall
+    d_e: float = 5.0,  # N s/m, damping of the wall
+    wall: float = 0.03,  # m, where its surface is
+    amplitude: float = 0.05,  # m, of the hand's swing
+    frequency: float = 1.0,  # Hz, of the hand's swing
+    k_h: float = 200.0,  # N/m, stiffness of the hand's grip
+    d_h: float = 5.0,  # N s/m, damping of the hand's grip
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 10.0,  # s
 ) -> Scene:
     """A hand swings a master at 1 Hz; the slave meets a wall that it cannot pull on."""
     return Scene(

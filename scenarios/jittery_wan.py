@@ -17,22 +17,22 @@ from teleop.scene import Playout, Scene
 
 def scene(
     *,
-    law: Law = Wave(),
-    delay: float = 0.04,
-    jitter: float = 0.02,
-    loss: float = 0.02,
-    playout: Playout = Fixed(0.065),
-    k_e: float = 5e3,
-    d_e: float = 10.0,
-    wall: float = 0.03,
-    to: float = 0.06,
-    timeout: float = 0.2,
-    f_max: float = 20.0,
-    slew: float = 2000.0,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 10.0,
+    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
+    delay: float = 0.04,  # s, each way
+    jitter: float = 0.02,  # s, each packet up to so much later
+    loss: float = 0.02,  # probability
+    playout: Playout = Fixed(0.065),  # zero, hold, or fixed:SECONDS from sending to playing
+    k_e: float = 5e3,  # N/m, stiffness of the wall
+    d_e: float = 10.0,  # N s/m, damping of the wall
+    wall: float = 0.03,  # m, where its surface is
+    to: float = 0.06,  # m, where the hand reaches, beyond the wall
+    timeout: float = 0.2,  # s of silence after which the watchdogs let go
+    f_max: float = 20.0,  # N, most force of either end
+    slew: float = 2000.0,  # N/s, most change of either force
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 10.0,  # s
 ) -> Scene:
     """A hand reaches for a wall over a link that jitters and loses; a fixed playout delay puts order back."""
     return Scene(

@@ -12,15 +12,15 @@ from teleop.scene import Scene
 
 def scene(
     *,
-    law: Law = Wave(),
-    k_e: float = 2e4,
-    d_e: float = 10.0,
-    wall: float = 0.03,
-    to: float = 0.06,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 10.0,
+    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
+    k_e: float = 2e4,  # N/m, stiffness of the wall
+    d_e: float = 10.0,  # N s/m, damping of the wall
+    wall: float = 0.03,  # m, where its surface is
+    to: float = 0.06,  # m, where the hand reaches, beyond the wall
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 10.0,  # s
 ) -> Scene:
     """A hand reaches for a hard wall with nothing in between but one tick."""
     return Scene(

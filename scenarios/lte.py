@@ -19,24 +19,24 @@ from teleop.scene import Playout, Scene
 
 def scene(
     *,
-    up: Path,
-    down: Path,
-    law: Law = Wave(),
-    delay: float = 0.02,
-    queue: int = 300,
-    start: float = 0.0,
-    playout: Playout = Fixed(0.12),
-    k_e: float = 5e3,
-    d_e: float = 10.0,
-    wall: float = 0.03,
-    to: float = 0.06,
-    timeout: float = 0.5,
-    f_max: float = 20.0,
-    slew: float = 2000.0,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 10.0,
+    up: Path,  # file, delivery trace from master to slave
+    down: Path,  # file, delivery trace from slave to master
+    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
+    delay: float = 0.02,  # s, each way
+    queue: int = 300,  # packets that find room to wait
+    start: float = 0.0,  # s of the recordings to skip
+    playout: Playout = Fixed(0.12),  # zero, hold, or fixed:SECONDS from sending to playing
+    k_e: float = 5e3,  # N/m, stiffness of the wall
+    d_e: float = 10.0,  # N s/m, damping of the wall
+    wall: float = 0.03,  # m, where its surface is
+    to: float = 0.06,  # m, where the hand reaches, beyond the wall
+    timeout: float = 0.5,  # s of silence after which the watchdogs let go
+    f_max: float = 20.0,  # N, most force of either end
+    slew: float = 2000.0,  # N/s, most change of either force
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 10.0,  # s
 ) -> Scene:
     """A hand reaches for a wall over recorded packet-delivery traces (mahimahi format)."""
     return Scene(

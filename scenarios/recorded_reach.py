@@ -17,19 +17,19 @@ from teleop.scene import Scene
 
 def scene(
     *,
-    law: Law = PFRA(alpha=0.2),
-    motion: Path = Path(__file__).with_name("reach.csv"),
-    delay: float = 0.05,
-    k_e: float = 2e3,
-    d_e: float = 10.0,
-    wall: float = 0.04,
-    timeout: float = 0.2,
-    f_max: float = 20.0,
-    slew: float = 2000.0,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 6.0,
+    law: Law = PFRA(alpha=0.2),  # control law: direct, pfra, wave or one of a plug-in
+    motion: Path = Path(__file__).with_name("reach.csv"),  # file, the recorded motion: CSV of t, x, y, z
+    delay: float = 0.05,  # s, each way
+    k_e: float = 2e3,  # N/m, stiffness of the wall
+    d_e: float = 10.0,  # N s/m, damping of the wall
+    wall: float = 0.04,  # m, where its surface is
+    timeout: float = 0.2,  # s of silence after which the watchdogs let go
+    f_max: float = 20.0,  # N, most force of either end
+    slew: float = 2000.0,  # N/s, most change of either force
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 6.0,  # s
 ) -> Scene:
     """A hand that follows a recording drives a slave along a wall; the reflected force is a vector."""
     return Scene(

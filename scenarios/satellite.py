@@ -14,19 +14,19 @@ from teleop.scene import Scene
 
 def scene(
     *,
-    law: Law = Wave(b=5.0),
-    delay: float = 0.3,
-    k_e: float = 2e3,
-    d_e: float = 10.0,
-    wall: float = 0.03,
-    to: float = 0.06,
-    timeout: float = 0.5,
-    f_max: float = 20.0,
-    slew: float = 2000.0,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 20.0,
+    law: Law = Wave(b=5.0),  # control law: direct, pfra, wave or one of a plug-in
+    delay: float = 0.3,  # s, each way
+    k_e: float = 2e3,  # N/m, stiffness of the wall
+    d_e: float = 10.0,  # N s/m, damping of the wall
+    wall: float = 0.03,  # m, where its surface is
+    to: float = 0.06,  # m, where the hand reaches, beyond the wall
+    timeout: float = 0.5,  # s of silence after which the watchdogs let go
+    f_max: float = 20.0,  # N, most force of either end
+    slew: float = 2000.0,  # N/s, most change of either force
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 20.0,  # s
 ) -> Scene:
     """A slow reach for a wall when the touch comes back 0.6 s later."""
     return Scene(

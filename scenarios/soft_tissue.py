@@ -13,16 +13,16 @@ from teleop.scene import Scene
 
 def scene(
     *,
-    law: Law = Wave(),
-    delay: float = 0.05,
-    k_e: float = 200.0,
-    d_e: float = 2.0,
-    amplitude: float = 0.05,
-    frequency: float = 0.5,
-    observer: float | None = 200.0,
-    energy: bool = True,
-    dt: float = 1e-3,
-    duration: float = 10.0,
+    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
+    delay: float = 0.05,  # s, each way
+    k_e: float = 200.0,  # N/m, stiffness of the tissue
+    d_e: float = 2.0,  # N s/m, damping of the tissue
+    amplitude: float = 0.05,  # m, of the hand's swing
+    frequency: float = 0.5,  # Hz, of the hand's swing
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledgers
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 10.0,  # s
 ) -> Scene:
     """A hand moves tissue to and fro through the slave that holds it."""
     return Scene(

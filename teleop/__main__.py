@@ -1,4 +1,4 @@
-"""The command line: `teleop run | demo | list | report`."""
+"""The command line: `teleop run | demo | precision | stability | list | report`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from teleop.options import DONE, Parser, guarded, knobs_from, scene_options
+from teleop.options import DONE, Parser, guarded, knobs_from, scene_options, whole
 
 if TYPE_CHECKING:
     from teleop.result import Result
@@ -19,6 +19,8 @@ examples:
   teleop run canonical --set law=pfra --set law.alpha=0.2 --set delay=0.1 --plot
   teleop run hard_wall --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)' --seed 7 --json
   teleop demo jittery_wan
+  teleop precision hard_wall --set k_e=1e6
+  teleop stability soft_tissue --set law=direct --critical k_e
   teleop list hard_wall
   teleop report runs/hard_wall-1
 """
@@ -59,6 +61,51 @@ def _run(args: Namespace) -> None:
     _tell(args, replace(result, path=out))
 
 
+def _precision(args: Namespace) -> None:
+    from time import monotonic, perf_counter_ns
+
+    from teleop.console import Progress
+    from teleop.figure import drawable
+    from teleop.folder import new_folder, numbered
+    from teleop.precision import measure
+    from teleop.precision_report import summary, table, write
+    from teleop.scene import load_scene
+
+    scene = load_scene(args.scene, **knobs_from(args))
+    out = Path(args.out) if args.out is not None else numbered(Path("runs"), f"{scene.name}-precision")
+    line = Progress(sys.stderr, 1.0)
+
+    def show(part: float, text: str) -> None:
+        if not args.json:
+            line.show(part, monotonic(), text)
+
+    with new_folder(out) as inside:
+        try:
+            got = measure(scene, seed=args.seed, clock=perf_counter_ns, rounds=args.rounds, show=show)
+        finally:
+            line.end()
+        write(got, inside, args.typed)
+        if drawable():
+            from teleop.precision_figure import draw
+
+            draw(got, inside / "precision.png")
+    if args.json:
+        _say_object({**summary(got, args.typed), "path": str(out)})
+    else:
+        _say(f"{table(got)}\nwritten to {out}")
+
+
+def _stability(args: Namespace) -> None:
+    from teleop.stability_report import ask, summary, table
+
+    answer = ask(args.scene, knobs_from(args), seed=args.seed, in_time=args.time, continuous=args.continuous,
+                 knob=args.critical, span=args.range, tol=args.tol)
+    if args.json:
+        _say_object({**summary(answer), "command": args.typed})
+    else:
+        _say(table(answer))
+
+
 def _demo(args: Namespace) -> None:
     from teleop.live.demo import demo
 
@@ -79,6 +126,9 @@ def _list(args: Namespace) -> None:
 def _report(args: Namespace) -> None:
     from teleop.result import load_result
 
+    if args.slave is not None:
+        _put_together(args)
+        return
     result = load_result(args.run)
     if args.json:
         from json import loads
@@ -87,6 +137,21 @@ def _report(args: Namespace) -> None:
         return
     _tell(args, result)
     _draw_if_possible(args, result, Path(args.run))
+
+
+def _put_together(args: Namespace) -> None:
+    from dataclasses import replace
+
+    from teleop.folder import new_folder
+    from teleop.live.merge import merge, scene_of
+
+    result = merge(scene_of(Path(args.run)), Path(args.run), Path(args.slave))
+    args.scene = result.scene
+    out = _out(args)
+    with new_folder(out) as inside:
+        result.write(inside, args.typed)
+    _tell(args, replace(result, path=out))
+    _draw_if_possible(args, result, out)
 
 
 def _draw_if_possible(args: Namespace, result: Result, folder: Path) -> None:
@@ -113,9 +178,13 @@ def _tell(args: Namespace, result: Result) -> None:
 
 
 def _say_json(summary: dict[str, Any], result: Result) -> None:
+    _say_object({**summary, "path": str(result.path)})
+
+
+def _say_object(value: dict[str, Any]) -> None:
     from json import dumps
 
-    _say(dumps({**summary, "path": str(result.path)}, allow_nan=False, default=str))
+    _say(dumps(value, allow_nan=False, default=str))
 
 
 def _say(text: str) -> None:
@@ -170,10 +239,32 @@ def _parser() -> ArgumentParser:
         sub.add_argument("--plot", action="store_true", help="draw figure.png too (needs the extra `plot`)")
     demo.add_argument("--lockstep", action="store_true",
                       help="step both ends together over UDP: bit for bit what `teleop run` gives")
+    precision = command("precision", _precision,
+                        "Measure error against run time: the exact steps beside every other way to integrate.")
+    scene_options(precision)
+    precision.add_argument("--out", metavar="DIR", help="the new folder to write; default runs/SCENE-precision-NUMBER")
+    precision.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    precision.add_argument("--rounds", metavar="N", type=whole,
+                           help="how often each is timed; left out: as often, and as many, as fit into a minute")
+    stable = command("stability", _stability,
+                     "Count the unstable roots of a linear scene's exact sampled loop, and find its margins.")
+    scene_options(stable)
+    stable.add_argument("--critical", metavar="KNOB", help="find the value of this knob at which the verdict changes")
+    stable.add_argument("--range", metavar="LOW:HIGH", help="where to look for it; left out: a hundredth of the "
+                        "knob's own value to a hundred times that")
+    stable.add_argument("--tol", metavar="X", help="how closely, in the knob's unit; left out: 1e-6 of the value "
+                        "(with --time 1e-3)")
+    stable.add_argument("--continuous", action="store_true", help="the delay margin in continuous time too")
+    stable.add_argument("--time", action="store_true",
+                        help="judge by a run in virtual time: for scenes that are not linear")
+    stable.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     listing = command("list", _list, "List scenes, laws and effects, or the knobs of one of them.")
     listing.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law or an effect")
     report = command("report", _report, "Show a stored run again, and draw it if the extra `plot` is there.")
-    report.add_argument("run", metavar="RUN", help="the folder that a run wrote")
+    report.add_argument("run", metavar="RUN", help="the folder that a run wrote; or that of a master that ran by hand")
+    report.add_argument("slave", metavar="SLAVE", nargs="?",
+                        help="the folder of the slave of that master: puts the two ends together, as a new run")
+    report.add_argument("--out", metavar="DIR", help="with SLAVE: the new folder to write; default runs/SCENE-NUMBER")
     report.add_argument("--json", action="store_true", help="print the stored summary and nothing else")
     return parser
 

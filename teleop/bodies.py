@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene import Scene
 
 if TYPE_CHECKING:
     from teleop.plant import Plant
+
+
+class Bodies(NamedTuple):
+    """What moves between two ticks of a run in virtual time."""
+
+    master: Any  # the coefficients of the master's motion and of its grip's force
+    slaves: list[Plant]  # for each axis
+    instead: Mapping[str, Any] = MappingProxyType({})  # of the functions that the tick's text names, by those names
+
+
+def exact_bodies(scene: Scene) -> Bodies:
+    """The scene's own bodies, without an error of integration."""
+    return Bodies(master_plant(scene), slave_plants(scene))
 
 
 def master_plant(scene: Scene) -> Any:

@@ -69,17 +69,20 @@ def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:
 
 def _energy(key: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
-        got = result.metrics
-        if f"{key}_min" in got:
-            yield f"{si(got[f'{key}_min'], 'J')} smallest, {si(got[f'{key}_end'], 'J')} at the end"
+        # A run that diverges may end with a sum that is not finite, and then has no figure for its end.
+        said = [f"{si(result.metrics[name], 'J')} {word}"
+                for name, word in ((f"{key}_min", "smallest"), (f"{key}_end", "at the end")) if name in result.metrics]
+        if said:
+            yield ", ".join(said)
 
     return tell
 
 
 def _delay(result: Result) -> Iterator[str]:
     got = result.metrics
-    if any(f"fresh_{way}" in got for _, way in _WAYS):
-        yield ", ".join(f"{_seen(got, way)} {word}" for word, way in _WAYS)
+    heard = [(word, way) for word, way in _WAYS if f"fresh_{way}" in got]  # of one end alone, one way
+    if heard:
+        yield ", ".join(f"{_seen(got, way)} {word}" for word, way in heard)
 
 
 def _seen(got: Mapping[str, float], way: str) -> str:
@@ -96,7 +99,7 @@ def _packets(result: Result) -> Iterator[str]:
 
 
 def _counts(packets: Packets) -> str:
-    said = [f"{packets.sent} sent", f"{packets.received} received"]
+    said = [f"{packets.sent} sent"] * (packets.sent > 0) + [f"{packets.received} received"]
     for key, word in _COUNTS:
         count = getattr(packets, key)
         said += [f"{count} {word}"] * (count > 0 or key in ("lost", "late"))

@@ -134,7 +134,10 @@ class Endpoint:
         self._dt = dt
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
-        """Take a datagram from the wire; the datagrams to send back at once. Never raises on any bytes."""
+        """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
+
+        It is played from the first tick at or after its coming on, even if that tick runs late.
+        """
         packet = decode(data, self._width)
         if isinstance(packet, Rejection):
             self.rejected[packet.value] += 1
@@ -155,7 +158,8 @@ class Endpoint:
                 self.rtt.add(now - packet.echo.sent_ns - packet.echo.held_ns)
         if self._newest is None or packet.sent_ns > self._newest[0]:
             self._newest = (packet.sent_ns, now)
-        self.inbox.put(packet.seq, self._tick + 1, Heard(self._message(packet.payload), packet.E_in))
+        tick = -((self.session.start_ns - now) // self.scene.dt_ns)  # rounded up
+        self.inbox.put(packet.seq, max(tick, self._tick + 1), Heard(self._message(packet.payload), packet.E_in))
         return []
 
     def tick(self, k: int, now: int, reading: Reading) -> Tick:

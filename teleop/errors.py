@@ -8,11 +8,27 @@ written; what happens *during* a run is a status of the run, never an exception.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import isfinite
+from math import inf, isfinite
+from numbers import Real
 
 
 class Refused(ValueError):
     """A request that cannot be carried out as it stands; the text is the whole answer."""
+
+
+class WrongNumber(Refused):
+    """A refused number: what it is called, what it is, what it must be, and an example of one that would do."""
+
+    def __init__(self, name: str, value: object, must: str, example: float | None) -> None:
+        shown = f"{value:g}" if type(value) is float else repr(value)
+        typed = name.rpartition(" ")[2]
+        cure = "leave it out to use its default" if example is None else f"write for example {typed}={example:g}"
+        super().__init__(f"{name} must be {must}, not {shown}; {cure}")
+        self.name, self.value, self._must, self._example = name, value, must, example
+
+    def called(self, name: str) -> WrongNumber:
+        """The same refusal by another name, the one under which the number was typed."""
+        return WrongNumber(name, self.value, self._must, self._example)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
@@ -24,7 +40,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     names = sorted(known)
-    close = get_close_matches(word, names, n=3, cutoff=0.5)
+    close = get_close_matches(word, names, n=3, cutoff=0.6)
     return f"did you mean {' or '.join(close)}?" if close else f"there are: {', '.join(names)}"
 
 
@@ -32,17 +48,31 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
            high: float | None = None) -> float:
     """`value` as a float, or `Refused` if it is no finite number in the range.
 
-    `low` and `high` are included in the range, `above` is not. A bool is not a number here.
+    `low` and `high` are included in the range, `above` is not. A bool is not a number here, a numpy scalar is.
+
+    >>> number("delay", 3, low=0.0)
+    3.0
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise Refused(f"{name} must be a number, not {value!r}; write for example {name}=1.0")
-    got = float(value)
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise WrongNumber(name, value, "a number", 1.0)
+    try:
+        got = float(value)
+    except OverflowError:  # a whole number beyond all floats
+        got = inf
     if not isfinite(got):
-        raise Refused(f"{name} must be finite, not {got}; leave it out to use its default")
+        raise WrongNumber(name, got, "finite", None)
     if above is not None and got <= above:
-        raise Refused(f"{name} must be above {above:g}, not {got:g}")
+        raise WrongNumber(name, got, f"above {above:g}", above + 1.0 if high is None else min(above + 1.0, high))
     if low is not None and got < low:
-        raise Refused(f"{name} must be at least {low:g}, not {got:g}")
+        raise WrongNumber(name, got, f"at least {low:g}", low)
     if high is not None and got > high:
-        raise Refused(f"{name} must be at most {high:g}, not {got:g}")
+        raise WrongNumber(name, got, f"at most {high:g}", high)
     return got
+
+
+def whole_number(name: str, value: object, *, low: float | None = None, high: float | None = None) -> int:
+    """`value` as an int, or `Refused` if it is no whole number in the range. 3.0 is one."""
+    got = number(name, value, low=low, high=high)
+    if not got.is_integer():
+        raise WrongNumber(name, got, "a whole number", round(got))
+    return int(got)

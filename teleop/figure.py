@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from teleop.result import Result
 
@@ -80,6 +81,11 @@ def draw(result: Result, path: Path) -> None:
         every[-1].set_xlim(0.0, result.trace["t"][-1] + result.dt)
     every[-1].set_xlabel("time (s)")
     figure.align_ylabels()
+    save(figure, path)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write `figure` as the PNG file `path`, whole or not at all. Raises `Refused` if it cannot be written."""
     part = path.with_name(f".{path.name}.part")
     try:
         figure.savefig(part, format="png", metadata={"Software": None})  # the same run gives the same bytes

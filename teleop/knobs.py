@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
-from inspect import signature
+from inspect import Parameter, signature
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints
 
-from teleop.errors import Refused, nearest, number
-from teleop.law import find_law, law_name
+from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
+from teleop.law import BUILT_IN, find_law, law_name
 from teleop.library import house
 from teleop.playout import Fixed, Hold, Zero
 
@@ -19,11 +20,17 @@ _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no"
 
 def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
     """A scene function's knobs: `name -> (type, default)`; the default is `...` where one must be given."""
-    hints = get_type_hints(function)
-    return {
-        p.name: (hints.get(p.name, float), ... if p.default is p.empty else p.default)
-        for p in signature(function).parameters.values()
-    }
+    try:
+        hints = get_type_hints(function)
+    except Exception as error:
+        raise Refused(f"the types of a scene's knobs cannot be read ({error}); import them at the top of its file, "
+                      "outside of `if TYPE_CHECKING:`") from error
+    parameters = signature(function).parameters.values()
+    for p in parameters:
+        if p.kind not in (Parameter.KEYWORD_ONLY, Parameter.POSITIONAL_OR_KEYWORD):
+            raise Refused(f"a scene takes each knob by its name, so `{p}` cannot be one; "
+                          "write for example `def scene(*, k_e: float = 1e3) -> Scene:`")
+    return {p.name: (hints.get(p.name, float), ... if p.default is p.empty else p.default) for p in parameters}
 
 
 def settle(
@@ -96,13 +103,9 @@ def _number(key: str, value: object, *, whole: bool, vector: bool) -> object:
         try:
             value = float(value)
         except ValueError:
-            raise Refused(f"{key} must be a number, not {value!r}; write for example {key}=1.5") from None
-    got = number(key, value)
-    if not whole:
-        return got
-    if got != int(got):
-        raise Refused(f"{key} must be a whole number, not {got:g}")
-    return int(got)
+            what = "one number" if "," in str(value) else "a number"
+            raise Refused(f"{key} must be {what}, not {value!r}; write for example {key}=1.5") from None
+    return whole_number(key, value) if whole else number(key, value)
 
 
 def _law(value: object) -> object:
@@ -117,8 +120,14 @@ def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
     own = [f.name for f in fields(law)]
     for key in changes:
         if key not in own:
-            raise Refused(f"law {law_name(law)} has no knob {key!r}; {nearest(key, own)}")
-    return replace(law, **{k: _number(f"law.{k}", v, whole=False, vector=False) for k, v in changes.items()})
+            whose = [name for name in BUILT_IN if key in [f.name for f in fields(find_law(name))]]  # type: ignore[arg-type]
+            also = f" (law {' and '.join(whose)} has)" if whose else ""
+            raise Refused(f"law {law_name(law)} has no knob {key!r}{also}; {nearest(key, own)}")
+    values = {key: _number(f"law.{key}", value, whole=False, vector=False) for key, value in changes.items()}
+    try:
+        return replace(law, **values)
+    except WrongNumber as wrong:
+        raise wrong.called(f"law.{wrong.name}") from None
 
 
 def _playout(key: str, value: object) -> Zero | Hold | Fixed:
@@ -130,8 +139,8 @@ def _playout(key: str, value: object) -> Zero | Hold | Fixed:
     if kind in gaps and not rest:
         return gaps[kind]
     if kind == "fixed" and rest and (len(rest) == 1 or rest[1] in gaps):
-        delay = _number(key, rest[0], whole=False, vector=False)
-        return Fixed(delay=delay, gaps=gaps[rest[1]] if len(rest) > 1 else Zero())  # type: ignore[arg-type]
+        with suppress(ValueError):
+            return Fixed(float(rest[0]), gaps[rest[1]] if len(rest) > 1 else Zero())
     raise Refused(f"{key} is zero, hold, fixed:SECONDS or fixed:SECONDS:hold, not {value!r}; write {key}=fixed:0.1")
 
 
@@ -141,4 +150,4 @@ def _link(value: object) -> tuple[str, Any]:
         return "none", None
     if isinstance(value, str):
         return value, module.parse_link(value)
-    return module.describe(value), value
+    return module.describe(value), value  # what is no link, the scene refuses

@@ -87,6 +87,6 @@ def _from_path(path: Path) -> Any:
         spec.loader.exec_module(module)
     except Refused:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise Refused(f"{path} stopped with {type(error).__name__}: {error}; mend it and run again") from error
     return module

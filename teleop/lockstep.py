@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
-from teleop.bodies import master_plant, reference_samples, slave_plants
+from teleop.bodies import Bodies, exact_bodies, reference_samples
 from teleop.errors import Refused
 from teleop.result import Packets, Result
 from teleop.scene import Scene
@@ -16,24 +17,30 @@ if TYPE_CHECKING:
     from teleop.playout import Plan
 
 
-def run(scene: Scene, *, seed: int = 0, clock: Callable[[], int] | None = None) -> Result:
+def run(
+    scene: Scene, *, seed: int = 0, clock: Callable[[], int] | None = None, bodies: Bodies | None = None
+) -> Result:
     """Run `scene` in virtual time.
 
     `seed` (0 .. 2^64-1) keys every random draw of the link. `clock` returns nanoseconds and times the loop
-    alone; without it the result has no run time. A run that diverges ends early and says so in its status.
+    alone; without it the result has no run time. `bodies` are others than the exact ones, for comparison. A run
+    that diverges ends early and says so in its status.
     """
-    check_seed(seed)
+    if not isinstance(scene, Scene):
+        raise Refused(f"give run a Scene, not {scene!r}; write for example run(load_scene('canonical'))")
+    seed = check_seed(seed)
     has = features(scene)
-    plants = [(plant.move, plant.force, plant.c) for plant in slave_plants(scene)]
+    bodies = bodies or exact_bodies(scene)
+    plants = [(plant.move, plant.force, plant.c) for plant in bodies.slaves]
     forth, back = link_plans(scene, seed)
     lag = max((plan.lag for plan in (forth, back) if plan is not None), default=0)
     rows: dict[str, list[float]] = {"m": [], "s": []}
-    loop = compiled(scene, loop_text(scene), "loop")
+    loop = compiled(scene, loop_text(scene), "loop", bodies.instead)
     arguments = (
         scene, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit,
         scene.vector("start_m", scene.start_m), scene.vector("start_s", scene.start_s),
         back and back.play, forth and forth.play, lag + 1,
-        reference_samples(scene), master_plant(scene), plants, rows["m"].extend, rows["s"].extend,
+        reference_samples(scene), bodies.master, plants, rows["m"].extend, rows["s"].extend,
     )
     began = clock() if clock else 0
     ran, capped, end = loop(*arguments)
@@ -44,10 +51,8 @@ def run(scene: Scene, *, seed: int = 0, clock: Callable[[], int] | None = None) 
     }
     trace = assemble(scene, records)
     status, sentence = verdict(scene, trace, ran, end)
-    packets = {
-        "forth": Packets.of_plan(forth) if forth else Packets.without_link(ran),
-        "back": Packets.of_plan(back) if back else Packets.without_link(ran),
-    }
+    # Of a run that ended early, only what was sent until then counts.
+    packets = ways(forth, back, ran) if ran == scene.ticks else packet_counts(scene, seed, ran)
     notes = [f"{capped} ticks had more contact events than are followed in one tick"] if capped else []
     if "waves" in has and "repeats" in has:
         notes.append("playout holds waves in the gaps, which is active: E_link may fall below zero")
@@ -55,34 +60,57 @@ def run(scene: Scene, *, seed: int = 0, clock: Callable[[], int] | None = None) 
                        run_time=None if took is None else took / 1e9, trace=trace, packets=packets, notes=notes)
 
 
-def check_seed(seed: int) -> None:
-    """Refuse what does not key the dice."""
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 1 << 64:
+def check_seed(seed: int) -> int:
+    """The seed as an int, also that of numpy; refuse what does not key the dice."""
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed < 1 << 64:
         raise Refused(f"seed must be a whole number from 0 to 2^64-1, not {seed!r}; write --seed 1")
+    return int(seed)
 
 
-def link_plans(scene: Scene, seed: int) -> tuple[Plan | None, Plan | None]:
-    """What the link and the playout make of each direction: the packet played at every tick."""
+def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> tuple[Plan | None, Plan | None]:
+    """What the link and the playout make of each direction: the packet played at every tick.
+
+    `ticks`: of a run that ended early; what was sent and received until then.
+    """
+    count = scene.ticks if ticks is None else ticks
     if scene.link is None:
         return None, None
     from teleop.playout import plan
 
     plans = []
     for direction in (0, 1):
-        arrivals = scene.link.arrivals(direction, scene.ticks, scene.dt_ns, seed, scene.wire_size)
-        plans.append(plan(scene.playout, arrivals.packet, arrivals.time_ns, scene.ticks, scene.dt_ns))
+        arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)
+        plans.append(plan(scene.playout, arrivals.packet, arrivals.time_ns, count, scene.dt_ns))
     return plans[0], plans[1]
 
 
+def packet_counts(scene: Scene, seed: int, ran: int) -> dict[str, Packets]:
+    """The packets of each direction until tick `ran`, as the schedule has them."""
+    return ways(*link_plans(scene, seed, ran), ran)
+
+
+def ways(forth: Plan | None, back: Plan | None, ran: int) -> dict[str, Packets]:
+    """The counts of two plans by direction; None is no link, which loses nothing."""
+    plans = {"forth": forth, "back": back}
+    return {way: Packets.of_plan(plan) if plan else Packets.without_link(ran) for way, plan in plans.items()}
+
+
 def verdict(scene: Scene, trace: dict[str, Any], ran: int, end: Any) -> tuple[str, str]:
-    """The run's status and its sentence. `end` is None, or the positions that left the bounds."""
+    """The run's status and its sentence. `end` is None, or the positions that left the bounds.
+
+    What is not finite anywhere in the trace is a divergence, even of a run that came to its end.
+    """
+    import numpy as np
+
+    lost = {
+        name: int(np.argmin(sound.reshape(ran, -1).all(axis=1)))
+        for name in ("f_m", "f_s", *trace) if not (sound := np.isfinite(trace[name])).all()
+    }
+    if lost:
+        name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
+        return "diverged", divergence(scene, lost[name], f"{name} is not finite")
     if end is None:
         return "ok", f"ran to its end, {ran} ticks of {scene.dt:g} s"
-    from math import isfinite
-
-    for name in ("f_m", "f_s"):
-        if not all(map(isfinite, trace[name][-1:].ravel())):
-            return "diverged", divergence(scene, ran - 1, f"{name} is not finite")
     far = [name for name, xs in zip(("x_m", "x_s"), end, strict=True) if not all(abs(x) < scene.x_limit for x in xs)]
     return "diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} m")
 

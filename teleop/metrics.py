@@ -28,7 +28,7 @@ MEANING = {
 
 
 def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
-    """Every figure of `UNITS` that the scene has, by name.
+    """Every figure of `UNITS` that the scene has, by name; of one end's trace, those that it is enough for.
 
     Tracking error is `|x_s(k) - x_m(k - d)|` with d the median age, in ticks, at which forward messages were
     played; force error is `|f_m(k) - f_env(k - d)|` with that of the backward ones. Without a link d is 1.
@@ -45,17 +45,31 @@ def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
             out[f"fresh_{way}"] = len(age) / len(trace["t"])
             if len(age):
                 out |= {f"T_{way}_mean": float(age.mean()), f"T_{way}_max": float(age.max())}
-    out |= _error("x_err", trace["x_s"], trace["x_m"], _ticks(trace, dt), _lag(ages["fwd"], dt))
-    out |= _error("f_err", trace["f_m"], trace["f_env"], _ticks(trace, dt), _lag(ages["bwd"], dt))
-    out |= {f"{name}_max": float(_size(trace[name]).max()) for name in ("f_m", "f_s", "f_h", "f_env")}
+    if "x_m" in trace and "x_s" in trace:
+        for name, size in tracking(scene, trace).items():
+            out |= _worst(name, size)
+    forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
+    out |= {f"{name}_max": float(magnitude(trace[name]).max()) for name in forces}
     for ledger in ("E_link", "E_port"):
         if ledger in trace:
             out |= {f"{ledger}_min": float(trace[ledger].min()), f"{ledger}_end": float(trace[ledger][-1])}
     for way, e in (("fwd", "s"), ("bwd", "m")):
-        if f"E_in_{way}" in trace and f"seq_{e}" in trace:
+        if {f"E_in_{way}", f"E_out_{way}", f"seq_{e}"} <= trace.keys():
             out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
     out |= {f"{g}_min": float(trace[g].min()) for g in ("g_m", "g_s") if g in trace}
     return {name: value for name, value in out.items() if np.isfinite(value)}
+
+
+def tracking(scene: Scene, trace: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """Tracking error `x_err` (m) and force error `f_err` (N) at every tick, as `metrics` defines them.
+
+    NaN at the ticks before the other end's value of one delay ago exists.
+    """
+    dt = scene.dt_ns / 1e9
+    ticks = _ticks(trace, dt)
+    forth, back = (_lag(_ages(trace, seq, dt), dt) for seq in ("seq_s", "seq_m"))
+    return {"x_err": _behind(trace["x_s"], trace["x_m"], ticks, forth),
+            "f_err": _behind(trace["f_m"], trace["f_env"], ticks, back)}
 
 
 def _ticks(trace: dict[str, Any], dt: float) -> NDArray[np.int64]:
@@ -80,28 +94,39 @@ def _lag(age: NDArray[np.float64] | None, dt: float) -> int:
 
     if age is None:
         return 1
-    return int(np.floor(np.median(age) / dt + 0.5)) if len(age) else 0
+    return int(np.floor(np.sort(age)[len(age) // 2] / dt + 0.5)) if len(age) else 0
 
 
-def _size(column: NDArray[Any]) -> NDArray[Any]:
-    """Magnitude over the axes."""
+def magnitude(column: NDArray[Any]) -> NDArray[Any]:
+    """Magnitude over the axes, without squares that overflow where the magnitude does not."""
     import numpy as np
 
-    size: NDArray[Any] = np.abs(column) if column.ndim == 1 else np.sqrt((column * column).sum(axis=1))
+    with np.errstate(all="ignore"):  # the last rows of a run that diverged
+        size: NDArray[Any] = np.abs(column) if column.ndim == 1 else np.hypot.reduce(column, axis=1)
     return size
 
 
-def _error(name: str, mine: NDArray[Any], theirs: NDArray[Any], ticks: NDArray[np.int64],
-           lag: int) -> dict[str, float]:
-    """RMS and maximum of `mine(k) - theirs(k - lag)`, from the first tick at which both exist."""
+def _behind(mine: NDArray[Any], theirs: NDArray[Any], ticks: NDArray[np.int64], lag: int) -> NDArray[np.float64]:
+    """Magnitude of `mine(k) - theirs(k - lag)`; NaN before the first tick at which both exist."""
     import numpy as np
 
     at = np.searchsorted(ticks, ticks - lag, side="right") - 1
+    size = np.full(len(ticks), np.nan)
     has = at >= 0
-    if not has.any():
-        return {}
     with np.errstate(all="ignore"):
-        size = _size(mine[has] - theirs[at[has]])
+        size[has] = magnitude(mine[has] - theirs[at[has]])
+    return size
+
+
+def _worst(name: str, size: NDArray[np.float64]) -> dict[str, float]:
+    """RMS and maximum, from the first tick on at which there is an error to speak of."""
+    import numpy as np
+
+    has = np.flatnonzero(~np.isnan(size))
+    if not len(has):
+        return {}
+    size = size[has[0]:]
+    with np.errstate(all="ignore"):
         return {f"{name}_rms": float(np.sqrt(np.mean(size * size))), f"{name}_max": float(size.max())}
 
 
@@ -116,4 +141,5 @@ def _stamped(trace: dict[str, Any], way: str, e: str, dt: float) -> float:
     ok[ok] = ticks[row[ok]] == played[ok]
     if not ok.any():
         return 0.0
-    return float((trace[f"E_in_{way}"][row[ok]] - trace[f"E_out_{way}"][ok]).min())
+    with np.errstate(all="ignore"):
+        return float((trace[f"E_in_{way}"][row[ok]] - trace[f"E_out_{way}"][ok]).min())

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from contextlib import suppress
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from teleop.errors import Refused
+from teleop.errors import Refused, nearest
 
 DONE, WRONG, INTERRUPTED = 0, 2, 130  # exit codes
 
@@ -19,6 +19,14 @@ class Parser(ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise Refused(f"{message}; see {self.prog} --help")
+
+    def _check_value(self, action: Action, value: Any) -> None:
+        """What argparse asks of every value: here also that it is not empty."""
+        if action.choices is not None and value not in action.choices:
+            raise Refused(f"there is no {str(action.metavar).lower()} {value!r}; {nearest(value, action.choices)}")
+        if value == "":
+            where = " ".join([*action.option_strings[:1], str(action.metavar)])
+            raise Refused(f"{where} must not be empty: it is {action.help}")
 
 
 def scene_options(parser: ArgumentParser, *, default: str | None = None) -> None:
@@ -88,11 +96,18 @@ def _let_go_of_output(code: int) -> int:
     return code
 
 
+def whole(text: str) -> int:
+    """A count that is at least 1, as argparse's `type`."""
+    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
+        raise ArgumentTypeError(f"must be a whole number of at least 1, not {text!r}; write for example 3")
+    return int(text)
+
+
 def _seed(text: str) -> int:
     from teleop.lockstep import check_seed
 
     try:
-        seed = int(text) if text.isdecimal() else text
+        seed = int(text) if text.isascii() and text.isdecimal() else text
         check_seed(seed)  # type: ignore[arg-type]  # a text is what it refuses
     except ValueError as error:
         raise ArgumentTypeError(str(error)) from None

@@ -131,7 +131,13 @@ def load_result(folder: Path | str) -> Result:
     """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none."""
     at = Path(folder)
     try:
+        if not (at / "summary.json").is_file() and any(at.glob("**/record.bin")):
+            from teleop.live.merge import recover
+
+            recover(at)  # a live run whose process was killed
         return _read(at)
+    except Refused:
+        raise
     except Exception as error:  # no folder, no JSON, no zip, cut short, of another version
         raise Refused(
             f"{at} holds no complete run ({type(error).__name__}: {error}); give the folder that `teleop run` "

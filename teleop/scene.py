@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
-from teleop.errors import Refused, number
+from teleop.errors import Refused, WrongNumber, number, whole_number
 from teleop.law import Law, law_name, messages
 from teleop.playout import Fixed, Hold, Zero
 
@@ -18,6 +18,16 @@ if TYPE_CHECKING:
     from teleop.safety import Cap, Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
+SHAPES = {  # what is asked of a part of a scene, and what to write for one
+    "law": (("master_start", "master", "slave_start", "slave"), "Wave()"),
+    "master": (("mass", "damping"), "MassDamper(mass=0.1)"),
+    "slave": (("mass", "damping"), "MassDamper(mass=0.5)"),
+    "hand": (("mass", "k", "d", "reference"), "Grip(mass=0.4, k=200.0, d=5.0, reference=Hold())"),
+    "environment": (("plant",), "Wall(k=1e3)"),
+    "link": (("arrivals",), "Delay(0.05)"),
+    "watchdog": (("limits",), "Watchdog(timeout=0.1)"),
+    "cap": (("limits",), "Cap(f_max=20.0)"),
+}
 
 
 class Reference(Protocol):
@@ -96,22 +106,43 @@ class Scene:
     knobs: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        number("dt", self.dt, low=1e-6, high=10.0)
-        number("duration", self.duration, above=0.0)
-        number("x_limit", self.x_limit, above=0.0)
-        if self.observer is not None:
-            number("observer", self.observer, above=0.0)
-        if self.axes not in (1, 2, 3):
-            raise Refused(f"axes must be 1, 2 or 3, not {self.axes!r}")
-        if not self.ticks or self.ticks > MOST_TICKS:
-            raise Refused(
-                f"{self.duration:g} s in ticks of {self.dt:g} s are {self.ticks} ticks; a run has 1 to "
-                f"{MOST_TICKS}: change duration or dt"
-            )
+        for name in ("law", "master", "slave"):
+            _shaped(name, getattr(self, name))
+        for name in ("hand", "link", "watchdog", "cap"):
+            if getattr(self, name) is not None:
+                _shaped(name, getattr(self, name))
+        if not isinstance(self.playout, Zero | Hold | Fixed):
+            raise Refused(f"playout must be Zero(), Hold() or Fixed(...), not {self.playout!r}; "
+                          "write for example playout=Fixed(0.1)")
+        if not isinstance(self.energy, bool):
+            raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
+        self._check_numbers()
+        for each in self.environments:
+            if each is not None:
+                _shaped("environment", each)
+        if len(self.environments) != self.axes:
+            raise Refused(f"environment names {len(self.environments)} axes, the scene has {self.axes}; "
+                          "write None for an axis that touches nothing")
+
+    def _check_numbers(self) -> None:
+        """Refuse what is out of range; what is kept is a float or an int, whatever kind of number it came as."""
+        checked: dict[str, object] = {
+            "dt": number("dt", self.dt, low=1e-6, high=10.0),
+            "duration": number("duration", self.duration, above=0.0),
+            "x_limit": number("x_limit", self.x_limit, above=0.0),
+            "observer": None if self.observer is None else number("observer", self.observer, above=0.0),
+            "axes": whole_number("axes", self.axes, low=1, high=3),
+            "packet_size": None if self.packet_size is None else whole_number(
+                "packet_size", self.packet_size, low=64, high=1200),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        count = self.duration / self.dt  # may be inf, which `ticks` could not count
+        if count > 2.0 * MOST_TICKS or not 1 <= self.ticks <= MOST_TICKS:
+            raise Refused(f"duration={self.duration:g} s in ticks of dt={self.dt:g} s is {count:.10g} ticks; "
+                          f"a run has 1 to {MOST_TICKS}: change duration or dt")
         self.vector("start_m", self.start_m)
         self.vector("start_s", self.start_s)
-        if len(self.environments) != self.axes:
-            raise Refused(f"environment names {len(self.environments)} axes, the scene has {self.axes}")
 
     @property
     def dt_ns(self) -> int:
@@ -134,7 +165,8 @@ class Scene:
         """`value` for each axis; a number means along the first, the others stay 0."""
         values = value if isinstance(value, tuple) else (value, *[0.0] * (self.axes - 1))
         if len(values) != self.axes:
-            raise Refused(f"{name} has {len(values)} entries, the scene has {self.axes} axes")
+            raise Refused(f"{name} has {len(values)} entries, the scene has {self.axes} axes; "
+                          "write a number, which means along the first axis, or one entry for each")
         return tuple(number(name, entry) for entry in values)
 
     @property
@@ -149,20 +181,37 @@ class Scene:
         return "u" in forth._fields and "w" in back._fields
 
     def manifest(self) -> dict[str, str]:
-        """What both ends of a live run must agree on, as text: the first exchange compares it."""
+        """What both ends of a live run must agree on, as text: the first exchange compares it.
+
+        Every part of the scene, every knob, and what the files behind it hold: a scene or a law of the
+        user's own is compared by its source, a recorded motion by its content.
+        """
         from teleop.packet import VERSION
 
+        parts = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("name", "knobs")}
         fixed = {
-            "wire version": VERSION, "scene": self.name, "law": f"{law_name(self.law)} {self.law}",
-            "dt": self.dt, "duration": self.duration, "axes": self.axes, "playout": self.playout,
-            "packet_size": self.wire_size, "watchdog": self.watchdog, "cap": self.cap, "energy": self.energy,
-            "observer": self.observer, "start_m": self.start_m, "start_s": self.start_s,
+            **parts, "wire version": VERSION, "scene": self.name, "law": f"{law_name(self.law)} {self.law}",
+            "packet_size": self.wire_size, "law source": _own_source(self.law),
         }
-        return {key: fingerprint(value) for key, value in {**self.knobs, **fixed}.items()}
+        paths = {str(value): fingerprint(value) for value in self.knobs.values()}
+        texts = {key: fingerprint(value) for key, value in {**self.knobs, **fixed}.items()}
+        for path, content in paths.items():
+            if content != path:  # the same file may lie elsewhere on the other machine
+                texts = {key: text.replace(path, content) for key, text in texts.items()}
+        return texts
+
+
+def _shaped(name: str, part: object) -> None:
+    """Refuse a part that lacks what the run will ask of it."""
+    asked, example = SHAPES[name]
+    if isinstance(part, type) or not all(hasattr(part, each) for each in asked):
+        got = f"the class {part.__name__}" if isinstance(part, type) else repr(part)
+        raise Refused(f"{name} must be something with {', '.join(asked)}, not {got}; "
+                      f"write for example {name}={example}")
 
 
 def fingerprint(value: object) -> str:
-    """A knob as text; a file by its name and what is in it, for it may lie elsewhere on the other machine."""
+    """A knob as text; a file by its name and what is in it."""
     from os import PathLike
 
     if not isinstance(value, PathLike):
@@ -172,6 +221,19 @@ def fingerprint(value: object) -> str:
 
     path = Path(value)
     return f"{path.name} ({sha256(path.read_bytes()).hexdigest()[:12]})"
+
+
+def _own_source(law: object) -> str:
+    """What stands in the file of a law that does not come with this package; built-in ones go by version."""
+    from pathlib import Path
+
+    from teleop import __version__
+    from teleop.law import BUILT_IN
+
+    if law_name(law) in BUILT_IN:
+        return __version__
+    source = Path(type(law).slave.__code__.co_filename)  # type: ignore[attr-defined]  # every law has one
+    return fingerprint(source) if source.is_file() else "not in a file"
 
 
 def load_scene(name: str, /, **knobs: object) -> Scene:
@@ -186,16 +248,15 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
     from teleop.knobs import settle
     from teleop.library import scene_function
 
+    if not isinstance(name, str):
+        raise Refused(f"a scene is named by a text, not {name!r}; write for example load_scene('canonical')")
     function = scene_function(name)
     settled, link = settle(name, function, knobs)
     try:
         scene = function(**settled)
-    except Refused as refused:  # a part of the scene may know a knob by another name
-        if not knobs or any(key in str(refused) for key in knobs):
-            raise
-        asked = ", ".join(f"{key}={value}" for key, value in knobs.items())
-        raise Refused(f"{refused} (asked for: {asked})") from None
-    except Exception as error:
+    except Refused as refused:
+        raise _as_typed(refused, name, {key: settled[key] for key in knobs if key in settled}) from None
+    except (Exception, SystemExit) as error:
         why = f"{type(error).__name__}: {error}"
         raise Refused(f"scene {name} stopped with {why}; mend it and run again") from error
     if not isinstance(scene, Scene):
@@ -204,3 +265,15 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
     if link is None:
         return replace(scene, name=stem, knobs=settled)
     return replace(scene, name=stem, knobs={**settled, "link": str(link[0])}, link=link[1])
+
+
+def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:
+    """A part's refusal in the words of whoever set the knobs: the part may know a knob by another name."""
+    if isinstance(refused, WrongNumber) and refused.name not in given:
+        same = [key for key, value in given.items() if type(value) in (int, float) and value == refused.value]
+        if len(same) == 1:
+            return refused.called(same[0])
+    said = str(refused).replace("=", " ").split()
+    if not given or any(key in said for key in given):
+        return refused
+    return Refused(f"{refused} (scene {name} with {', '.join(f'{key}={value}' for key, value in given.items())})")

@@ -12,7 +12,7 @@ b; the rest is not there to be paid for. A line with `@` is repeated for each ax
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from teleop.law import At, reads
@@ -55,14 +55,20 @@ wave = tx_{e}@.{tx_wave}; E_in_{out} = E_in_{out} + half_dt * (wave * wave)     
 
 LIVE = """
 def live(scene, law, dt, x0, v0, touch0):
+    def observer_over(ticks):                                           #? observe_{e}
+        # after a stall the force was held over several ticks at once  #? observe_{e}
+        return coefficients(scene.observer, scene.master.mass, scene.master.damping, ticks * dt)  #? observe_{e}
     half_dt = 0.5 * dt
     law_{e} = law.{end}
     sums_{e} = law.{end}_sums                                  #? sums_{e}
     <<x_{e}@>>, = x0; <<v_{e}@>>, = v0
     <<{sensor}@>>, = touch0                                    #? sense_{e}
     [START {e}]
+    k_before = -1; c_tick = c_obs                              #? observe_{e}
     k, x, v, touch, got_{e}, newest, rx = yield
     while True:
+        c_obs = c_tick if k == k_before + 1 else observer_over(k - k_before)  #? observe_{e}
+        k_before = k                                           #? observe_{e}
         <<x_{e}@>>, = x; <<v_{e}@>>, = v
         <<{sensor}@>>, = touch                                 #? sense_{e}
         if got_{e}:
@@ -187,8 +193,8 @@ def live_text(scene: Scene, e: str) -> str:
     return _specialise(LIVE, scene, ENDS[e])
 
 
-def compiled(scene: Scene, text: str, name: str) -> Callable[..., Any]:
-    """The function `name` of a text made here, with the parts of the stack that it names."""
+def compiled(scene: Scene, text: str, name: str, instead: Mapping[str, Any] | None = None) -> Callable[..., Any]:
+    """The function `name` of a text made here, with the parts of the stack that it names, or others `instead`."""
     has = features(scene)
     from teleop.law import start_at
 
@@ -207,6 +213,7 @@ def compiled(scene: Scene, text: str, name: str) -> Callable[..., Any]:
     from teleop.plant import grip_force, move_free, move_gripped
 
     parts |= {"grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped}
+    parts |= instead or {}
     exec(compile(text, f"<{name} of scene {scene.name}>", "exec"), parts)
     function: Callable[..., Any] = parts[name]
     return function

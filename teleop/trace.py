@@ -63,9 +63,12 @@ def assemble(scene: Scene, records: dict[str, EndRecord]) -> dict[str, NDArray[A
 
 def _add_ledgers(trace: dict[str, NDArray[Any]]) -> None:
     """E_link and E_port from each end's own sums, so that both ways of running add in the same order."""
-    if "E_in_fwd" in trace:
-        trace["E_link"] = (trace["E_in_fwd"] - trace["E_out_fwd"]) + (trace["E_in_bwd"] - trace["E_out_bwd"])
-    trace["E_port"] = trace["E_port_m"] - trace["E_port_s"]
+    import numpy as np
+
+    with np.errstate(all="ignore"):  # a run that diverges ends with sums that are infinite
+        if "E_in_fwd" in trace:
+            trace["E_link"] = (trace["E_in_fwd"] - trace["E_out_fwd"]) + (trace["E_in_bwd"] - trace["E_out_bwd"])
+        trace["E_port"] = trace["E_port_m"] - trace["E_port_s"]
 
 
 def _per_axis(column: NDArray[Any]) -> list[list[float]]:

@@ -44,6 +44,11 @@ def bound(at: Address, option: str) -> socket.socket:
     return sock
 
 
+def towards(peer: Address) -> socket.socket:
+    """A UDP socket, on any free port, from which this peer can be reached."""
+    return bound(("127.0.0.1" if peer[0].startswith("127.") else "0.0.0.0", 0), "--peer")
+
+
 def shown(at: tuple[str, int]) -> str:
     """An address as it is typed."""
     return f"{at[0]}:{at[1]}"

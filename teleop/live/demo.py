@@ -17,10 +17,11 @@ from teleop.errors import Refused
 from teleop.library import ROOT
 from teleop.live.end import live_text
 from teleop.live.interrupt import Interrupt
+from teleop.live.merge import merge
 from teleop.live.record import fresh_folder, read_record
-from teleop.result import Packets, Result
+from teleop.live.summary import NAMES
+from teleop.result import Result
 from teleop.scene import Scene, load_scene
-from teleop.trace import assemble
 
 PATIENCE = 15.0  # s for a process to come up
 
@@ -122,7 +123,7 @@ def demo(
                 keep()
         if interrupt.name is not None and not _ran(out):
             raise KeyboardInterrupt
-        result = merge(scene, out, seed=seed, channel=channel, run_time=time.monotonic() - began)
+        result = merge(scene, out / "master", out / "slave", channel=channel, run_time=time.monotonic() - began)
         result.write(out, command)
     return replace(result, path=out)
 
@@ -199,65 +200,9 @@ async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
 
 
 def _ran(out: Path) -> bool:
-    return any((out / name / "summary.json").is_file() for name in ("master", "slave"))
-
-
-def merge(scene: Scene, out: Path, *, seed: int, channel: dict[str, Any], run_time: float) -> Result:
-    """One result from the folders of the two ends, at the ticks that both ran."""
-    names = {"m": "master", "s": "slave"}
-    ends: dict[str, dict[str, Any]] = {e: _summary(out / name) for e, name in names.items()}
-    records = {e: read_record(out / name)[1] for e, name in names.items()}
-    link = scene.link is not None
-    trace = assemble(scene, {e: r if link else r._replace(played=None) for e, r in records.items()})
-    status, sentence = _verdict(ends)
-    mode = str(ends["m"]["mode"])
-    packets = _planned(scene, seed) if mode == "lockstep" else _counted(ends, channel)
-    skipped = sum(int(end["skipped"]) for end in ends.values())
-    notes = [f"{names[e]}: {end['record']}" for e, end in ends.items() if end["record"]]
-    extra: dict[str, object] = {"channel": channel}
-    shown = ("status", "sentence", "ticks", "skipped", "late_us", "delay", "rtt", "clock", "stamp_margin", "cpu")
-    for e, end in ends.items():
-        extra[names[e]] = {key: end[key] for key in shown}
-    extra["skipped"] = skipped
-    return Result.make(scene, seed=seed, mode=mode, status=status, sentence=sentence, ticks=len(trace["t"]),
-                       run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
-
-
-def _planned(scene: Scene, seed: int) -> dict[str, Packets]:
-    """What the schedule says of each direction: a stepped run's packets come when it says."""
-    from teleop.lockstep import link_plans
-
-    return {
-        way: Packets.without_link(scene.ticks) if plan is None else Packets.of_plan(plan)
-        for way, plan in zip(("forth", "back"), link_plans(scene, seed), strict=True)
-    }
-
-
-def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[str, Packets]:
-    """What the two ends and the channel counted of each direction."""
-    packets = {}
-    for way, sender, receiver in (("forth", "m", "s"), ("back", "s", "m")):
-        sent, got = ends[sender]["packets"]["sent"], ends[receiver]["packets"]
-        lost = channel.get("counts", {}).get(way, {}).get("lost", 0)
-        packets[way] = Packets(
-            sent=sent, received=got["received"], lost=lost, late=got["late"], overtaken=got["overtaken"],
-            duplicates=got["duplicates"], in_flight=max(0, sent - got["received"] - lost), rejected=got["rejected"],
-        )
-    return packets
-
-
-def _verdict(ends: dict[str, dict[str, Any]]) -> tuple[str, str]:
-    """The status of the whole: what one end found out, the other was told."""
-    for status in ("diverged", "stopped"):
-        for end in ends.values():
-            if end["status"] == status:
-                return status, str(end["sentence"])
-    return "ok", str(ends["m"]["sentence"])
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    try:
-        found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    except (OSError, ValueError) as error:
-        raise Refused(f"the {folder.name} left no summary ({error}); look at what it wrote in {folder}") from error
-    return found
+    """Did an end come to its first tick: is there a record to keep?"""
+    for name in NAMES.values():
+        with suppress(Refused):
+            if read_record(out / name)[1].ticks:
+                return True
+    return False

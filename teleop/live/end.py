@@ -16,17 +16,15 @@ from typing import Any
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
 from teleop.folder import numbered
-from teleop.live.address import address, bound, peer_address, shown
+from teleop.live.address import address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.record import Recorder, fresh_folder
 from teleop.live.shell import Device, Shell
-from teleop.live.summary import write_end
+from teleop.live.summary import NAMES, write_end
 from teleop.live.wire import Wire
 from teleop.options import guarded, knobs_from, scene_options
 from teleop.scene import Scene, load_scene
 from teleop.session import Session
-
-NAMES = {"m": "master", "s": "slave"}
 
 
 def end_main(e: str, device: Callable[[Scene], Device], argv: Sequence[str] | None = None) -> int:
@@ -46,7 +44,10 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
         with fresh_folder(folder) as keep:
             line = _Line(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else line.show
-            recorder = Recorder(scene, e, folder)
+            command = ["python", "-m", NAMES[e], *argv]
+            about = {"scene": args.scene, "knobs": knobs_from(args), "seed": args.seed, "command": command,
+                     "mode": "lockstep" if args.lockstep else "live"}
+            recorder = Recorder(scene, e, folder, about)
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
             _greet(e, args, wire)
             try:
@@ -55,15 +56,18 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                 line.end()
                 if shell.ticks:
                     keep()
-                    summary = write_end(shell, folder, args.seed, ["python", "-m", NAMES[e], *argv])
+                    result = write_end(shell, folder, args.seed, command)
             if not shell.ticks and interrupt.name is not None:
                 raise KeyboardInterrupt
             if not shell.ticks:
                 raise Refused(shell.sentence)
     if args.json:
+        summary = result.summary(command)
         print(json.dumps({"event": "done", "path": str(folder), "summary": summary}, default=str), flush=True)
     else:
-        print(f"{NAMES[e]}: {shell.status}: {shell.sentence}\n{NAMES[e]}: wrote {folder}")
+        from teleop.console import table
+
+        print(f"{table(result)}\nwritten to {folder}; `teleop report MASTER SLAVE` puts the two ends together")
     return 0
 
 
@@ -107,7 +111,7 @@ def _parser(e: str) -> ArgumentParser:
 def _wire(e: str, args: Namespace) -> Iterator[Wire]:
     if e == "m":
         peer = peer_address(args.peer)
-        wire = Wire(bound(("127.0.0.1" if peer[0].startswith("127.") else "0.0.0.0", 0), "--peer"), peer)
+        wire = Wire(towards(peer), peer)
     else:
         wire = Wire(bound(address(args.listen, "--listen"), "--listen"), None)
     try:

@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,28 +22,32 @@ from teleop.tick import columns
 from teleop.trace import EndRecord
 
 FILE = "record.bin"
-EVERY = 250  # rows between two writes
+EVERY = 250  # rows between two writes, at most
+EVERY_NS = 250_000_000  # and so much time, by the scene's clock
 OWN = 3  # columns before the end's: tick, lateness, packet played
 
 
 class Recorder:
     """Appends an end's rows to `folder/record.bin`. A full disk stops the record, never the loop."""
 
-    def __init__(self, scene: Scene, e: str, folder: Path) -> None:
+    def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any]) -> None:
+        """`about` says which run this is, as `teleop.live.merge` reads it: scene, knobs, seed, mode, command."""
         names = [n for name in columns(scene, e) for n in ([name] * scene.axes if "@" in name else [name])]
-        header = {"end": e, "scene": scene.name, "dt_ns": scene.dt_ns, "axes": scene.axes,
+        header = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about,
                   "columns": ["k", "late_ns", "seq", *[n.removesuffix("@") for n in names]]}
         self.trouble: str | None = None
         self._rows: list[float] = []
         self._count = 0
         self._file: BinaryIO = (folder / FILE).open("wb")
         self._file.write(json.dumps(header).encode() + b"\n")
+        self._file.flush()
+        self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
 
     def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
         """One tick."""
         self._rows += (k, late_ns, played, *row)
         self._count += 1
-        if self._count % EVERY == 0:
+        if self._count % self._every == 0:
             self.flush()
 
     def flush(self) -> None:

@@ -198,9 +198,9 @@ class Shell:
             got = self.wire.receive()
             if got is None:
                 break
-            data, address = got
+            data, address, came = got
             meeting = session.start_ns is None
-            replies = self.endpoint.receive(data, time.monotonic_ns())
+            replies = self.endpoint.receive(data, came)
             if replies and meeting:  # it has shown that it belongs to this session
                 self.wire.peer = address  # later, a stranger's copy of a packet must not draw ours to it
             self._send(replies)

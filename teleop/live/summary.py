@@ -1,9 +1,8 @@
-"""What a live end leaves in its folder beside its record: trace.npz and summary.json."""
+"""What a live end leaves in its folder beside its record: trace.npz and summary.json, as every run does."""
 
 from __future__ import annotations
 
-import json
-import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,74 +10,93 @@ from typing import TYPE_CHECKING, Any
 from teleop.endpoint import Times
 from teleop.errors import Refused
 from teleop.live.record import FILE, read_record
+from teleop.result import Packets, Result
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell
+    from teleop.scene import Scene
+    from teleop.trace import EndRecord
 
 NAMES = {"m": "master", "s": "slave"}
+WAYS = {"m": ("forth", "back"), "s": ("back", "forth")}  # the direction an end sends in, and the other
 
 
-def write_end(shell: Shell, folder: Path, seed: int, command: list[str]) -> dict[str, Any]:
-    """Write trace.npz, from the record in `folder`, and summary.json; returns the summary.
+def write_end(shell: Shell, folder: Path, seed: int, command: list[str]) -> Result:
+    """Write trace.npz, from the record in `folder`, and summary.json; returns the end's own result.
 
     Raises `Refused` if the disk takes no more; the record as far as it came is left there.
     """
     try:
-        late = _write_trace(shell, folder)
-        summary = _summary(shell, seed, command, late)
-        text = json.dumps(summary, indent=2, default=str)
-        (folder / "summary.json").write_text(text + "\n")
+        result = _result(shell, folder, seed)
+        result.write(folder, command)
     except OSError as error:
         for name in ("trace.npz", "summary.json"):
             with suppress(OSError):
                 (folder / name).unlink(missing_ok=True)
         raise Refused(
             f"{shell.sentence}, but its summary could not be written ({error.strerror or error}); what was recorded "
-            f"is in {folder / FILE}: free some space and run it again"
+            f"is in {folder / FILE}: free some space, and `teleop report {folder}` makes the rest of it"
         ) from error
-    return summary
+    return result
 
 
-def _write_trace(shell: Shell, folder: Path) -> list[float]:
-    """The end's arrays; the lateness (ns) of its ticks."""
+def _result(shell: Shell, folder: Path, seed: int) -> Result:
+    scene, endpoint, session = shell.scene, shell.endpoint, shell.endpoint.session
+    _, record, late = read_record(folder)
+    inbox: Any = endpoint.inbox
+    sends, hears = WAYS[endpoint.e]
+    heard = Packets(
+        received=getattr(inbox, "received", endpoint.received), rejected=dict(endpoint.rejected),
+        **{name: getattr(inbox, name, 0) for name in ("late", "overtaken", "duplicates")},
+    )
+    told = {
+        "skipped": shell.skipped, "delay": _seconds(endpoint.way), "rtt": _seconds(endpoint.rtt),
+        "clock": {"start_ns": session.start_ns, "offset_ns": session.offset_ns,
+                  "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
+        "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "unsent": shell.wire.unsent,
+        "refused": getattr(inbox, "refused", 0),
+    }
+    return end_result(
+        scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
+        status=shell.status, sentence=shell.sentence, told=told,
+        packets={sends: Packets(sent=shell.data_sent), hears: heard},
+        notes=[shell.recorder.trouble] if shell.recorder.trouble else [],
+    )
+
+
+def end_result(
+    scene: Scene, e: str, record: EndRecord, late: Sequence[float], *, seed: int, mode: str, status: str, sentence: str,
+    told: dict[str, Any], packets: dict[str, Packets], notes: Sequence[str],
+) -> Result:
+    """One end's part of a run as a result of its own: its columns, and the figures that they are enough for."""
     import numpy as np
 
     from teleop.trace import end_arrays
 
-    scene, e = shell.scene, shell.endpoint.e
-    _, record, late = read_record(folder)
-    arrays: dict[str, Any] = {"t": np.array(record.ticks, dtype=np.int64) * scene.dt_ns / 1e9}
-    arrays |= {**end_arrays(scene, e, record), f"late_{e}": np.array(late) / 1e9}
-    np.savez(folder / "trace.npz", **arrays)
-    return late
-
-
-def _summary(shell: Shell, seed: int, command: list[str], late: list[float]) -> dict[str, Any]:
-    import numpy as np
-
-    from teleop import __version__
-    from teleop.result import parameters
-
-    scene, endpoint, session = shell.scene, shell.endpoint, shell.endpoint.session
-    inbox: Any = endpoint.inbox
-    late_us = np.array(late) / 1e3
-    return {
-        "status": shell.status, "sentence": shell.sentence, "end": NAMES[endpoint.e], "scene": scene.name,
-        "mode": "lockstep" if endpoint.stepped else "live", "parameters": parameters(scene), "seed": seed,
-        "dt": scene.dt_ns / 1e9, "ticks": shell.ticks, "skipped": shell.skipped,
-        "versions": {"bilateral-teleop": __version__, "python": sys.version.split()[0]}, "command": command,
-        "packets": {
-            "sent": shell.data_sent, "unsent": shell.wire.unsent,
-            "received": getattr(inbox, "received", endpoint.received),
-            **{name: getattr(inbox, name, 0) for name in ("late", "overtaken", "duplicates", "refused")},
-            "rejected": dict(endpoint.rejected),
-        },
-        "late_us": {f"p{q}": float(np.percentile(late_us, q)) for q in (50, 99, 100)} if late else {},
-        "delay": _seconds(endpoint.way), "rtt": _seconds(endpoint.rtt),
-        "clock": {"start_ns": session.start_ns, "offset_ns": session.offset_ns,
-                  "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
-        "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "record": shell.recorder.trouble,
+    trace: dict[str, Any] = {"t": np.array(record.ticks, dtype=np.int64) * scene.dt_ns / 1e9}
+    trace |= {**end_arrays(scene, e, record), f"late_{e}": np.array(late) / 1e9}
+    late_us = np.array(lateness(record.ticks, late, scene.dt_ns)) / 1e3
+    own = {
+        "status": status, "sentence": sentence, "ticks": len(record.ticks), **told,
+        "late_us": {f"p{q}": float(np.percentile(late_us, q)) for q in (50, 99, 100)} if len(late_us) else {},
     }
+    return Result.make(scene, seed=seed, mode=mode, status=status, sentence=sentence, ticks=len(record.ticks),
+                       run_time=None, trace=trace, packets=packets, notes=notes, extra={"end": NAMES[e], NAMES[e]: own})
+
+
+def lateness(ticks: Sequence[int], late: Sequence[float], dt_ns: int) -> list[float]:
+    """How late (ns) each tick was that was due, those that were skipped for a late one included.
+
+    `late` is that of the ticks that ran, each against its own instant; the skipped ones before it were due
+    that much and one tick more, two ticks more, ... before.
+
+    >>> lateness([0, 3], [5.0, 7.0], 100)
+    [5.0, 7.0, 107.0, 207.0]
+    """
+    out = []
+    for before, k, own in zip((-1, *ticks), ticks, late, strict=False):
+        out += [own + missed * dt_ns for missed in range(k - before)]
+    return out
 
 
 def _seconds(times: Times) -> dict[str, float] | None:

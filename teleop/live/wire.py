@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import socket
+import time
+from contextlib import suppress
+from struct import Struct
 
 from teleop.live.address import Address
 
 DRAIN = 16  # datagrams taken at one tick or wake-up: more would let a flood starve the tick
+STAMP = 35  # SO_TIMESTAMPNS of Linux, which Python does not name: the kernel says when a datagram came
+OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells of a wall clock that was set
 ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
+_TIMESPEC = Struct("@ll")
 
 
 class Wire:
@@ -16,6 +22,8 @@ class Wire:
     def __init__(self, sock: socket.socket, peer: Address | None) -> None:
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
+        with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
+            sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
         self.sock, self.peer = sock, peer
         self.unsent = 0  # datagrams that the system did not take
 
@@ -28,10 +36,20 @@ class Wire:
         except OSError:
             self.unsent += 1
 
-    def receive(self) -> tuple[bytes, Address] | None:
-        """A datagram and where it came from, or None if there is none now."""
+    def receive(self) -> tuple[bytes, Address, int] | None:
+        """A datagram, where it came from and when (monotonic clock, ns), or None if there is none now.
+
+        Reading late does not make it late: the time is the kernel's, where it tells.
+        """
         try:
-            data, address = self.sock.recvfrom(65536)
+            data, notes, _, address = self.sock.recvmsg(65536, 64)
         except OSError:  # nothing there, or the peer's port is not open (yet)
             return None
-        return data, address[:2]
+        now = time.monotonic_ns()
+        for level, kind, note in notes:
+            if level == socket.SOL_SOCKET and kind == STAMP and len(note) == _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack(note)
+                age = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
+                if 0 <= age < OLDEST_NS:
+                    now -= age
+        return data, address[:2], now

@@ -10,6 +10,7 @@ from channel.conformance import check_effect
 from channel.dice import Dice, Ints
 from channel.effect import Effect, Order, by_time
 from channel.link import EFFECTS, describe, parse_link
+from teleop.errors import Refused
 
 
 def test_every_built_in_effect_conforms(every_effect: list[Effect]) -> None:
@@ -78,5 +79,5 @@ def test_a_sound_effect_of_ones_own_passes() -> None:
     "wrote to its input", "int64", "not sorted", "invented", "before it entered", "changes a state", "dice of its own",
     "pieces", "order of packets", "reorders", "both directions", "every place"])
 def test_each_fault_is_named(fault: str) -> None:
-    with pytest.raises(AssertionError, match=fault):
+    with pytest.raises(Refused, match=fault):
         check_effect(Broken(fault))

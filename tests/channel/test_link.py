@@ -1,7 +1,9 @@
 """Links as text: read, written, and refused with the words that help."""
 
+import importlib.metadata
 import subprocess
 import sys
+from dataclasses import fields
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -15,7 +17,8 @@ from channel.effect import Chain, Effect
 from channel.gamma import GammaJitter
 from channel.gilbert_elliott import GilbertElliott
 from channel.in_order import InOrder
-from channel.link import EFFECTS, Link, describe, parse_link
+from channel.link import EFFECTS, EXAMPLES, Link, describe, parse_link
+from teleop import load_scene
 from teleop.errors import Refused
 
 
@@ -84,7 +87,8 @@ def test_a_link_has_a_way_for_each_direction() -> None:
 @pytest.mark.parametrize(("text", "sentence"), [
     ("dealy(0.05)", "no effect 'dealy'; did you mean delay"),
     ("zzz(0.05)", "there are: bernoulli, blackout"),
-    ("delay", r"needs brackets: write delay\(\.\.\.\)"),
+    ("dely", "no effect 'dely'; did you mean delay"),
+    ("delay", r"needs brackets: write for example delay\(0\.05\)$"),
     ("delay(0.05", "cannot be read; write for example"),
     ("", "one way for both directions or two"),
     ("delay(1); delay(1); delay(1)", "not 3"),
@@ -94,10 +98,10 @@ def test_a_link_has_a_way_for_each_direction() -> None:
     ("x = delay(1)", "part that is no effect"),
     ("os.system('true')", "part that is no effect"),
     ("__import__('os')", "no effect '__import__'"),
-    ("delay()", r"delay needs delay: write delay\(delay\)"),
-    ("gilbert_elliott(0.1)", r"needs p_bad_to_good: write gilbert_elliott\(p_good_to_bad, p_bad_to_good, loss_good="),
+    ("delay()", r"delay needs delay: write for example delay\(0\.05\)$"),
+    ("gilbert_elliott(0.1)", r"needs p_bad_to_good: write .* gilbert_elliott\(0\.005, 0\.05, loss_good="),
     ("delay(0.05, 3)", "delay takes at most 1 arguments without their names"),
-    ("duplicate(0.1, 0.2)", r"at most 1.*duplicate\(p, after=\.\.\.\)"),
+    ("duplicate(0.1, 0.2)", r"at most 1.*duplicate\(0\.01, after=0\.005\)"),
     ("delay(dealy=0.05)", "delay does not take dealy as an argument"),
     ("delay(0.05, delay=0.05)", "does not take delay twice"),
     ("delay(*[0.05])", "delay takes at most 1"),
@@ -124,12 +128,30 @@ def test_a_very_long_chain_is_read() -> None:
     assert len(parse_link(" | ".join(["in_order()"] * 700)).way(0)) == 700
 
 
-def test_an_effect_without_a_name_cannot_be_written() -> None:
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_what_is_offered_for_an_effect_can_be_typed(name: str, recordings) -> None:
+    text = EXAMPLES[name].replace("up.txt", str(recordings / "trace")).replace("ping.txt", str(recordings / "ping"))
+    effect = parse_link(text)
+    assert describe(effect).startswith(f"{name}(")
+    knobs = [knob.name for knob in fields(effect) if knob.init]  # type: ignore[arg-type]
+    assert text.count(",") == max(len(knobs) - 1, 0)
+
+
+def test_an_effect_of_ones_own_is_shown_as_its_repr() -> None:
     class Own(Delay):
         """Somebody's own."""
 
-    with pytest.raises(Refused, match="has no name in a link's text; there are: bernoulli"):
-        describe(Own(0.1))
+    assert describe(Delay(0.2) | Own(0.1)) == f"delay(0.2) | {Own(0.1)!r}"
+    assert load_scene("canonical", link=Own(0.1)).knobs["link"] == repr(Own(0.1))
+
+
+def test_an_effect_of_a_plug_in_is_shown_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Own(Delay):
+        """A plug-in's."""
+
+    entry = importlib.metadata.EntryPoint("mine", f"{Own.__module__}:Own", "teleop.effects")
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: [entry])
+    assert describe(Own(0.1)) == "mine(0.1)"
 
 
 def test_only_what_a_text_names_is_loaded() -> None:

@@ -42,7 +42,8 @@ def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | No
     folder.mkdir(parents=True)
     device = other.pop("device", DEVICES[e](scene))
     parts = {"say": lambda _numbers: None, "patience": PATIENCE, "interrupt": Interrupt(), **other}
-    return Shell(Endpoint(scene, e, session, inbox), device, wire, Recorder(scene, e, folder), **parts)
+    about = {"scene": scene.name, "knobs": {}, "seed": seed or 0, "mode": "live" if seed is None else "lockstep"}
+    return Shell(Endpoint(scene, e, session, inbox), device, wire, Recorder(scene, e, folder, about), **parts)
 
 
 @dataclass
@@ -79,11 +80,11 @@ class Pair:
                 shell.wire.sock.close()
         return self
 
-    def write(self) -> Path:
-        """Have both write what they leave; the folder above both."""
+    def write(self) -> tuple[Path, Path]:
+        """Have both write what they leave; the master's folder and the slave's."""
         for name, shell in zip(("slave", "master"), self.shells.values(), strict=True):
             write_end(shell, self.out / name, self.seed or 0, [])
-        return self.out
+        return self.out / "master", self.out / "slave"
 
     def status(self) -> dict[str, str]:
         return {e: shell.status for e, shell in self.shells.items()}
@@ -141,10 +142,10 @@ def command(tmp_path: Path) -> Iterator[Callable[..., Command]]:
     own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     started: list[Command] = []
 
-    def start(name: str, *arguments: str, **other: Any) -> Command:
+    def start(name: str, *arguments: str, stderr: int = subprocess.PIPE, **other: Any) -> Command:
         process = subprocess.Popen(
             [sys.executable, "-m", name, *arguments], cwd=tmp_path, env={**own, "PYTHONPATH": str(ROOT)}, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **other,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr, **other,
         )
         started.append(Command(process))
         return started[-1]

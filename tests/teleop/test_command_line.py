@@ -17,9 +17,12 @@ import pytest
 
 import teleop.figure
 import teleop.lockstep
+from channel.link import EFFECTS
 from scenarios.__main__ import main as console_entry
 from teleop import load_result, load_scene, run
 from teleop.__main__ import main
+from teleop.catalogue import details
+from teleop.law import BUILT_IN
 from teleop.library import ROOT, built_in_scenes
 
 SHORT = ("--set", "duration=0.2")
@@ -93,9 +96,6 @@ class TestARun:
 
 class TestList:
     def test_names_every_scene_law_and_effect_with_a_line(self, typed: Typed) -> None:
-        from channel.link import EFFECTS
-        from teleop.law import BUILT_IN
-
         lines = typed("list").out.splitlines()
         told = {words[0]: words[1] for line in lines if len(words := line.split(maxsplit=1)) == 2}
         for name in (*built_in_scenes(), *BUILT_IN, *EFFECTS):
@@ -103,9 +103,16 @@ class TestList:
 
     def test_of_a_scene_shows_its_knobs_with_type_and_default(self, typed: Typed) -> None:
         rows = [line.split() for line in typed("list", "canonical").out.splitlines()]
-        assert ["delay", "float", "0.05"] in rows
-        assert ["energy", "bool", "True"] in rows
-        assert ["observer", "float", "|", "None", "200.0"] in rows
+        assert ["delay", "float", "0.05", "s,", "each", "way"] in rows
+        assert ["energy", "bool", "True"] in [row[:3] for row in rows]
+        assert ["observer", "float", "|", "None", "200.0"] in [row[:5] for row in rows]
+
+    @pytest.mark.parametrize("name", sorted({*built_in_scenes(), *EFFECTS, *BUILT_IN}))
+    def test_says_of_every_knob_what_it_is_and_in_which_unit(self, name: str) -> None:
+        for block in details(name).split("\n\n"):
+            heading, *rows = [line for line in block.splitlines()[1:] if not line.startswith("  set with")] or [""]
+            said = heading.index("default") + len("default") if rows else 0
+            assert [row.split()[0] for row in rows if not row[said:].partition("  ")[2].strip()] == []
 
     def test_of_a_law_shows_what_the_numbers_mean(self, typed: Typed) -> None:
         out = typed("list", "wave").out

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from channel.delay import Delay
 from teleop import Refused, load_scene
+from teleop.errors import number
 from teleop.knobs import knobs_of, read, settle
 from teleop.law import Law
 from teleop.laws.pfra import PFRA
@@ -42,6 +45,14 @@ class TestNames:
             settle("s", scene, {"up": "a", "k_f": "1"})
 
 
+    @pytest.mark.parametrize(("function", "shown"), [
+        (lambda *, k_e=1.0, **rest: None, r"\*\*rest"), (lambda *rest: None, r"\*rest"), (lambda k_e=1.0, /: None, "k_e"),
+    ])
+    def test_that_cannot_be_named_are_refused(self, function: Any, shown: str) -> None:
+        with pytest.raises(Refused, match=rf"`{shown}.*` cannot be one; write for example `def scene\(\*, k_e"):
+            knobs_of(function)
+
+
 class TestNumbers:
     @given(st.floats(allow_nan=False, allow_infinity=False))
     def test_are_read_from_their_own_text_to_the_last_bit(self, value: float) -> None:
@@ -70,6 +81,34 @@ class TestNumbers:
         assert read("observer", "none", float | None) is None
         assert read("observer", None, float | None) is None
         assert read("observer", "5", float | None) == 5.0
+
+
+    def test_of_numpy_are_numbers(self) -> None:
+        for value in (np.float32(0.5), np.float64(0.5), Fraction(1, 2)):
+            assert type(read("k", value, float)) is float
+            assert read("k", value, float) == 0.5
+        assert read("n", np.int64(3), int) == 3
+        assert type(read("n", np.uint8(3), int)) is int
+        for none in (np.bool_(True), np.array([1.0]), 1j):
+            with pytest.raises(Refused, match="k must be a number"):
+                read("k", none, float)
+
+    @pytest.mark.parametrize("value", [10**400, -(10**400), Fraction(10**400)])
+    def test_beyond_all_floats_are_refused(self, value: Any) -> None:
+        with pytest.raises(Refused, match="k must be finite"):
+            read("k", value, float)
+
+    @pytest.mark.parametrize(("limits", "value", "sentence"), [
+        ({"low": 0.0}, -1, "delay must be at least 0, not -1; write for example delay=0"),
+        ({"above": 0.0}, 0, "delay must be above 0, not 0; write for example delay=1"),
+        ({"above": 0.0, "high": 0.5}, 0, "delay must be above 0, not 0; write for example delay=0.5"),
+        ({"high": 3.0}, 4, "delay must be at most 3, not 4; write for example delay=3"),
+    ])
+    def test_out_of_range_are_told_what_to_type(self, limits: Any, value: float, sentence: str) -> None:
+        with pytest.raises(Refused) as refused:
+            number("delay", value, **limits)
+        assert str(refused.value) == sentence
+        assert number("delay", float(sentence.rpartition("=")[2]), **limits) >= 0.0
 
 
 class TestOtherKinds:

@@ -35,7 +35,20 @@ def same(one: Any, other: Any) -> bool:
     )
 
 
+def test_the_name_of_a_scene_in_place_of_a_scene_is_answered_with_how_to_load_it() -> None:
+    with pytest.raises(Refused, match=r"give run a Scene, not 'canonical'; .* run\(load_scene\('canonical'\)\)"):
+        run("canonical")  # type: ignore[arg-type]
+
+
 # Seeds
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.uint64, np.uint8])
+def test_a_seed_of_numpy_is_the_same_seed(kind: Any) -> None:
+    scene = load_scene("canonical", duration=0.1, link=ROUGH)
+    one, other = run(scene, seed=7), run(scene, seed=kind(7))
+    assert same(one, other)
+    assert type(other.seed) is int
 
 
 def test_the_same_seed_gives_the_same_bits() -> None:

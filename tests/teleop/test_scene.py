@@ -7,10 +7,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from channel.delay import Delay
+from slave.wall import Wall
 from teleop import Refused, Scene, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
@@ -18,6 +21,7 @@ from teleop.plant import MassDamper
 from teleop.scene import MOST_TICKS, fingerprint
 
 BODY = MassDamper(mass=1.0, damping=1.0)
+WALL = Wall(k=1e3)
 
 
 def scene(**parts: Any) -> Scene:
@@ -45,7 +49,7 @@ class TestTime:
 
     @pytest.mark.parametrize("parts", [
         {"dt": 0.0}, {"dt": -1e-3}, {"dt": float("nan")}, {"dt": 1e-9}, {"dt": 11.0}, {"dt": "1"}, {"dt": True},
-        {"duration": 0.0}, {"duration": float("inf")}, {"duration": 1e-4}, {"duration": 1e9},
+        {"duration": 0.0}, {"duration": float("inf")}, {"duration": 1e-4}, {"duration": 1e9}, {"duration": 1e300},
     ])
     def test_that_cannot_be_is_refused(self, parts: dict[str, Any]) -> None:
         with pytest.raises(Refused, match=r"dt|duration"):
@@ -56,7 +60,7 @@ class TestAxes:
     def test_a_number_means_along_the_first(self) -> None:
         assert scene(axes=3, start_m=0.1).vector("start_m", 0.1) == (0.1, 0.0, 0.0)
         assert scene(axes=3).environments == (None, None, None)
-        assert scene(axes=2, environment="wall").environments == ("wall", None)
+        assert scene(axes=2, environment=WALL).environments == (WALL, None)
 
     @pytest.mark.parametrize("parts", [
         {"axes": 0}, {"axes": 4}, {"axes": 2, "start_m": (0.0,)}, {"start_s": (0.0, 0.0)},
@@ -72,6 +76,29 @@ class TestParts:
     def test_that_are_out_of_range_are_refused(self, parts: dict[str, Any]) -> None:
         with pytest.raises(Refused):
             scene(**parts)
+
+    @pytest.mark.parametrize(("parts", "words"), [
+        ({"playout": 0.1}, r"playout.*not 0\.1; write for example playout=Fixed\(0\.1\)"),
+        ({"law": None}, r"law must be something with master_start.*not None; write for example law=Wave\(\)"),
+        ({"law": Wave}, "law.*not the class Wave"), ({"law": "wave"}, "law.*not 'wave'"),
+        ({"master": 0.1}, r"master.*master=MassDamper\("), ({"slave": None}, r"slave.*slave=MassDamper\("),
+        ({"hand": 3}, r"hand.*hand=Grip\("), ({"link": 3}, r"link.*link=Delay\(0\.05\)"),
+        ({"link": Delay}, "link.*not the class Delay"), ({"environment": 3}, r"environment.*environment=Wall\("),
+        ({"axes": 2, "environment": (WALL, 3)}, "environment.*not 3"), ({"cap": 5.0}, r"cap.*cap=Cap\(f_max=20"),
+        ({"watchdog": 0.1}, r"watchdog.*watchdog=Watchdog\(timeout=0\.1"), ({"energy": "no"}, "energy=True"),
+        ({"packet_size": 0}, "packet_size must be at least 64, not 0; write for example packet_size=64"),
+        ({"packet_size": -5}, "at least 64"), ({"packet_size": 1201}, "at most 1200"),
+        ({"packet_size": 99.5}, "packet_size must be a whole number"), ({"packet_size": True}, "must be a number"),
+        ({"axes": 4}, "axes must be at most 3, not 4; write for example axes=3"),
+    ])
+    def test_of_another_shape_are_refused_with_what_to_write(self, parts: dict[str, Any], words: str) -> None:
+        with pytest.raises(Refused, match=words):
+            scene(**parts)
+
+    def test_of_numpy_become_plain_numbers(self) -> None:
+        made = scene(dt=np.float64(1e-3), duration=np.int64(2), axes=np.int8(1), packet_size=np.uint16(80))
+        assert made == scene(dt=1e-3, duration=2.0, axes=1, packet_size=80)
+        assert [type(value) for value in (made.dt, made.duration, made.axes, made.packet_size)] == [float, float, int, int]
 
     @pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), float("inf"), None, "1"])
     def test_a_body_without_a_mass_is_refused(self, mass: Any) -> None:
@@ -115,8 +142,21 @@ class TestManifest:
 
 class TestLoading:
     def test_names_the_knob_as_it_was_typed_where_a_part_knows_it_by_another_name(self) -> None:
-        with pytest.raises(Refused, match=r"k must be at least 0, not -5 \(asked for: k_e=-5\)"):
-            load_scene("canonical", k_e="-5")
+        with pytest.raises(Refused, match=r"^k_e must be at least 0, not -5; write for example k_e=0$"):
+            load_scene("canonical", k_e="-5", k_h="5", frequency="2")
+
+    def test_says_which_knobs_were_set_where_it_cannot_tell_which_one_it_was(self) -> None:
+        with pytest.raises(Refused, match=r"^k must be at least 0, .* \(scene canonical with k_e=-5\.0, k_h=-5\.0\)$"):
+            load_scene("canonical", k_e="-5", k_h="-5")
+
+    @pytest.mark.parametrize("name", [3, None, Path("mine.py")])
+    def test_refuses_a_name_that_is_no_text(self, name: Any) -> None:
+        with pytest.raises(Refused, match=r"write for example load_scene\('canonical'\)"):
+            load_scene(name)
+
+    def test_refuses_a_link_that_is_none(self) -> None:
+        with pytest.raises(Refused, match=r"link must be something with arrivals, not 3; .*link=Delay\(0\.05\)"):
+            load_scene("canonical", link=3)
 
     def test_refuses_a_scene_that_stops_or_returns_something_else(self, tmp_path: Path) -> None:
         (tmp_path / "stops.py").write_text("def scene(): return 1 / 0\n")

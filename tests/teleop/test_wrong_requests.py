@@ -48,6 +48,21 @@ WRONG = {
     "zero duration": (["canonical", "--set", "duration=0"], ["duration", "above 0"]),
     "zero rate": (["canonical", "--set", "law=pfra", "--set", "observer=0"], ["observer", "above 0"]),
     "a run without end": (["canonical", "--set", "duration=1e12"], ["ticks", "change duration or dt"]),
+    "a run without end at all": (["canonical", "--set", "duration=1e300"], ["duration=1e+300 s", "change duration"]),
+    "three numbers for one": (["canonical", "--set", "amplitude=1,2,3"], ["amplitude must be one number", "'1,2,3'"]),
+    "no folder": (["canonical", "--out", ""], ["--out DIR must not be empty", "the new folder"]),
+    "no link": (["canonical", "--link", ""], ["--link SPEC must not be empty", "none is no link"]),
+    "another law's knob": (["canonical", "--set", "law.b=3", "--set", "law=pfra"],
+                           ["law pfra has no knob 'b' (law wave has)"]),
+    "the law's own number": (["canonical", "--set", "law.b=-1"], ["law.b must be above 0, not -1", "law.b=1"]),
+    "a playout delay that is no number": (["jittery_wan", "--set", "playout=fixed:abc"],
+                                          ["'fixed:abc'", "write playout=fixed:0.1"]),
+    "a playout delay below zero": (["jittery_wan", "--set", "playout=fixed:-1"], ["write playout=fixed:0.1"]),
+    "a seed in digits of another script": (["canonical", "--seed", "٣"], ["seed", "'٣'"]),
+    "an effect without brackets": (["canonical", "--link", "delay"], ["write for example delay(0.05)"]),
+    "a file that wants to exit": (["exits.py"], ["exits.py stopped with SystemExit: 5"]),
+    "a scene that wants to exit": (["leaves.py"], ["leaves.py stopped with SystemExit: 5"]),
+    "types that only a checker sees": (["typed.py"], ["'Wave' is not defined", "TYPE_CHECKING"]),
     "a delay longer than memory": (["canonical", "--set", "delay=1e7"], ["delay", "3600"]),
     "a negative seed": (["canonical", "--seed", "-1"], ["seed", "2^64-1", "write --seed 1"]),
     "a seed too large": (["canonical", "--seed", str(2**64)], ["seed", "2^64-1"]),
@@ -80,6 +95,12 @@ class TestAWrongRequest:
         (tmp_path / "empty.py").write_text("")
         (tmp_path / "other.py").write_text("def scene():\n    return 3\n")
         (tmp_path / "stops.py").write_text("def scene():\n    return 1 / 0\n")
+        (tmp_path / "exits.py").write_text("import sys\nsys.exit(5)\n")
+        (tmp_path / "leaves.py").write_text("def scene():\n    raise SystemExit(5)\n")
+        (tmp_path / "typed.py").write_text(
+            "from __future__ import annotations\nfrom typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
+            "    from teleop.laws.wave import Wave\ndef scene(*, law: Wave): ...\n"
+        )
         (tmp_path / "taken").mkdir()
 
     @pytest.mark.parametrize("what", WRONG)
@@ -152,6 +173,16 @@ class TestAWrongRequest:
                                            ["report", "mine.py"], ["list", "delai"], ["list", "a", "b"]])
     def test_of_another_command_is_refused_too(self, typed: Typed, arguments: list[str]) -> None:
         typed(*arguments).assert_refused()
+
+    @pytest.mark.parametrize(("arguments", "words"), [
+        (["runn"], "there is no command 'runn'; did you mean run?"),
+        (["list", "nope"], "there is no scene, law or effect 'nope'; there are: "),
+        (["list", ""], "NAME must not be empty: it is a scene"),
+    ])
+    def test_is_answered_with_the_nearest_or_with_all_there_is(
+        self, typed: Typed, arguments: list[str], words: str
+    ) -> None:
+        typed(*arguments).assert_refused(words)
 
     def test_that_is_a_bug_keeps_its_traceback(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch

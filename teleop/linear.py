@@ -1,0 +1,210 @@
+"""A linear scene as two small state spaces and the whole ticks between them.
+
+    x(k+1) = A x(k) + B rx(k)        tx(k) = C x(k) + D rx(k)
+
+one for each end: its plant, sensor or observer, law and held force, in all axes. What an end does in a tick is not
+written again here: `STEP` holds the lines of the tick itself (`teleop.tick`), made into a function of the end's
+state and message. Its matrices are read off at unit vectors and then tried at random points over twelve decades; what
+does not answer to them there is not linear and is refused. A message sent at tick k is used at tick k + delay: that
+is kept beside the matrices as a number, since as a state it would be as long as the delay.
+
+Constant forces and places of rest drop out: stability is that of the motion about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import repeat
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.bodies import exact_bodies
+from teleop.errors import Refused
+from teleop.law import law_name
+from teleop.playout import Fixed
+from teleop.scene import Scene
+from teleop.tick import ENDS, _specialise, compiled
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Matrix = NDArray[np.float64]
+
+STEP = """
+def step(scene, law, dt, age, bodies, like, given):
+    take = iter(given)
+    law_{e} = law.{end}
+    sums_{e} = law.{end}_sums                                  #? sums_{e}
+    grip = bodies.master
+    (move@, force@, c@) = bodies.slaves[{i}]
+    x_{e}@ = v_{e}@ = {sensor}@ = 0.0
+    [START {e}]
+    k = age; newest_{e} = 0; got_{e} = True
+    x_{e}@ = next(take); v_{e}@ = next(take); f_{e}@ = next(take)
+    x_before_{e}@ = next(take)                                 #? dx_{e}
+    v_before_{e}@ = next(take); f_h_hat@ = next(take)          #? observe_{e}
+    s_{e}@ = like(s_{e}@, take)
+    rx_{e}@ = like(rx_{e}@, take)
+    SENSE
+    [END {e}]
+    MOVE
+    state = []; sent = []
+    state += (x_{e}@, v_{e}@, f_{e}@)
+    state += (x_before_{e}@,)                                  #? dx_{e}
+    state += (v_before_{e}@, f_h_hat@)                         #? observe_{e}
+    state += s_{e}@
+    sent += tx_{e}@
+    return state, sent
+"""
+_SENSE = {
+    "m": "f_h@ = grip_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? sense_m hand",
+    "s": "f_env@ = force@(c@, x_s@, v_s@)                      #? sense_s",
+}
+_MOVE = {
+    "m": "x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? hand\n"
+         "    x_m@, v_m@, _ = move_free(grip, x_m@, v_m@, -f_m@)       #? !hand",
+    "s": "x_s@, v_s@, _ = move@(c@, x_s@, v_s@, f_s@)",
+}
+INSTEAD = "ask with --time, which runs it in virtual time"
+
+
+class StateSpace(NamedTuple):
+    """One end: `A` (n, n), `B` (n, fields in), `C` (fields out, n), `D` (fields out, fields in)."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+
+class Linear(NamedTuple):
+    """Both ends of a linear scene, and the delays between them in whole ticks."""
+
+    master: StateSpace  # from the messages it receives to those it sends
+    slave: StateSpace
+    forth: int
+    back: int
+    dt: float  # s
+
+    @property
+    def round_trip(self) -> int:
+        """Ticks there and back."""
+        return self.forth + self.back
+
+
+def linear_scene(scene: Scene, *, seed: int = 0) -> Linear:
+    """The matrices of a linear scene, at least one tick each way. Refused if something in it is not linear."""
+    refuse_nonlinear_parts(scene)
+    forth, back = link_ticks(scene, seed)
+    ends = [_end(scene, e, delay) for e, delay in (("m", back), ("s", forth))]
+    return Linear(*ends, forth, back, scene.dt_ns / 1e9)
+
+
+def refuse_nonlinear_parts(scene: Scene) -> None:
+    """Refuse a cap, and an environment whose motion under a held force is not linear."""
+    if scene.cap is not None:
+        raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or leave the cap out")
+    for environment, (move, force, c) in zip(scene.environments, exact_bodies(scene).slaves, strict=True):
+        if environment is None:
+            continue
+
+        def respond(at: Sequence[float], move: Any = move, force: Any = force, c: Any = c) -> list[float]:
+            return [*move(c, *at)[:2], force(c, at[0], at[1])]
+
+        if matrix(respond, 3) is None:
+            raise Refused(f"{type(environment).__name__} is not linear, so the scene has no eigenvalues; {INSTEAD}, "
+                          "or put a bonded tissue in its place (the scene soft_tissue has one)")
+
+
+def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
+    """Whole ticks from sending to use, forth and back, as the scene's own run has them.
+
+    Every packet of that run (of the first 100,000) must come, and all after the same number of ticks; jitter that a
+    fixed playout takes up is as good as none. Refused otherwise.
+    """
+    if scene.link is None:
+        return 1, 1
+    import numpy as np
+
+    count = min(scene.ticks, 100_000)
+    fixed = scene.playout.ticks(scene.dt_ns) if isinstance(scene.playout, Fixed) else 0
+    found = []
+    for direction in (0, 1):
+        arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)
+        lag = np.maximum(1, -(-arrivals.time_ns // scene.dt_ns) - arrivals.packet)
+        soonest = np.full(count, np.iinfo(np.int64).max)  # that of a packet that never comes
+        np.minimum.at(soonest, arrivals.packet, lag)
+        played = np.maximum(soonest, fixed)
+        if (played != played[0]).any() or not 0 < played[0] <= (fixed or 1 << 62):
+            raise Refused("the link does not bring every packet after the same number of ticks, so the loop is not "
+                          f"time-invariant; {INSTEAD}, or write for example --link 'delay(0.05)'")
+        found.append(int(played[0]))
+    return found[0], found[1]
+
+
+def matrix(function: Callable[[Sequence[float]], Sequence[float]], size: int) -> Matrix | None:
+    """The Jacobian of an affine function of `size` numbers, or None if the function is not affine.
+
+    Read off at unit vectors about zero, then tried at 48 points: all sizes from 1e-6 to 1e6 alike, and mixed. A
+    deviation above 1e-9 of the terms that meet there is one too many.
+    """
+    import numpy as np
+
+    def at(point: Matrix) -> Matrix:
+        return np.array(function(point.tolist()), dtype=float)
+
+    dice = np.random.Generator(np.random.Philox(key=1))  # the same points each time
+    try:
+        zero = at(np.zeros(size))
+        columns = [at(row) - zero for row in np.eye(size)]
+        found = np.array(columns).T.reshape(len(zero), size)
+        for i in range(48):
+            scale = 10.0 ** (dice.uniform(-6.0, 6.0, size) if i % 2 else np.full(size, i % 12 - 5.0))
+            point = dice.uniform(-1.0, 1.0, size) * scale
+            met = np.abs(found) @ np.abs(point) + np.abs(zero)
+            if not (np.abs(at(point) - zero - found @ point) <= 1e-9 * met + 1e-300).all():
+                return None
+    except (ArithmeticError, ValueError, TypeError):
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def end_function(scene: Scene, e: str, age: int) -> Callable[[Any], tuple[list[float], list[float]]]:
+    """One tick of an end (m or s) as a function: what it is given -> (its next state, the message it sends).
+
+    Given are the state and then the message, as one run of floats: for each axis x, v and the held force; x of the
+    tick before; v of the tick before and the observer's force; the law's state; the message's fields; of these only
+    what the end has. `age` is that of the message, in ticks.
+    """
+    bare = replace(scene, energy=False, watchdog=None)  # a watchdog leaves a link that always delivers alone
+    text = STEP.replace("SENSE", _SENSE[e]).replace("MOVE", _MOVE[e])
+    step = compiled(bare, _specialise(text, bare, ENDS[e]), "step")
+    bodies = exact_bodies(bare)
+    dt = bare.dt_ns / 1e9
+    return lambda given: step(bare, bare.law, dt, age, bodies, like, given)
+
+
+def like(sample: Any, take: Iterator[float]) -> Any:
+    """A tuple of the sample's own type with the next numbers in it."""
+    return tuple.__new__(type(sample), [next(take) for _ in sample])
+
+
+def _end(scene: Scene, e: str, age: int) -> StateSpace:
+    from teleop.law import messages
+
+    step = end_function(scene, e, age)
+    forth, back = messages(scene.law, scene.dt_ns / 1e9)
+    fields_in = len((back if e == "m" else forth)._fields) * scene.axes
+    n = len(step(repeat(0.0))[0])
+    found = matrix(lambda given: [number for part in step(given) for number in part], n + fields_in)
+    if found is None:
+        raise not_linear(scene, e)
+    return StateSpace(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
+
+
+def not_linear(scene: Scene, e: str) -> Refused:
+    """The answer to a law that is not linear at one of its ends."""
+    name = law_name(scene.law)
+    hint = " or set law.alpha=1" if name == "pfra" else ""
+    return Refused(f"law {name} is not linear at the {ENDS[e].end}, so the scene has no eigenvalues; {INSTEAD}{hint}")

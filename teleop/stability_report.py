@@ -1,0 +1,175 @@
+"""What `teleop stability` answers: the questions of the command line put, and the answer as a table and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import log10
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.console import si
+from teleop.errors import Refused, number
+from teleop.stability import Critical, Stability, critical, rests, stability
+
+if TYPE_CHECKING:
+    from teleop.continuous import Continuous
+    from teleop.scene import Scene
+    from teleop.swing import Swing
+
+PLACES_IN_TIME = 9  # of a range: each is a run or three
+
+
+class Answer(NamedTuple):
+    """All that was asked."""
+
+    scene: Scene
+    found: Stability | Swing
+    limit: Continuous | None
+    edge: Critical | None
+
+
+def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
+        knob: str | None = None, span: str | None = None, tol: str | None = None) -> Answer:
+    """Load the scene and answer; the texts `span` (LOW:HIGH) and `tol` as they were typed. Raises `Refused`."""
+    from teleop.scene import load_scene
+
+    if knob is None and (span is not None or tol is not None):
+        raise Refused("--range and --tol are for a critical value; name its knob with --critical KNOB")
+    if in_time and continuous:
+        raise Refused("--continuous is for linear scenes and --time for the others; leave one of them out")
+    scene = load_scene(name, **knobs)
+    own = None if knob is None else own_value(scene, knob)
+    low, high = (0.0, 0.0) if knob is None or own is None else _span(knob, own, span)
+    closeness = None if tol is None else number("tol", _as_number("--tol", tol), above=0.0)
+    found: Stability | Swing
+    limit = None
+    if in_time:
+        from teleop.swing import swing
+
+        found = swing(scene, seed=seed)
+    else:
+        found = stability(scene, seed=seed)
+    if continuous:
+        from teleop.continuous import continuous as without_clock
+
+        limit = without_clock(scene)
+    if knob is None or own is None:
+        return Answer(scene, found, limit, None)
+
+    def make(value: float) -> Scene:
+        return load_scene(name, **{**knobs, knob: value})
+
+    if in_time:
+        edge = critical(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME,
+                        tol=closeness or 1e-3 * max(abs(low), abs(own)), judge=lambda one: rests(one, seed=seed))
+    else:
+        edge = critical(make, knob, low=low, high=high, near=own, tol=closeness)
+    return Answer(scene, found, limit, edge)
+
+
+def own_value(scene: Scene, knob: str) -> float:
+    """The value that a knob (`k_e`, or `law.K` of the law) has in the scene. Refused if it is no number."""
+    from dataclasses import fields
+
+    from teleop.errors import nearest
+
+    law: Any = scene.law
+    own = {f"law.{field.name}": getattr(law, field.name) for field in fields(law)}
+    known = {key: value for key, value in {**scene.knobs, **own}.items()
+             if isinstance(value, (int, float)) and not isinstance(value, bool)}
+    if knob not in known:
+        raise Refused(f"scene {scene.name} has no knob {knob!r} that is a number; {nearest(knob, known)}")
+    return float(known[knob])
+
+
+def _span(knob: str, own: float, typed: str | None) -> tuple[float, float]:
+    if typed is None:
+        if own <= 0.0:
+            raise Refused(f"{knob} is {own:g}, which gives no range to look in; write --range LOW:HIGH")
+        return own / 100.0, own * 100.0
+    low, colon, high = typed.partition(":")
+    if not colon:
+        raise Refused(f"--range {typed} is not LOW:HIGH; write for example --range 10:1e4")
+    ends = _as_number("--range", low), _as_number("--range", high)
+    if not ends[0] < ends[1]:
+        raise Refused(f"--range {typed} of {knob} is empty; write the lower value first, for example --range 10:1e4")
+    return ends
+
+
+def _as_number(option: str, typed: str) -> float:
+    try:
+        return number(option, float(typed))
+    except ValueError:
+        raise Refused(f"{option} needs finite numbers, not {typed!r}") from None
+
+
+def summary(answer: Answer) -> dict[str, Any]:
+    """The answer as JSON can hold it: SI units; forth, back, round trips and the delay margin in ticks."""
+    from teleop.result import parameters
+
+    found = answer.found
+    told: dict[str, Any] = {"scene": answer.scene.name, "parameters": parameters(answer.scene),
+                            "dt": answer.scene.dt_ns / 1e9, "verdict": found.verdict}
+    if isinstance(found, Stability):
+        mode = found.mode
+        told |= {
+            "method": "roots", "unstable": found.unstable, "integrators": found.integrators, "forth": found.forth,
+            "back": found.back, "round_trip": found.round_trip, "critical_round_trip": found.critical_round_trip,
+            "delay_margin": found.delay_margin, "gain_margin": found.gain_margin,
+            "mode": mode and {"z": [mode.z.real, mode.z.imag], "frequency": mode.frequency, "growth": mode.growth,
+                              "damping": mode.damping},
+        }
+    else:
+        told |= {"method": "virtual time", "sentence": found.sentence, "amplitude": found.amplitude,
+                 "frequency": found.frequency}
+    told["continuous"] = answer.limit and answer.limit._asdict()
+    told["critical"] = answer.edge and answer.edge._asdict()
+    return told
+
+
+def table(answer: Answer) -> str:
+    """The answer in a few lines."""
+    from teleop.law import law_name
+
+    found, limit, edge = answer.found, answer.limit, answer.edge
+    rows = [("scene", f"{answer.scene.name}, law {law_name(answer.scene.law)}")]
+    rows += _roots(found) if isinstance(found, Stability) else [("verdict", f"{found.verdict}: {found.sentence}")]
+    if limit is not None:
+        rows.append(("continuous", _without_clock(limit)))
+    if edge is not None:
+        rows.append(("critical", _edge(edge)))
+    width = max(len(label) for label, _ in rows)
+    return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
+
+
+def _roots(found: Stability) -> list[tuple[str, str]]:
+    count = found.unstable
+    said = "no root" if not count else "1 root" if count == 1 else f"{count} roots"
+    rows = [("verdict", f"{found.verdict}: {said} outside the unit circle")]
+    if found.integrators:
+        rows.append(("at rest", f"{found.integrators} at z = 1: positions that nothing returns"))
+    if found.mode is not None:
+        mode, word = found.mode, "grows" if found.mode.growth > 0.0 else "decays"
+        rows.append(("last mode" if not count else "first mode", f"{si(mode.frequency, 'Hz')}, {word} at "
+                     f"{abs(mode.growth):.4g} 1/s, damping ratio {mode.damping:.4g}"))
+    trip, edge, dt = found.round_trip, found.critical_round_trip, found.dt
+    rows.append(("round trip", f"{found.forth} + {found.back} = {trip} ticks, {si(trip * dt, 's')}"))
+    first = "none: stable at every delay" if edge is None else f"{edge} ticks, {si(edge * dt, 's')}, is the least unstable"
+    if edge == 2:
+        first = "unstable already at 2 ticks, the least there is"
+    rows.append(("delay margin", first))
+    gain = found.gain_margin
+    said = "none: no gain changes the verdict" if gain is None else f"{gain:.5g} ({20.0 * log10(gain):+.3g} dB)"
+    return [*rows, ("gain margin", said)]
+
+
+def _without_clock(limit: Continuous) -> str:
+    if not limit.stable_without_delay:
+        return "unstable without any delay"
+    if limit.round_trip is None or limit.frequency is None:
+        return "stable at every delay"
+    return f"unstable from a round trip of {limit.round_trip * 1e3:.3f} ms on, at {limit.frequency:.3f} Hz"
+
+
+def _edge(edge: Critical) -> str:
+    more = f"; the verdict changes {edge.changes} times in the range" if edge.changes > 1 else ""
+    return f"{edge.knob} = {edge.value:.7g} (within {edge.high - edge.low:.1g}), stable {edge.stable}{more}"

@@ -1,0 +1,204 @@
+"""`teleop demo`: three processes started, watched, merged into one folder, and never left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop.live.demo import demo
+from teleop.lockstep import run
+from teleop.result import load_result
+from teleop.scene import load_scene
+
+pytestmark = pytest.mark.live
+Start = Callable[..., Any]
+ONE = ("hard_wall", "--set", "duration=1")
+LONG = ("hard_wall", "--set", "duration=60")
+
+
+def children(pid: int) -> dict[str, int]:
+    """The live processes that this one started, by their module's name."""
+    found = {}
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdecimal():
+            try:
+                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+                words = (folder / "cmdline").read_bytes().split(b"\0")
+            except (OSError, IndexError):
+                continue
+            if parent == pid and b"-m" in words:
+                found[words[words.index(b"-m") + 1].decode()] = int(folder.name)
+    return found
+
+
+def gone(pid: int) -> bool:
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def wait_for(what: Callable[[], bool], patience: float = 20.0) -> None:
+    until = time.monotonic() + patience
+    while not what():
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.02)
+
+
+def until_all_run(one: Any, tmp_path: Path) -> dict[str, int]:
+    """Wait until slave, channel and master are up and the master has written rows; their process ids."""
+    record = tmp_path / "out" / "master" / "record.bin"
+    wait_for(lambda: record.exists() and record.stat().st_size > 5000)
+    found = children(one.process.pid)
+    assert set(found) == {"slave", "channel", "master"}
+    return found
+
+
+def test_a_demo_ends_with_a_table_and_a_folder(command: Start, tmp_path: Path) -> None:
+    link = ("--link", "delay(0.05) | bernoulli(0.2)", "--seed", "3")
+    code, out, err = command("scenarios", "demo", *ONE, *link, "--out", "out").end()
+    assert code == 0
+    assert "\x1b" not in out + err
+    assert "\r" not in out + err
+    for row in ("tracking error", "force error", "delay seen", "packets", "late ticks", "link energy", "time per tick"):
+        assert f"\n{row} " in out
+    assert out.splitlines()[-1] == "written to out"
+    got = load_result(tmp_path / "out")
+    assert (got.mode, got.status, got.scene) == ("live", "ok", "hard_wall")
+    assert 300 < got.ticks <= 1000
+    assert 0.045 < got.metrics["T_fwd_mean"] < 0.2
+    assert got.metrics["E_link_min"] >= -1e-12
+    for way in ("forth", "back"):
+        counts = got.packets[way]
+        assert counts.rejected == {}
+        assert 0.1 < counts.lost / counts.sent < 0.3  # counted where it happens, in the channel
+        assert counts.received + counts.lost + counts.in_flight == counts.sent
+    for end in ("master", "slave"):
+        assert (tmp_path / "out" / end / "record.bin").is_file()
+        assert {"late_us", "delay", "rtt", "clock"} <= set(got.extra[end])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("knobs", [
+    {"scene": "jittery_wan", "duration": "0.4"},
+    {"scene": "canonical", "duration": "0.3", "law": "pfra", "link": "uniform(0.01) | duplicate(0.1) ; delay(0.03)"},
+    {"scene": "local", "duration": "0.3", "law": "direct"},
+])
+def test_a_stepped_demo_is_the_virtual_run_to_the_bit(knobs: dict[str, str], tmp_path: Path) -> None:
+    name, given = knobs["scene"], {key: value for key, value in knobs.items() if key != "scene"}
+    live = demo(name, given, seed=5, out=tmp_path / "out", json=True, lockstep=True, command=["demo"])
+    virtual = run(load_scene(name, **given), seed=5)
+    assert (live.mode, live.status, live.sentence) == ("lockstep", virtual.status, virtual.sentence)
+    assert list(live.trace) == list(virtual.trace)
+    for column, numbers in virtual.trace.items():
+        assert live.trace[column].tobytes() == numbers.tobytes(), column
+    assert live.metrics == virtual.metrics
+    assert live.packets == virtual.packets
+    with np.load(tmp_path / "out" / "trace.npz") as written:
+        assert written["x_s"].tobytes() == virtual.trace["x_s"].tobytes()
+
+
+def test_an_interrupted_demo_saves_what_there_is_and_leaves_nobody_behind(command: Start, tmp_path: Path) -> None:
+    one = command("scenarios", "demo", *LONG, "--out", "out", "--json")
+    started = until_all_run(one, tmp_path)
+    one.signal(signal.SIGINT)
+    one.signal(signal.SIGINT)  # an impatient finger
+    code, out, err = one.end()
+    assert (code, err) == (0, "")
+    told = json.loads(out)  # one object and nothing else
+    assert (told["status"], told["path"]) == ("stopped", "out")
+    assert set(told["channel"]["counts"]) == {"forth", "back"}
+    assert "it was asked to stop" in told["sentence"]
+    assert load_result(tmp_path / "out").ticks > 20
+    assert all(gone(pid) for pid in started.values())
+
+
+def test_a_demo_that_is_interrupted_before_it_runs_leaves_nothing(command: Start, tmp_path: Path) -> None:
+    one = command("scenarios", "demo", *LONG, "--out", "out")
+    wait_for((tmp_path / "out").exists)
+    one.signal(signal.SIGINT)
+    code, out, err = one.end()
+    assert (code, out) == (130, "")
+    assert len(err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+    assert children(one.process.pid) == {}
+
+
+def test_a_demo_that_is_killed_takes_its_processes_with_it(command: Start, tmp_path: Path) -> None:
+    one = command("scenarios", "demo", *LONG, "--out", "out")
+    started = until_all_run(one, tmp_path)
+    one.signal(signal.SIGKILL)
+    try:
+        wait_for(lambda: all(gone(pid) for pid in started.values()))
+    finally:
+        for pid in started.values():
+            if not gone(pid):
+                os.kill(pid, signal.SIGKILL)
+    for end in ("master", "slave"):
+        assert json.loads((tmp_path / "out" / end / "summary.json").read_text())["status"] == "stopped"
+
+
+def test_an_end_that_is_killed_is_said_and_the_others_record_is_kept(command: Start, tmp_path: Path) -> None:
+    one = command("scenarios", "demo", "hard_wall", "--set", "duration=1.5", "--out", "out")
+    started = until_all_run(one, tmp_path)
+    os.kill(started["slave"], signal.SIGKILL)
+    err = one.refused("the slave ended with exit code -9", "what was recorded is in out")
+    assert "Traceback" not in err
+    assert json.loads((tmp_path / "out" / "master" / "summary.json").read_text())["status"] == "ok"
+    assert all(gone(pid) for pid in started.values())
+
+
+def test_a_scene_may_print_what_it_likes(command: Start, tmp_path: Path) -> None:
+    (tmp_path / "loud.py").write_text(
+        "from scenarios import canonical\n\ndef scene(*, delay: float = 0.01):\n    print('hello')\n    print('[1]')\n"
+        "    return canonical.scene(delay=delay, duration=0.3)\n"
+    )
+    code, out, err = command("scenarios", "demo", "loud.py", "--out", "out").end()
+    assert (code, err) == (0, "")
+    assert "written to out" in out
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("nowhere",), ["nowhere"]),
+    (("hard_wall", "--set", "k_e=-1"), ["k_e"]),
+    (("hard_wall", "--out", "/dev/null/x"), ["cannot write to /dev/null/x"]),
+    (("canonical", "--set", "law=pfra", "--link", "dely(1)"), ["dely"]),
+])
+def test_a_wrong_demo_is_refused_before_anything_is_started(
+    arguments: tuple[str, ...], words: list[str], command: Start, tmp_path: Path
+) -> None:
+    command("scenarios", "demo", *arguments).refused(*words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_on_a_terminal_one_line_is_written_over_itself(command: Start) -> None:
+    """What a terminal is sent is carriage returns and text: no other control character, one line at the end."""
+    ours, its = pty.openpty()
+    one = command("scenarios", "demo", *ONE, "--out", "out", stderr=its)
+    os.close(its)
+    shown = b""
+    with suppress(OSError):  # how the terminal says that its other side is closed
+        while part := os.read(ours, 65536):
+            shown += part
+    os.close(ours)
+    code, out, _ = one.end()
+    assert code == 0
+    assert out.endswith("written to out\n")
+    text = shown.decode()
+    assert {c for c in text if not c.isprintable()} <= {"\r", "\n"}
+    assert text.count("\n") == 1
+    frames = [frame for frame in text.strip().split("\r") if frame]
+    assert len(frames) > 5
+    assert max(map(len, frames)) <= 80
+    assert "waiting for the first exchange" in frames[0]
+    assert "x_m" in frames[-1]
+    assert frames[-1].startswith("[####")

@@ -1,0 +1,174 @@
+"""The record on disk: rows as they come, and what is left of them after a kill, a full disk, or worse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop.errors import Refused
+from teleop.live.record import EVERY, FILE, Recorder, fresh_folder, read_record
+from teleop.scene import Scene, load_scene
+from teleop.tick import columns
+
+SCENE = load_scene("hard_wall", duration=1.0)
+WIDTH = len(columns(SCENE, "m"))
+ABOUT = {"scene": "hard_wall", "knobs": {"duration": "1.0"}, "seed": 0, "mode": "live", "command": []}
+
+
+def row(k: int) -> tuple[float, ...]:
+    return tuple(k + 0.1 * i for i in range(WIDTH))
+
+
+def recorded(folder: Path, count: int, scene: Scene = SCENE) -> Recorder:
+    recorder = Recorder(scene, "m", folder, ABOUT)
+    for k in range(count):
+        recorder.add(2 * k, 1000 + k, k - 5, row(k))
+    return recorder
+
+
+def test_what_was_added_is_read_back_to_the_bit(tmp_path: Path) -> None:
+    recorded(tmp_path, 3 * EVERY + 17).close()
+    header, record, late = read_record(tmp_path)
+    count = 3 * EVERY + 17
+    assert list(record.ticks) == [2 * k for k in range(count)]
+    assert record.played == [k - 5 for k in range(count)]
+    assert late == [1000 + k for k in range(count)]
+    assert list(record.rows) == [number for k in range(count) for number in row(k)]
+    assert (header["end"], header["scene"], header["dt_ns"]) == ("m", "hard_wall", 10**6)
+    assert len(header["columns"]) == WIDTH + 3
+
+
+def test_the_columns_are_named_once_for_each_axis(tmp_path: Path) -> None:
+    recorded(tmp_path, 0, replace(SCENE, axes=3, environment=(None,) * 3)).close()
+    names = read_record(tmp_path)[0]["columns"]
+    assert names[:9] == ["k", "late_ns", "seq", "x_m", "x_m", "x_m", "v_m", "v_m", "v_m"]
+
+
+def test_a_process_that_is_killed_leaves_all_but_the_last_rows(tmp_path: Path) -> None:
+    recorder = recorded(tmp_path, 2 * EVERY + 100)  # neither flushed nor closed
+    assert len(read_record(tmp_path)[1].ticks) == 2 * EVERY
+    recorder.close()
+
+
+def test_a_process_that_is_killed_early_or_ticks_slowly_leaves_a_record_too(tmp_path: Path) -> None:
+    early, slow = tmp_path / "early", tmp_path / "slow"
+    for folder in (early, slow):
+        folder.mkdir()
+    open_still = recorded(early, 3), recorded(slow, 3, load_scene("hard_wall", dt=0.5))
+    assert [len(read_record(folder)[1].ticks) for folder in (early, slow)] == [0, 3]
+    for recorder in open_still:
+        recorder.close()
+
+
+@pytest.mark.parametrize("cut", [1, 7, 8, 8 * (WIDTH + 3) - 1])
+def test_a_row_that_was_cut_off_is_left_out(cut: int, tmp_path: Path) -> None:
+    recorded(tmp_path, 40).close()
+    data = (tmp_path / FILE).read_bytes()
+    (tmp_path / FILE).write_bytes(data[:-cut])
+    record = read_record(tmp_path)[1]
+    assert list(record.ticks) == [2 * k for k in range(39)]
+    assert len(record.rows) == 39 * WIDTH
+
+
+def test_a_record_without_rows_is_a_record(tmp_path: Path) -> None:
+    recorded(tmp_path, 0).close()
+    assert list(read_record(tmp_path)[1].ticks) == []
+
+
+@pytest.mark.parametrize("data", [
+    None, b"", b"\n", b"[]\n", b"3\n", b"{}\n", b'{"columns": 5}\n', b"\xff\xfe\n", b'{"columns": ["k"', bytes(100),
+])
+def test_what_is_no_record_is_refused_in_one_sentence(data: bytes | None, tmp_path: Path) -> None:
+    if data is not None:
+        (tmp_path / FILE).write_bytes(data)
+    with pytest.raises(Refused, match="holds no record of a live end") as refused:
+        read_record(tmp_path)
+    assert str(tmp_path) in str(refused.value)
+
+
+def filling(folder: Path, count: int) -> Recorder:
+    """A record whose header went to a disk that has been full ever since."""
+    recorder = recorded(folder, 0)
+    recorder._file.close()
+    recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
+    for k in range(count):
+        recorder.add(k, 0, -1, row(k))
+    return recorder
+
+
+def test_a_disk_that_is_full_before_the_run_is_no_place_for_it(tmp_path: Path) -> None:
+    (tmp_path / FILE).symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left"):
+        recorded(tmp_path, 0)
+
+
+def test_a_full_disk_is_remembered_and_never_raised(tmp_path: Path) -> None:
+    recorder = filling(tmp_path, EVERY - 1)
+    assert recorder.trouble is None  # nothing has been written yet
+    for k in range(3 * EVERY):
+        recorder.add(k, 0, -1, row(k))
+    recorder.close()
+    assert recorder.trouble == f"the record stopped at row {EVERY}: No space left on device"
+
+
+def test_a_disk_that_is_full_at_the_end_is_remembered_too(tmp_path: Path) -> None:
+    recorder = filling(tmp_path, 10)
+    recorder.close()
+    assert recorder.trouble == "the record stopped at row 10: No space left on device"
+
+
+# The folder
+
+
+def test_a_folder_that_nobody_kept_is_gone_with_its_parents(tmp_path: Path) -> None:
+    with fresh_folder(tmp_path / "a" / "b" / "c") as _:
+        (tmp_path / "a" / "b" / "c" / "file").write_text("")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_parent_that_was_there_or_is_in_use_stays(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    with fresh_folder(tmp_path / "old" / "new" / "mine"):
+        (tmp_path / "old" / "new" / "another's").mkdir()
+    assert [path.name for path in (tmp_path / "old" / "new").iterdir()] == ["another's"]
+    with fresh_folder(tmp_path / "old" / "x"):
+        pass
+    assert (tmp_path / "old").is_dir()
+
+
+def test_a_folder_that_was_kept_stays_whatever_happens_then(tmp_path: Path) -> None:
+    def work() -> Any:
+        with fresh_folder(tmp_path / "mine") as keep:
+            keep()
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
+    assert (tmp_path / "mine").is_dir()
+
+
+@pytest.mark.parametrize("make", ["folder", "file", "dangling link"])
+def test_what_is_there_already_is_left_alone(make: str, tmp_path: Path) -> None:
+    at = tmp_path / "there"
+    if make == "folder":
+        at.mkdir()
+        (at / "file").write_text("mine")
+    elif make == "file":
+        at.write_text("mine")
+    else:
+        at.symlink_to("nowhere")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(Refused, match="is there already; give another folder with --out"), fresh_folder(at):
+        pass
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    why = r"cannot write to .*file/x \(Not a directory\)"
+    with pytest.raises(Refused, match=why), fresh_folder(tmp_path / "file" / "x"):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

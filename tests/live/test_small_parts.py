@@ -1,0 +1,164 @@
+"""Timer, socket, addresses, signals: the parts that the live loops are made of."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable
+
+import pytest
+
+from teleop.errors import Refused
+from teleop.live.address import address, bound, peer_address, shown
+from teleop.live.interrupt import Interrupt
+from teleop.live.ticker import Alarm
+from teleop.live.wire import Wire
+
+pytestmark = pytest.mark.live
+
+
+# The alarm
+
+
+def rings(due: Callable[[], int], interval_ns: int, wait: float, *, coarse: bool = False) -> list[int]:
+    """When it rang, on the monotonic clock."""
+    rang: list[int] = []
+
+    async def run() -> None:
+        alarm = Alarm(asyncio.get_running_loop(), lambda: rang.append(time.monotonic_ns()))
+        if coarse and alarm.precise:
+            alarm.close()
+        alarm.set(due(), interval_ns)
+        await asyncio.sleep(wait)
+        alarm.close()
+        count = len(rang)
+        await asyncio.sleep(0.02)
+        assert len(rang) == count  # closed is closed
+
+    asyncio.run(run())
+    return rang
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_it_never_rings_early(coarse: bool) -> None:
+    start = time.monotonic_ns() + 30_000_000
+    rang = rings(lambda: start, 5_000_000, 0.3, coarse=coarse)
+    assert len(rang) > 10
+    for at in rang[1:]:
+        # Each ring belongs to an instant of the grid that has come (the coarse one rounds to its clock's step).
+        assert at >= start
+    assert rang[0] >= start - (2_000_000 if coarse else 0)
+
+
+def test_an_instant_that_has_passed_rings_at_once_and_keeps_the_grid() -> None:
+    start = time.monotonic_ns() - 12_345_000_000
+    rang = rings(lambda: start, 20_000_000, 0.15)
+    assert 2 <= len(rang) <= 9
+    late = sorted((at - start) % 20_000_000 for at in rang[1:])
+    assert late[0] < 5_000_000  # at least one of them was about on time
+
+
+def test_without_an_interval_it_rings_once() -> None:
+    assert len(rings(lambda: time.monotonic_ns() + 1_000_000, 0, 0.1)) == 1
+    assert len(rings(lambda: time.monotonic_ns() + 1_000_000, 0, 0.1, coarse=True)) == 1
+
+
+def test_a_timer_that_cannot_be_set_is_an_error_and_no_endless_wait() -> None:
+    with pytest.raises((OSError, ValueError)):
+        rings(time.monotonic_ns, -1_000_000, 0.01)
+
+
+# The wire
+
+
+def test_what_cannot_be_sent_is_counted_and_what_is_not_there_is_none() -> None:
+    wire = Wire(bound(("127.0.0.1", 0), "--listen"), None)
+    with wire.sock:
+        wire.send(b"to nobody")
+        assert wire.receive() is None
+        wire.peer = ("127.0.0.1", 9)
+        wire.send(bytes(70_000))  # longer than a datagram can be
+        assert wire.unsent == 1
+        wire.peer = wire.sock.getsockname()
+        wire.send(b"to myself")
+        time.sleep(0.01)
+        got = wire.receive()
+        assert got is not None
+        assert got[:2] == (b"to myself", wire.peer)
+        assert wire.sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) > 200_000
+
+
+def test_a_peer_whose_port_is_closed_raises_nothing() -> None:
+    gone = bound(("127.0.0.1", 0), "--listen")
+    wire = Wire(bound(("127.0.0.1", 0), "--listen"), gone.getsockname())
+    gone.close()
+    with wire.sock:
+        for _ in range(3):
+            wire.send(b"anybody there?")
+            time.sleep(0.005)
+            assert wire.receive() is None
+
+
+# Addresses
+
+
+@pytest.mark.parametrize(("text", "meant"), [
+    ("127.0.0.1:9001", ("127.0.0.1", 9001)), (":9001", ("127.0.0.1", 9001)), ("localhost:1", ("127.0.0.1", 1)),
+    ("0.0.0.0:0", ("0.0.0.0", 0)),
+])
+def test_addresses_as_people_type_them(text: str, meant: tuple[str, int]) -> None:
+    assert address(text, "--listen") == meant
+
+
+@pytest.mark.parametrize("text", [
+    "", "9001", "127.0.0.1", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:-1", "127.0.0.1:65536", "a b:1", "..:1",
+    f"{'a' * 70}:1", "host.invalid:1",
+])
+def test_what_is_no_address_is_refused_by_the_option_that_gave_it(text: str) -> None:
+    with pytest.raises(Refused, match="--peer") as refused:
+        address(text, "--peer")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_peer_needs_a_port() -> None:
+    assert peer_address("127.0.0.1:9001") == ("127.0.0.1", 9001)
+    with pytest.raises(Refused, match="--peer 127"):
+        peer_address("127.0.0.1:0")
+
+
+def test_an_address_that_is_taken_or_not_ours_is_refused() -> None:
+    with bound(("127.0.0.1", 0), "--listen") as one:
+        with pytest.raises(Refused, match="in use"):
+            bound(one.getsockname(), "--listen")
+        assert shown(one.getsockname()).startswith("127.0.0.1:")
+    with pytest.raises(Refused, match="not this machine's"):
+        bound(("203.0.113.1", 9001), "--listen")
+
+
+# Signals
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_noted_and_the_first_one_counts(number: signal.Signals) -> None:
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    with Interrupt() as interrupt:
+        assert interrupt.name is None
+        os.kill(os.getpid(), number)
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.001)
+        assert interrupt.name == number.name
+    assert {each: signal.getsignal(each) for each in before} == before
+
+
+def test_an_event_loop_leaves_the_note_alone() -> None:
+    async def run() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        await asyncio.sleep(0.01)
+
+    with Interrupt() as interrupt:
+        asyncio.run(run())
+        assert interrupt.name == "SIGINT"
+        os.kill(os.getpid(), signal.SIGTERM)  # after the loop: what is being written is finished
