@@ -20,7 +20,7 @@ from teleop.live.interrupt import Interrupt
 from teleop.live.ticker import Alarm
 from teleop.live.wire import DRAIN, Wire
 from teleop.options import Parser, guarded, knobs_from, scene_options
-from teleop.packet import Kind, Packet, decode, peek
+from teleop.packet import Kind, Packet, decode, manifest_difference, peek
 from teleop.scene import Scene, load_scene
 
 QUIET_NS = 1_000_000_000  # a session that has sent no message for so long gives way to another one's HELLO
@@ -40,6 +40,7 @@ class RelayShell:
         link: Any = scene.link  # a scene asks less of its link than a relay does
         self._water = link, seed, scene.wire_size
         self.relay = Relay(*self._water)
+        self._manifest = {key: text for key, text in scene.manifest().items() if key not in ("link", "delay")}
         self._session: int | None = None
         self._origin: int | None = None  # our clock at tick 0
         self._busy_ns = 0  # when the session's last message came
@@ -99,10 +100,19 @@ class RelayShell:
             return
         running = self._origin is not None and now - self._busy_ns < QUIET_NS
         if packet.kind is Kind.HELLO and packet.session != self._session and not running:
+            self._compare(packet)
             self._session, self._origin, self._set_to = packet.session, None, None
             self.relay = Relay(*self._water)
         if packet.session == self._session and self._origin is None and direction == (packet.kind is Kind.WELCOME):
             self.wires[direction].peer = sender
+
+    def _compare(self, hello: Packet) -> None:
+        """Say so if the master runs another scene: the link would be another one. The link itself may differ."""
+        assert isinstance(hello.payload, dict)
+        theirs = {key: text for key, text in hello.payload.items() if key in self._manifest}
+        difference = manifest_difference(self._manifest, theirs)
+        if difference is not None:
+            print(f"channel: the master runs another scene than this channel: {difference}", file=sys.stderr, flush=True)
 
     def _rang(self) -> None:
         self._set_to = None

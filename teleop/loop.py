@@ -271,18 +271,19 @@ def in_order(values: Points) -> Points:
         return values
     import numpy as np
 
-    ordered = values.copy()
-    for i in range(1, len(ordered)):
-        apart = np.abs(np.log(ordered[i - 1][:, None] + 1e-300) - np.log(ordered[i][None, :] + 1e-300))
-        wrapped = np.abs(ordered[i - 1][:, None] - ordered[i][None, :])
-        apart = np.minimum(apart, wrapped / (np.abs(ordered[i - 1][:, None]) + 1e-300))
-        row = np.empty_like(ordered[i])
-        for _ in range(len(row)):
-            a, b = np.unravel_index(int(np.argmin(apart)), apart.shape)
-            row[a] = ordered[i, b]
-            apart[a, :] = apart[:, b] = np.inf
-        ordered[i] = row
-    return ordered
+    before, after = values[:-1, :, None], values[1:, None, :]
+    apart = np.abs(after - before) / (np.abs(before) + np.abs(after) + 1e-300)
+    follows = np.empty(values[1:].shape, dtype=np.intp)
+    rows = np.arange(len(apart))
+    for _ in range(values.shape[1]):  # the closest pair of each row first
+        a, b = np.divmod(apart.reshape(len(apart), -1).argmin(axis=1), values.shape[1])
+        follows[rows, a] = b
+        apart[rows, a, :] = apart[rows, :, b] = np.inf
+    order = np.empty(values.shape, dtype=np.intp)
+    order[0] = np.arange(values.shape[1])
+    for i, follow in enumerate(follows):
+        order[i + 1] = follow[order[i]]
+    return np.take_along_axis(values, order, axis=1)
 
 
 def _phase(logs: Points) -> float:

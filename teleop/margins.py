@@ -119,12 +119,19 @@ def _root(linear: Linear, low: float, high: float) -> complex | None:
     loop = sampled_loop(linear, circle(exp(low)))
     # An end's own root that the loop does not move stands in the bracket by itself.
     found = [rate for rate in np.log(loop.poles[loop.poles != 0.0]).tolist() if low - room <= rate.real <= high + room]
+    seeds = []
     for crossing in loop.crossings(d):
         psi = (crossing.log - d * crossing.at).imag / (2.0 * pi)
-        for turns in (floor(psi), floor(psi) + 1):
-            rate = _secant(linear, crossing.at + 2j * pi * (psi - turns) / d)
-            if rate is not None and low - room <= rate.real <= high + room:
-                found.append(rate)
+        seeds += [crossing.at + 2j * pi * (psi - turns) / d for turns in (floor(psi), floor(psi) + 1)]
+    # Beside an end's own root the gain passes 1 in less than a step; the closest samples are near enough there.
+    _, exponents, logs = loop.samples
+    miss = logs - d * exponents[:, None]
+    miss = np.abs(miss - 2j * pi * np.round(miss.imag / (2.0 * pi)))
+    seeds += exponents[np.argsort(miss.min(axis=1))[:6]].tolist()
+    for seed in seeds:
+        rate = _secant(linear, seed)
+        if rate is not None and low - room <= rate.real <= high + room:
+            found.append(rate)
     return cexp(max(found, key=lambda rate: rate.real)) if found else None
 
 
@@ -152,7 +159,7 @@ def _secant(linear: Linear, rate: complex) -> complex | None:
 def gain_margin(loop: Loop, delay: int) -> float | None:
     """The factor on the round trip's gain at which the scene's verdict changes.
 
-    Above 1 for a stable loop: the least gain at which a root reaches the unit circle, which is 1/|l_j| where the
+    What rests at z = 1 is left out of it. Above 1 for a stable loop: the least gain at which a root reaches the unit circle, which is 1/|l_j| where the
     phase is a whole number of turns. Below 1 for an unstable one: the greatest at which it is stable together with
     everything tried down to 1e-6. None where no gain changes the verdict.
     """

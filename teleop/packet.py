@@ -272,7 +272,7 @@ _CURES = {
     "wire version": "install the same release of bilateral-teleop at both ends",
     "scene": "start both ends with the same scene",
     "law": "start both ends with the same --set law=NAME and the same law.* knobs",
-    "law source": "use the same file of the law, and the same release, at both ends",
+    "law source": "install the same release, and the same file of the law, at both ends",
     "mode": "start both ends with --lockstep, or neither",
     "seed": "start both ends with the same --seed",
 }

@@ -112,7 +112,8 @@ def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
         "dt": result.dt, "ticks": result.ticks, "rounds": got.rounds, "contacts": got.contacts,
         "units": {**SERIES, "ns_per_tick": "ns", "peak_ratio": "1"},
         "reference": {
-            "method": "exact", "compared": got.agreement.sentence, "ticks": got.agreement.ticks, "changes": got.agreement.changes,
+            "method": "exact", "compared": got.agreement.sentence, "ticks": got.agreement.ticks,
+            "changes": got.agreement.changes,
             "per_tick": {s: {"x": _number(x), "v": _number(v)} for s, (x, v) in got.agreement.differences.items()},
             "put_off_by": {"x": got.agreement.x, "v": got.agreement.v}, "step_ns": dict(got.step_ns),
         },

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import doctest
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -106,6 +108,19 @@ def test_the_python_of_the_readme_runs() -> None:
         done = run(sys.executable, "-c", block)
         assert done.returncode == 0, done.stderr
         assert all(0.0 < float(word) < 0.1 for word in re.findall(r"\b0\.0\d+", done.stdout))
+
+
+def modules() -> list[str]:
+    paths = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    named = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths if ">>>" in path.read_text()]
+    return sorted(name.removesuffix(".__init__") for name in named)
+
+
+@pytest.mark.parametrize("module", modules())
+def test_the_examples_in_the_docstrings_are_true(module: str) -> None:
+    failed, tried = doctest.testmod(import_module(module))
+    assert tried > 0
+    assert failed == 0
 
 
 def test_tests_mirror_the_folders() -> None:

@@ -15,7 +15,6 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.library import ROOT
-from teleop.live.end import live_text
 from teleop.live.interrupt import Interrupt
 from teleop.live.merge import merge
 from teleop.live.record import fresh_folder, read_record
@@ -78,10 +77,10 @@ class Child:
         """Why it ended with `code`, having said so much on stderr."""
         return Refused(said.removeprefix("teleop: ") or f"the {self.name} ended with exit code {code} and no word")
 
-    def interrupt(self) -> None:
-        """Ask it to stop cleanly."""
+    def interrupt(self, name: str = "SIGTERM") -> None:
+        """Ask it to stop cleanly, with the signal that asked us."""
         if self.process.returncode is None:
-            self.process.send_signal(signal.SIGTERM)
+            self.process.send_signal(signal.Signals[name])
 
 
 def _event(line: bytes) -> dict[str, Any]:
@@ -113,7 +112,6 @@ def demo(
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
     with Interrupt() as interrupt, fresh_folder(out) as keep:
-        began = time.monotonic()
         try:
             channel = asyncio.run(_conduct(scene, options, out, interrupt, show=not json, lockstep=lockstep))
         except Refused as refused:
@@ -123,7 +121,7 @@ def demo(
                 keep()
         if interrupt.name is not None and not _ran(out):
             raise KeyboardInterrupt
-        result = merge(scene, out / "master", out / "slave", channel=channel, run_time=time.monotonic() - began)
+        result = merge(scene, out / "master", out / "slave", channel=channel)
         result.write(out, command)
     return replace(result, path=out)
 
@@ -149,7 +147,7 @@ async def _conduct(
             await asyncio.sleep(0.05)
         for child in children:
             if child.name != "channel":
-                child.interrupt()
+                child.interrupt(interrupt.name)
 
     stepping = ["--lockstep"] * lockstep
     beside = [asyncio.create_task(pass_on()), *([asyncio.create_task(_line(scene, live))] if show else [])]
@@ -185,18 +183,40 @@ async def _conduct(
 
 
 async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
-    """The one line that shows how far the run is."""
+    """The one line that shows how far the run is. Between two events of the ends it goes on with the clock."""
     from teleop.console import Progress
 
     progress = Progress(sys.stderr, scene.ticks)
+    seen, since = -1, 0.0
     try:
         while True:
+            now = time.monotonic()
             done = min((numbers["k"] + 1 for numbers in live.values()), default=0)
-            text = "  ".join(live_text(live[e]) for e in ("m", "s") if e in live) or "waiting for the first exchange"
-            progress.show(done, time.monotonic(), text)
+            if done != seen:
+                seen, since = done, now
+            if done:  # the start-up is no part of the rate
+                progress.show(min(done + (now - since) / scene.dt, scene.ticks), now, both_text(live))
             await asyncio.sleep(0.1)
     finally:
         progress.end()
+
+
+def both_text(live: dict[str, dict[str, Any]]) -> str:
+    """The live numbers of both ends, master/slave, short enough for a terminal of 80 columns.
+
+    >>> m = {"x": 0.0573, "f": 0.41, "delay": 0.051, "gain": 1.0}
+    >>> both_text({"m": m, "s": {**m, "x": 0.03, "gain": 0.2}})
+    'x 57.3/30.0 mm  f 0.4/0.4 N  51/51 ms  watchdog s 20%'
+    """
+    ends = [live[e] for e in ("m", "s") if e in live]
+    delays = [f"{one['delay'] * 1e3:.0f}" if one["delay"] is not None else "-" for one in ends]
+    parts = [
+        "x " + "/".join(f"{one['x'] * 1e3:.1f}" for one in ends) + " mm",
+        "f " + "/".join(f"{one['f']:.1f}" for one in ends) + " N", "/".join(delays) + " ms",
+    ]
+    parts += [f"watchdog {e} {live[e]['gain']:.0%}" for e in ("m", "s")
+              if e in live and live[e]["gain"] is not None and live[e]["gain"] < 1.0]
+    return "  ".join(parts)
 
 
 def _ran(out: Path) -> bool:

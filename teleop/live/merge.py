@@ -21,9 +21,7 @@ def scene_of(folder: Path) -> Scene:
     return _scene(read_record(folder)[0])
 
 
-def merge(
-    scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | None = None, run_time: float | None = None
-) -> Result:
+def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | None = None) -> Result:
     """One result from the folders of the two ends of a run of `scene`, at the ticks that both ran. Raises `Refused`.
 
     `channel` is what the relay counted, if it is known. What an end did not write down itself, having been
@@ -46,6 +44,8 @@ def merge(
     status, sentence = _verdict(ends)
     stepped = ours["mode"] == "lockstep"
     packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
+    took = [end[NAMES[e]].get("run_time") for e, end in ends.items()]
+    run_time = max((time for time in took if time is not None), default=None)
     extra = {**{NAMES[e]: end[NAMES[e]] for e, end in ends.items()}, "channel": channel}
     notes = [f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]
     return Result.make(scene, seed=ours["seed"], mode=ours["mode"], status=status, sentence=sentence,

@@ -51,6 +51,7 @@ class Shell:
         self.ticks = self.skipped = 0
         self.data_sent = 0
         self.cpu: float | None = None  # share of a core while it ran
+        self.run_time: float | None = None  # s, of that
         self._late_most = 0  # ns, since the last live line
         self._shown: tuple[Reading, Axes, tuple[float, ...]] | None = None
         self._say, self._patience, self._interrupt = say, patience, interrupt
@@ -75,7 +76,8 @@ class Shell:
                     await self._by_packets(self.endpoint.inbox)
                 else:
                     await self._by_clock(loop)
-                self.cpu = (time.process_time_ns() - used) / max(1, time.monotonic_ns() - began)
+                self.run_time = (time.monotonic_ns() - began) / 1e9
+                self.cpu = (time.process_time_ns() - used) / 1e9 / max(1e-9, self.run_time)
             if self._broken is not None:
                 raise self._broken
         except Exception as error:

@@ -289,3 +289,16 @@ def test_ends_of_two_runs_are_not_put_together(command: Start, tmp_path: Path) -
         merge(scene_of(runs / "hard_wall-master-1"), runs / "hard_wall-master-1", runs / "hard_wall-slave-2")
     with pytest.raises(Refused, match="the master's folder first"):
         merge(scene_of(runs / "hard_wall-master-1"), runs / "hard_wall-slave-1", runs / "hard_wall-master-1")
+
+
+def test_a_channel_of_another_scene_says_so(command: Start) -> None:
+    slave = command("slave", *SCENE, *ANY, "--json")
+    peer = f"127.0.0.1:{slave.port()}"
+    channel = command("channel", *SCENE, "--set", "dt=0.002", *ANY, "--peer", peer, "--json")
+    master = command("master", *SCENE, "--peer", f"127.0.0.1:{channel.port()}", "--json")
+    assert master.end()[0] == slave.end()[0] == 0
+    channel.signal(signal.SIGTERM)
+    code, _, err = channel.end()
+    assert code == 0
+    assert "another scene than this channel: " in err
+    assert "dt is" in err

@@ -27,6 +27,15 @@ WAVE = Wave()
 def scene(*, up: Path, k_e: float = 1.0, law: Law = WAVE, steps: int = 3) -> None: ...
 
 
+def anything(*, k_e: float = 1.0, **rest: float) -> None: ...
+
+
+def several(*rest: float) -> None: ...
+
+
+def first(k_e: float = 1.0, /) -> None: ...
+
+
 class TestNames:
     def test_of_a_function_come_with_type_and_default(self) -> None:
         assert knobs_of(scene) == {"up": (Path, ...), "k_e": (float, 1.0), "law": (Law, Wave()), "steps": (int, 3)}
@@ -45,9 +54,7 @@ class TestNames:
             settle("s", scene, {"up": "a", "k_f": "1"})
 
 
-    @pytest.mark.parametrize(("function", "shown"), [
-        (lambda *, k_e=1.0, **rest: None, r"\*\*rest"), (lambda *rest: None, r"\*rest"), (lambda k_e=1.0, /: None, "k_e"),
-    ])
+    @pytest.mark.parametrize(("function", "shown"), [(anything, r"\*\*rest"), (several, r"\*rest"), (first, "k_e")])
     def test_that_cannot_be_named_are_refused(self, function: Any, shown: str) -> None:
         with pytest.raises(Refused, match=rf"`{shown}.*` cannot be one; write for example `def scene\(\*, k_e"):
             knobs_of(function)

@@ -170,6 +170,27 @@ def test_a_backward_euler_step_satisfies_its_own_equation(p: float, u: float, f:
         assert g == pytest.approx(max(0.0, k * q + d * w) if q > 0.0 else 0.0, abs=rounding)
 
 
+@pytest.mark.parametrize(("p", "u", "f"), [(-1e-4, 0.5, 1.0), (-5e-4, 0.6, 1.0), (1e-4, -0.2, 0.0), (2e-4, -0.4, 1.0)])
+def test_radau_solves_its_two_stages_together_with_their_contact(p: float, u: float, f: float) -> None:
+    """Butcher's tableau with the wall's force at both stages, from an independent root finder."""
+    from scipy.optimize import fsolve
+
+    h, k, d = 1e-3, 2e4, 0.0
+    a = h * np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]])
+
+    def push(q: np.ndarray) -> np.ndarray:
+        return np.where(q > 0.0, np.maximum(k * q, 0.0), 0.0)
+
+    def residual(w: np.ndarray) -> np.ndarray:
+        return w - u - a @ ((f - w - push(p + a @ w)) / 0.5)
+
+    want = fsolve(residual, np.full(2, u), xtol=1e-13)
+    exact = wall(BODY, h, k=k, d=d, at=0.0, side=1.0)
+    plant = stepped(BY_NAME["radau"], touch_of(exact, BODY), h, 1)
+    got = plant.move(plant.c, p, u, f)
+    assert got[:2] == pytest.approx((p + (a @ want)[1], want[1]), rel=1e-9)
+
+
 # In a run
 
 

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
 from teleop.observer import coefficients, observe
+from teleop.scene import load_scene
+from teleop.tick import columns, compiled, live_text
 
 INSTANT = 1e9  # 1/s: a filter so fast that f_h_hat is f_bar itself
 
@@ -93,3 +95,19 @@ def test_the_force_that_was_really_held_is_what_counts() -> None:
     after = speed_after(0.0, 6.0 - 2.0, 0.1, 0.5, 1e-3)
     assert observe(c, 0.0, 0.0, after, 2.0) == pytest.approx(6.0, rel=1e-12)
     assert observe(c, 0.0, 0.0, after, 5.0) == pytest.approx(9.0, rel=1e-12)
+
+
+def test_a_stall_of_many_ticks_does_not_throw_the_live_estimate_off() -> None:
+    """A held force and a constant hand, seen again after 70 ticks: the estimate is the hand's force still."""
+    scene = load_scene("canonical", law="pfra", observer=INSTANT)
+    M, b, dt = scene.master.mass, scene.master.damping, 1e-3
+    live = compiled(scene, live_text(scene, "m"), "live")(scene, scene.law, dt, (0.0,), (0.0,), None)
+    live.send(None)
+    at = [name.removesuffix("@") for name in columns(scene, "m")].index("f_h_hat")
+    v, before, f_m = 0.0, 0, 0.0
+    for k in (0, 1, 2, 72, 73, 200):
+        v, before = speed_after(v, 0.3 - f_m, M, b, (k - before) * dt), k
+        force, _, row = live.send((k, (0.0,), (v,), None, False, -1, None))
+        f_m = force[0]
+        if k:
+            assert row[at] == pytest.approx(0.3, abs=1e-9)

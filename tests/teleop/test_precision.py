@@ -87,8 +87,33 @@ class TestTheReference:
         assert set(got.differences) == {"DOP853", "Radau"}
         assert all(x < 1e-11 and v < 1e-9 for x, v in got.differences.values())
         assert "gave up" not in got.sentence
-        if name != "free_motion":
-            assert felt(scene, trace).any()
+        walled = isinstance(scene.environment, Wall)
+        assert (got.changes > 0) == walled  # or it would compare smooth motion only
+
+    def test_the_ticks_compared_are_those_in_which_contact_is_made_and_lost(self, quick: None) -> None:
+        scene = strike(environment=Wall(k=1e5, d=50.0, at=1e-3))
+        trace = run(scene).trace
+        at = trace["f_env"] > 0.0
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(teleop.agreement, "CHANGES", 1000)
+            got = agreement(scene, trace)
+        assert got.changes >= (at[1:] != at[:-1]).sum() >= 3
+        assert f"({got.changes} with a change of mode)" in got.sentence
+
+    def test_a_bounce_between_two_ticks_is_among_them(self) -> None:
+        scene = strike(environment=Wall(k=1e9, d=0.0, at=1.0005e-3))
+        trace = run(scene).trace
+        unseen = felt(scene, trace)[:-1] & (trace["f_env"][:-1] == 0.0) & (trace["f_env"][1:] == 0.0)
+        assert unseen.any()
+        got = agreement(scene, trace)
+        assert got.changes >= min(unseen.sum(), 20)
+        assert got.differences["DOP853"][0] < 1e-11
+
+    def test_events_are_located_to_rounding_not_to_interpolation(self, quick: None) -> None:
+        scene = load_scene("canonical", duration=2.5, k_e=1e6, d_e=0.0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(teleop.agreement, "CHANGES", 24)
+            assert agreement(scene, run(scene).trace).differences["DOP853"][1] < 2e-14
 
     def test_a_whole_run_with_located_events_is_the_exact_run(self) -> None:
         scene = strike()

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import count, pairwise
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.packet import Kind, Packet, decode, encode
+from teleop.packet import Kind, Packet, decode, encode, manifest_difference
 from teleop.scene import load_scene
 from teleop.session import AGAIN_NS, HOLD_NS, LEAD_NS, ROUNDS, Session
 
@@ -298,3 +299,54 @@ def test_a_manifest_that_cannot_be_sent_is_refused_where_it_is_made() -> None:
     with pytest.raises(ValueError, match="printable"):
         Session(master=True, manifest={"k": "a\nb"}, number=1).due(0)
     assert isinstance(decode(encode(hello(1)), 1), Packet)
+
+
+MINE = """
+from dataclasses import dataclass
+from typing import ClassVar
+from teleop.laws.direct import Direct
+from teleop.plant import MassDamper
+from teleop.scene import Scene
+
+@dataclass(frozen=True, kw_only=True)
+class Mine:
+    K: float = 10.0
+    claims: ClassVar[frozenset[str]] = frozenset()
+    def master_start(self, at): return (), Direct().master_start(at)[1]
+    def slave_start(self, at): return (), Direct().slave_start(at)[1]
+    def master(self, s, at, rx): return 0.0, type(Direct().slave_start(at)[1])(at.x, at.v), s
+    def slave(self, s, at, rx): return SIGN * self.K * (rx.x - at.x), Direct().master_start(at)[1], s
+
+def scene(*, duration: float = 1.0) -> Scene:
+    return Scene(law=Mine(), master=MassDamper(mass=0.1), slave=MassDamper(mass=MASS), duration=duration)
+"""
+
+
+def test_scenes_of_the_same_name_that_differ_anywhere_do_not_run_together(tmp_path: Path) -> None:
+    def manifest(folder: str, sign: str = "1.0", mass: str = "0.5") -> dict[str, str]:
+        path = tmp_path / folder / "mine.py"
+        path.parent.mkdir()
+        path.write_text(MINE.replace("SIGN", sign).replace("MASS", mass))
+        return load_scene(str(path)).manifest()
+
+    one = manifest("one")
+    assert manifest_difference(one, manifest("copy")) is None
+    body = manifest_difference(one, manifest("body", mass="0.6"))
+    assert body is not None
+    assert "slave is MassDamper(mass=0.5" in body or "law source" in body  # the file differs, and the part too
+    turned = manifest_difference(one, manifest("turned", sign="-1.0"))
+    assert turned is not None
+    assert turned.startswith("law source is mine.py (")
+
+
+def test_a_recorded_motion_may_lie_elsewhere_but_not_differ(tmp_path: Path) -> None:
+    manifests = []
+    for folder, reach in (("one", "0.1"), ("two", "0.1"), ("three", "0.2")):
+        path = tmp_path / folder / "motion.csv"
+        path.parent.mkdir()
+        path.write_text(f"t,x,y,z\n0,0,0,0\n1,{reach},0,0\n")
+        manifests.append(load_scene("recorded_reach", motion=str(path)).manifest())
+    assert manifest_difference(manifests[0], manifests[1]) is None
+    told = manifest_difference(manifests[0], manifests[2])
+    assert told is not None
+    assert told.startswith("motion is motion.csv (")
