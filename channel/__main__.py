@@ -112,7 +112,8 @@ class RelayShell:
         theirs = {key: text for key, text in hello.payload.items() if key in self._manifest}
         difference = manifest_difference(self._manifest, theirs)
         if difference is not None:
-            print(f"channel: the master runs another scene than this channel: {difference}", file=sys.stderr, flush=True)
+            told = f"channel: the master runs another scene than this channel: {difference}"
+            print(told, file=sys.stderr, flush=True)
 
     def _rang(self) -> None:
         self._set_to = None

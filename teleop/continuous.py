@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from teleop.linear import Matrix
 
 SLOWEST = 1e-4  # rad/s: what is slower stays where it is
+SHORT = 1e-7  # s, a tick so short that the law is nearly at its limit
 MOST_PASSAGES = 100_000
 
 
@@ -169,9 +170,8 @@ def _law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
         found[:states] = (found[:states] - np.eye(states, found.shape[1])) / dt
         return found
 
-    dt = 1e-3 * scene.dt_ns / 1e9
-    one, half, quarter = short(dt), short(dt / 2.0), short(dt / 4.0)
-    if (np.abs(quarter - half) > 0.1 * np.maximum(np.abs(half), 1e-6)).any():
+    one, half, quarter = short(SHORT), short(SHORT / 2.0), short(SHORT / 4.0)
+    if (np.abs(quarter) > 1.5 * np.abs(half) + 1e-6 * (1.0 + np.abs(half).max())).any():
         raise Refused(f"law {law_name(law)} has no limit for short ticks, since it keeps samples or divides by dt; "
                       "ask without --continuous")
     twice = [2.0 * half - one, 2.0 * quarter - half]

@@ -17,8 +17,9 @@ which they are analytic) and none changes by more than `STEP` in magnitude or ph
 Hence a pole beside the curve is never stepped over, and the phase has no ambiguity. Peaks that come within 5 % of
 entering are looked at more closely; what rises above 1 for less than about 1e-6 is beneath it.
 
-A curve passes z = 1 (s = 0) at `INDENT` on the far side: roots nearer than that belong to positions that nothing
-returns, such as a free master's, or to the place where two ends agree. They are counted by themselves.
+Roots at z = 1 (s = 0) belong to positions that nothing returns, such as a free master's, or to the place where two ends
+agree. The curve passes them on the far side, and they are counted by themselves. It keeps 1e-9 away, or 1e-6 where an
+end has poles there of its own: those may be double, and rounding then parts them by 1e-8.
 """
 
 from __future__ import annotations
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     Points = NDArray[np.complex128]
 
 STEP = 0.25  # of log l_j between two samples
-INDENT = 1e-6  # of z about 1
 EDGE = 1e-11  # how far outside the unit circle the curve runs, so that a pole on it is inside
 FAINT = 1e-7  # l_j below this are not followed
 NOISE = 1e-12  # of log |l_j|: lossless ends touch 1 at rest, which is no crossing
@@ -54,29 +54,29 @@ class Curve(NamedTuple):
     closed: bool  # does it end on the real axis, or at infinity
 
 
-def circle(radius: float = 1.0) -> Curve:
-    """|z| = `radius`; from the unit circle on outwards it keeps `INDENT` away from z = 1."""
+def circle(radius: float, indent: float) -> Curve:
+    """|z| = `radius`; the unit circle and what is as near to it passes z = 1 at the distance `indent`."""
     import numpy as np
 
     reach = radius + EDGE if radius >= 1.0 else radius
-    if not 1.0 <= reach < 1.0 + INDENT:
+    if not 1.0 <= reach < 1.0 + indent:
         return Curve(lambda t: reach * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z) > reach, True)
-    turn = acos((reach * reach - 1.0 - INDENT * INDENT) / (2.0 * INDENT))
-    leave = float(np.angle(1.0 + INDENT * np.exp(1j * turn)))
+    turn = acos(((reach - 1.0) * (reach + 1.0) - indent * indent) / (2.0 * indent))
+    leave = float(np.angle(1.0 + indent * np.exp(1j * turn)))
 
     def point(t: Any) -> Points:
-        around = 1.0 + INDENT * np.exp(1j * turn * np.minimum(t, 1.0))
+        around = 1.0 + indent * np.exp(1j * turn * np.minimum(t, 1.0))
         along: Points = np.where(t <= 1.0, around, reach * np.exp(1j * (leave + (pi - leave) * (t - 1.0))))
         return along
 
-    return Curve(point, 2.0, np.log, lambda z: (np.abs(z) > reach) & (np.abs(z - 1.0) > INDENT), True)
+    return Curve(point, 2.0, np.log, lambda z: (np.abs(z) > reach) & (np.abs(z - 1.0) > indent), True)
 
 
-def about_one() -> Curve:
+def about_one(indent: float) -> Curve:
     """The small circle that `circle` leaves out, seen from outside."""
     import numpy as np
 
-    return Curve(lambda t: 1.0 + INDENT * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z - 1.0) > INDENT, True)
+    return Curve(lambda t: 1.0 + indent * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z - 1.0) > indent, True)
 
 
 def imaginary_axis(indent: float, top: float) -> Curve:
@@ -235,9 +235,21 @@ class Loop:
         return Crossing(high, j, into, at, value + log(gain))
 
 
-def sampled_loop(linear: Linear, curve: Curve) -> Loop:
-    """The loop of a sampled scene along a curve of z."""
-    return Loop(master=linear.master, slave=linear.slave, curve=curve)
+def sampled_loop(linear: Linear, radius: float = 1.0) -> Loop:
+    """The loop of a sampled scene along |z| = `radius`."""
+    return Loop(master=linear.master, slave=linear.slave, curve=circle(radius, indent(linear)))
+
+
+def resting_loop(linear: Linear) -> Loop:
+    """The same about z = 1."""
+    return Loop(master=linear.master, slave=linear.slave, curve=about_one(indent(linear)))
+
+
+def indent(linear: Linear) -> float:
+    """How near a root must be to z = 1 to count as resting there."""
+    import numpy as np
+
+    return 1e-6 if (np.abs(open_poles(linear.master, linear.slave) - 1.0) < 1e-6).any() else 1e-9
 
 
 def open_poles(master: StateSpace, slave: StateSpace) -> Points:

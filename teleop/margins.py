@@ -11,7 +11,7 @@ from math import exp, floor, log, pi
 from typing import TYPE_CHECKING, NamedTuple
 
 from teleop.linear import Linear
-from teleop.loop import INDENT, Loop, about_one, circle, gains, in_order, sampled_loop
+from teleop.loop import Loop, gains, in_order, indent, resting_loop, sampled_loop
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,8 +39,8 @@ class Mode(NamedTuple):
 
 
 def integrators(linear: Linear) -> int:
-    """Roots at z = 1 (nearer than `INDENT`): positions that nothing returns."""
-    loop = sampled_loop(linear, about_one())
+    """Roots at z = 1 (nearer than `teleop.loop.indent`): positions that nothing returns."""
+    loop = resting_loop(linear)
     return len(loop.poles) - loop.outside(linear.round_trip)
 
 
@@ -78,7 +78,7 @@ def dominant(linear: Linear, resting: int) -> Mode | None:
     size = len(linear.master.A) + len(linear.slave.A) + min(linear.master.D.shape) * linear.round_trip
     if size <= MOST_STATES:
         roots = np.linalg.eigvals(dense(linear)) + 0j
-        moving = roots[np.abs(roots - 1.0) > INDENT]
+        moving = roots[np.abs(roots - 1.0) > indent(linear)]
         greatest = complex(moving[np.argmax(np.abs(moving))]) if moving.size else 0j
         return Mode.of(greatest, linear.dt) if abs(greatest) > 1e-6 else None
     bracket = _bracket(linear, resting)
@@ -91,11 +91,11 @@ def _bracket(linear: Linear, resting: int) -> tuple[float, float] | None:
     d = linear.round_trip
 
     def beyond(level: float) -> bool:
-        count = sampled_loop(linear, circle(exp(level))).outside(d)
+        count = sampled_loop(linear, exp(level)).outside(d)
         return count > (resting if level < 0.0 else 0)
 
     step = 1e-3 / d
-    low, high = (0.0, step) if beyond(0.0) else (-max(step, 2.0 * INDENT), 0.0)
+    low, high = (0.0, step) if beyond(0.0) else (-max(step, 2.0 * indent(linear)), 0.0)
     while high > 0.0 and beyond(high):
         low, high = high, 2.0 * high
     while low < 0.0 and not beyond(low):
@@ -116,7 +116,7 @@ def _root(linear: Linear, low: float, high: float) -> complex | None:
 
     d = linear.round_trip
     room = 0.01 * (high - low) + 1e-12
-    loop = sampled_loop(linear, circle(exp(low)))
+    loop = sampled_loop(linear, exp(low))
     # An end's own root that the loop does not move stands in the bracket by itself.
     found = [rate for rate in np.log(loop.poles[loop.poles != 0.0]).tolist() if low - room <= rate.real <= high + room]
     seeds = []
@@ -146,29 +146,33 @@ def _secant(linear: Linear, rate: complex) -> complex | None:
         logs = logs - 2j * pi * np.round(logs.imag / (2.0 * pi))
         return complex(logs[np.argmin(np.abs(logs))])
 
-    last, missed = rate, miss(rate)
-    rate = rate + missed / linear.round_trip  # the delay is most of the slope
-    for _ in range(60):
-        now = miss(rate)
-        if rate == last or now == missed or abs(now) < 1e-13:
-            break
-        last, missed, rate = rate, now, rate - now * (rate - last) / (now - missed)
-    return rate if abs(miss(rate)) < 1e-6 else None
+    try:
+        last, missed = rate, miss(rate)
+        rate = rate + missed / linear.round_trip  # the delay is most of the slope
+        for _ in range(60):
+            now = miss(rate)
+            if rate == last or now == missed or abs(now) < 1e-13:
+                break
+            last, missed, rate = rate, now, rate - now * (rate - last) / (now - missed)
+        return rate if abs(miss(rate)) < 1e-6 else None
+    except np.linalg.LinAlgError:  # it ran into an end's own root
+        return None
 
 
-def gain_margin(loop: Loop, delay: int) -> float | None:
+def gain_margin(linear: Linear) -> float | None:
     """The factor on the round trip's gain at which the scene's verdict changes.
 
     What rests at z = 1 is left out of it. Above 1 for a stable loop: the least gain at which a root reaches the unit circle, which is 1/|l_j| where the
     phase is a whole number of turns. Below 1 for an unstable one: the greatest at which it is stable together with
     everything tried down to 1e-6. None where no gain changes the verdict.
     """
+    loop, delay = sampled_loop(linear), linear.round_trip
     if loop.outside(delay):
         if loop.outside(delay, 1e-6):
             return None
         low, high = log(1e-6), 0.0
     else:
-        nearest = _phase_crossover(loop, delay)
+        nearest = _phase_crossover(loop, delay, indent(linear))
         if nearest is None:
             return None
         if not loop.outside(delay, exp(-nearest) * (1.0 - 1e-9)):
@@ -180,7 +184,7 @@ def gain_margin(loop: Loop, delay: int) -> float | None:
     return exp(high)
 
 
-def _phase_crossover(loop: Loop, delay: int) -> float | None:
+def _phase_crossover(loop: Loop, delay: int, near: float) -> float | None:
     """The greatest log |z^-d l_j| below 0 where the phase is a whole number of turns."""
     import numpy as np
 
@@ -192,7 +196,7 @@ def _phase_crossover(loop: Loop, delay: int) -> float | None:
         a, b = sorted((turns[i, j], turns[i + 1, j]))
         ends = {floor(a) + 1, floor(b)}
         found += [(max(size[i, j], size[i + 1, j]), i, j, turn) for turn in ends]
-    ends = [(_at_rest(loop), turns[0]), (size[-1], turns[-1])]  # where l_j is real, no sample lies on either side
+    ends = [(_at_rest(loop, near), turns[0]), (size[-1], turns[-1])]  # where l_j is real, no sample lies on either side
     exact = [float(level) for levels, turned in ends for level, turn in zip(levels, turned, strict=True)
              if abs(turn - round(turn)) < 1e-9]
     found.sort(reverse=True)
@@ -201,12 +205,13 @@ def _phase_crossover(loop: Loop, delay: int) -> float | None:
     return max((min(level, 0.0) for level in exact if log(1e-6) < level <= 1e-9), default=None)
 
 
-def _at_rest(loop: Loop) -> NDArray[np.float64]:
+def _at_rest(loop: Loop, near: float) -> NDArray[np.float64]:
     """log |l_j| at z = 1, from the two nearest real points that the curve does not leave out."""
     import numpy as np
 
-    near = np.log(np.abs(in_order(gains(loop.master, loop.slave, 1.0 + INDENT * np.array([1.0, 2.0]) + 0j))) + 1e-300)
-    rest: NDArray[np.float64] = 2.0 * near[0] - near[1]
+    values = in_order(gains(loop.master, loop.slave, 1.0 + near * np.array([1.0, 2.0]) + 0j))
+    size = np.log(np.abs(values) + 1e-300)
+    rest: NDArray[np.float64] = 2.0 * size[0] - size[1]
     return rest
 
 
@@ -227,7 +232,7 @@ def _size_at_turn(loop: Loop, delay: int, low: float, high: float, j: int, turn:
     return psi(0.5 * (low + high)).real
 
 
-def critical_round_trip(loop: Loop) -> int | None:
+def critical_round_trip(linear: Linear) -> int | None:
     """The least round trip in ticks, from 2 on, at which the loop is unstable; None if there is none.
 
     On the unit circle a delay changes phases alone, so the places where |l_j| = 1 are found once and the count of
@@ -235,10 +240,11 @@ def critical_round_trip(loop: Loop) -> int | None:
     """
     import numpy as np
 
+    loop = sampled_loop(linear)
     first = loop.outside(2)
     if first:
         return 2
-    crossings = [c for c in loop.crossings(2) if c.at.imag > 2.0 * INDENT]
+    crossings = [c for c in loop.crossings(2) if c.at.imag > 2.0 * indent(linear)]
     t, _, logs = loop.samples
     throughout = int(np.count_nonzero(logs[-1].real > 0.0))
     if not crossings and not throughout:

@@ -69,26 +69,25 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
     The link must delay by a constant number of ticks, each way 1 or more; `seed` keys it where it is not plainly so.
     """
     from teleop.linear import linear_scene
-    from teleop.loop import circle, sampled_loop
+    from teleop.loop import sampled_loop
     from teleop.margins import critical_round_trip, dominant, gain_margin, integrators
 
     linear = linear_scene(scene, seed=seed)
-    loop = sampled_loop(linear, circle())
     resting = integrators(linear)
     return Stability(
-        scene=scene.name, unstable=loop.outside(linear.round_trip), integrators=resting,
+        scene=scene.name, unstable=sampled_loop(linear).outside(linear.round_trip), integrators=resting,
         forth=linear.forth, back=linear.back, dt=linear.dt, mode=dominant(linear, resting),
-        gain_margin=gain_margin(loop, linear.round_trip), critical_round_trip=critical_round_trip(loop),
+        gain_margin=gain_margin(linear), critical_round_trip=critical_round_trip(linear),
     )
 
 
 def is_stable(scene: Scene, *, seed: int = 0) -> bool:
     """The verdict alone, from the root count: quicker than `stability`."""
     from teleop.linear import linear_scene
-    from teleop.loop import circle, sampled_loop
+    from teleop.loop import sampled_loop
 
     linear = linear_scene(scene, seed=seed)
-    return not sampled_loop(linear, circle()).outside(linear.round_trip)
+    return not sampled_loop(linear).outside(linear.round_trip)
 
 
 def rests(scene: Scene, *, seed: int = 0) -> bool:

@@ -10,6 +10,7 @@ from struct import Struct
 from teleop.live.address import Address
 
 DRAIN = 16  # datagrams taken at one tick or wake-up: more would let a flood starve the tick
+LONGEST = 8193  # bytes: one more than any packet has, so that a longer datagram shows as such
 STAMP = 35  # SO_TIMESTAMPNS of Linux, which Python does not name: the kernel says when a datagram came
 OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells of a wall clock that was set
 ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
@@ -42,7 +43,7 @@ class Wire:
         Reading late does not make it late: the time is the kernel's, where it tells.
         """
         try:
-            data, notes, _, address = self.sock.recvmsg(65536, 64)
+            data, notes, _, address = self.sock.recvmsg(LONGEST, 64)
         except OSError:  # nothing there, or the peer's port is not open (yet)
             return None
         now = time.monotonic_ns()

@@ -17,9 +17,10 @@ import pytest
 from channel.link import parse_link
 from teleop.library import ROOT
 from teleop.packet import Kind, Packet, encode
+from teleop.scene import load_scene
 
 pytestmark = pytest.mark.live
-MANIFEST = {"scene": "canonical"}
+MANIFEST = load_scene("canonical").manifest()
 Words = tuple[str, ...]
 
 

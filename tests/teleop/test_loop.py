@@ -10,7 +10,7 @@ import pytest
 
 import teleop.margins
 from teleop.linear import Linear, StateSpace
-from teleop.loop import Loop, circle, sampled_loop
+from teleop.loop import circle, sampled_loop
 from teleop.margins import critical_round_trip, dense, dominant, gain_margin, integrators
 
 
@@ -53,16 +53,15 @@ def roots_of(linear: Linear) -> Any:
 
 
 class TestTheCount:
-    @pytest.mark.parametrize("seed", range(60))
+    @pytest.mark.parametrize("seed", range(30))
     def test_is_that_of_the_eigenvalues_at_every_radius_and_gain(self, seed: int) -> None:
         linear = random_loop(seed)
-        for gain in (1.0, 0.05, 3.0):
-            slave = linear.slave._replace(C=gain * linear.slave.C, D=gain * linear.slave.D)
-            sizes = np.abs(roots_of(linear._replace(slave=slave)))
-            for radius in (1.0, 0.9, 0.99, 1.003, 1.05):
-                if np.abs(sizes - radius).min() > 1e-9:
-                    count = sampled_loop(linear, circle(radius)).outside(linear.round_trip, gain)
-                    assert count == np.count_nonzero(sizes > radius), (gain, radius)
+        sizes = {gain: np.abs(roots_of(scaled(linear, gain))) for gain in (1.0, 0.05, 3.0)}
+        for radius in (1.0, 0.9, 0.99, 1.003, 1.05):
+            loop = sampled_loop(linear, radius)
+            for gain, size in sizes.items():
+                assert np.abs(size - radius).min() > 1e-9
+                assert loop.outside(linear.round_trip, gain) == np.count_nonzero(size > radius), (gain, radius)
 
     def test_sees_a_resonance_far_narrower_than_its_first_samples(self) -> None:
         """1e-9 wide, so that it rings for a billion ticks; its peak of 3 goes round the origin or not as d says."""
@@ -74,7 +73,7 @@ class TestTheCount:
             for delay in (2, 3, 4, 5):
                 linear = Linear(end, unit, 1, delay - 1, 1e-3)
                 sizes = np.abs(np.linalg.eigvals(dense(linear)))
-                assert sampled_loop(linear, circle()).outside(delay) == np.count_nonzero(sizes > 1.0 + 1e-11)
+                assert sampled_loop(linear).outside(delay) == np.count_nonzero(sizes > 1.0 + 1e-11)
 
     @pytest.mark.parametrize("states", [1, 2])
     def test_leaves_out_what_rests_and_counts_it_by_itself(self, states: int) -> None:
@@ -83,7 +82,7 @@ class TestTheCount:
         master = StateSpace(A, np.array([[0.0], [1e-3]]), np.array([[0.0, 0.0]]), np.ones((1, 1)))
         slave = StateSpace(np.array([[0.5]]), np.ones((1, 1)), np.array([[0.1]]), np.zeros((1, 1)))
         linear = Linear(master, slave, 3, 3, 1e-3)
-        assert sampled_loop(linear, circle()).outside(6) == 0
+        assert sampled_loop(linear).outside(6) == 0
         assert integrators(linear) == states
 
     def test_of_a_gain_on_its_own_is_the_delay_itself(self) -> None:
@@ -92,37 +91,36 @@ class TestTheCount:
             return StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.array([[gain]]))
 
         for delay in (2, 7, 20_001):
-            for gain, count in ((1.05, delay), (-1.05, delay), (0.95, 0), (-0.95, 0)):
+            for gain, count in ((1.01, delay), (-1.01, delay), (0.99, 0), (-0.99, 0)):
                 linear = Linear(unit(gain), unit(1.0), 1, delay - 1, 1e-3)
-                assert Loop(master=linear.master, slave=linear.slave, curve=circle()).outside(delay) == count
+                assert sampled_loop(linear).outside(delay) == count
 
 
 class TestTheMargins:
     @pytest.mark.parametrize("seed", range(40))
     def test_put_a_root_on_the_unit_circle(self, seed: int) -> None:
         linear = random_loop(seed)
-        loop = sampled_loop(linear, circle())
-        margin = gain_margin(loop, linear.round_trip)
+        margin = gain_margin(linear)
         stable = np.abs(roots_of(linear)).max() < 1.0
         if margin is None:
             assert stable or np.abs(roots_of(scaled(linear, 1e-6))).max() > 1.0
             return
         assert (margin > 1.0) == stable
-        near = 1e-7 if stable else 1e-4  # a root that leaves at z = 1 is seen when it is as far out as `INDENT`
+        near = 1e-7 if stable else 1e-4  # a root that leaves at z = 1 is seen when it is 1e-9 out
         assert np.abs(roots_of(scaled(linear, margin * (1.0 - near)))).max() < 1.0
         assert np.abs(roots_of(scaled(linear, margin * (1.0 + near)))).max() > 1.0
         if stable:  # nothing happens on the way there
             assert all(np.abs(roots_of(scaled(linear, g))).max() < 1.0 for g in np.linspace(1.0, margin, 20)[:-1])
 
-    @pytest.mark.parametrize("seed", range(40))
+    @pytest.mark.parametrize("seed", range(12))
     def test_name_the_first_unstable_round_trip(self, seed: int) -> None:
         linear = scaled(random_loop(seed), 0.3)
-        critical = critical_round_trip(sampled_loop(linear, circle()))
+        critical = critical_round_trip(linear)
         most = 40 if critical is None else critical
         sizes = [np.abs(roots_of(linear._replace(forth=1, back=d - 1))).max() for d in range(2, most + 1)]
         assert [d for d, size in enumerate(sizes, 2) if size > 1.0] == ([] if critical is None else [critical])
 
-    @pytest.mark.parametrize("seed", range(40))
+    @pytest.mark.parametrize("seed", [*range(6), 35])
     def test_find_the_same_last_mode_by_either_way(self, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
         linear = random_loop(seed)._replace(forth=70, back=60)
         roots = roots_of(linear)
@@ -141,7 +139,7 @@ def scaled(linear: Linear, gain: float) -> Linear:
 
 def test_the_curve_keeps_outside_the_circle() -> None:
     for radius in (1.0, 1.5):
-        curve = circle(radius)
+        curve = circle(radius, 1e-6)
         z = curve.point(np.linspace(0.0, curve.length, 1001))
         assert (np.abs(z) >= radius).all()
         assert z[0].imag == 0.0
