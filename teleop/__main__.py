@@ -67,8 +67,8 @@ def _precision(args: Namespace) -> None:
     from teleop.console import Progress
     from teleop.figure import drawable
     from teleop.folder import new_folder, numbered
-    from teleop.precision import measure
-    from teleop.precision_report import summary, table, write
+    from teleop.precision.measure import measure
+    from teleop.precision.report import summary, table, write
     from teleop.scene import load_scene
 
     scene = load_scene(args.scene, **knobs_from(args))
@@ -86,7 +86,7 @@ def _precision(args: Namespace) -> None:
             line.end()
         write(got, inside, args.typed)
         if drawable():
-            from teleop.precision_figure import draw
+            from teleop.precision.figure import draw
 
             draw(got, inside / "precision.png")
     if args.json:

@@ -17,17 +17,19 @@ from math import nan, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.curve import imaginary_axis
 from teleop.errors import Refused
 from teleop.law import At, law_name, reads
 from teleop.linear import StateSpace, like, matrix, not_linear, refuse_nonlinear_parts
-from teleop.loop import Crossing, Loop, imaginary_axis, open_poles
+from teleop.loop import Crossing, Loop, open_poles
 from teleop.scene import Scene
 
 if TYPE_CHECKING:
     from teleop.linear import Matrix
 
+NOISE = 1e-8  # of |l_j|, which knows the law's limit no better
 SLOWEST = 1e-4  # rad/s: what is slower stays where it is
-SHORT = 1e-7  # s, a tick so short that the law is nearly at its limit
+SHORT = 1e-6  # s, a tick so short that the law is nearly at its limit
 MOST_PASSAGES = 100_000
 
 
@@ -66,7 +68,7 @@ def _margin(scene: Scene) -> Continuous:
 
     master, slave = continuous_ends(scene)
     fastest = float(np.abs(open_poles(master, slave)).max(initial=1.0))
-    loop = Loop(master=master, slave=slave, curve=imaginary_axis(SLOWEST, 1e4 * fastest))
+    loop = Loop(master=master, slave=slave, curve=imaginary_axis(SLOWEST, 1e4 * fastest), noise=NOISE)
     if loop.samples[2][-1].real.max() > -1e-9:
         raise Refused("the loop passes fast motion at full strength, so in continuous time no delay is short enough; "
                       "ask without --continuous")

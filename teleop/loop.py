@@ -24,12 +24,12 @@ end has poles there of its own: those may be double, and rounding then parts the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from math import acos, floor, pi
+from math import floor, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.curve import Curve, about_one, circle
 from teleop.linear import Linear, StateSpace
 
 if TYPE_CHECKING:
@@ -39,56 +39,7 @@ if TYPE_CHECKING:
     Points = NDArray[np.complex128]
 
 STEP = 0.25  # of log l_j between two samples
-EDGE = 1e-11  # how far outside the unit circle the curve runs, so that a pole on it is inside
 FAINT = 1e-7  # l_j below this are not followed
-NOISE = 1e-12  # of log |l_j|: lossless ends touch 1 at rest, which is no crossing
-
-
-class Curve(NamedTuple):
-    """The upper half of a curve that is symmetric to the real axis; roots are counted on its far side."""
-
-    point: Callable[[Any], Points]  # for a parameter from 0 to `length`
-    length: float
-    exponent: Callable[[Points], Points]  # by which a delay multiplies: log z, or s
-    outside: Callable[[Points], Any]
-    closed: bool  # does it end on the real axis, or at infinity
-
-
-def circle(radius: float, indent: float) -> Curve:
-    """|z| = `radius`; the unit circle and what is as near to it passes z = 1 at the distance `indent`."""
-    import numpy as np
-
-    reach = radius + EDGE if radius >= 1.0 else radius
-    if not 1.0 <= reach < 1.0 + indent:
-        return Curve(lambda t: reach * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z) > reach, True)
-    turn = acos(((reach - 1.0) * (reach + 1.0) - indent * indent) / (2.0 * indent))
-    leave = float(np.angle(1.0 + indent * np.exp(1j * turn)))
-
-    def point(t: Any) -> Points:
-        around = 1.0 + indent * np.exp(1j * turn * np.minimum(t, 1.0))
-        along: Points = np.where(t <= 1.0, around, reach * np.exp(1j * (leave + (pi - leave) * (t - 1.0))))
-        return along
-
-    return Curve(point, 2.0, np.log, lambda z: (np.abs(z) > reach) & (np.abs(z - 1.0) > indent), True)
-
-
-def about_one(indent: float) -> Curve:
-    """The small circle that `circle` leaves out, seen from outside."""
-    import numpy as np
-
-    return Curve(lambda t: 1.0 + indent * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z - 1.0) > indent, True)
-
-
-def imaginary_axis(indent: float, top: float) -> Curve:
-    """s = i w up to `top` (rad/s), passing s = 0 at `indent` on the right; the right half-plane is its far side."""
-    import numpy as np
-
-    def point(t: Any) -> Points:
-        around = indent * np.exp(0.5j * pi * np.minimum(t, 1.0))
-        along: Points = np.where(t <= 1.0, around, 1j * indent * (top / indent) ** np.maximum(t - 1.0, 0.0))
-        return along
-
-    return Curve(point, 2.0, lambda s: s, lambda s: (s.real > 0.0) & (np.abs(s) > indent), False)
 
 
 class Crossing(NamedTuple):
@@ -108,6 +59,7 @@ class Loop:
     master: StateSpace
     slave: StateSpace
     curve: Curve
+    noise: float = 1e-12  # of log |l_j|: ends without loss touch 1 at rest, which is no crossing
 
     @cached_property
     def poles(self) -> Points:
@@ -148,7 +100,7 @@ class Loop:
         turns = 0.0
         for place, sign in ((0, -1.0), (-1, 1.0)):
             if place == 0 or self.curve.closed:
-                turns += sign * _phase(logs[place] + np.log(gain) - delay * exponents[place])
+                turns += sign * _phase(logs[place] + np.log(gain) - delay * exponents[place], self.noise)
         for c in self.crossings(delay, gain):
             turns -= 2.0 * pi * c.into * floor((c.log - delay * c.at).imag / (2.0 * pi))
         own = int(np.count_nonzero(self.curve.outside(self.poles)))
@@ -166,7 +118,7 @@ class Loop:
         for j in range(logs.shape[1]):
             size = (logs[:, j] + np.log(gain) - delay * exponents).real
             times, size = self._with_peaks(t, size, j, delay, gain)
-            above = size > NOISE
+            above = size > self.noise
             for i in np.flatnonzero(above[1:] != above[:-1]):
                 found.append(self._refine(times[i], times[i + 1], j, delay, gain, 1 if above[i + 1] else -1))
         return sorted(found)
@@ -227,7 +179,7 @@ class Loop:
             middle = 0.5 * (low + high)
             if middle in (low, high):
                 break
-            if (self._size(middle, j, delay, gain) > NOISE) == (into > 0):
+            if (self._size(middle, j, delay, gain) > self.noise) == (into > 0):
                 high = middle
             else:
                 low = middle
@@ -298,11 +250,11 @@ def in_order(values: Points) -> Points:
     return np.take_along_axis(values, order, axis=1)
 
 
-def _phase(logs: Points) -> float:
+def _phase(logs: Points, noise: float) -> float:
     """The phase of prod (1 - e^log), continuous along a branch while |e^log| stays on one side of 1."""
     import numpy as np
 
-    inside = logs.real <= NOISE
+    inside = logs.real <= noise
     small = np.exp(np.where(inside, logs, -logs))
     turned = np.angle(1.0 - small) + np.where(inside, 0.0, logs.imag - pi)
     return float(turned.sum())

@@ -194,8 +194,7 @@ def _phase_crossover(loop: Loop, delay: int, near: float) -> float | None:
     found: list[tuple[float, int, int, int]] = []
     for i, j in zip(*np.nonzero(np.floor(turns[1:]) != np.floor(turns[:-1])), strict=True):
         a, b = sorted((turns[i, j], turns[i + 1, j]))
-        ends = {floor(a) + 1, floor(b)}
-        found += [(max(size[i, j], size[i + 1, j]), i, j, turn) for turn in ends]
+        found += [(max(size[i, j], size[i + 1, j]), i, j, turn) for turn in {floor(a) + 1, floor(b)}]
     ends = [(_at_rest(loop, near), turns[0]), (size[-1], turns[-1])]  # where l_j is real, no sample lies on either side
     exact = [float(level) for levels, turned in ends for level, turn in zip(levels, turned, strict=True)
              if abs(turn - round(turn)) < 1e-9]
@@ -209,7 +208,7 @@ def _at_rest(loop: Loop, near: float) -> NDArray[np.float64]:
     """log |l_j| at z = 1, from the two nearest real points that the curve does not leave out."""
     import numpy as np
 
-    values = in_order(gains(loop.master, loop.slave, 1.0 + near * np.array([1.0, 2.0]) + 0j))
+    values = in_order(gains(loop.master, loop.slave, np.array([1.0 + near, 1.0 + 2.0 * near], dtype=np.complex128)))
     size = np.log(np.abs(values) + 1e-300)
     rest: NDArray[np.float64] = 2.0 * size[0] - size[1]
     return rest

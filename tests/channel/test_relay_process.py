@@ -55,7 +55,9 @@ class Channel:
         """Ask it to end; what it counted."""
         self.process.send_signal(signal.SIGTERM)
         out, err = self.process.communicate(timeout=20.0)
-        assert (self.process.returncode, err) == (0, "")
+        assert self.process.returncode == 0
+        # A test's HELLO may be of another duration than its channel.
+        assert all(line.startswith("channel: the master runs another scene") for line in err.splitlines()), err
         told: dict[str, Any] = json.loads(out.splitlines()[-1])["summary"]
         return told
 

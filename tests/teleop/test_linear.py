@@ -165,6 +165,8 @@ class TestTheDelay:
         ("delay(0.01) | uniform(0.01)", Fixed(0.03), (30, 30)),
         ("delay(0.01)", Fixed(0.0101), (11, 11)),
     ])
-    def test_is_counted_in_whole_ticks_from_sending_to_use(self, link: str, playout: Any, ticks: tuple[int, int]) -> None:
+    def test_is_counted_in_whole_ticks_from_sending_to_use(
+        self, link: str, playout: Any, ticks: tuple[int, int]
+    ) -> None:
         scene = load_scene("soft_tissue", link=link)
         assert link_ticks(scene if playout is None else replace(scene, playout=playout)) == ticks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import nextafter
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 import teleop.margins
+from teleop.curve import circle
 from teleop.linear import Linear, StateSpace
-from teleop.loop import circle, sampled_loop
+from teleop.loop import sampled_loop
 from teleop.margins import critical_round_trip, dense, dominant, gain_margin, integrators
 
 
@@ -36,7 +38,7 @@ def roots_of(linear: Linear) -> Any:
     m, s = linear.master, linear.slave
     sizes = [len(m.A), len(s.A), *[len(m.C)] * linear.forth, *[len(s.C)] * linear.back]
     at = np.concatenate([[0], np.cumsum(sizes)])
-    block = [slice(a, b) for a, b in zip(at[:-1], at[1:], strict=True)]
+    block = [slice(a, b) for a, b in pairwise(at)]
     whole = np.zeros((at[-1], at[-1]))
     first_forth, first_back = 2, 2 + linear.forth
     heard_m, heard_s = block[-1], block[first_back - 1]

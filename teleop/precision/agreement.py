@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from teleop.bodies import Bodies, exact_bodies, reference_samples
-from teleop.contenders import touch_of
-from teleop.deviation import felt
 from teleop.metrics import magnitude
-from teleop.outsiders import MOST_RADIANS, gripped_touch, located, radians, there
 from teleop.plant import Gripped, Plant, move_free, move_gripped
+from teleop.precision.contenders import touch_of
+from teleop.precision.deviation import felt
+from teleop.precision.outsiders import MOST_RADIANS, gripped_touch, located, radians, there
 
 if TYPE_CHECKING:
-    from teleop.methods import Touch
+    from teleop.precision.methods import Touch
     from teleop.scene import Scene
 
 CHANGES, OTHERS = 24, 12  # ticks to look at: those in which contact is made or lost, and more, evenly

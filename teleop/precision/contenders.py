@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from teleop.bodies import Bodies, exact_bodies
 from teleop.contact import WallStep, move_wall, wall_force
 from teleop.errors import Refused
-from teleop.methods import Method, Touch, wall_coefficients
 from teleop.plant import Gripped, MassDamper, Plant, Sprung, linear_force, move_free, move_linear
+from teleop.precision.methods import Method, Touch, wall_coefficients
 
 if TYPE_CHECKING:
     from teleop.scene import Scene

@@ -13,9 +13,9 @@ from math import hypot, inf, isfinite, nan, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.bodies import Bodies, exact_bodies
-from teleop.contenders import touch_of
-from teleop.methods import Touch
 from teleop.plant import Gripped, Plant
+from teleop.precision.contenders import touch_of
+from teleop.precision.methods import Touch
 
 if TYPE_CHECKING:
     from teleop.scene import Scene

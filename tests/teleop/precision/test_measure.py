@@ -12,24 +12,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-import teleop.agreement
-import teleop.precision
+import teleop.precision.agreement
+import teleop.precision.measure
 from channel.delay import Delay
 from master.hand import Grip, Hold
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.agreement import agreement, wobbled
 from teleop.bodies import Bodies, exact_bodies
-from teleop.contenders import method_bodies, touch_of
-from teleop.deviation import NEAR, Error, contacts, errors, felt, missed
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.lockstep import run
-from teleop.methods import METHODS
-from teleop.outsiders import located_plant, outsider_bodies
 from teleop.plant import MassDamper
-from teleop.precision import Contender, Entry, Precision, contenders, measure, verdicts
-from teleop.precision_report import summary, table
+from teleop.precision.agreement import agreement, wobbled
+from teleop.precision.contenders import method_bodies, touch_of
+from teleop.precision.deviation import NEAR, Error, contacts, errors, felt, missed
+from teleop.precision.measure import Contender, Entry, Precision, contenders, measure, verdicts
+from teleop.precision.methods import METHODS
+from teleop.precision.outsiders import located_plant, outsider_bodies
+from teleop.precision.report import summary, table
 from teleop.scene import Scene, load_scene
 
 Typed = Callable[..., Any]
@@ -53,17 +53,17 @@ def same(one: Any, other: Any) -> bool:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """One state of each kind is enough where the reference is not what is tried."""
-    monkeypatch.setattr(teleop.agreement, "RADAU", 1)
-    monkeypatch.setattr(teleop.agreement, "CHANGES", 2)
-    monkeypatch.setattr(teleop.agreement, "OTHERS", 2)
-    monkeypatch.setattr(teleop.precision, "TOLERANCES", (1e-6,))
+    monkeypatch.setattr(teleop.precision.agreement, "RADAU", 1)
+    monkeypatch.setattr(teleop.precision.agreement, "CHANGES", 2)
+    monkeypatch.setattr(teleop.precision.agreement, "OTHERS", 2)
+    monkeypatch.setattr(teleop.precision.measure, "TOLERANCES", (1e-6,))
 
 
 @pytest.fixture(scope="module")
 def struck() -> Precision:
     """A comparison on a stiff wall, timed by a clock that ticks a microsecond whenever it is read."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(teleop.agreement, "RADAU", 2)
+        patch.setattr(teleop.precision.agreement, "RADAU", 2)
         return measure(strike(), clock=count(0, 1000).__next__, rounds=2)
 
 
@@ -80,7 +80,7 @@ class TestTheReference:
     def test_one_exact_step_is_that_of_dop853_and_radau_with_events(
         self, name: str, knobs: dict[str, float], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.agreement, "RADAU", 2)
+        monkeypatch.setattr(teleop.precision.agreement, "RADAU", 2)
         scene = load_scene(name, **{"duration": 0.7, **knobs})
         trace = run(scene).trace
         got = agreement(scene, trace)
@@ -95,7 +95,7 @@ class TestTheReference:
         trace = run(scene).trace
         at = trace["f_env"] > 0.0
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(teleop.agreement, "CHANGES", 1000)
+            patch.setattr(teleop.precision.agreement, "CHANGES", 1000)
             got = agreement(scene, trace)
         assert got.changes >= (at[1:] != at[:-1]).sum() >= 3
         assert f"({got.changes} with a change of mode)" in got.sentence
@@ -112,7 +112,7 @@ class TestTheReference:
     def test_events_are_located_to_rounding_not_to_interpolation(self, quick: None) -> None:
         scene = load_scene("canonical", duration=2.5, k_e=1e6, d_e=0.0)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(teleop.agreement, "CHANGES", 24)
+            patch.setattr(teleop.precision.agreement, "CHANGES", 24)
             assert agreement(scene, run(scene).trace).differences["DOP853"][1] < 2e-14
 
     def test_a_whole_run_with_located_events_is_the_exact_run(self) -> None:
@@ -134,8 +134,8 @@ class TestTheReference:
         crooked = exact_bodies(scene)
         plant = crooked.slaves[0]
         bent = plant._replace(move=lambda c, x, v, f: (plant.move(c, x, v, f)[0] + 1e-9, *plant.move(c, x, v, f)[1:]))
-        monkeypatch.setattr(teleop.agreement, "exact_bodies", lambda _: crooked._replace(slaves=[bent]))
-        monkeypatch.setattr(teleop.agreement, "touch_of", lambda _, body: touch_of(plant, body))
+        monkeypatch.setattr(teleop.precision.agreement, "exact_bodies", lambda _: crooked._replace(slaves=[bent]))
+        monkeypatch.setattr(teleop.precision.agreement, "touch_of", lambda _, body: touch_of(plant, body))
         assert agreement(scene, trace).differences["DOP853"][0] == pytest.approx(1e-9, rel=1e-3)
 
     def test_the_run_put_off_by_nothing_is_the_run_and_by_more_is_further_off(self, quick: None) -> None:
@@ -158,8 +158,8 @@ class TestTheReference:
     def test_without_scipy_the_rest_is_measured_and_that_is_said(
         self, quick: None, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.agreement, "there", lambda: False)
-        monkeypatch.setattr(teleop.precision, "there", lambda: False)
+        monkeypatch.setattr(teleop.precision.agreement, "there", lambda: False)
+        monkeypatch.setattr(teleop.precision.measure, "there", lambda: False)
         got = measure(strike(duration=0.02), clock=count(0, 1000).__next__, rounds=1)
         assert got.agreement.sentence == "not compared: scipy is not installed"
         assert all(e.contender.rtol is None for e in got.entries)
@@ -242,7 +242,7 @@ class TestAComparison:
     def test_a_long_run_keeps_the_largest_error_of_every_stretch(
         self, quick: None, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.precision, "BINS", 7)
+        monkeypatch.setattr(teleop.precision.measure, "BINS", 7)
         got = measure(strike(), clock=count(0, 1000).__next__, rounds=1)
         assert all(len(column) == 7 for column in got.along.values())
         assert np.nanmax(got.along["f_env:rk4/1"]) == by_key(got)["rk4/1"].errors["f_env"].max
@@ -388,7 +388,7 @@ class TestTheCommand:
         def stopped(*_: Any, **__: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(teleop.precision, "measure", stopped)
+        monkeypatch.setattr(teleop.precision.measure, "measure", stopped)
         assert typed("precision", "canonical").code == 130
         assert list(tmp_path.iterdir()) == []
 

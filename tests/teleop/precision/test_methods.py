@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from teleop.bodies import exact_bodies
 from teleop.contact import wall
-from teleop.contenders import method_bodies, stepped, sub_step, touch_of
 from teleop.errors import Refused
 from teleop.lockstep import run
-from teleop.methods import METHODS, Method, Touch
 from teleop.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
+from teleop.precision.contenders import method_bodies, stepped, sub_step, touch_of
+from teleop.precision.methods import METHODS, Method, Touch
 from teleop.scene import load_scene
 
 BY_NAME = {method.name: method for method in METHODS}

@@ -13,16 +13,16 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
-from teleop.agreement import Agreement, agreement, column, wobbled
 from teleop.bodies import Bodies, exact_bodies, reference_samples
-from teleop.contenders import method_bodies
-from teleop.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
 from teleop.errors import Refused
 from teleop.lockstep import run
-from teleop.methods import METHODS
 from teleop.metrics import tracking
-from teleop.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
 from teleop.plant import move_free, move_gripped
+from teleop.precision.agreement import Agreement, agreement, column, wobbled
+from teleop.precision.contenders import method_bodies
+from teleop.precision.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
+from teleop.precision.methods import METHODS
+from teleop.precision.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
 
 if TYPE_CHECKING:
     from teleop.result import Result

@@ -6,15 +6,15 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.figure import need_plot, save
-from teleop.outsiders import TOLERANCES
-from teleop.precision import SUBSTEPS
+from teleop.precision.measure import SUBSTEPS
+from teleop.precision.outsiders import TOLERANCES
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
 
-    from teleop.precision import Entry, Precision
+    from teleop.precision.measure import Entry, Precision
 
 
 class Look(NamedTuple):

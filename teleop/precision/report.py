@@ -8,13 +8,13 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from teleop.console import si
-from teleop.deviation import SERIES
-from teleop.precision import EULER, FASTER
+from teleop.precision.deviation import SERIES
+from teleop.precision.measure import EULER, FASTER
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from teleop.precision import Entry, Precision
+    from teleop.precision.measure import Entry, Precision
 
 HEAD = ("method/sub-steps", "per tick", "x_s max", "x_s rms", "x_s end", "f_env max", "f_env rms", "peak", "")
 TRACKING = (
