@@ -97,8 +97,7 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> Linear:
     """The matrices of a linear scene, at least one tick each way. Refused if something in it is not linear."""
     refuse_nonlinear_parts(scene)
     forth, back = link_ticks(scene, seed)
-    ends = [_end(scene, e, delay) for e, delay in (("m", back), ("s", forth))]
-    return Linear(*ends, forth, back, scene.dt_ns / 1e9)
+    return Linear(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
 
 
 def refuse_nonlinear_parts(scene: Scene) -> None:

@@ -179,7 +179,7 @@ class Loop:
             middle = 0.5 * (low + high)
             if middle in (low, high):
                 break
-            if (self._size(middle, j, delay, gain) > self.noise) == (into > 0):
+            if (self._size(middle, j, delay, gain) > 0.0) == (into > 0):
                 high = middle
             else:
                 low = middle
@@ -217,7 +217,7 @@ def gains(master: StateSpace, slave: StateSpace, z: Points) -> Points:
 
     first, second = (master, slave) if master.D.shape[0] <= master.D.shape[1] else (slave, master)
     product = transfer(first, z) @ transfer(second, z)
-    return product[:, :, 0] if product.shape[1] == 1 else np.linalg.eigvals(product)
+    return product[:, :, 0] if product.shape[1] == 1 else np.asarray(np.linalg.eigvals(product), dtype=np.complex128)
 
 
 def transfer(end: StateSpace, z: Points) -> Points:
@@ -225,8 +225,7 @@ def transfer(end: StateSpace, z: Points) -> Points:
     import numpy as np
 
     resolvent = np.linalg.solve(z[:, None, None] * np.eye(len(end.A)) - end.A, end.B + 0j)
-    value: Points = end.C @ resolvent + end.D
-    return value
+    return np.asarray(end.C @ resolvent + end.D, dtype=np.complex128)
 
 
 def in_order(values: Points) -> Points:

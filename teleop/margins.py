@@ -162,9 +162,9 @@ def _secant(linear: Linear, rate: complex) -> complex | None:
 def gain_margin(linear: Linear) -> float | None:
     """The factor on the round trip's gain at which the scene's verdict changes.
 
-    What rests at z = 1 is left out of it. Above 1 for a stable loop: the least gain at which a root reaches the unit circle, which is 1/|l_j| where the
-    phase is a whole number of turns. Below 1 for an unstable one: the greatest at which it is stable together with
-    everything tried down to 1e-6. None where no gain changes the verdict.
+    What rests at z = 1 is left out of it. Above 1 for a stable loop: the least gain at which a root reaches the unit
+    circle, which is 1/|l_j| where the phase is a whole number of turns. Below 1 for an unstable one: the greatest at
+    which it is stable, as it is at 1e-6. None where no gain changes the verdict.
     """
     loop, delay = sampled_loop(linear), linear.round_trip
     if loop.outside(delay):
@@ -244,7 +244,7 @@ def critical_round_trip(linear: Linear) -> int | None:
     if first:
         return 2
     crossings = [c for c in loop.crossings(2) if c.at.imag > 2.0 * indent(linear)]
-    t, _, logs = loop.samples
+    logs = loop.samples[2]
     throughout = int(np.count_nonzero(logs[-1].real > 0.0))
     if not crossings and not throughout:
         return None

@@ -153,7 +153,9 @@ def _roots(found: Stability) -> list[tuple[str, str]]:
                      f"{abs(mode.growth):.4g} 1/s, damping ratio {mode.damping:.4g}"))
     trip, edge, dt = found.round_trip, found.critical_round_trip, found.dt
     rows.append(("round trip", f"{found.forth} + {found.back} = {trip} ticks, {si(trip * dt, 's')}"))
-    first = "none: stable at every delay" if edge is None else f"{edge} ticks, {si(edge * dt, 's')}, is the least unstable"
+    first = "none: stable at every delay"
+    if edge is not None:
+        first = f"{edge} ticks, {si(edge * dt, 's')}, is the least unstable"
     if edge == 2:
         first = "unstable already at 2 ticks, the least there is"
     rows.append(("delay margin", first))

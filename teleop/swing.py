@@ -128,7 +128,8 @@ def _level(motion: NDArray[np.float64]) -> NDArray[np.float64]:
 
     t = np.linspace(-1.0, 1.0, len(motion))[:, None]
     centred: NDArray[np.float64] = motion - motion.mean(axis=0)
-    return centred - t * ((t * centred).sum(axis=0) / (t * t).sum())
+    level: NDArray[np.float64] = centred - t * ((t * centred).sum(axis=0) / (t * t).sum())
+    return level
 
 
 def frequency(signal: Any, dt: float) -> float:

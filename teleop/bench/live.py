@@ -20,6 +20,7 @@ C_LOOP = r"""
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
+#include <sys/resource.h>
 static int order(const void *a, const void *b) {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
@@ -36,8 +37,11 @@ int main(int argc, char **argv) {
         clock_gettime(CLOCK_MONOTONIC, &now);
         late[i] = (now.tv_sec - due.tv_sec) * 1e6 + (now.tv_nsec - due.tv_nsec) * 1e-3;
     }
+    struct rusage used;
+    getrusage(RUSAGE_SELF, &used);
+    double cpu = used.ru_utime.tv_sec + used.ru_stime.tv_sec + (used.ru_utime.tv_usec + used.ru_stime.tv_usec) * 1e-6;
     qsort(late, n, sizeof *late, order);
-    printf("%.1f %.1f\n", late[n / 2], late[(int)(n * 0.99)]);
+    printf("%.1f %.1f %.4f\n", late[n / 2], late[(int)(n * 0.99)], cpu / (n * 1e-3));
     return 0;
 }
 """
@@ -73,6 +77,8 @@ def live(rounds: int) -> list[Row]:
     if beside:
         rows.append(("C clock_nanosleep beside it: late by, median / p99",
                      f"{median(c[0] for c in beside):.0f} / {median(c[1] for c in beside):.0f} us", ""))
+        rows.append(("  its share of a core, for waking and nothing else",
+                     f"{median(c[2] for c in beside) * 100:.1f} %", ""))
     else:
         rows.append(("C clock_nanosleep beside it", "no C compiler here", ""))
     return rows

@@ -146,7 +146,7 @@ class TestWhatIsNotLinear:
         lambda v: [v[0] if abs(v[0]) > 1e-5 else 0.0, v[1]],
         lambda v: [v[0] * v[1]],
         lambda v: [1.0 / v[0]],
-        lambda v: [float("nan")],
+        lambda _: [float("nan")],
     ])
     def test_is_seen_however_far_out_or_near_it_bends(self, bent: Any) -> None:
         assert matrix(bent, 2) is None
