@@ -96,7 +96,7 @@ def _precision(args: Namespace) -> None:
 
 
 def _stability(args: Namespace) -> None:
-    from teleop.stability_report import ask, summary, table
+    from teleop.stability.report import ask, summary, table
 
     answer = ask(args.scene, knobs_from(args), seed=args.seed, in_time=args.time, continuous=args.continuous,
                  knob=args.critical, span=args.range, tol=args.tol)

@@ -185,12 +185,12 @@ def columns(scene: Scene, e: str) -> list[str]:
 
 def loop_text(scene: Scene) -> str:
     """The source of the whole virtual-time loop of this scene."""
-    return _specialise(LOOP, scene, MASTER)
+    return specialise(LOOP, scene, MASTER)
 
 
 def live_text(scene: Scene, e: str) -> str:
     """The source of one live end of this scene, a generator."""
-    return _specialise(LIVE, scene, ENDS[e])
+    return specialise(LIVE, scene, ENDS[e])
 
 
 def compiled(scene: Scene, text: str, name: str, instead: Mapping[str, Any] | None = None) -> Callable[..., Any]:
@@ -227,7 +227,8 @@ def over_axes(first: Any, *others: Any) -> Any:
     return total
 
 
-def _specialise(text: str, scene: Scene, end: End) -> str:
+def specialise(text: str, scene: Scene, end: End) -> str:
+    """A text with the lines that this scene needs, its axes unrolled and its names filled in."""
     has = features(scene)
     lines = list(_unroll(_lines(text, scene, end, has), scene.axes))
     return "\n".join(lines) + "\n"

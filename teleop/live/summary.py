@@ -53,8 +53,8 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         "skipped": shell.skipped, "delay": _seconds(endpoint.way), "rtt": _seconds(endpoint.rtt),
         "clock": {"start_ns": session.start_ns, "offset_ns": session.offset_ns,
                   "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
-        "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "run_time": shell.run_time, "unsent": shell.wire.unsent,
-        "refused": getattr(inbox, "refused", 0),
+        "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "run_time": shell.run_time,
+        "unsent": shell.wire.unsent, "refused": getattr(inbox, "refused", 0),
     }
     return end_result(
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",

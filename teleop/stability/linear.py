@@ -23,7 +23,7 @@ from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.playout import Fixed
 from teleop.scene import Scene
-from teleop.tick import ENDS, _specialise, compiled
+from teleop.tick import ENDS, compiled, specialise
 
 if TYPE_CHECKING:
     import numpy as np
@@ -178,7 +178,7 @@ def end_function(scene: Scene, e: str, age: int) -> Callable[[Any], tuple[list[f
     """
     bare = replace(scene, energy=False, watchdog=None)  # a watchdog leaves a link that always delivers alone
     text = STEP.replace("SENSE", _SENSE[e]).replace("MOVE", _MOVE[e])
-    step = compiled(bare, _specialise(text, bare, ENDS[e]), "step")
+    step = compiled(bare, specialise(text, bare, ENDS[e]), "step")
     bodies = exact_bodies(bare)
     dt = bare.dt_ns / 1e9
     return lambda given: step(bare, bare.law, dt, age, bodies, like, given)

@@ -17,15 +17,15 @@ from math import nan, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.curve import imaginary_axis
 from teleop.errors import Refused
 from teleop.law import At, law_name, reads
-from teleop.linear import StateSpace, like, matrix, not_linear, refuse_nonlinear_parts
-from teleop.loop import Crossing, Loop, open_poles
 from teleop.scene import Scene
+from teleop.stability.curve import imaginary_axis
+from teleop.stability.linear import StateSpace, like, matrix, not_linear, refuse_nonlinear_parts
+from teleop.stability.loop import Crossing, Loop, open_poles
 
 if TYPE_CHECKING:
-    from teleop.linear import Matrix
+    from teleop.stability.linear import Matrix
 
 NOISE = 1e-8  # of |l_j|, which knows the law's limit no better
 SLOWEST = 1e-4  # rad/s: what is slower stays where it is

@@ -1,7 +1,7 @@
 """How far a linear scene is from instability: its slowest-dying mode, its gain margin, its delay margin.
 
-All three are found with the root count of `teleop.loop`, so that the answer is certified by it: no root lies outside
-the radius of the dominant one, none outside the unit circle at any smaller gain that was tried, none at the round trip
+All three are found with the root count of `teleop.stability.loop`, so that the answer is certified by it: no root
+lies outside the radius of the dominant one, none outside the unit circle at any smaller gain that was tried, none at the round trip
 one tick below the critical one.
 """
 
@@ -10,8 +10,8 @@ from __future__ import annotations
 from math import exp, floor, log, pi
 from typing import TYPE_CHECKING, NamedTuple
 
-from teleop.linear import Linear
-from teleop.loop import Loop, gains, in_order, indent, resting_loop, sampled_loop
+from teleop.stability.linear import Linear
+from teleop.stability.loop import Loop, gains, indent, resting_loop, sampled_loop
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +39,7 @@ class Mode(NamedTuple):
 
 
 def integrators(linear: Linear) -> int:
-    """Roots at z = 1 (nearer than `teleop.loop.indent`): positions that nothing returns."""
+    """Roots at z = 1 (nearer than `teleop.stability.loop.indent`): positions that nothing returns."""
     loop = resting_loop(linear)
     return len(loop.poles) - loop.outside(linear.round_trip)
 
@@ -164,7 +164,8 @@ def gain_margin(linear: Linear) -> float | None:
 
     What rests at z = 1 is left out of it. Above 1 for a stable loop: the least gain at which a root reaches the unit
     circle, which is 1/|l_j| where the phase is a whole number of turns. Below 1 for an unstable one: the greatest at
-    which it is stable, as it is at 1e-6. None where no gain changes the verdict.
+    which it is stable, as it is at 1e-6; gains above 1 are not tried for it. None where no factor from 1e-6 to 1e6
+    changes the verdict.
     """
     loop, delay = sampled_loop(linear), linear.round_trip
     if loop.outside(delay):
@@ -172,7 +173,7 @@ def gain_margin(linear: Linear) -> float | None:
             return None
         low, high = log(1e-6), 0.0
     else:
-        nearest = _phase_crossover(loop, delay, indent(linear))
+        nearest = _phase_crossover(loop, delay)
         if nearest is None:
             return None
         if not loop.outside(delay, exp(-nearest) * (1.0 - 1e-9)):
@@ -184,7 +185,7 @@ def gain_margin(linear: Linear) -> float | None:
     return exp(high)
 
 
-def _phase_crossover(loop: Loop, delay: int, near: float) -> float | None:
+def _phase_crossover(loop: Loop, delay: int) -> float | None:
     """The greatest log |z^-d l_j| below 0 where the phase is a whole number of turns."""
     import numpy as np
 
@@ -195,23 +196,12 @@ def _phase_crossover(loop: Loop, delay: int, near: float) -> float | None:
     for i, j in zip(*np.nonzero(np.floor(turns[1:]) != np.floor(turns[:-1])), strict=True):
         a, b = sorted((turns[i, j], turns[i + 1, j]))
         found += [(max(size[i, j], size[i + 1, j]), i, j, turn) for turn in {floor(a) + 1, floor(b)}]
-    ends = [(_at_rest(loop, near), turns[0]), (size[-1], turns[-1])]  # where l_j is real, no sample lies on either side
-    exact = [float(level) for levels, turned in ends for level, turn in zip(levels, turned, strict=True)
-             if abs(turn - round(turn)) < 1e-9]
+    exact = [float(size[i, j]) for i in (0, -1) for j in range(size.shape[1])  # real there: no sample lies beyond
+             if abs(turns[i, j] - round(turns[i, j])) < 1e-9]
     found.sort(reverse=True)
     exact += [_size_at_turn(loop, delay, t[i], t[i + 1], j, turn)
               for level, i, j, turn in [f for f in found if f[0] > log(1e-6)][:24]]
     return max((min(level, 0.0) for level in exact if log(1e-6) < level <= 1e-9), default=None)
-
-
-def _at_rest(loop: Loop, near: float) -> NDArray[np.float64]:
-    """log |l_j| at z = 1, from the two nearest real points that the curve does not leave out."""
-    import numpy as np
-
-    values = in_order(gains(loop.master, loop.slave, np.array([1.0 + near, 1.0 + 2.0 * near], dtype=np.complex128)))
-    size = np.log(np.abs(values) + 1e-300)
-    rest: NDArray[np.float64] = 2.0 * size[0] - size[1]
-    return rest
 
 
 def _size_at_turn(loop: Loop, delay: int, low: float, high: float, j: int, turn: int) -> float:

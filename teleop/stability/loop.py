@@ -29,8 +29,8 @@ from functools import cached_property
 from math import floor, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.curve import Curve, about_one, circle
-from teleop.linear import Linear, StateSpace
+from teleop.stability.curve import Curve, about_one, circle
+from teleop.stability.linear import Linear, StateSpace
 
 if TYPE_CHECKING:
     import numpy as np

@@ -3,8 +3,8 @@
     stability(load_scene("soft_tissue", law="direct")).verdict
     critical(lambda k: load_scene("soft_tissue", k_e=k), "k_e", low=10.0, high=1e5)
 
-A linear scene is answered for by the roots of its exact sampled loop (`teleop.linear`, `teleop.loop`), counted and not
-estimated; one that is not linear by a run in virtual time (`teleop.swing`).
+A linear scene is answered for by the roots of its exact sampled loop (`linear`, `loop`), counted and not
+estimated; one that is not linear by a run in virtual time (`swing`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from teleop.errors import Refused, number
 from teleop.scene import Scene
 
 if TYPE_CHECKING:
-    from teleop.margins import Mode
+    from teleop.stability.margins import Mode
 
 PLACES = 33  # of a range that are tried before it is halved
 
@@ -33,7 +33,7 @@ class Stability:
     back: int  # ticks
     dt: float  # s
     mode: Mode | None  # the root of greatest magnitude apart from the integrators; None: nothing moves for long
-    gain_margin: float | None  # the factor on the loop's gain that changes the verdict; None: no factor does
+    gain_margin: float | None  # the factor on the loop's gain that changes the verdict; None: see `margins`
     critical_round_trip: int | None  # ticks, the least at which the loop is unstable; None: stable at every delay
 
     @property
@@ -68,9 +68,9 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
 
     The link must delay by a constant number of ticks, each way 1 or more; `seed` keys it where it is not plainly so.
     """
-    from teleop.linear import linear_scene
-    from teleop.loop import sampled_loop
-    from teleop.margins import critical_round_trip, dominant, gain_margin, integrators
+    from teleop.stability.linear import linear_scene
+    from teleop.stability.loop import sampled_loop
+    from teleop.stability.margins import critical_round_trip, dominant, gain_margin, integrators
 
     linear = linear_scene(scene, seed=seed)
     resting = integrators(linear)
@@ -83,8 +83,8 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
 
 def is_stable(scene: Scene, *, seed: int = 0) -> bool:
     """The verdict alone, from the root count: quicker than `stability`."""
-    from teleop.linear import linear_scene
-    from teleop.loop import sampled_loop
+    from teleop.stability.linear import linear_scene
+    from teleop.stability.loop import sampled_loop
 
     linear = linear_scene(scene, seed=seed)
     return not sampled_loop(linear).outside(linear.round_trip)
@@ -92,7 +92,7 @@ def is_stable(scene: Scene, *, seed: int = 0) -> bool:
 
 def rests(scene: Scene, *, seed: int = 0) -> bool:
     """The verdict alone, from a run in virtual time: a limit cycle is not stable."""
-    from teleop.swing import swing
+    from teleop.stability.swing import swing
 
     return swing(scene, seed=seed).verdict == "stable"
 

@@ -18,11 +18,11 @@ from teleop.law import At, start_at
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.linear import linear_scene, link_ticks, matrix
 from teleop.plant import MassDamper
 from teleop.playout import Fixed
 from teleop.playout import Hold as Repeat
 from teleop.safety import Cap, Watchdog
+from teleop.stability.linear import linear_scene, link_ticks, matrix
 
 
 class Everything(NamedTuple):

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.console import si
 from teleop.errors import Refused, number
-from teleop.stability import Critical, Stability, critical, rests, stability
+from teleop.stability.assess import Critical, Stability, critical, rests, stability
 
 if TYPE_CHECKING:
-    from teleop.continuous import Continuous
     from teleop.scene import Scene
-    from teleop.swing import Swing
+    from teleop.stability.continuous import Continuous
+    from teleop.stability.swing import Swing
 
 PLACES_IN_TIME = 9  # of a range: each is a run or three
 
@@ -43,13 +43,13 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     found: Stability | Swing
     limit = None
     if in_time:
-        from teleop.swing import swing
+        from teleop.stability.swing import swing
 
         found = swing(scene, seed=seed)
     else:
         found = stability(scene, seed=seed)
     if continuous:
-        from teleop.continuous import continuous as without_clock
+        from teleop.stability.continuous import continuous as without_clock
 
         limit = without_clock(scene)
     if knob is None or own is None:
@@ -160,7 +160,9 @@ def _roots(found: Stability) -> list[tuple[str, str]]:
         first = "unstable already at 2 ticks, the least there is"
     rows.append(("delay margin", first))
     gain = found.gain_margin
-    said = "none: no gain changes the verdict" if gain is None else f"{gain:.5g} ({20.0 * log10(gain):+.3g} dB)"
+    said = "none: no factor from 1e-6 to 1e6 changes the verdict"
+    if gain is not None:
+        said = f"{gain:.5g} ({20.0 * log10(gain):+.3g} dB)"
     return [*rows, ("gain margin", said)]
 
 

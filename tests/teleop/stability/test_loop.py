@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import teleop.margins
-from teleop.curve import circle
-from teleop.linear import Linear, StateSpace
-from teleop.loop import sampled_loop
-from teleop.margins import critical_round_trip, dense, dominant, gain_margin, integrators
+import teleop.stability.margins
+from teleop.stability.curve import circle
+from teleop.stability.linear import Linear, StateSpace
+from teleop.stability.loop import Loop, sampled_loop, transfer
+from teleop.stability.margins import critical_round_trip, dense, dominant, gain_margin, integrators
 
 
 def random_end(dice: np.random.Generator, states: int, into: int, out: int, radius: float) -> StateSpace:
@@ -66,16 +66,33 @@ class TestTheCount:
                 assert loop.outside(linear.round_trip, gain) == np.count_nonzero(size > radius), (gain, radius)
 
     def test_sees_a_resonance_far_narrower_than_its_first_samples(self) -> None:
-        """1e-9 wide, so that it rings for a billion ticks; its peak of 3 goes round the origin or not as d says."""
-        pole = (1.0 - 1e-9) * np.exp(1.2345j)
+        """It rings for billions of ticks, and beside it there is nothing; its peak is 3."""
+        pole = (1.0 - 2e-10) * np.exp(1.2345j)
         A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
         for sign in (1.0, -1.0):
-            end = StateSpace(A, np.array([[1.0], [0.0]]), sign * np.array([[6e-9, 0.0]]), np.zeros((1, 1)))
+            end = StateSpace(A, np.array([[1.0], [0.0]]), sign * np.array([[1.2e-9, 0.0]]), np.zeros((1, 1)))
             unit = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
             for delay in (2, 3, 4, 5):
                 linear = Linear(end, unit, 1, delay - 1, 1e-3)
                 sizes = np.abs(np.linalg.eigvals(dense(linear)))
                 assert sampled_loop(linear).outside(delay) == np.count_nonzero(sizes > 1.0 + 1e-11)
+
+    @pytest.mark.parametrize("rise", [1e-3, 1e-4, 1e-5])
+    def test_sees_a_peak_that_passes_1_between_two_samples(self, rise: float) -> None:
+        """Then there are as many roots as the delay turns in the band that is above 1, and no more."""
+        pole = 0.5 * np.exp(1.1j)
+        A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+        end = StateSpace(A, np.array([[1.0], [0.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+        unit = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
+        theta = np.linspace(0.5, 1.5, 200_001)
+        gain = transfer(end, np.exp(1j * theta))[:, 0, 0]
+        top = np.abs(gain).max()
+        linear = Linear(end._replace(C=end.C * (1.0 + rise) / top), unit, 1_000, 2_000, 1e-3)
+        above = np.flatnonzero(np.abs(gain) * (1.0 + rise) / top > 1.0)
+        psi = np.angle(gain[above[[0, -1]]]) - 3_000 * theta[above[[0, -1]]]
+        turns = np.floor(psi / (2.0 * np.pi))
+        assert turns[0] > turns[1]
+        assert sampled_loop(linear).outside(3_000) == 2 * (turns[0] - turns[1])
 
     @pytest.mark.parametrize("states", [1, 2])
     def test_leaves_out_what_rests_and_counts_it_by_itself(self, states: int) -> None:
@@ -115,9 +132,13 @@ class TestTheMargins:
             assert all(np.abs(roots_of(scaled(linear, g))).max() < 1.0 for g in np.linspace(1.0, margin, 20)[:-1])
 
     @pytest.mark.parametrize("seed", range(12))
-    def test_name_the_first_unstable_round_trip(self, seed: int) -> None:
+    def test_name_the_first_unstable_round_trip(self, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
         linear = scaled(random_loop(seed), 0.3)
+        counts: list[float] = []
+        outside = Loop.outside
+        monkeypatch.setattr(Loop, "outside", lambda loop, *args: counts.append(args[0]) or outside(loop, *args))
         critical = critical_round_trip(linear)
+        assert len(counts) <= 3  # at 2 ticks, and on both sides of the answer
         most = 40 if critical is None else critical
         sizes = [np.abs(roots_of(linear._replace(forth=1, back=d - 1))).max() for d in range(2, most + 1)]
         assert [d for d, size in enumerate(sizes, 2) if size > 1.0] == ([] if critical is None else [critical])
@@ -128,7 +149,7 @@ class TestTheMargins:
         roots = roots_of(linear)
         greatest = roots[np.abs(roots).argmax()]
         for most in (400, 0):
-            monkeypatch.setattr(teleop.margins, "MOST_STATES", most)
+            monkeypatch.setattr(teleop.stability.margins, "MOST_STATES", most)
             mode = dominant(linear, 0)
             assert mode is not None
             assert abs(mode.z) == pytest.approx(abs(greatest), abs=1e-7)
