@@ -95,7 +95,8 @@ def test_the_readme_names_only_commands_and_scenes_that_exist() -> None:
     from teleop.library import built_in_scenes
 
     text = (ROOT / "README.md").read_text()
-    for command, scene in re.findall(r"teleop (run|demo|list|report|precision|stability)(?: ([a-z_]+)(?![a-z_.]))?", text):
+    commands = r"teleop (run|demo|list|report|precision|stability)(?: ([a-z_]+)(?![a-z_.]))?"
+    for command, scene in re.findall(commands, text):
         assert f"teleop {command}" in EXAMPLES
         if command not in ("list", "report") and scene:
             assert scene in built_in_scenes()

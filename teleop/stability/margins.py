@@ -1,7 +1,7 @@
 """How far a linear scene is from instability: its slowest-dying mode, its gain margin, its delay margin.
 
-All three are found with the root count of `teleop.stability.loop`, so that the answer is certified by it: no root
-lies outside the radius of the dominant one, none outside the unit circle at any smaller gain that was tried, none at the round trip
+All three are found with the root count of `loop`, so that the answer is certified by it: no root lies outside the
+radius of the dominant one, none outside the unit circle at any smaller gain that was tried, none at the round trip
 one tick below the critical one.
 """
 
