@@ -3,7 +3,7 @@
 A force held for one tick on `m q'' + c q' + k q = f` has the solution of the matrix exponential, written
 here with the impulse response S of that oscillator: no integration error, whatever the stiffness. The
 tick functions (`move_*`, `*_force`) are pure functions of floats and of one tuple of coefficients; the
-coefficients are made once, before the run. Signs and words: DESIGN 3. SI units.
+coefficients are made once, before the run. Signs and words: teleop/DESIGN.md. SI units.
 """
 
 from __future__ import annotations

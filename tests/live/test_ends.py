@@ -262,7 +262,7 @@ def test_a_disk_that_fills_up_stops_the_record_and_not_the_loop(command: Start, 
 
 
 def test_what_a_killed_end_left_can_be_opened(command: Start, tmp_path: Path) -> None:
-    """DESIGN: the arrays are made at the end, or at the next opening."""
+    """The arrays are made at the end, or at the next opening."""
     slave, master = slave_and_master(command, "hard_wall", "--set", "duration=1.2")
     for _ in range(3):
         slave.event("live")

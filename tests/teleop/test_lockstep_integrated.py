@@ -18,7 +18,7 @@ from teleop.scene import load_scene
 
 @dataclass
 class Reference:
-    """The canonical scene of DESIGN 2 as its equations say, by general-purpose integrators.
+    """The canonical scene as its equations say, by general-purpose integrators.
 
     The gripped master goes by a matrix exponential of the whole state (x, v, x_ref, v_ref, f), the slave by
     DOP853 with the changes of contact located as events; waves go through plain lists. Nothing of the stack

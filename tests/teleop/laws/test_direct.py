@@ -1,4 +1,4 @@
-"""Direct position-force control: what each end does, and the delay it stands (ORACLES 6)."""
+"""Direct position-force control: what each end does, and the delay it stands."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
 
 
 def growth(round_trip: int, *, dt: float, K: float, B: float, k_e: float) -> float:
-    """How a small oscillation has grown over the second half of a run, two handles as in ORACLES 4.
+    """How a small oscillation has grown over the second half of a run, two handles of 0.04 kg.
 
     Forth and back take `round_trip` ticks together. The hand is 100 N/m and 2 N s/m, held still; the slave
     is bonded to a wall of k_e.
@@ -68,7 +68,7 @@ def growth(round_trip: int, *, dt: float, K: float, B: float, k_e: float) -> flo
 def test_it_is_stable_up_to_the_delay_that_theory_gives(
     stable: int, unstable: int, dt: float, K: float, B: float, k_e: float
 ) -> None:
-    """The margins of ORACLES 6: |L| = 1 of the loop hand and master, delay, coupled slave in the wall, delay."""
+    """Known margins: |L| = 1 of the loop hand and master, delay, coupled slave in the wall, delay."""
     assert growth(stable, dt=dt, K=K, B=B, k_e=k_e) < 0.0
     assert growth(unstable, dt=dt, K=K, B=B, k_e=k_e) > 0.0
 

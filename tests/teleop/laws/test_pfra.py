@@ -1,4 +1,4 @@
-"""Projection-based force reflection: every property of ORACLES 8, tick by tick and in whole runs."""
+"""Projection-based force reflection: every property it is known by, tick by tick and in whole runs."""
 
 from __future__ import annotations
 

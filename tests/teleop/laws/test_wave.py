@@ -43,7 +43,7 @@ def test_the_masters_power_is_that_of_its_waves(b: float, v: float, w: float) ->
 
 
 def test_a_worked_example() -> None:
-    """ORACLES 5: b = 0.8, v = 0.05, f = 1 has u = 0.8222, w = -0.7589, 0.0500 W."""
+    """Known numbers: b = 0.8, v = 0.05, f = 1 has u = 0.8222, w = -0.7589, 0.0500 W."""
     w = (0.8 * 0.05 - 1.0) / sqrt(1.6)
     f, (u,), _ = Wave(b=0.8).master((), at(v=0.05), Back(w))
     assert (round(u, 4), round(w, 4)) == (0.8222, -0.7589)
@@ -148,7 +148,7 @@ def impedance(law: Wave, frequency: float, delay: int, *, seconds: int = 2) -> c
 
 
 def z_in(b: float, z_load: float, T: float, frequency: float) -> complex:
-    """ORACLES 5: Z_in = b (1 - G e^-2sT)/(1 + G e^-2sT) with G = (b - Z_L)/(b + Z_L)."""
+    """Known numbers: Z_in = b (1 - G e^-2sT)/(1 + G e^-2sT) with G = (b - Z_L)/(b + Z_L)."""
     gamma = 1.0 if z_load == 0.0 else -1.0 if z_load == float("inf") else (b - z_load) / (b + z_load)
     turn = gamma * np.exp(-2j * 2.0 * pi * frequency * T)
     return complex(b * (1.0 - turn) / (1.0 + turn))

@@ -101,7 +101,7 @@ TWO_TONES = [0.5 * (np.sin(2.0 * pi * 5.0 * t) + np.sin(2.0 * pi * 6.0 * t)) for
     Delay(0.05) | Bernoulli(0.1), Delay(0.05) | UniformJitter(0.02) | Bernoulli(0.1)
 ], ids=["loss", "loss and jitter"])
 def test_zero_for_a_lost_wave_is_passive_and_holding_the_last_one_is_not(link: Link) -> None:
-    """ORACLES 5: 10 % loss, 50 ms, a two-tone wave at 1 kHz, 20 s; its signs."""
+    """Known numbers: 10 % loss, 50 ms, a two-tone wave at 1 kHz, 20 s; its signs."""
     held = [stored(link, TWO_TONES, Hold(), seed) for seed in range(8)]
     assert min(held) < 0.0
     assert min(stored(link, TWO_TONES, Zero(), seed) for seed in range(8)) >= 0.0
