@@ -120,7 +120,7 @@ def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
     own = [f.name for f in fields(law)]
     for key in changes:
         if key not in own:
-            whose = [name for name in BUILT_IN if key in [f.name for f in fields(find_law(name))]]  # type: ignore[arg-type]
+            whose = [name for name in BUILT_IN if key in [f.name for f in fields(find_law(name))]]  # type: ignore[arg-type]  # laws are dataclasses
             also = f" (law {' and '.join(whose)} has)" if whose else ""
             raise Refused(f"law {law_name(law)} has no knob {key!r}{also}; {nearest(key, own)}")
     values = {key: _number(f"law.{key}", value, whole=False, vector=False) for key, value in changes.items()}

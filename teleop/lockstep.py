@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.bodies import Bodies, exact_bodies, reference_samples
 from teleop.errors import Refused
+from teleop.playout import repeats
 from teleop.result import Packets, Result
 from teleop.scene import Scene
-from teleop.tick import compiled, features, loop_text
+from teleop.tick import compiled, loop_text
 from teleop.trace import EndRecord, assemble
 
 if TYPE_CHECKING:
@@ -29,18 +30,18 @@ def run(
     if not isinstance(scene, Scene):
         raise Refused(f"give run a Scene, not {scene!r}; write for example run(load_scene('canonical'))")
     seed = check_seed(seed)
-    has = features(scene)
     bodies = bodies or exact_bodies(scene)
     plants = [(plant.move, plant.force, plant.c) for plant in bodies.slaves]
     forth, back = link_plans(scene, seed)
     lag = max((plan.lag for plan in (forth, back) if plan is not None), default=0)
     rows: dict[str, list[float]] = {"m": [], "s": []}
+    reference = reference_samples(scene)
     loop = compiled(scene, loop_text(scene), "loop", bodies.instead)
     arguments = (
         scene, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit,
         scene.vector("start_m", scene.start_m), scene.vector("start_s", scene.start_s),
         back and back.play, forth and forth.play, lag + 1,
-        reference_samples(scene), bodies.master, plants, rows["m"].extend, rows["s"].extend,
+        reference, bodies.master, plants, rows["m"].extend, rows["s"].extend,
     )
     began = clock() if clock else 0
     ran, capped, end = loop(*arguments)
@@ -49,15 +50,21 @@ def run(
         e: EndRecord(range(ran), rows[e], None if plan is None else plan.play[:ran])
         for e, plan in (("m", back), ("s", forth))
     }
-    trace = assemble(scene, records)
+    trace = assemble(scene, records, reference)
     status, sentence = verdict(scene, trace, ran, end)
     # Of a run that ended early, only what was sent until then counts.
     packets = ways(forth, back, ran) if ran == scene.ticks else packet_counts(scene, seed, ran)
-    notes = [f"{capped} ticks had more contact events than are followed in one tick"] if capped else []
-    if "waves" in has and "repeats" in has:
-        notes.append("playout holds waves in the gaps, which is active: E_link may fall below zero")
+    notes = standing_notes(scene)
+    notes += [f"{capped} ticks had more contact events than are followed in one tick"] * (capped > 0)
     return Result.make(scene, seed=seed, mode="virtual", status=status, sentence=sentence, ticks=ran,
                        run_time=None if took is None else took / 1e9, trace=trace, packets=packets, notes=notes)
+
+
+def standing_notes(scene: Scene) -> list[str]:
+    """What a reader of the figures has to know of the scene itself, however it was run."""
+    if scene.has_waves and repeats(scene.playout):
+        return ["playout holds waves in the gaps, which is active: E_link may fall below zero"]
+    return []
 
 
 def check_seed(seed: int) -> int:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+Reference = tuple[list[float], ...] | None  # the hand's, per axis at the ticks 0 .. n
+
+
 class EndRecord(NamedTuple):
     """What one end wrote down: the ticks it ran, its rows as flat floats, the packets it played."""
 
@@ -21,8 +24,13 @@ class EndRecord(NamedTuple):
     played: Sequence[int] | None  # the packet played at each of these ticks, or -1; None without a link
 
 
-def end_arrays(scene: Scene, e: str, record: EndRecord) -> dict[str, NDArray[Any]]:
-    """One end's columns as arrays of shape (rows,), or (rows, axes) where there are several axes."""
+def end_arrays(
+    scene: Scene, e: str, record: EndRecord, reference: Reference = None
+) -> dict[str, NDArray[Any]]:
+    """One end's columns as arrays of shape (rows,), or (rows, axes) where there are several axes.
+
+    `reference` are the hand's samples at the ticks, if the caller has them already.
+    """
     import numpy as np
 
     names = columns(scene, e)
@@ -37,17 +45,19 @@ def end_arrays(scene: Scene, e: str, record: EndRecord) -> dict[str, NDArray[Any
     if record.played is not None:
         out[f"seq_{e}"] = np.array(record.played, dtype=np.int64)
     if e == "m" and "f_h" not in out:
-        out["f_h"] = _hand_force(scene, record.ticks, out)
+        out["f_h"] = _hand_force(scene, record.ticks, out, reference)
     if e == "s" and "f_env" not in out:
         out["f_env"] = _touch(scene, out)
     return out
 
 
-def assemble(scene: Scene, records: dict[str, EndRecord]) -> dict[str, NDArray[Any]]:
+def assemble(
+    scene: Scene, records: dict[str, EndRecord], reference: Reference = None
+) -> dict[str, NDArray[Any]]:
     """The trace of a run: `t`, then each end's columns, at the ticks that both ends ran."""
     import numpy as np
 
-    ends = {e: end_arrays(scene, e, record) for e, record in records.items()}
+    ends = {e: end_arrays(scene, e, record, reference) for e, record in records.items()}
     ticks_m, ticks_s = (np.asarray(records[e].ticks, dtype=np.int64) for e in ("m", "s"))
     if not np.array_equal(ticks_m, ticks_s):
         both, at_m, at_s = np.intersect1d(ticks_m, ticks_s, assume_unique=True, return_indices=True)
@@ -81,13 +91,15 @@ def _back_together(axes: list[list[float]]) -> NDArray[Any]:
     return np.array(axes[0]) if len(axes) == 1 else np.array(axes).T.copy()
 
 
-def _hand_force(scene: Scene, ticks: Sequence[int], out: dict[str, NDArray[Any]]) -> NDArray[Any]:
+def _hand_force(
+    scene: Scene, ticks: Sequence[int], out: dict[str, NDArray[Any]], reference: Reference
+) -> NDArray[Any]:
     """f_h of a master without a force sensor, worked out after the run from what it recorded."""
     import numpy as np
 
     from teleop.bodies import master_plant, reference_samples
 
-    reference = reference_samples(scene)
+    reference = reference or reference_samples(scene)
     if reference is None:
         return np.zeros_like(out["x_m"])
     from teleop.plant import grip_force

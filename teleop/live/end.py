@@ -78,7 +78,7 @@ def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
     if args.lockstep:
         from teleop.lockstep import link_plans
 
-        manifest |= {"seed": str(args.seed), "link": str(scene.link)}
+        manifest["seed"] = str(args.seed)  # by the clock, the channel alone draws
         inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
     session = Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None)
     return Endpoint(scene, e, session, inbox)
@@ -143,7 +143,6 @@ class _Line:
     def __init__(self, scene: Scene) -> None:
         from teleop.console import Progress
 
-        self._scene = scene
         self._progress = Progress(sys.stderr, scene.ticks)
 
     def show(self, numbers: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.live.record import FILE, read_record
 from teleop.live.summary import NAMES, WAYS, end_result
-from teleop.lockstep import packet_counts
+from teleop.lockstep import packet_counts, standing_notes
 from teleop.result import Packets, Result
 from teleop.scene import Scene, load_scene
 from teleop.trace import assemble
@@ -36,18 +36,19 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
             raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
         ends[e] = _summary(folder)
     ours, theirs = headers["m"], headers["s"]
-    if any(ours[key] != theirs[key] for key in ("scene", "knobs", "seed", "mode")):
+    stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
+    if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
         raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(scene, records)
     status, sentence = _verdict(ends)
-    stepped = ours["mode"] == "lockstep"
     packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
     took = [end[NAMES[e]].get("run_time") for e, end in ends.items()]
     run_time = max((time for time in took if time is not None), default=None)
     extra = {**{NAMES[e]: end[NAMES[e]] for e, end in ends.items()}, "channel": channel}
-    notes = [f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]
+    notes = standing_notes(scene)
+    notes += [f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]
     return Result.make(scene, seed=ours["seed"], mode=ours["mode"], status=status, sentence=sentence,
                        ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
 

@@ -173,7 +173,7 @@ class _Piece:
             def falls(_: float, y: Any, alpha: float = alpha, beta: float = beta) -> float:
                 return float(alpha * y[0] + beta * y[1])
 
-            falls.terminal, falls.direction = True, -1.0  # type: ignore[attr-defined]
+            falls.terminal, falls.direction = True, -1.0  # type: ignore[attr-defined]  # scipy's way
             yield falls
 
 

@@ -2,7 +2,7 @@
 
 import math
 import random
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from hypothesis import assume, given, settings
@@ -11,6 +11,8 @@ from scipy.optimize import brentq
 
 from teleop.contact import MOST_EVENTS, advance, events, falls, wall
 from teleop.plant import MassDamper, Plant, free_space
+
+from .cases import Case
 
 quiet = settings(deadline=None, derandomize=True, max_examples=300)
 
@@ -22,23 +24,6 @@ def ten_to(low: float, high: float) -> Any:
 
 def either_sign(magnitude: Any) -> Any:
     return st.tuples(magnitude, st.sampled_from([-1.0, 1.0])).map(math.prod)
-
-
-class Case(NamedTuple):
-    """A body (mass m, damping b), a wall (k, d), and a tick dt from depth p and inward speed u under f."""
-
-    m: float
-    b: float
-    k: float
-    d: float
-    dt: float
-    p: float
-    u: float
-    f: float
-
-    @property
-    def w(self) -> float:
-        return math.sqrt(self.k / self.m)
 
 
 any_case = st.builds(

@@ -3,7 +3,7 @@
 import math
 import random
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,22 +12,7 @@ from scipy.integrate import solve_ivp
 from teleop.contact import wall
 from teleop.plant import MassDamper
 
-
-class Case(NamedTuple):
-    """A body (mass m, damping b), a wall (k, d), and a tick dt from depth p and inward speed u under f."""
-
-    m: float
-    b: float
-    k: float
-    d: float
-    dt: float
-    p: float
-    u: float
-    f: float
-
-    @property
-    def w(self) -> float:
-        return math.sqrt(self.k / self.m)
+from .cases import Case
 
 
 def integrated(method: str, case: Case) -> tuple[float, float, list[str]]:
