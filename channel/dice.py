@@ -47,11 +47,6 @@ class Dice:
         self._state: Any = None
         self._blocks: dict[tuple[int, int], Words] = {}
 
-    @property
-    def thrown(self) -> bool:
-        """Whether anything was drawn yet."""
-        return self._generator is not None
-
     def words(self, packet: Ints, draw: int = 0) -> Words:
         """The four words of each packet, (n, 4); packet (n,) from 0 to 2^63-1."""
         if not len(packet):

@@ -13,7 +13,7 @@ from math import hypot, inf, isfinite, nan, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.bodies import Bodies, exact_bodies
-from teleop.plant import Gripped, Plant
+from teleop.plant import Gripped
 from teleop.precision.contenders import touch_of
 from teleop.precision.methods import Touch
 
@@ -180,8 +180,3 @@ class _Piece:
 def gripped_touch(grip: Gripped) -> Touch:
     """The held master's equation in `y = x - x_ref`, under the force `-(f_m + b s)` while the reference has slope s."""
     return Touch(grip.mass, grip.b, grip.k, grip.d, edge=-inf, floor=-inf)
-
-
-def located_plant(plant: Plant, touch: Touch, dt: float, solver: str) -> Plant:
-    """The plant with `located` in place of its exact step."""
-    return plant._replace(move=lambda _, x, v, f: (*located(touch, dt, x, v, f, solver)[:2], 0))

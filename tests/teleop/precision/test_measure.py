@@ -28,7 +28,7 @@ from teleop.precision.contenders import method_bodies, touch_of
 from teleop.precision.deviation import NEAR, Error, contacts, errors, felt, missed
 from teleop.precision.measure import Contender, Entry, Precision, contenders, measure, verdicts
 from teleop.precision.methods import METHODS
-from teleop.precision.outsiders import located_plant, outsider_bodies
+from teleop.precision.outsiders import located, outsider_bodies
 from teleop.precision.report import summary, table
 from teleop.scene import Scene, load_scene
 
@@ -122,7 +122,11 @@ class TestTheReference:
         assert np.diff(exact["f_env"] > 0.0).sum() >= 3
         for solver, ticks in (("DOP853", 80), ("Radau", 25)):
             own = exact_bodies(scene)
-            slaves = [located_plant(p, touch_of(p, scene.slave), 1e-3, solver) for p in own.slaves]
+            slaves = [
+                p._replace(move=lambda _, x, v, f, touch=touch_of(p, scene.slave), solver=solver: (
+                    *located(touch, 1e-3, x, v, f, solver)[:2], 0))
+                for p in own.slaves
+            ]
             some = replace(scene, duration=ticks * 1e-3)
             got = run(some, bodies=Bodies(own.master, slaves)).trace
             assert np.abs(got["x_s"] - exact["x_s"][:ticks]).max() < 1e-11
