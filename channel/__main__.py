@@ -21,7 +21,7 @@ from teleop.live.ticker import Alarm
 from teleop.live.wire import DRAIN, Wire
 from teleop.options import Parser, guarded, knobs_from, scene_options
 from teleop.packet import Kind, Packet, decode, manifest_difference, peek
-from teleop.scene import Scene, load_scene
+from teleop.scene import Scene, both_ends, load_scene
 
 QUIET_NS = 1_000_000_000  # a session that has sent no message for so long gives way to another one's HELLO
 
@@ -142,7 +142,7 @@ def _run(argv: list[str]) -> int:
     parser.add_argument("--peer", metavar="HOST:PORT", required=True, help="where the slave listens")
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     args = parser.parse_args(argv)
-    scene = load_scene(args.scene, **knobs_from(args))
+    scene = both_ends(load_scene(args.scene, **knobs_from(args)))
     peer = peer_address(args.peer)
     with bound(address(args.listen, "--listen"), "--listen") as near, towards(peer) as far, Interrupt() as interrupt:
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from teleop.bodies import master_plant, reference_samples
+from teleop.bodies import held_master, master_plant, reference_samples
 from teleop.endpoint import Axes, Reading
 from teleop.plant import grip_force, move_free, move_gripped
 from teleop.scene import Scene
@@ -14,17 +14,21 @@ from teleop.tick import features
 class SimulatedMaster:
     """Reads where the master is at a tick, and holds the motor's force until the next one is read.
 
-    It has a force sensor if the scene's law reads f_h and no observer stands in for one.
+    It has a force sensor if the scene's law reads f_h and no observer stands in for one, and where the motion has an
+    inner state, since the hand's force cannot be told afterwards then.
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._c: Any = master_plant(scene)
+        has = features(scene)
+        self._held = held_master(scene) if "inner_m" in has else None
+        self._c: Any = master_plant(scene) if self._held is None else self._held.c
+        self._z = [None if self._held is None else self._held.start] * scene.axes
         self._reference = reference_samples(scene)
         self._x = list(scene.vector("start_m", scene.start_m))
         self._v = [0.0] * scene.axes
         self._f = [0.0] * scene.axes
         self._dt = scene.dt_ns / 1e9
-        self._sensor = "sense_m" in features(scene)
+        self._sensor = "felt_m" in has
         self._k = 0
 
     def read(self, k: int) -> Reading:
@@ -40,7 +44,10 @@ class SimulatedMaster:
 
     def _move(self, k: int) -> None:
         for i, (x, v, f) in enumerate(zip(self._x, self._v, self._f, strict=True)):
-            if self._reference is None:
+            if self._held is not None:
+                r0, r1 = (0.0, 0.0) if self._reference is None else self._reference[i][k : k + 2]
+                self._x[i], self._v[i], self._z[i] = self._held.move(self._c, x, v, f, r0, r1, self._z[i])
+            elif self._reference is None:
                 self._x[i], self._v[i], _ = move_free(self._c, x, v, -f)
             else:
                 r = self._reference[i]
@@ -49,8 +56,12 @@ class SimulatedMaster:
     def _hand(self) -> Axes:
         if self._reference is None:
             return (0.0,) * len(self._x)
-        k, dt = self._k, self._dt
-        return tuple([
-            grip_force(self._c, x, v, f, r[k], (r[k] - r[k - 1]) / dt if k else 0.0)
-            for x, v, f, r in zip(self._x, self._v, self._f, self._reference, strict=True)
-        ])
+        return tuple([self._grip(i) for i in range(len(self._x))])
+
+    def _grip(self, i: int) -> float:
+        assert self._reference is not None
+        k, r = self._k, self._reference[i]
+        state = self._c, self._x[i], self._v[i], self._f[i], r[k], (r[k] - r[k - 1]) / self._dt if k else 0.0
+        if self._held is None:
+            return grip_force(*state)
+        return self._held.force(*state, self._z[i])

@@ -19,19 +19,26 @@ class SimulatedSlave:
         self._x = list(scene.vector("start_s", scene.start_s))
         self._v = [0.0] * scene.axes
         self._f = [0.0] * scene.axes
-        self._sensor = "sense_s" in features(scene)
+        self._inner = "inner_s" in features(scene)
+        self._z = [plant.start for plant in self._plants]
+        self._sensor = "felt_s" in features(scene)
         self._k = 0
 
     def read(self, k: int) -> Reading:
         """Position, velocity and contact force, the left limit at tick k. Ticks may be left out."""
         while self._k < k:
-            for i, (move, _, c) in enumerate(self._plants):
-                self._x[i], self._v[i], _ = move(c, self._x[i], self._v[i], self._f[i])
+            for i, (move, _, c, *_) in enumerate(self._plants):
+                state = c, self._x[i], self._v[i], self._f[i]
+                if self._inner:
+                    self._x[i], self._v[i], _, self._z[i] = move(*state, self._z[i])
+                else:
+                    self._x[i], self._v[i], _ = move(*state)
             self._k += 1
         return Reading(tuple(self._x), tuple(self._v), self._touch() if self._sensor else None)
 
     def _touch(self) -> Axes:
-        return tuple([p.force(p.c, x, v) for p, x, v in zip(self._plants, self._x, self._v, strict=True)])
+        states = zip(self._x, self._v, *[self._z] * self._inner, strict=True)
+        return tuple([p.force(p.c, *state) for p, state in zip(self._plants, states, strict=True)])
 
     def hold(self, force: Axes) -> None:
         """Hold `force` (N) from now on."""

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from teleop.errors import number
 from teleop.plant import MassDamper, Plant, spring_damper
+
+if TYPE_CHECKING:
+    from teleop.implicit import Resistance
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,3 +31,10 @@ class Tissue:
     def plant(self, body: MassDamper, dt: float) -> Plant:
         """`body` bonded to this tissue, for ticks of dt seconds."""
         return spring_damper(body, dt, k=self.k, d=self.d, at=self.at)
+
+    def resistance(self) -> Resistance:
+        """What it does to a body that has friction, for `teleop.implicit.implicit_plant`."""
+        from teleop.implicit import Resistance
+        from teleop.sdirk import BOND
+
+        return Resistance(BOND, self.k, self.d, self.at)

@@ -17,6 +17,8 @@ from teleop.trial import spread, try_claims
 
 LEDGERS = frozenset({"E_link", "E_port"})
 ENDS = ("master", "slave")
+TWO_PORT = ("master_start", "master", "slave_start", "slave")
+ONE_PORT = ("start", "force")
 AWKWARD = (0.0, -0.0, 1e-300, -1e-300, 5e-324, 1e50, -1e50)
 BEYOND = (inf, -inf, nan, 1e300, -1e300)  # what a run that diverges comes to in its last tick
 TICKS = 60  # of each probing run
@@ -30,15 +32,28 @@ def check_law(law: Any) -> None:
     `At` but those that `reads` sees; and what the law claims (see `teleop.trial`): that its ends draw no more
     from the waves than they brought, and in closed loops with random masses, walls and links that no ledger
     it claims goes below zero.
+    A one-port law (`start`, `force`) is tried in the same spirit, see `teleop.one_port_trial`.
     """
-    _class(law)
+    if is_one_port(law):
+        from teleop.one_port_trial import probe, try_port
+
+        _class(law, ONE_PORT)
+        probe(law)
+        try_port(law)
+        return
+    _class(law, TWO_PORT)
     for name in ENDS:
         _probe(End.of(law, name))
     try_claims(law)
 
 
-def _class(law: Any) -> None:
-    """A frozen, keyword-only dataclass of floats, final; where it checks its knobs it refuses NaN."""
+def is_one_port(law: Any) -> bool:
+    """Was the law meant to have one end: has it part of one, and nothing of two?"""
+    return any(hasattr(law, name) for name in ONE_PORT) and not any(hasattr(law, name) for name in TWO_PORT)
+
+
+def _class(law: Any, parts: tuple[str, ...]) -> None:
+    """A frozen, keyword-only dataclass of floats, final, with `parts`; where it checks its knobs it refuses NaN."""
     if isinstance(law, type):
         raise Refused(f"check_law takes a law, not its class; write check_law({law.__name__}())")
     kind = type(law)
@@ -48,9 +63,10 @@ def _class(law: Any) -> None:
     if kind.__bases__ != (object,):
         raise Refused(f"{name} inherits from {kind.__bases__[0].__name__}; write both ends out, "
                       "a law has no base class")
-    for needed in ("master_start", "master", "slave_start", "slave"):
+    for needed in parts:
         if not callable(getattr(law, needed, None)):
-            raise Refused(f"{name} has no {needed}; a law has master_start, master, slave_start and slave")
+            kind_of_law = "a law" if parts == TWO_PORT else "a one-port law"
+            raise Refused(f"{name} has no {needed}; {kind_of_law} has {', '.join(parts[:-1])} and {parts[-1]}")
     claims = getattr(law, "claims", None)
     if not isinstance(claims, frozenset):
         raise Refused(f"{name}.claims is {claims!r}; write claims: ClassVar[frozenset[str]] = frozenset()")
@@ -117,7 +133,7 @@ class End:
         tick, sums = getattr(law, end), getattr(law, f"{end}_sums", None)
         kinds = {}
         for each in ENDS:
-            began = _guarded(f"{type(law).__name__}.{each}_start", getattr(law, each + "_start"), REST)
+            began = guarded(f"{type(law).__name__}.{each}_start", getattr(law, each + "_start"), REST)
             kinds[each] = _start(f"{type(law).__name__}.{each}_start", began)
         other = ENDS[1 - ENDS.index(end)]
         return cls(law=law, name=name, start=getattr(law, f"{end}_start"), tick=tick, sums=sums,
@@ -126,17 +142,17 @@ class End:
     def answer(self, call: Call) -> Any:
         """What the end answers; `Refused` if it raises."""
         if self.sums is None:
-            return _guarded(self.name, self.tick, call.s, call.at, call.rx)
+            return guarded(self.name, self.tick, call.s, call.at, call.rx)
         over = own = self.own(call)
         if call.beside is not None:
             over = type(own)(*[a + b for a, b in zip(own, call.beside, strict=True)])
-        return _guarded(self.name, self.tick, call.s, call.at, call.rx, over)
+        return guarded(self.name, self.tick, call.s, call.at, call.rx, over)
 
     def own(self, call: Call) -> Any:
         """The sums of this axis alone, checked; None for an end without."""
         if self.sums is None:
             return None
-        sums = _guarded(f"{self.name}_sums", self.sums, call.s, call.at, call.rx)
+        sums = guarded(f"{self.name}_sums", self.sums, call.s, call.at, call.rx)
         _floats(f"{self.name}_sums", "Sums", sums)
         return sums
 
@@ -144,7 +160,8 @@ class End:
 REST = At(0.0, 0.0, 0.0, 0.0, 0.0, False, inf, 1e-3)
 
 
-def _guarded(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+def guarded(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """What the function answers; `Refused` if it raises."""
     try:
         return function(*arguments)
     except Exception as error:
@@ -157,7 +174,7 @@ def _start(name: str, began: Any) -> type[Any]:
     """Check what a start answered; the type of its message."""
     if not isinstance(began, tuple) or len(began) != 2:
         raise Refused(f"{name} answered {began!r}; it answers (state, message held before the first comes)")
-    _state(name, began[0])
+    check_state(name, began[0])
     _floats(name, "the message", began[1])
     return type(began[1])
 
@@ -171,7 +188,8 @@ def _floats(name: str, what: str, value: Any) -> None:
                           "write it as a float")
 
 
-def _state(name: str, state: Any) -> None:
+def check_state(name: str, state: Any) -> None:
+    """Refuse a state that is neither `()` nor a NamedTuple of floats."""
     if state != () or type(state) is not tuple:
         _floats(name, "the state", state)
 
@@ -183,18 +201,18 @@ def _probe(end: End) -> None:
     before = repr(end.law)
     for reach in ((), (), AWKWARD, AWKWARD, AWKWARD + BEYOND):
         finite = inf not in reach
-        at = _at(dice, reach)._replace(f_held=0.0, dx=0.0, fresh=False, age=inf)
-        began = _guarded(f"{end.name}_start", end.start, at)
+        at = situation(dice, reach)._replace(f_held=0.0, dx=0.0, fresh=False, age=inf)
+        began = guarded(f"{end.name}_start", end.start, at)
         _start(f"{end.name}_start", began)
         _blind(end, began, at)
         s, beside = began[0], None
         for _ in range(TICKS):
-            call = Call(s, _at(dice, reach), end.rx(*[_value(dice, reach) for _ in end.rx._fields]), beside)
+            call = Call(s, situation(dice, reach), end.rx(*[_value(dice, reach) for _ in end.rx._fields]), beside)
             got = end.answer(call)
             _answered(end, call, got, finite=finite)
-            _again(end, call, _bits(got))
+            _again(end, call, in_bits(got))
             _unseen(end, call, got)
-            asked.append((call, _bits(got)))
+            asked.append((call, in_bits(got)))
             s, beside = got[2], end.own(call)
             if not all(map(isfinite, s)):
                 s = began[0]
@@ -206,7 +224,7 @@ def _probe(end: End) -> None:
 
 def _again(end: End, call: Call, bits: str) -> None:
     """The same arguments have the same answer."""
-    if _bits(end.answer(call)) != bits:
+    if in_bits(end.answer(call)) != bits:
         raise Refused(f"{end.name} answers the same arguments differently the second time; "
                       "keep what it remembers in its state, and nowhere else")
 
@@ -219,7 +237,7 @@ def _answered(end: End, call: Call, got: Any, *, finite: bool) -> None:
     if type(f) is not float:
         raise Refused(f"{end.name}: the force is {f!r} of type {type(f).__name__}; answer a float")
     _floats(end.name, "the message", tx)
-    _state(end.name, s)
+    check_state(end.name, s)
     for what, now, ever in (("a message", type(tx), end.tx), ("a state", type(s), type(call.s))):
         if now is not ever:
             raise Refused(f"{end.name} answered {what} of type {now.__name__} where the start gave "
@@ -234,19 +252,19 @@ def _unseen(end: End, call: Call, got: Any) -> None:
     for field in At._fields:
         if field in end.seen:
             continue
-        if _bits(end.answer(call._replace(at=_without(call.at, field)))) != _bits(got):
+        if in_bits(end.answer(call._replace(at=without(call.at, field)))) != in_bits(got):
             raise Refused(f"{end.name} reads {field} where it cannot be seen; write at.{field} in {end.name} "
                           "itself or in a plain function that it calls by name")
 
 
 def _blind(end: End, began: Any, at: At) -> None:
     """A start may read `f` only if its end does: else nobody measures it."""
-    if "f" not in end.seen and _bits(end.start(_without(at, "f"))) != _bits(began):
+    if "f" not in end.seen and in_bits(end.start(without(at, "f"))) != in_bits(began):
         raise Refused(f"{end.name}_start reads f, but {end.name} does not, so nobody measures it; "
                       "start without it")
 
 
-def _without(at: At, field: str) -> At:
+def without(at: At, field: str) -> At:
     """`at` with one field made to show: NaN, or for `fresh` the opposite."""
     changed: Mapping[str, Any] = {"fresh": not at.fresh} if field == "fresh" else {field: nan}
     return at._replace(**changed)
@@ -260,15 +278,15 @@ def _value(dice: Iterator[float], reach: tuple[float, ...]) -> float:
     return size if next(dice) < 0.5 else -size
 
 
-def _at(dice: Iterator[float], reach: tuple[float, ...]) -> At:
+def situation(dice: Iterator[float], reach: tuple[float, ...]) -> At:
     """A situation; the tick and the age keep to what they can be."""
     x, v, f, f_held, dx = (_value(dice, reach) for _ in range(5))
     age = (inf, 0.0, 1e-3, 0.05, 1e5)[int(next(dice) * 5)]
     return At(x, v, f, f_held, dx, next(dice) < 0.5, age, (1e-3, 1e-3, 1e-6, 10.0)[int(next(dice) * 4)])
 
 
-def _bits(answer: Any) -> str:
+def in_bits(answer: Any) -> str:
     """An answer's floats to the bit, with what they are in; NaN equals itself, 0.0 is not -0.0."""
     if isinstance(answer, float):
         return pack("<d", answer).hex() if not isnan(answer) else "nan"
-    return f"{type(answer).__name__}({','.join(_bits(each) for each in answer)})"
+    return f"{type(answer).__name__}({','.join(in_bits(each) for each in answer)})"

@@ -120,6 +120,14 @@ def _late_ticks(result: Result) -> Iterator[str]:
         yield text + "".join(f", {word} {si(late[q] * 1e-6, 's')} late" for word, q in _LATE if q in late)
 
 
+def _integration(result: Result) -> Iterator[str]:
+    for end, own in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
+        text = f"{end}: error within {si(own['error_estimate_max'], 'm')} a tick"
+        text += f" ({si(own['error_estimate_sum'], 'm')} in all), up to {own['substeps_max']} sub-steps"
+        over = own["ticks_over_tolerance"]
+        yield text + (f"; {over} ticks above {si(own['tolerance'], 'm')}" if over else "")
+
+
 def _per_tick(result: Result) -> Iterator[str]:
     ends = [f"{si(own['cpu'] * result.dt, 's')} {end}" for end, own in _live_ends(result) if own.get("cpu")]
     if ends:
@@ -146,6 +154,7 @@ _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("late ticks", _late_ticks),
     ("link energy", _energy("E_link")),
     ("port energy", _energy("E_port")),
+    ("integration", _integration),
     ("time per tick", _per_tick),
 )
 

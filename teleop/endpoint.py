@@ -13,7 +13,8 @@ from teleop.packet import Echo, Kind, Packet, Rejection, Window, check_size, dec
 from teleop.playout import Inbox, Plan
 from teleop.scene import Scene
 from teleop.session import Session
-from teleop.tick import columns, compiled, live_text
+from teleop.source import compiled, live_text
+from teleop.tick import columns
 
 Axes = tuple[float, ...]
 

@@ -111,7 +111,7 @@ def _number(key: str, value: object, *, whole: bool, vector: bool) -> object:
 def _law(value: object) -> object:
     if isinstance(value, str):
         return find_law(value)()
-    if not hasattr(value, "master_start"):
+    if not hasattr(value, "master_start") and not hasattr(value, "force"):
         raise Refused(f"law must be a law or the name of one, not {value!r}; write law=wave")
     return value
 

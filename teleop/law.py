@@ -13,6 +13,10 @@ the one held before the first arrives. Everything is per axis. An end that coupl
 `master_sums(state, at, rx) -> Sums` (or `slave_sums`), a NamedTuple of floats that is summed over the
 axes, left to right, and is then given to the end as a fourth argument `over`.
 
+A one-port law, for a scene without a slave, has one end and no messages:
+
+    start(at) -> state                     force(state, at) -> f_m, state
+
 An end pays only for the fields of `At` that its lines name: what it does not read is not computed and
 is NaN, so a field read by a way that `reads` cannot see shows at once.
 """
@@ -57,9 +61,21 @@ class Law(Protocol):
     def slave(self, *args: Any, **kwargs: Any) -> tuple[float, Any, Any]: ...
 
 
+class OnePortLaw(Protocol):
+    """A law with one end, for a scene without a slave: it renders something to the hand by itself."""
+
+    @property
+    def claims(self) -> frozenset[str]: ...
+
+    def start(self, at: At, /) -> Any: ...
+    def force(self, s: Any, at: At, /) -> tuple[float, Any]: ...
+
+
 BUILT_IN = {
     "direct": "teleop.laws.direct:Direct",
     "pfra": "teleop.laws.pfra:PFRA",
+    "virtual_coupling": "teleop.laws.virtual_coupling:VirtualCoupling",
+    "virtual_wall": "teleop.laws.virtual_wall:VirtualWall",
     "wave": "teleop.laws.wave:Wave",
 }
 

@@ -11,7 +11,7 @@ from teleop.errors import Refused
 from teleop.playout import repeats
 from teleop.result import Packets, Result
 from teleop.scene import Scene
-from teleop.tick import compiled, loop_text
+from teleop.source import compiled, loop_text
 from teleop.trace import EndRecord, assemble
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ def run(
         raise Refused(f"give run a Scene, not {scene!r}; write for example run(load_scene('canonical'))")
     seed = check_seed(seed)
     bodies = bodies or exact_bodies(scene)
-    plants = [(plant.move, plant.force, plant.c) for plant in bodies.slaves]
     forth, back = link_plans(scene, seed)
     lag = max((plan.lag for plan in (forth, back) if plan is not None), default=0)
     rows: dict[str, list[float]] = {"m": [], "s": []}
@@ -41,23 +40,37 @@ def run(
         scene, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit,
         scene.vector("start_m", scene.start_m), scene.vector("start_s", scene.start_s),
         back and back.play, forth and forth.play, lag + 1,
-        reference, bodies.master, plants, rows["m"].extend, rows["s"].extend,
+        reference, bodies, rows["m"].extend, rows["s"].extend,
     )
     began = clock() if clock else 0
-    ran, capped, end = loop(*arguments)
+    ran, capped, end, inner = loop(*arguments)
     took = clock() - began if clock else None
     records = {
         e: EndRecord(range(ran), rows[e], None if plan is None else plan.play[:ran])
-        for e, plan in (("m", back), ("s", forth))
+        for e, plan in (("m", back), ("s", forth))[: 1 if scene.slave is None else 2]
     }
     trace = assemble(scene, records, reference)
     status, sentence = verdict(scene, trace, ran, end)
     # Of a run that ended early, only what was sent until then counts.
     packets = ways(forth, back, ran) if ran == scene.ticks else packet_counts(scene, seed, ran)
+    packets = {} if scene.slave is None else packets
     notes = standing_notes(scene)
     notes += [f"{capped} ticks had more contact events than are followed in one tick"] * (capped > 0)
     return Result.make(scene, seed=seed, mode="virtual", status=status, sentence=sentence, ticks=ran,
-                       run_time=None if took is None else took / 1e9, trace=trace, packets=packets, notes=notes)
+                       run_time=None if took is None else took / 1e9, trace=trace, packets=packets, notes=notes,
+                       extra=integration(scene, bodies, inner))
+
+
+def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tuple[Any, ...]]) -> dict[str, Any]:
+    """What the bodies that have no closed form say of their integration, by end; the worst of the axes."""
+    reports = {"master": [bodies.report_m] * scene.axes, "slave": [plant.report for plant in bodies.slaves]}
+    found = {}
+    for (end, report), states in zip(reports.items(), inner, strict=True):
+        said = [tell(z) for tell, z in zip(report, states, strict=False) if tell is not None]
+        names = {name for one in said for name in one}
+        if names:
+            found[end] = {name: max(one[name] for one in said if name in one) for name in sorted(names)}
+    return {"integration": found} if found else {}
 
 
 def standing_notes(scene: Scene) -> list[str]:
@@ -111,14 +124,14 @@ def verdict(scene: Scene, trace: dict[str, Any], ran: int, end: Any) -> tuple[st
 
     lost = {
         name: int(np.argmin(sound.reshape(ran, -1).all(axis=1)))
-        for name in ("f_m", "f_s", *trace) if not (sound := np.isfinite(trace[name])).all()
+        for name in ("f_m", "f_s", *trace) if name in trace and not (sound := np.isfinite(trace[name])).all()
     }
     if lost:
         name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
         return "diverged", divergence(scene, lost[name], f"{name} is not finite")
     if end is None:
         return "ok", f"ran to its end, {ran} ticks of {scene.dt:g} s"
-    far = [name for name, xs in zip(("x_m", "x_s"), end, strict=True) if not all(abs(x) < scene.x_limit for x in xs)]
+    far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]
     return "diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} m")
 
 

@@ -8,30 +8,32 @@ coefficients are made once, before the run. Signs and words: teleop/DESIGN.md. S
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import cos, exp, expm1, isfinite, nan, sin, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, number
 
 # A tick function unpacks its coefficients at once, and only an exact tuple unpacks fast: plants hold plain
 # tuples; the NamedTuples below say what is at which place.
 Coefficients = tuple[float, ...]
-Move = Callable[[Coefficients, float, float, float], tuple[float, float, int]]
-Force = Callable[[Coefficients, float, float], float]
+Move = Callable[..., tuple[Any, ...]]
+Force = Callable[..., float]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MassDamper:
-    """A rigid body with viscous damping: `mass` in kg, above 0, `damping` in N s/m, at least 0."""
+    """A rigid body: `mass` in kg, above 0, viscous `damping` in N s/m and Coulomb `friction` in N, at least 0."""
 
     mass: float
     damping: float = 0.0
+    friction: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", number("mass", self.mass, above=0.0))
         object.__setattr__(self, "damping", number("damping", self.damping, low=0.0))
+        object.__setattr__(self, "friction", number("friction", self.friction, low=0.0))
 
 
 class Plant(NamedTuple):
@@ -40,11 +42,17 @@ class Plant(NamedTuple):
     `move(c, x, v, f) -> x, v, capped` holds f for one tick; `capped` is 1 where a wall had more events
     within the tick than are followed, else 0. `force(c, x, v)` is `f_env`, the force on the environment, as
     the left limit at that instant. Neither raises: what is not finite comes back as not finite.
+
+    A plant with an inner state z beside (x, v) has it at the first tick as `start`, not None; then
+    `move(c, x, v, f, z) -> x, v, capped, z` and `force(c, x, v, z)`. `report(z)` is what a summary should say of
+    the integration afterwards.
     """
 
     move: Move
     force: Force
-    c: Coefficients
+    c: Any
+    start: Any = None
+    report: Callable[[Any], Mapping[str, float]] | None = None
 
 
 def response(m: float, c: float, k: float, tau: float) -> tuple[float, float, float]:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from teleop.errors import Refused, WrongNumber, number, whole_number
-from teleop.law import Law, law_name, messages
+from teleop.law import law_name, messages
 from teleop.playout import Fixed, Hold, Zero
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from teleop.device import Device
     from teleop.plant import MassDamper, Plant
+    from teleop.popc import PassivityController
+    from teleop.relaxing import ElectricalDamping
     from teleop.safety import Cap, Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
 SHAPES = {  # what is asked of a part of a scene, and what to write for one
     "law": (("master_start", "master", "slave_start", "slave"), "Wave()"),
+    "one-port law": (("start", "force"), "VirtualWall(K=500.0)"),
     "master": (("mass", "damping"), "MassDamper(mass=0.1)"),
     "slave": (("mass", "damping"), "MassDamper(mass=0.5)"),
     "hand": (("mass", "k", "d", "reference"), "Grip(mass=0.4, k=200.0, d=5.0, reference=Hold())"),
@@ -27,6 +31,10 @@ SHAPES = {  # what is asked of a part of a scene, and what to write for one
     "link": (("arrivals",), "Delay(0.05)"),
     "watchdog": (("limits",), "Watchdog(timeout=0.1)"),
     "cap": (("limits",), "Cap(f_max=20.0)"),
+    "device_m": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
+    "device_s": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
+    "passivity": (("limits",), "PassivityController(cap=0.8)"),
+    "electrical": (("b", "cutoff"), "ElectricalDamping(b=1.0, cutoff=10.0)"),
 }
 
 
@@ -52,7 +60,12 @@ class Hand(Protocol):
 
 
 class Environment(Protocol):
-    """What the slave touches, in one axis."""
+    """What the slave touches, in one axis.
+
+    One without a closed form, or that goes with a slave that has friction, has `resistance()` in place of or beside
+    `plant` (`teleop.implicit`); one whose plant has an inner state has `inner = True`; one that is moved has that which
+    is, `environment`, and its `path`, a Reference.
+    """
 
     def plant(self, body: MassDamper, dt: float) -> Plant:
         """The exact step of `body` in this environment."""
@@ -82,11 +95,14 @@ Vector = float | tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A hand, a master, a law, a link, a slave and what it touches, for a time. SI units."""
+    """A hand, a master, a law, a link, a slave and what it touches, for a time. SI units.
 
-    law: Law
+    Without a slave it is a hand, a master and a one-port law, which renders something to the hand by itself.
+    """
+
+    law: Any  # Law, or OnePortLaw without a slave
     master: MassDamper
-    slave: MassDamper
+    slave: MassDamper | None = None
     hand: Hand | None = None
     environment: Environment | tuple[Environment | None, ...] | None = None  # one: on the first axis
     link: Link | None = None
@@ -94,6 +110,10 @@ class Scene:
     observer: float | None = 200.0  # bandwidth L (1/s) of the human-force observer; None: a force sensor
     watchdog: Watchdog | None = None  # both ends
     cap: Cap | None = None  # both ends
+    device_m: Device | None = None  # what stands between the master and the law: encoder, velocity estimator, ...
+    device_s: Device | None = None  # the same at the slave
+    passivity: PassivityController | None = None  # observer and controller on the master's port
+    electrical: ElectricalDamping | None = None  # of the master's motor
     energy: bool = False  # sum E_link and E_port along the run
     axes: int = 1
     start_m: Vector = 0.0  # where the master starts, at rest, m
@@ -102,13 +122,14 @@ class Scene:
     duration: float = 10.0
     packet_size: int | None = None  # bytes on the wire; None: 100 for one axis, 200 for more
     x_limit: float = 1e6  # m; a run that passes it has diverged
+    tolerance: float = 1e-9  # m a tick, for bodies that have no closed form
     name: str = "scene"
     knobs: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("law", "master", "slave"):
-            _shaped(name, getattr(self, name))
-        for name in ("hand", "link", "watchdog", "cap"):
+        _shaped("master", self.master)
+        self._check_ends()
+        for name in ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical"):
             if getattr(self, name) is not None:
                 _shaped(name, getattr(self, name))
         if not isinstance(self.playout, Zero | Hold | Fixed):
@@ -118,11 +139,31 @@ class Scene:
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
         self._check_numbers()
         for each in self.environments:
-            if each is not None:
+            if each is not None and (
+                    isinstance(each, type) or not (hasattr(each, "resistance") or hasattr(each, "path"))):
                 _shaped("environment", each)
         if len(self.environments) != self.axes:
             raise Refused(f"environment names {len(self.environments)} axes, the scene has {self.axes}; "
                           "write None for an axis that touches nothing")
+
+    def _check_ends(self) -> None:
+        """Refuse a law that has not the ends that the scene has, and parts of a slave that is not there."""
+        one_port = all(hasattr(self.law, each) for each in SHAPES["one-port law"][0])
+        if self.slave is not None:
+            if one_port and not hasattr(self.law, "slave"):
+                raise Refused(f"law {law_name(self.law)} is a one-port law, which renders by itself, and the scene has "
+                              "a slave; take a law with two ends, for example law=Wave(), or leave the slave out")
+            _shaped("law", self.law)
+            _shaped("slave", self.slave)
+            return
+        if not one_port and all(hasattr(self.law, each) for each in SHAPES["law"][0]):
+            raise Refused(f"law {law_name(self.law)} has two ends and the scene has no slave; write for example "
+                          "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
+        _shaped("one-port law", self.law)
+        for name in ("link", "environment", "watchdog", "device_s"):
+            if getattr(self, name) is not None:
+                raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
+                              "slave=MassDamper(mass=0.5)")
 
     def _check_numbers(self) -> None:
         """Refuse what is out of range; what is kept is a float or an int, whatever kind of number it came as."""
@@ -130,6 +171,7 @@ class Scene:
             "dt": number("dt", self.dt, low=1e-6, high=10.0),
             "duration": number("duration", self.duration, above=0.0),
             "x_limit": number("x_limit", self.x_limit, above=0.0),
+            "tolerance": number("tolerance", self.tolerance, above=0.0),
             "observer": None if self.observer is None else number("observer", self.observer, above=0.0),
             "axes": whole_number("axes", self.axes, low=1, high=3),
             "packet_size": None if self.packet_size is None else whole_number(
@@ -177,6 +219,8 @@ class Scene:
     @property
     def has_waves(self) -> bool:
         """Do the law's messages carry waves, so that the link has an energy ledger."""
+        if self.slave is None:
+            return False
         forth, back = messages(self.law)
         return "u" in forth._fields and "w" in back._fields
 
@@ -232,8 +276,17 @@ def _own_source(law: object) -> str:
 
     if law_name(law) in BUILT_IN:
         return __version__
-    source = Path(type(law).slave.__code__.co_filename)  # type: ignore[attr-defined]  # every law has one
+    end: Any = getattr(type(law), "slave", None) or type(law).force  # type: ignore[attr-defined]  # one of both
+    source = Path(end.__code__.co_filename)
     return fingerprint(source) if source.is_file() else "not in a file"
+
+
+def both_ends(scene: Scene) -> Scene:
+    """The scene, to be run by two processes. Refused if it has no slave: there is nothing to send to then."""
+    if scene.slave is None:
+        raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
+                      f"teleop run {scene.name}")
+    return scene
 
 
 def load_scene(name: str, /, **knobs: object) -> Scene:

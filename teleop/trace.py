@@ -58,14 +58,14 @@ def assemble(
     import numpy as np
 
     ends = {e: end_arrays(scene, e, record, reference) for e, record in records.items()}
-    ticks_m, ticks_s = (np.asarray(records[e].ticks, dtype=np.int64) for e in ("m", "s"))
+    ticks_m, ticks_s = (np.asarray(records[e].ticks, dtype=np.int64) for e in ("m", "s" if "s" in ends else "m"))
     if not np.array_equal(ticks_m, ticks_s):
         both, at_m, at_s = np.intersect1d(ticks_m, ticks_s, assume_unique=True, return_indices=True)
         ends = {
             e: {name: column[at] for name, column in ends[e].items()} for e, at in (("m", at_m), ("s", at_s))
         }
         ticks_m = both
-    trace: dict[str, NDArray[Any]] = {"t": ticks_m * scene.dt_ns / 1e9, **ends["m"], **ends["s"]}
+    trace: dict[str, NDArray[Any]] = {"t": ticks_m * scene.dt_ns / 1e9, **ends["m"], **ends.get("s", {})}
     if scene.energy:
         _add_ledgers(trace)
     return trace
@@ -78,7 +78,7 @@ def _add_ledgers(trace: dict[str, NDArray[Any]]) -> None:
     with np.errstate(all="ignore"):  # a run that diverges ends with sums that are infinite
         if "E_in_fwd" in trace:
             trace["E_link"] = (trace["E_in_fwd"] - trace["E_out_fwd"]) + (trace["E_in_bwd"] - trace["E_out_bwd"])
-        trace["E_port"] = trace["E_port_m"] - trace["E_port_s"]
+        trace["E_port"] = trace["E_port_m"] - trace["E_port_s"] if "E_port_s" in trace else trace["E_port_m"].copy()
 
 
 def _per_axis(column: NDArray[Any]) -> list[list[float]]:

@@ -20,7 +20,7 @@ from teleop.live.merge import merge
 from teleop.live.record import fresh_folder, read_record
 from teleop.live.summary import NAMES
 from teleop.result import Result
-from teleop.scene import Scene, load_scene
+from teleop.scene import Scene, both_ends, load_scene
 
 PATIENCE = 15.0  # s for a process to come up
 
@@ -107,7 +107,7 @@ def demo(
 
     `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself.
     """
-    scene = load_scene(scene_name, **knobs)
+    scene = both_ends(load_scene(scene_name, **knobs))
     options = [scene_name, "--seed", str(seed)]
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]

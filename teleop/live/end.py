@@ -23,7 +23,7 @@ from teleop.live.shell import Device, Shell
 from teleop.live.summary import NAMES, write_end
 from teleop.live.wire import Wire
 from teleop.options import guarded, knobs_from, scene_options
-from teleop.scene import Scene, load_scene
+from teleop.scene import Scene, both_ends, load_scene
 from teleop.session import Session
 
 
@@ -36,7 +36,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     args = _parser(e).parse_args(argv)
     if args.wait is not None:
         number("--wait", args.wait, above=0.0)
-    scene = load_scene(args.scene, **knobs_from(args))
+    scene = both_ends(load_scene(args.scene, **knobs_from(args)))
     endpoint = _endpoint(scene, e, args)
     stand = device(scene)
     with _wire(e, args) as wire, Interrupt() as interrupt:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from teleop.bodies import Bodies, exact_bodies, reference_samples
 from teleop.metrics import magnitude
 from teleop.plant import Gripped, Plant, move_free, move_gripped
-from teleop.precision.contenders import touch_of
+from teleop.precision.contenders import slave_of, touch_of
 from teleop.precision.deviation import felt
 from teleop.precision.outsiders import MOST_RADIANS, gripped_touch, located, radians, there
 
@@ -49,7 +49,7 @@ def agreement(scene: Scene, trace: Mapping[str, Any]) -> Agreement:
     with np.errstate(all="ignore"):
         least = [2.0**-53 * float(np.nanmax(magnitude(trace[name]), initial=0.0)) for name in ("x_s", "v_s")]
     plants = exact_bodies(scene).slaves
-    touches = [touch_of(plant, scene.slave) for plant in plants]
+    touches = [touch_of(plant, slave_of(scene)) for plant in plants]
     dt = scene.dt_ns / 1e9
     if not there():
         return Agreement(sentence="not compared: scipy is not installed", x=least[0], v=least[1], differences={})

@@ -20,6 +20,14 @@ if TYPE_CHECKING:
     from teleop.scene import Scene
 
 
+def slave_of(scene: Scene) -> MassDamper:
+    """The scene's slave. Refused where there is none: what is compared are ways to move it."""
+    if scene.slave is None:
+        raise Refused(f"precision compares ways to move a slave, and scene {scene.name} has none; take one that has, "
+                      "for example hard_wall")
+    return scene.slave
+
+
 def touch_of(plant: Plant, body: MassDamper) -> Touch:
     """The equation of `body` that an exact plant solves. Refused for plants that are none of teleop's own."""
     if plant.move is move_free:
@@ -80,7 +88,7 @@ def method_bodies(scene: Scene, method: Method, n: int) -> Bodies:
     """The scene's bodies, moved by n sub-steps of `method` per tick. Refused as in `touch_of`."""
     dt = scene.dt_ns / 1e9
     exact = exact_bodies(scene)
-    slaves = [stepped(method, touch_of(plant, scene.slave), dt, n) for plant in exact.slaves]
+    slaves = [stepped(method, touch_of(plant, slave_of(scene)), dt, n) for plant in exact.slaves]
     if scene.hand is None:
         body = Touch(scene.master.mass, scene.master.damping)
         master = stepped(method, body, dt, n)

@@ -67,7 +67,10 @@ def felt(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
     """
     import numpy as np
 
-    m, b, dt = scene.slave.mass, scene.slave.damping, scene.dt_ns / 1e9
+    from teleop.precision.contenders import slave_of
+
+    body = slave_of(scene)
+    m, b, dt = body.mass, body.damping, scene.dt_ns / 1e9
     touching: NDArray[np.bool_] = magnitude(trace["f_env"]) > 0.0
     with np.errstate(all="ignore"):
         dx, dv, push = np.diff(trace["x_s"], axis=0), np.diff(trace["v_s"], axis=0), trace["f_s"][:-1] * dt

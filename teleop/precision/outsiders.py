@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.bodies import Bodies, exact_bodies
 from teleop.plant import Gripped
-from teleop.precision.contenders import touch_of
+from teleop.precision.contenders import slave_of, touch_of
 from teleop.precision.methods import Touch
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def outsider_bodies(scene: Scene, solver: str, rtol: float) -> Bodies:
     """The scene with its slave moved by one call of `solver` per tick; the master, which is linear, stays exact."""
     dt = scene.dt_ns / 1e9
     exact = exact_bodies(scene)
-    moves = [outsider(touch_of(plant, scene.slave), dt, solver, rtol) for plant in exact.slaves]
+    moves = [outsider(touch_of(plant, slave_of(scene)), dt, solver, rtol) for plant in exact.slaves]
     return Bodies(exact.master, [plant._replace(move=move) for plant, move in zip(exact.slaves, moves, strict=True)])
 
 

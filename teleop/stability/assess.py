@@ -35,6 +35,7 @@ class Stability:
     mode: Mode | None  # the root of greatest magnitude apart from the integrators; None: nothing moves for long
     gain_margin: float | None  # the factor on the loop's gain that changes the verdict; None: see `margins`
     critical_round_trip: int | None  # ticks, the least at which the loop is unstable; None: stable at every delay
+    alone: bool = False  # no slave: all delays are those of the computation, `forth` in all
 
     @property
     def verdict(self) -> str:
@@ -72,6 +73,8 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
     from teleop.stability.loop import sampled_loop
     from teleop.stability.margins import critical_round_trip, dominant, gain_margin, integrators
 
+    if scene.slave is None:
+        return _one_port(scene)
     linear = linear_scene(scene, seed=seed)
     resting = integrators(linear)
     return Stability(
@@ -81,8 +84,31 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
     )
 
 
+def _one_port(scene: Scene) -> Stability:
+    """The same of a scene without a slave, from the eigenvalues of its loop in contact."""
+    import numpy as np
+
+    from teleop.stability.margins import Mode
+    from teleop.stability.one_port import AT_REST, critical_delay, gain_margin, one_port, unstable_roots
+
+    loop = one_port(scene)
+    roots = loop.roots()
+    moving = roots[np.abs(roots - 1.0) > AT_REST]
+    period = loop.dt * len(loop.ticks)
+    greatest = complex(moving[np.argmax(np.abs(moving))]) if moving.size else 0j
+    return Stability(
+        scene=scene.name, unstable=unstable_roots(loop), integrators=len(roots) - len(moving), forth=loop.delay, back=0,
+        dt=loop.dt, mode=Mode.of(greatest, period) if abs(greatest) > 1e-6 else None, gain_margin=gain_margin(scene),
+        critical_round_trip=critical_delay(scene), alone=True,
+    )
+
+
 def is_stable(scene: Scene, *, seed: int = 0) -> bool:
     """The verdict alone, from the root count: quicker than `stability`."""
+    if scene.slave is None:
+        from teleop.stability.one_port import one_port, unstable_roots
+
+        return not unstable_roots(one_port(scene))
     from teleop.stability.linear import linear_scene
     from teleop.stability.loop import sampled_loop
 

@@ -21,7 +21,7 @@ from teleop.errors import Refused
 from teleop.law import At, law_name, reads
 from teleop.scene import Scene
 from teleop.stability.curve import imaginary_axis
-from teleop.stability.linear import StateSpace, like, matrix, not_linear, refuse_nonlinear_parts
+from teleop.stability.linear import StateSpace, about_rest, like, matrix, not_linear, refuse_nonlinear_parts
 from teleop.stability.loop import Crossing, Loop, open_poles
 
 if TYPE_CHECKING:
@@ -49,10 +49,26 @@ def continuous(scene: Scene) -> Continuous:
     TDS stability analysis", IEE Proc. D 134(2), 1987). Of several axes the worst. Raises `Refused` if the scene is
     not linear or has no continuous limit.
     """
+    scene = about_rest(scene)
     refuse_nonlinear_parts(scene)
     axes = [replace(scene, axes=1, environment=one, start_m=0.0, start_s=0.0) for one in _distinct(scene)]
     margins = [_margin(axis) for axis in axes]
     return min(margins, key=lambda m: (m.stable_without_delay, m.round_trip is None, m.round_trip or 0.0))
+
+
+def refuse_ticks(scene: Scene) -> None:
+    """Refuse what is made of ticks, or has more states than the ends here are built with."""
+    from teleop.tick import features
+
+    has = features(scene)
+    if scene.device_m is not None or scene.device_s is not None:
+        raise Refused("a device's estimator and delays are counted in ticks, which continuous time has not; ask "
+                      "without --continuous, or leave device_m and device_s out")
+    if has & {"inner_m", "inner_s"}:
+        raise Refused("a body with a state of its own (electrical damping, a standard linear solid) is not known in "
+                      "continuous time here; ask without --continuous")
+    if scene.slave is None:
+        raise Refused("a scene without a slave has no link whose delay could be asked for; ask without --continuous")
 
 
 def _distinct(scene: Scene) -> list[Any]:
@@ -96,13 +112,15 @@ def continuous_ends(scene: Scene) -> tuple[StateSpace, StateSpace]:
     from teleop.bodies import exact_bodies
     from teleop.tick import features
 
+    refuse_ticks(scene)
+    assert scene.slave is not None  # refused above
     body, hand = scene.master, scene.hand
     mass, k, d = (hand.mass, hand.k, hand.d) if hand is not None else (0.0, 0.0, 0.0)
     has = features(scene)
     master = _end(scene, "m", mass=body.mass + mass, damping=body.damping + d, k=k, push=-1.0,
                   sensor=(-k, -d, mass / (body.mass + mass)),
                   bandwidth=scene.observer if "observe_m" in has else None)
-    _, force, c = exact_bodies(scene).slaves[0]
+    _, force, c, *_ = exact_bodies(scene).slaves[0]
     rest = force(c, 0.0, 0.0)
     k_e, d_e = force(c, 1.0, 0.0) - rest, force(c, 0.0, 1.0) - rest
     slave = _end(scene, "s", mass=scene.slave.mass, damping=scene.slave.damping + d_e, k=k_e, push=1.0,
@@ -115,7 +133,7 @@ def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: f
     """`mass x'' + damping x' + k x = push f`, read by a sensor `f = k' x + d' v - m' (mass a)` and held by the law."""
     import numpy as np
 
-    law, states, inputs = _law_limit(scene, e)
+    law, states, inputs = law_limit(scene, e)
     n = 2 + (bandwidth is not None) + states
 
     def respond(given: Any) -> list[float]:
@@ -142,7 +160,7 @@ def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: f
     return StateSpace(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
 
 
-def _law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
+def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
     """One end of the law for a tick of zero: from (state, x, v, f, message) to (state', force, message)."""
     import numpy as np
 

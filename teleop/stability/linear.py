@@ -23,7 +23,8 @@ from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.playout import Fixed
 from teleop.scene import Scene
-from teleop.tick import ENDS, compiled, specialise
+from teleop.source import compiled, specialise
+from teleop.tick import ENDS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,40 +32,71 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-STEP = """
-def step(scene, law, dt, age, bodies, like, given):
-    take = iter(given)
-    law_{e} = law.{end}
+BEGIN = """
+def begin(scene, law, dt, bodies, x0):
+    law_{e} = law.{end}                                        #? !alone
+    law_{e} = law.force                                        #? alone
     sums_{e} = law.{end}_sums                                  #? sums_{e}
-    grip = bodies.master
-    (move@, force@, c@) = bodies.slaves[{i}]
+    x_{e}@ = x0; v_{e}@ = {sensor}@ = 0.0
+    [START {e}]
+    BODIES
+    STATE
+    return state
+"""
+STEP = """
+def step(scene, law, dt, k, bodies, like, given):
+    span = dt                                                  #? estimates
+    law_{e} = law.{end}                                        #? !alone
+    law_{e} = law.force                                        #? alone
+    sums_{e} = law.{end}_sums                                  #? sums_{e}
     x_{e}@ = v_{e}@ = {sensor}@ = 0.0
     [START {e}]
-    k = age; newest_{e} = 0; got_{e} = True
+    BODIES
+    take = iter(given)
+    newest_{e} = 0                                             #? age_{e}
+    got_{e} = True                                             #? !alone
     x_{e}@ = next(take); v_{e}@ = next(take); f_{e}@ = next(take)
+    z_{e}@ = like(z_{e}@, take)                                #? inner_{e}
     x_before_{e}@ = next(take)                                 #? dx_{e}
+    est_{e}@ = like(est_{e}@, take)                            #? velocity_{e}
     v_before_{e}@ = next(take); f_h_hat@ = next(take)          #? observe_{e}
+    line_{e}@ = like(line_{e}@, take)                          #? late_{e}
+    slow_{e}@ = next(take)                                     #? slow_{e}
     s_{e}@ = like(s_{e}@, take)
-    rx_{e}@ = like(rx_{e}@, take)
+    rx_{e}@ = like(rx_{e}@, take)                              #? !alone
     SENSE
     [END {e}]
     MOVE
-    state = []; sent = []
-    state += (x_{e}@, v_{e}@, f_{e}@)
-    state += (x_before_{e}@,)                                  #? dx_{e}
-    state += (v_before_{e}@, f_h_hat@)                         #? observe_{e}
-    state += s_{e}@
-    sent += tx_{e}@
+    STATE
+    sent = []
+    sent += tx_{e}@                                            #? !alone
     return state, sent
 """
-_SENSE = {
-    "m": "f_h@ = grip_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? sense_m hand",
-    "s": "f_env@ = force@(c@, x_s@, v_s@)                      #? sense_s",
+STATE = """state = []
+    state += (x_{e}@, v_{e}@, f_{e}@)
+    state += z_{e}@                                            #? inner_{e}
+    state += (x_before_{e}@,)                                  #? dx_{e}
+    state += est_{e}@                                          #? velocity_{e}
+    state += (v_before_{e}@, f_h_hat@)                         #? observe_{e}
+    state += line_{e}@                                         #? late_{e}
+    state += (slow_{e}@,)                                      #? slow_{e}
+    state += s_{e}@"""
+BODIES = {
+    "m": "grip = bodies.master\n    z_m@ = bodies.inner_m      #? inner_m",
+    "s": "(move@, force@, c@, z_s@, _) = bodies.slaves[{i}]",
 }
-_MOVE = {
-    "m": "x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? hand\n"
-         "    x_m@, v_m@, _ = move_free(grip, x_m@, v_m@, -f_m@)       #? !hand",
-    "s": "x_s@, v_s@, _ = move@(c@, x_s@, v_s@, f_s@)",
+SENSE = {
+    "m": "f_h@ = grip_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? sense_m hand !inner_m\n"
+         "    f_h@ = held_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0, z_m@)  #? sense_m hand inner_m",
+    "s": "f_env@ = force@(c@, x_s@, v_s@)                      #? sense_s !inner_s\n"
+         "    f_env@ = force@(c@, x_s@, v_s@, z_s@)            #? sense_s inner_s",
+}
+MOVE = {
+    "m": "x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? hand !inner_m\n"
+         "    x_m@, v_m@, _ = move_free(grip, x_m@, v_m@, -f_m@)       #? !hand !inner_m\n"
+         "    x_m@, v_m@, z_m@ = move_held(grip, x_m@, v_m@, f_m@, 0.0, 0.0, z_m@)  #? inner_m",
+    "s": "x_s@, v_s@, _ = move@(c@, x_s@, v_s@, f_s@)          #? !inner_s\n"
+         "    x_s@, v_s@, _, z_s@ = move@(c@, x_s@, v_s@, f_s@, z_s@)  #? inner_s",
 }
 INSTEAD = "ask with --time, which runs it in virtual time"
 
@@ -95,23 +127,45 @@ class Linear(NamedTuple):
 
 def linear_scene(scene: Scene, *, seed: int = 0) -> Linear:
     """The matrices of a linear scene, at least one tick each way. Refused if something in it is not linear."""
+    scene = about_rest(scene)
     refuse_nonlinear_parts(scene)
+    for name in ("device_m", "device_s"):
+        if (device := getattr(scene, name)) is not None and device.every > 1:
+            raise Refused(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant; "
+                          f"{INSTEAD}, or set every=1")
     forth, back = link_ticks(scene, seed)
     return Linear(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
 
 
+def about_rest(scene: Scene) -> Scene:
+    """The scene about a place of rest: an environment that is moved along a path stands still in its own frame."""
+    if not any(hasattr(one, "path") for one in scene.environments):
+        return scene
+    return replace(scene, environment=tuple(getattr(one, "environment", one) for one in scene.environments))
+
+
 def refuse_nonlinear_parts(scene: Scene) -> None:
-    """Refuse a cap, and an environment whose motion under a held force is not linear."""
+    """Refuse a cap, an encoder, friction, a passivity controller, and an environment that is not linear."""
     if scene.cap is not None:
         raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or leave the cap out")
-    for environment, (move, force, c) in zip(scene.environments, exact_bodies(scene).slaves, strict=True):
-        if environment is None:
-            continue
+    if scene.passivity is not None:
+        raise Refused("a passivity controller is not linear, so its scene has no eigenvalues; "
+                      f"{INSTEAD}, or leave it out")
+    for device in (scene.device_m, scene.device_s):
+        if device is not None and device.encoder is not None:
+            raise Refused(f"an encoder is not linear, so its scene has no eigenvalues; {INSTEAD}, or leave it out")
+    for body in (scene.master, scene.slave):
+        if body is not None and body.friction > 0.0:
+            raise Refused(f"Coulomb friction is not linear, so its scene has no eigenvalues; {INSTEAD}, or set "
+                          "friction=0")
+    for environment, plant in zip(scene.environments, exact_bodies(scene).slaves, strict=False):
+        def respond(at: Sequence[float], plant: Any = plant) -> list[float]:
+            if plant.start is None:
+                return [*plant.move(plant.c, *at)[:2], plant.force(plant.c, at[0], at[1])]
+            x, v, _, z = plant.move(plant.c, *at[:3], tuple(at[3:]))
+            return [x, v, *z, plant.force(plant.c, at[0], at[1], tuple(at[3:]))]
 
-        def respond(at: Sequence[float], move: Any = move, force: Any = force, c: Any = c) -> list[float]:
-            return [*move(c, *at)[:2], force(c, at[0], at[1])]
-
-        if matrix(respond, 3) is None:
+        if environment is not None and matrix(respond, 3 + len(plant.start or ())) is None:
             raise Refused(f"{type(environment).__name__} is not linear, so the scene has no eigenvalues; {INSTEAD}, "
                           "or put a bonded tissue in its place (the scene soft_tissue has one)")
 
@@ -172,16 +226,28 @@ def matrix(function: Callable[[Sequence[float]], Sequence[float]], size: int) ->
 def end_function(scene: Scene, e: str, age: int) -> Callable[[Any], tuple[list[float], list[float]]]:
     """One tick of an end (m or s) as a function: what it is given -> (its next state, the message it sends).
 
-    Given are the state and then the message, as one run of floats: for each axis x, v and the held force; x of the
-    tick before; v of the tick before and the observer's force; the law's state; the message's fields; of these only
-    what the end has. `age` is that of the message, in ticks.
+    Given are the state and then the message, as one run of floats: for each axis x, v and the held force; the body's
+    inner state; x of the tick before; the estimator's state; v of the tick before and the observer's force; the
+    forces that are late; the one that is renewed slowly; the law's state; the message's fields; of these only what
+    the end has. `age` is that of the message, in ticks; without a slave it is the number of the tick.
     """
+    bare, bodies, step = _made(scene, e, STEP, "step")
+    return lambda given: step(bare, bare.law, bare.dt_ns / 1e9, age, bodies, like, given)
+
+
+def begin(scene: Scene, e: str, x0: float = 0.0) -> list[float]:
+    """The state of `end_function` in which an end starts at `x0` (m)."""
+    bare, bodies, start = _made(scene, e, BEGIN, "begin")
+    state: list[float] = start(bare, bare.law, bare.dt_ns / 1e9, bodies, x0)
+    return state
+
+
+def _made(scene: Scene, e: str, text: str, name: str) -> tuple[Scene, Any, Callable[..., Any]]:
     bare = replace(scene, energy=False, watchdog=None)  # a watchdog leaves a link that always delivers alone
-    text = STEP.replace("SENSE", _SENSE[e]).replace("MOVE", _MOVE[e])
-    step = compiled(bare, specialise(text, bare, ENDS[e]), "step")
+    for word, lines in (("BODIES", BODIES[e]), ("SENSE", SENSE[e]), ("MOVE", MOVE[e]), ("STATE", STATE)):
+        text = text.replace(word, lines)
     bodies = exact_bodies(bare)
-    dt = bare.dt_ns / 1e9
-    return lambda given: step(bare, bare.law, dt, age, bodies, like, given)
+    return bare, bodies, compiled(bare, specialise(text, bare, ENDS[e]), name, bodies.instead)
 
 
 def like(sample: Any, take: Iterator[float]) -> Any:
@@ -204,6 +270,22 @@ def _end(scene: Scene, e: str, age: int) -> StateSpace:
 
 def not_linear(scene: Scene, e: str) -> Refused:
     """The answer to a law that is not linear at one of its ends."""
+    device = scene.device_m if e == "m" else scene.device_s
+    estimator = device and device.velocity
+    if estimator is not None and _not_linear(estimator, scene.dt_ns / 1e9):
+        return Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
+                       f"eigenvalues; {INSTEAD}, or take BackwardDifference or LowPass")
     name = law_name(scene.law)
     hint = " or set law.alpha=1" if name == "pfra" else ""
-    return Refused(f"law {name} is not linear at the {ENDS[e].end}, so the scene has no eigenvalues; {INSTEAD}{hint}")
+    where = "where it is in contact" if scene.slave is None else f"at the {ENDS[e].end}"
+    return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
+
+
+def _not_linear(estimator: Any, dt: float) -> bool:
+    start, c = estimator.start(0.0), estimator.coefficients(dt)
+
+    def respond(given: Sequence[float]) -> list[float]:
+        v, s = estimator.step(c, tuple(given[1:]), given[0], dt)
+        return [v, *s]
+
+    return matrix(respond, 1 + len(start)) is None

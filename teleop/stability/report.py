@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.console import si
 from teleop.errors import Refused, number
 from teleop.stability.assess import Critical, Stability, critical, rests, stability
+from teleop.stability.one_port import MOST_DELAY
 
 if TYPE_CHECKING:
     from teleop.scene import Scene
@@ -152,11 +153,16 @@ def _roots(found: Stability) -> list[tuple[str, str]]:
         rows.append(("last mode" if not count else "first mode", f"{si(mode.frequency, 'Hz')}, {word} at "
                      f"{abs(mode.growth):.4g} 1/s, damping ratio {mode.damping:.4g}"))
     trip, edge, dt = found.round_trip, found.critical_round_trip, found.dt
-    rows.append(("round trip", f"{found.forth} + {found.back} = {trip} ticks, {si(trip * dt, 's')}"))
-    first = "none: stable at every delay"
+    if found.alone:
+        rows.append(("computation", f"{trip} ticks late, {si(trip * dt, 's')}"))
+    else:
+        rows.append(("round trip", f"{found.forth} + {found.back} = {trip} ticks, {si(trip * dt, 's')}"))
+    first = f"none up to {MOST_DELAY} ticks" if found.alone else "none: stable at every delay"
     if edge is not None:
         first = f"{edge} ticks, {si(edge * dt, 's')}, is the least unstable"
-    if edge == 2:
+    if edge == 0:
+        first = "unstable without any delay"
+    elif edge == 2 and not found.alone:
         first = "unstable already at 2 ticks, the least there is"
     rows.append(("delay margin", first))
     gain = found.gain_margin

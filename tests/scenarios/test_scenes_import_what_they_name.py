@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from channel.link import EFFECTS
+from slave.moving import Moving
 from teleop import Scene, load_scene
 from teleop.law import BUILT_IN
 from teleop.library import ROOT, built_in_scenes
@@ -20,7 +21,10 @@ DICE = {"bernoulli", "duplicate", "gamma", "gilbert_elliott", "normal", "uniform
 NEVER = {"asyncio", "socket", "select", "msgpack", "matplotlib", "scipy", "difflib", "importlib.metadata",
          "concurrent.futures", "subprocess", "teleop.live", "teleop.packet", "teleop.endpoint", "teleop.session",
          "teleop.figure", "teleop.catalogue", "teleop.conformance", "channel.relay"}
-ENVIRONMENTS = {"slave.wall", "slave.tissue"}
+ENVIRONMENTS = {"slave.wall", "slave.tissue", "slave.hunt_crossley", "slave.moving", "slave.standard_linear_solid"}
+ESTIMATORS = {f"teleop.velocity.{name}" for name in ("adaptive_window", "backward_difference", "levant", "low_pass")}
+DEVICES = {"teleop.device", "teleop.popc"}
+BODIES = {"teleop.implicit", "teleop.sdirk", "teleop.relaxing", "teleop.carried", "teleop.contact"}
 REFERENCES = {"master.recording"}  # the other references share a file with the grip
 CODE = """
 import sys, json
@@ -60,10 +64,17 @@ def named_by(scene: Scene) -> set[str]:
     """The modules, out of those that a scene may leave out, that this one names."""
     hand = scene.hand
     parts: set[Any] = {type(scene.law), type(hand.reference) if hand else None, *map(type, scene.environments)}
+    devices = [device for device in (scene.device_m, scene.device_s) if device is not None]
+    parts |= {type(device.velocity) for device in devices if device.velocity is not None}
+    parts |= {type(one.environment) for one in scene.environments if isinstance(one, Moving)}
     modules = {part.__module__ for part in parts if part is not None}
     thrown = effects(scene.link) & homes(EFFECTS, DICE)
     return (
-        (modules & (homes(BUILT_IN) | ENVIRONMENTS | REFERENCES))
+        (modules & (homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | ESTIMATORS))
+        | ({"slave"} if scene.slave is not None and any(scene.environments) else set())
+        | ({"teleop.device"} if devices else set())
+        | ({"teleop.popc"} if scene.passivity else set())
+        | bodies(scene, modules)
         | effects(scene.link)
         | ({"channel"} if scene.link is not None else set())
         | ({"numpy.random"} if thrown else set())
@@ -73,8 +84,19 @@ def named_by(scene: Scene) -> set[str]:
     )
 
 
-OPTIONAL = homes(EFFECTS) | homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | {
-    "channel", "numpy.random", "teleop.safety", "teleop.observer",
+def bodies(scene: Scene, modules: set[str]) -> set[str]:
+    """What moves the bodies of the scene, beyond what is linear."""
+    rubs = scene.master.friction > 0.0 or (scene.slave is not None and scene.slave.friction > 0.0)
+    return (
+        ({"teleop.contact"} if "slave.wall" in modules else set())
+        | ({"teleop.relaxing"} if "slave.standard_linear_solid" in modules or scene.electrical else set())
+        | ({"teleop.carried"} if "slave.moving" in modules else set())
+        | ({"teleop.implicit", "teleop.sdirk"} if rubs or "slave.hunt_crossley" in modules else set())
+    )
+
+
+OPTIONAL = homes(EFFECTS) | homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | ESTIMATORS | DEVICES | BODIES | {
+    "channel", "slave", "numpy.random", "teleop.safety", "teleop.observer",
 }
 
 

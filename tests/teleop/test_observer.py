@@ -12,7 +12,8 @@ from scipy.integrate import quad, solve_ivp
 
 from teleop.observer import coefficients, observe
 from teleop.scene import load_scene
-from teleop.tick import columns, compiled, live_text
+from teleop.source import compiled, live_text
+from teleop.tick import columns
 
 INSTANT = 1e9  # 1/s: a filter so fast that f_h_hat is f_bar itself
 

@@ -27,7 +27,8 @@ from teleop.plant import MassDamper, grip_force, move_free, move_gripped
 from teleop.playout import Fixed, Hold
 from teleop.safety import Cap, Watchdog
 from teleop.scene import Scene
-from teleop.tick import columns, compiled, features, live_text, loop_text, over_axes
+from teleop.source import compiled, live_text, loop_text, over_axes
+from teleop.tick import columns, features
 from teleop.trace import EndRecord, assemble
 
 
@@ -265,7 +266,7 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
                 place["m"][i], speed["m"][i], _ = move_free(grip, x, v, -f)
             else:
                 place["m"][i], speed["m"][i] = move_gripped(grip, x, v, f, ref[i][k], ref[i][k + 1])
-            move, _, c = plants[i]
+            move, _, c, *_ = plants[i]
             place["s"][i], speed["s"][i], _ = move(c, place["s"][i], speed["s"][i], held["s"][i])
     return assemble(scene, {
         e: EndRecord(range(scene.ticks), rows[e], None if plan is None else plan.play)

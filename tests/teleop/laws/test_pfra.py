@@ -24,7 +24,7 @@ from teleop.lockstep import run
 from teleop.observer import coefficients, observe
 from teleop.plant import MassDamper, free_space, move_free
 from teleop.scene import Scene, load_scene
-from teleop.tick import over_axes
+from teleop.source import over_axes
 
 Vector = tuple[float, ...]
 

@@ -1,0 +1,46 @@
+"""A finger let go before a virtual wall that an encoder sees in steps: limit cycles, and what stops them."""
+
+from __future__ import annotations
+
+from math import pi
+
+from master.hand import Grip, Hold
+from teleop.device import Device, Encoder
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.plant import MassDamper
+from teleop.safety import Cap
+from teleop.scene import Scene
+from teleop.velocity.backward_difference import BackwardDifference
+
+
+def scene(
+    *,
+    K: float = 400.0,  # N/m, stiffness of the wall; 2500 hums at 34 Hz
+    every: int = 1,  # ticks after which the wall's force is renewed; 5 shakes at 21 Hz
+    cap: float | None = None,  # N s/m, most damping of the passivity controller; none: no controller
+    step: float | None = 2.0 * pi * 0.010 / 1024.0,  # m, of the encoder: 1024 lines on a 10 mm drum; none: no encoder
+    f_max: float = 2.0,  # N, most force of wall and controller together
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 1.5,  # s
+) -> Scene:
+    """A finger pulls a handle from rest at 29 mm towards 33 mm; the virtual wall begins at 30 mm."""
+    if cap is None:
+        passivity = None
+    else:
+        from teleop.popc import PassivityController
+
+        passivity = PassivityController(cap=cap)
+    return Scene(
+        law=VirtualWall(K=K, at=0.030),
+        master=MassDamper(mass=0.04, damping=0.8),
+        hand=Grip(mass=0.0, k=400.0, d=0.0, reference=Hold(at=0.033)),
+        device_m=Device(
+            encoder=None if step is None else Encoder(step=step), velocity=BackwardDifference(), every=every,
+        ),
+        passivity=passivity,
+        cap=Cap(f_max=f_max),
+        start_m=0.029,
+        energy=True,
+        dt=dt,
+        duration=duration,
+    )

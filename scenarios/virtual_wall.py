@@ -1,0 +1,44 @@
+"""A finger on a handle reaches into a wall that the controller renders: no robot, no link."""
+
+from __future__ import annotations
+
+from master.hand import Grip, Reach
+from teleop.device import Device, Encoder
+from teleop.law import OnePortLaw
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.plant import MassDamper
+from teleop.scene import Scene
+from teleop.velocity.backward_difference import BackwardDifference
+
+
+def scene(
+    *,
+    law: OnePortLaw = VirtualWall(K=800.0, at=0.03),  # what is rendered: virtual_wall, virtual_coupling, of a plug-in
+    m: float = 0.04,  # kg, mass of the handle
+    b: float = 0.8,  # N s/m, damping of the handle; the wall is passive with at least K dt/2 + B
+    friction: float = 0.0,  # N, Coulomb friction of the handle
+    k: float = 400.0,  # N/m, stiffness of the finger
+    d: float = 1.0,  # N s/m, damping of the finger
+    to: float = 0.04,  # m, where the finger reaches
+    step: float | None = None,  # m, step of an encoder that rounds down; none: the position as it is
+    every: int = 1,  # ticks after which the force is renewed
+    delay: int = 0,  # ticks from reading to force
+    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
+    energy: bool = True,  # record the energy ledger
+    dt: float = 1e-3,  # s, the tick
+    duration: float = 2.0,  # s
+) -> Scene:
+    """A reach of least jerk takes a finger into a virtual wall, which it then presses."""
+    return Scene(
+        law=law,
+        master=MassDamper(mass=m, damping=b, friction=friction),
+        hand=Grip(mass=0.0, k=k, d=d, reference=Reach(to=to, start=0.1, duration=0.6)),
+        device_m=Device(
+            encoder=None if step is None else Encoder(step=step), velocity=BackwardDifference(),
+            every=every, delay=delay,
+        ),
+        observer=observer,
+        energy=energy,
+        dt=dt,
+        duration=duration,
+    )

@@ -1,0 +1,139 @@
+"""First-order adaptive windowing: the slope of the longest line that the last readings allow.
+
+Source: F. Janabi-Sharifi, V. Hayward and C.-S. J. Chen, "Discrete-time adaptive windowing for velocity
+estimation", IEEE Trans. Control Systems Technology 8(6), 2000. A window reaches from the newest reading
+y(k) back to y(k-n). Its line goes through y(k) with a slope v_n,
+
+    end-fit     v_n = (y(k) - y(k-n))/(n T)                                       the line through both ends
+    best-fit    v_n = 6 sum_i (2 i - n) (y(k) - y(k-i)) / (n (n+1) (n+2) T)        least squares over the window
+
+and it must pass within +-noise of every reading in the window. n grows from 1, where the line passes
+through both, as long as it does, at most to `most`; the last slope is the velocity.
+
+That the line of slope v (m/s) misses y(k-i) by at most `noise` says |y(k) - y(k-i) - i T v| <= noise: v lies within
+noise/(i T) of (y(k) - y(k-i))/(i T). So the readings narrow one interval as n grows, the line of window n is good iff
+its slope lies in it, and a step is O(most) where trying every line is O(most^2).
+
+Error. Readings y = x + e, the errors e in an interval of width w; |d2x/dt2| <= a; window n:
+
+    |v_n - dx/dt| <= (w + miss)/(n T) + a n T/2,    miss = 0 for end-fit, `noise` for best-fit.
+
+(y(k) - y(k-n) = x(k) - x(k-n) + e(k) - e(k-n), and the line meets it within `miss`.) With errors of +-noise,
+w = 2 noise, the first term of end-fit is 2 noise/(n T). On a steady motion an end-fit line misses a reading by
+|e(k-i) - (1 - i/n) e(k) - (i/n) e(k-n)| <= w: with noise >= w, one *whole* step of an encoder, the window of
+end-fit never shrinks without an acceleration; with half a step it does, down to one tick.
+
+A reading that comes not one tick after the one before (a stall) begins a new window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, nan
+
+from teleop.errors import number, whole_number
+
+TINY = 1e-300  # s: what a span of zero is divided by
+LONGEST = 1000  # readings: one second at 1 kHz
+
+State = tuple[float, ...]  # the last `most` readings (m), newest first; NaN where the window does not reach yet
+Each = tuple[float, ...]  # one number for each window, n = 1..most
+
+
+def _checked(fit: EndFit | BestFit) -> None:
+    object.__setattr__(fit, "noise", number("noise", fit.noise, above=0.0))
+    object.__setattr__(fit, "most", whole_number("most", fit.most, low=1, high=LONGEST))
+
+
+def _missing(count: int) -> State:
+    # No reading yet: NaN lies in no interval, so a window ends before it without being told to.
+    return (nan,) * count
+
+
+def _common(dt: float, noise: float, most: int) -> tuple[float, float, State, Each, Each]:
+    numbers = tuple(float(n) for n in range(1, most + 1))
+    # A line that misses by `noise` exactly, as encoder readings have it, is good whatever rounding makes of it.
+    band = noise * (1.0 + 1e-9)
+    return dt, 1e-6 * dt, _missing(most - 1), numbers, tuple(band / n for n in numbers)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EndFit:
+    """Adaptive window with the line through its two ends."""
+
+    noise: float  # m, > 0: how far the line may miss a reading; one step of the encoder
+    most: int = 15  # the longest window, ticks, 1..1000
+
+    def __post_init__(self) -> None:
+        _checked(self)
+
+    def coefficients(self, dt: float) -> tuple[float, float, State, Each, Each]:
+        """The tick (s), how much a span may differ from it, an empty past, and n and noise/n of every window."""
+        return _common(dt, self.noise, self.most)
+
+    def start(self, x: float) -> State:
+        """One reading at `x` (m)."""
+        return (x, *_missing(self.most - 1))
+
+    @staticmethod
+    def step(c: tuple[float, float, State, Each, Each], s: State, x: float, span: float) -> tuple[float, State]:
+        """Velocity (m/s) at the reading `x` (m), `span` seconds after the one before, and the next state."""
+        dt, apart, missing, numbers, reaches = c
+        slope = x - s[0]  # m a tick
+        if abs(span - dt) > apart:
+            return slope / max(span, TINY), (x, *missing)
+        low, high = -inf, inf
+        for before, n, reach in zip(s, numbers, reaches, strict=True):
+            tried = (x - before) / n
+            if not low <= tried <= high:
+                break
+            slope = tried
+            if tried - reach > low:  # noqa: PLR1730 - max and min would be half of the time
+                low = tried - reach
+            if tried + reach < high:  # noqa: PLR1730
+                high = tried + reach
+        return slope / dt, (x, *s[:-1])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BestFit:
+    """Adaptive window with the least-squares slope."""
+
+    noise: float  # m, > 0: how far the line may miss a reading; one step of the encoder
+    most: int = 15  # the longest window, ticks, 1..1000
+
+    def __post_init__(self) -> None:
+        _checked(self)
+
+    def coefficients(self, dt: float) -> tuple[float, float, State, Each, Each, Each]:
+        """As of `EndFit`, and 6/(n (n+1) (n+2)) of every window."""
+        common = _common(dt, self.noise, self.most)
+        return *common, tuple(6.0 / (n * (n + 1.0) * (n + 2.0)) for n in common[3])
+
+    def start(self, x: float) -> State:
+        """One reading at `x` (m)."""
+        return (x, *_missing(self.most - 1))
+
+    @staticmethod
+    def step(c: tuple[float, float, State, Each, Each, Each], s: State, x: float, span: float) -> tuple[float, State]:
+        """Velocity (m/s) at the reading `x` (m), `span` seconds after the one before, and the next state."""
+        dt, apart, missing, numbers, reaches, gains = c
+        slope = x - s[0]  # m a tick
+        if abs(span - dt) > apart:
+            return slope / max(span, TINY), (x, *missing)
+        low, high = -inf, inf
+        total = moment = 0.0  # sum_i (y(k) - y(k-i)), and weighted with 2 i
+        for before, n, reach, gain in zip(s, numbers, reaches, gains, strict=True):
+            back = x - before
+            total += back
+            moment += n * (back + back)
+            middle = back / n
+            if middle - reach > low:  # noqa: PLR1730
+                low = middle - reach
+            if middle + reach < high:  # noqa: PLR1730
+                high = middle + reach
+            tried = gain * (moment - n * total)
+            if not low <= tried <= high:
+                break
+            slope = tried
+        return slope / dt, (x, *s[:-1])

@@ -1,0 +1,243 @@
+"""The virtual coupling: its integrators, the contact inside them, and the impedances that follow."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from teleop.errors import Refused
+from teleop.law import At, find_law, reads, start_at
+from teleop.laws.virtual_coupling import (
+    Tool,
+    VirtualCoupling,
+    coupling_impedance,
+    rendered_impedance,
+    tool_impedance,
+)
+
+DT = 1e-3
+METHODS = {"explicit": (0.0, 0.0), "semi-implicit": (0.0, 1.0), "trapezoid": (0.5, 0.5), "backward": (1.0, 1.0)}
+WEIGHTS = [*METHODS.values(), (1.0, 0.0), (0.3, 0.7)]
+SOFT = VirtualCoupling(K=300.0, B=0.5, mass=0.1, damping=0.3, k_e=2000.0, d_e=1.5)
+
+
+def weighted(law: VirtualCoupling, weights: tuple[float, float]) -> VirtualCoupling:
+    return replace(law, theta_f=weights[0], theta_x=weights[1])
+
+
+def reading(x: float, v: float, dt: float = DT) -> At:
+    """What the law reads; all else is NaN."""
+    return At(x, v, math.nan, math.nan, math.nan, False, math.inf, dt)
+
+
+laws = st.builds(
+    VirtualCoupling, K=st.floats(0.0, 1e4), B=st.floats(0.0, 10.0), mass=st.floats(1e-3, 1.0),
+    damping=st.floats(0.0, 5.0), k_e=st.floats(0.0, 1e6), d_e=st.floats(0.0, 100.0), at=st.floats(-0.02, 0.02),
+    theta_f=st.sampled_from([0.0, 0.1, 0.5, 0.8, 1.0]), theta_x=st.sampled_from([0.0, 0.1, 0.5, 0.8, 1.0]),
+)
+tools = st.builds(Tool, y=st.floats(-0.03, 0.03), u=st.floats(-3.0, 3.0), net=st.floats(-50.0, 50.0))
+
+
+@given(law=laws, tool=tools, x=st.floats(-0.03, 0.03), v=st.floats(-3.0, 3.0))
+def test_a_tick_solves_the_implicit_equations_and_the_wall_obeys_its_law(
+    law: VirtualCoupling, tool: Tool, x: float, v: float
+) -> None:
+    f_m, new = law.force(tool, reading(x, v))
+    th_f, th_x = law.theta_f, law.theta_x
+    assert new.y == pytest.approx(tool.y + DT * ((1.0 - th_x) * tool.u + th_x * new.u), abs=1e-12)
+    assert f_m == pytest.approx(law.K * (x - new.y) + law.B * (v - new.u))
+    pull = max(1.0, abs(f_m), law.mass * (abs(new.u) + abs(tool.u)) / DT, abs(tool.net), abs(new.net))
+    momentum = law.mass * (new.u - tool.u) / DT
+    assert momentum == pytest.approx((1.0 - th_f) * tool.net + th_f * new.net, abs=1e-9 * pull)
+    f_w, p = f_m - law.damping * new.u - new.net, new.y - law.at
+    near = 1e-9 * max(pull, law.k_e * abs(p), law.d_e * abs(new.u))
+    push = max(0.0, law.k_e * p + law.d_e * new.u)
+    if p > 1e-12:
+        assert f_w == pytest.approx(push, abs=near)
+    elif p < -1e-12:
+        assert f_w == pytest.approx(0.0, abs=near)
+    else:  # on the surface: what of the damper's force stops the tool there
+        assert -near <= f_w <= max(0.0, law.d_e * new.u) + near
+
+
+def test_a_tool_may_be_stopped_on_the_surface_by_a_part_of_the_dampers_force() -> None:
+    law = VirtualCoupling(K=0.0, B=0.0, mass=0.1, k_e=0.0, d_e=1e3, at=0.0)
+    f_m, new = law.force(Tool(-0.5e-3, 1.0, 0.0), reading(0.0, 0.0))
+    assert (f_m, new.y, new.u) == (0.0, 0.0, 0.5)
+    assert new.net == pytest.approx(0.1 * (0.5 - 1.0) / DT)
+
+
+def naive(law: VirtualCoupling, name: str, xs: list[float]) -> list[float]:
+    """The tool's way by the textbook's explicit or semi-implicit Euler, in front of the wall and in it."""
+    y = u = net = 0.0
+    ys = []
+    for x, before in zip(xs[1:], xs, strict=False):
+        v = (x - before) / DT
+        old = u
+        u = u + DT * net / law.mass
+        y = y + DT * (u if name == "semi-implicit" else old)
+        p = y - law.at
+        f_w = max(0.0, law.k_e * p + law.d_e * u) if p > 0.0 else 0.0
+        net = law.K * (x - y) + law.B * (v - u) - law.damping * u - f_w
+        ys.append(y)
+    return ys
+
+
+@pytest.mark.parametrize("name", ["explicit", "semi-implicit"])
+def test_explicit_weights_are_the_textbooks_methods(name: str) -> None:
+    law = weighted(replace(SOFT, at=0.002), METHODS[name])
+    xs = [0.01 * math.sin(2.0 * math.pi * 3.0 * k * DT) for k in range(800)]
+    tool, ys = Tool(0.0, 0.0, 0.0), []
+    for x, before in zip(xs[1:], xs, strict=False):
+        _, tool = law.force(tool, reading(x, (x - before) / DT))
+        ys.append(tool.y)
+    assert max(ys) > 0.002
+    np.testing.assert_allclose(ys, naive(law, name, xs), atol=1e-13)
+
+
+@pytest.mark.parametrize(("weights", "order"), [((1.0, 1.0), 1), ((0.5, 0.5), 2), ((0.0, 1.0), 1)])
+def test_every_method_comes_to_the_true_motion_with_its_own_order(weights: tuple[float, float], order: int) -> None:
+    """A free tool on a spring to a device that stands still: y = x (1 - cos w t)."""
+    law = weighted(VirtualCoupling(K=100.0, B=0.0, mass=0.1, k_e=0.0), weights)
+    errors = []
+    for n in (200, 400):
+        dt, tool = 0.1 / n, Tool(0.0, 0.0, 100.0 * 0.01)
+        for _ in range(n):
+            _, tool = law.force(tool, reading(0.01, 0.0, dt))
+        errors.append(abs(tool.y - 0.01 * (1.0 - math.cos(math.sqrt(1000.0) * 0.1))))
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
+
+
+def test_a_massless_tool_rests_in_balance_between_coupling_and_wall() -> None:
+    law = VirtualCoupling(K=500.0, B=0.0, mass=0.0, k_e=2000.0, at=0.01)
+    tool = law.start(start_at(0.0, 0.0, 0.0, DT))
+    _, tool = law.force(tool, reading(0.005, 5.0))
+    assert tool.y == pytest.approx(0.005)  # free: it is where the device is
+    f_m, tool = law.force(tool, reading(0.02, 15.0))
+    assert f_m == pytest.approx(0.01 * 500.0 * 2000.0 / 2500.0)  # two springs in series
+    assert tool.net == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_tool_that_starts_behind_the_surface_is_put_before_it() -> None:
+    law = VirtualCoupling(K=500.0, at=0.01)
+    assert law.start(start_at(0.03, 0.0, 0.0, DT)) == Tool(0.01, 0.0, 500.0 * (0.03 - 0.01))
+    assert law.start(start_at(-0.02, 0.0, 0.0, DT)) == Tool(-0.02, 0.0, 0.0)
+
+
+# Textbook facts on the unit circle.
+ANGLES = np.linspace(1e-3, math.pi, 200)
+
+
+@pytest.mark.parametrize(("name", "sign"), [("explicit", -0.5), ("trapezoid", 0.0), ("backward", 0.5)])
+def test_a_spring_is_active_lossless_or_passive_by_half_a_tick(name: str, sign: float) -> None:
+    law = weighted(VirtualCoupling(mass=1e-30, k_e=700.0), METHODS[name])
+    for th in ANGLES:
+        assert tool_impedance(law, cmath.exp(1j * th), DT).real == pytest.approx(sign * 700.0 * DT, abs=1e-10)
+
+
+@pytest.mark.parametrize(("name", "sign"), [
+    ("explicit", -2.0), ("semi-implicit", -2.0), ("trapezoid", 0.0), ("backward", 2.0)])
+def test_a_mass_too(name: str, sign: float) -> None:
+    law = weighted(VirtualCoupling(mass=0.3, k_e=0.0), METHODS[name])
+    for th in ANGLES[:-1]:  # at pi the trapezoid's mass is infinite
+        E = tool_impedance(law, cmath.exp(1j * th), DT)
+        assert E.real == pytest.approx(sign * 0.3 / DT * math.sin(th / 2.0) ** 2, abs=1e-9 * abs(E))
+
+
+def test_slowly_moved_the_tool_is_its_mass_damper_and_spring() -> None:
+    w = 2.0 * math.pi * 0.5
+    for weights in WEIGHTS:
+        sampled = tool_impedance(weighted(SOFT, weights), cmath.exp(1j * w * 1e-6), 1e-6)
+        true = SOFT.mass * 1j * w + SOFT.damping + SOFT.d_e + SOFT.k_e / (1j * w)
+        assert sampled == pytest.approx(true, rel=1e-5)
+
+
+def linearised(law: VirtualCoupling, z: complex) -> complex:
+    """F/V_hat of the law's own map in contact, by differences, which of an affine map are exact."""
+    def tick(s: np.ndarray) -> np.ndarray:  # y, u, net, last reading, reading -> y, u, net, reading, force
+        y, u, net, last, x = (float(each) for each in s)
+        f_m, tool = law.force(Tool(y, u, net), reading(x, (x - last) / DT))
+        return np.array([*tool, x, f_m])
+
+    rest = np.array([10.0, 0.0, 0.0, 10.0, 10.0])  # deep inside: the wall is touched for sure
+    steps = (1e-2, 1.0, 1e-1, 1e-4, 1e-4)
+    columns = [(tick(rest + h * e) - tick(rest - h * e)) / (2.0 * h) for h, e in zip(steps, np.eye(5), strict=True)]
+    J = np.array(columns).T
+    A, B, C, D = J[:4, :4], J[:4, 4], J[4, :4], J[4, 4]
+    force = C @ np.linalg.solve(z * np.eye(4) - A, B) + D
+    return complex(force / ((1.0 - 1.0 / z) / DT))
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+def test_the_rendered_impedance_is_that_of_the_laws_own_lines(weights: tuple[float, float]) -> None:
+    law = weighted(SOFT, weights)
+    for th in (0.02, 0.3, 1.1, 2.5, math.pi):
+        z = 1.05 * cmath.exp(1j * th)
+        assert linearised(law, z) == pytest.approx(rendered_impedance(law, z, DT), rel=1e-6)
+
+
+@pytest.mark.parametrize("theta_f", [0.0, 0.5, 1.0])
+def test_coupling_and_tool_are_in_series_where_the_position_takes_the_new_velocity(theta_f: float) -> None:
+    law = weighted(SOFT, (theta_f, 1.0))
+    for th in (0.1, 1.0, 3.0):
+        z = cmath.exp(1j * th)
+        C, E = coupling_impedance(law, z, DT), tool_impedance(law, z, DT)
+        assert rendered_impedance(law, z, DT) == pytest.approx(C * E / (C + E), rel=1e-12)
+
+
+def test_elsewhere_they_are_in_series_for_the_backward_difference_of_the_tools_position_if_undamped() -> None:
+    law = weighted(replace(SOFT, B=0.0), (0.5, 0.5))
+    for th in (0.1, 1.0, 3.0):
+        z = cmath.exp(1j * th)
+        mean = 0.5 * (1.0 + 1.0 / z)  # backward difference of y over u
+        C, E = coupling_impedance(law, z, DT), tool_impedance(law, z, DT) / mean
+        assert rendered_impedance(law, z, DT) == pytest.approx(C * E / (C + E), rel=1e-12)
+        assert abs(rendered_impedance(law, z, DT) / (C * E * mean / (C + E * mean)) - 1.0) > 1e-5
+
+
+def needed(law: VirtualCoupling) -> float:
+    """The device damping that passivity asks for in contact: max of -Re(Z/z) on the circle."""
+    return max(-(rendered_impedance(law, z, DT) / z).real for z in np.exp(1j * np.linspace(1e-3, math.pi, 500)))
+
+
+@given(law=laws)
+def test_no_tool_and_no_wall_asks_for_more_device_damping_than_the_tool_held_fast(law: VirtualCoupling) -> None:
+    law = replace(law, theta_x=1.0, theta_f=0.5 + 0.5 * law.theta_f)
+    assert needed(law) <= law.K * DT / 2.0 + law.B + 1e-9
+
+
+def test_held_fast_the_bound_is_reached() -> None:
+    law = VirtualCoupling(K=1000.0, B=0.3, k_e=1e12)
+    assert needed(law) == pytest.approx(0.8, rel=1e-6)
+
+
+def test_an_explicitly_integrated_wall_asks_for_more() -> None:
+    law = weighted(VirtualCoupling(K=1000.0, B=0.3, k_e=1e3, mass=0.1), METHODS["explicit"])
+    assert needed(law) > 0.8
+
+
+@pytest.mark.parametrize(("x", "v"), [(math.nan, 0.0), (0.1, math.nan)])
+def test_nan_stays_nan(x: float, v: float) -> None:
+    f_m, tool = VirtualCoupling().force(Tool(0.0, 0.0, 0.0), reading(x, v))
+    assert all(map(math.isnan, (f_m, *tool)))
+
+
+def test_it_reads_position_velocity_and_tick_alone() -> None:
+    assert reads(VirtualCoupling().force) == {"x", "v", "dt"}
+    assert find_law("virtual_coupling")() == VirtualCoupling()
+
+
+@pytest.mark.parametrize(("knobs", "word"), [
+    ({"K": -1.0}, "K"), ({"theta_f": 1.5}, "theta_f"), ({"theta_x": -0.1}, "theta_x"), ({"mass": math.nan}, "mass"),
+    ({"mass": 0.0, "theta_f": 0.0}, "mass=0"), ({"mass": 0.0, "K": 0.0, "B": 0.0}, "mass=0"),
+    ({"mass": 0.0, "B": 0.0, "theta_x": 0.0}, "mass=0"),
+])
+def test_knobs_out_of_range_are_refused(knobs: dict[str, float], word: str) -> None:
+    with pytest.raises(Refused, match=word):
+        VirtualCoupling(**knobs)
