@@ -14,8 +14,12 @@ import pytest
 
 from channel.link import parse_link
 from master.hand import Grip, Hold, Sine
+from slave.hunt_crossley import HuntCrossley
+from slave.moving import Moving
+from slave.standard_linear_solid import StandardLinearSolid
 from slave.tissue import Tissue
 from slave.wall import Wall
+from teleop.device import Device, Encoder
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
@@ -26,8 +30,13 @@ from teleop.packet import Kind, peek
 from teleop.plant import MassDamper
 from teleop.playout import Fixed
 from teleop.playout import Hold as HoldLast
+from teleop.popc import PassivityController
+from teleop.relaxing import ElectricalDamping
 from teleop.safety import Cap, Watchdog
 from teleop.scene import Scene
+from teleop.velocity.adaptive_window import EndFit
+from teleop.velocity.backward_difference import BackwardDifference
+from teleop.velocity.low_pass import LowPass
 
 pytestmark = pytest.mark.live
 
@@ -46,9 +55,11 @@ def scene(**other: Any) -> Scene:
 
 def in_three_axes(law: Any, **other: Any) -> Scene:
     wall = Wall(k=5e3, d=5.0, at=0.004)
-    return scene(law=law, axes=3, environment=(wall, None, wall), start_s=(0.0, 0.005, -0.005), **other)
+    return scene(**{"law": law, "axes": 3, "environment": (wall, None, wall), "start_s": (0.0, 0.005, -0.005), **other})
 
 
+RUBBING = MassDamper(mass=0.1, damping=0.5, friction=0.3)
+BEATING = Moving(environment=Wall(k=5e3, d=5.0, at=0.004), path=Sine(amplitude=0.002, frequency=5.0))
 SCENES = {
     "wave, constant": scene(),
     "wave, no link": scene(link=None),
@@ -63,6 +74,18 @@ SCENES = {
     "pfra, observer": scene(law=PFRA(alpha=0.2), link=parse_link(ROUGH)),
     "pfra, sensor": scene(law=PFRA(alpha=0.2), observer=None, watchdog=Watchdog(timeout=0.01, ramp=0.01)),
     "pfra, three axes": in_three_axes(PFRA(alpha=0.2), link=parse_link(ROUGH), cap=Cap(f_max=2.0, slew=500.0)),
+    "devices": scene(
+        law=PFRA(alpha=0.2), link=parse_link(ROUGH), passivity=PassivityController(cap=2.0),
+        device_m=Device(encoder=Encoder(step=2e-5), velocity=EndFit(noise=2e-5), every=3, delay=2),
+        device_s=Device(encoder=Encoder(step=1e-5, phase=0.5), velocity=LowPass(cutoff=60.0)),
+    ),
+    "devices, three axes": in_three_axes(Direct(), device_m=Device(velocity=BackwardDifference(), delay=1)),
+    "friction": scene(master=RUBBING, slave=MassDamper(mass=0.5, damping=1.0, friction=0.2), law=PFRA(alpha=0.2)),
+    "friction, sensor": scene(master=RUBBING, law=PFRA(alpha=0.2), observer=None),
+    "rubber": scene(environment=HuntCrossley(k=1e4, lam=0.5, at=0.004)),
+    "relaxing": scene(environment=StandardLinearSolid(k=100.0, k1=300.0, tau=0.05), law=Direct(),
+                      electrical=ElectricalDamping(b=1.0, cutoff=10.0)),
+    "moving": in_three_axes(Wave(), environment=(BEATING, None, Wall(k=5e3, at=0.004))),
     "another tick": scene(dt=0.7e-3),
     "one tick": scene(duration=1e-3),
 }

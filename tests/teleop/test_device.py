@@ -22,7 +22,8 @@ from teleop.laws.virtual_wall import VirtualWall
 from teleop.lockstep import run
 from teleop.plant import MassDamper
 from teleop.scene import Scene
-from teleop.source import loop_text
+from teleop.source import compiled, live_text, loop_text
+from teleop.tick import columns
 from teleop.velocity.backward_difference import BackwardDifference
 
 STEP = 6.1e-5
@@ -74,6 +75,16 @@ class TestAnEstimator:
             assert trace[f"v_hat_{e}"][1:] == pytest.approx(np.diff(trace[f"x_{e}"]) / 1e-3, abs=1e-12)
         asked = 200.0 * (trace["x_m"][:-1] - trace["x_s"][1:]) + 5.0 * (trace["v_hat_m"][:-1] - trace["v_hat_s"][1:])
         assert trace["f_s"][1:] == pytest.approx(asked, abs=1e-12)
+
+    def test_knows_over_how_many_ticks_a_stall_went(self) -> None:
+        of = scene(device_m=Device(velocity=BackwardDifference()))
+        live = compiled(of, live_text(of, "m"), "live")(of, of.law, 1e-3, (0.0,), (0.0,), None)
+        live.send(None)
+        seen = []
+        for k, x in ((0, 0.0), (1, 0.001), (5, 0.009), (6, 0.009)):  # the ticks 2 to 4 were missed
+            _, _, row = live.send((k, (x,), (99.0,), None, False, -1, None))
+            seen.append(row[columns(of, "m").index("v_hat_m@")])
+        assert seen == pytest.approx([0.0, 1.0, 2.0, 0.0])
 
     def test_is_what_the_observer_of_the_hand_works_with(self) -> None:
         exact = run(scene(law=PFRA(alpha=0.5)))
