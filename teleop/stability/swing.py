@@ -1,8 +1,9 @@
 """Stability as it shows in virtual time, for scenes that have no eigenvalues.
 
-The scene is run once as it is. It is run again with the hand staying where the slave touched hardest (or half way, if
-it touched nothing), after a kick of `KICK`; without a hand the master starts that far off. What then remains is the
-loop's own motion: the swing of both ends about their drift, peak to peak, in `WINDOWS` equal pieces of time.
+The scene is run once as it is. It is run again with the hand staying where the slave touched hardest, or without a slave
+where the master was pushed hardest (half way, if there was no force), after a kick of `KICK`; without a hand the master
+starts that far off. What then remains is the loop's own motion: the swing of all ends about their drift, peak to peak,
+in `WINDOWS` equal pieces of time.
 
 - stable: the swing is below `QUIET`, or fell by 10 % or more over the last half;
 - limit cycle: it stayed, within 10 % down and 20 % up, and is bounded;
@@ -78,10 +79,10 @@ def swing(scene: Scene, *, seed: int = 0) -> Swing:
 
 
 def _hardest(result: Result) -> int:
-    """The tick at which the slave pressed hardest, or the middle one."""
+    """The tick at which the slave pressed hardest (without one: the master was pushed hardest), or the middle one."""
     import numpy as np
 
-    touch = np.abs(result.trace["f_env"]).reshape(result.ticks, -1).max(axis=1)
+    touch = np.abs(result.trace.get("f_env", result.trace["f_m"])).reshape(result.ticks, -1).max(axis=1)
     return int(touch.argmax()) if touch.max() > 0.0 else result.ticks // 2
 
 
@@ -102,7 +103,8 @@ def _held(scene: Scene, until: int, lasting: float, seed: int) -> Swing:
     result = run(kicked, seed=seed)
     if result.status != "ok":
         return Swing("unstable", result.sentence, None, None)
-    motion = np.column_stack([result.trace[name].reshape(result.ticks, -1) for name in ("x_m", "x_s")])[until:]
+    motion = np.column_stack([result.trace[name].reshape(result.ticks, -1) for name in ("x_m", "x_s")
+                              if name in result.trace])[until:]
     size = len(motion) // WINDOWS
     if size < 8:
         return Swing("stable", "too short to see a swing; give it more ticks with a longer duration", 0.0, None)

@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from master.hand import Grip, Hold
+from scenarios.encoder_wall import scene as encoder_wall
 from teleop.device import Device, Encoder
 from teleop.errors import Refused
 from teleop.laws.virtual_wall import VirtualWall
@@ -18,6 +19,7 @@ from teleop.plant import MassDamper
 from teleop.scene import Scene
 from teleop.stability.assess import critical, is_stable, stability
 from teleop.stability.one_port import controller, one_port
+from teleop.stability.swing import swing
 from teleop.velocity.backward_difference import BackwardDifference
 from teleop.velocity.low_pass import LowPass
 
@@ -123,3 +125,17 @@ class TestTheAnswer:
                            ({"master": MassDamper(mass=M, damping=B, friction=0.1)}, "friction")):
             with pytest.raises(Refused, match=word):
                 stability(replace(scene(), **part))
+
+
+class TestInTime:
+    """What is not linear is judged by a run: an encoder's limit cycle is its own verdict."""
+
+    @pytest.mark.parametrize(("knobs", "hertz"), [({"K": 2500.0}, 34.5), ({"every": 5}, 21.0)])
+    def test_a_wall_too_stiff_or_too_slow_hums(self, knobs: dict[str, Any], hertz: float) -> None:
+        got = swing(encoder_wall(**knobs))
+        assert got.verdict == "limit cycle"
+        assert got.frequency == pytest.approx(hertz, abs=1.0)
+
+    @pytest.mark.parametrize("knobs", [{}, {"K": 2500.0, "cap": 0.8}, {"every": 5, "cap": 0.8}])
+    def test_a_soft_one_or_a_passivity_controller_brings_it_to_rest(self, knobs: dict[str, Any]) -> None:
+        assert swing(encoder_wall(**knobs)).verdict == "stable"
