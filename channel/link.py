@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass
 
 from channel.effect import Chain, Effect
 from channel.schedule import Arrivals, Stream, arrivals
 from teleop.errors import Refused
-from teleop.plugins import find, known
+from teleop.plugins import known
+from teleop.written import Kind
 
 EFFECTS = {
     "bernoulli": "channel.bernoulli:Bernoulli",
@@ -50,6 +50,7 @@ EXAMPLES = {
 """How each is written, with all of its knobs."""
 
 GROUP = "teleop.effects"  # of entry points
+KIND = Kind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES)
 _LONGEST = 10_000  # characters of a text
 _FORM = 'write for example "delay(0.05) | bernoulli(p=0.02)", or "FORWARD ; BACKWARD"'
 
@@ -125,49 +126,8 @@ def _way(node: ast.AST, text: str) -> Effect | Chain:
 
 
 def _effect(node: ast.AST, text: str) -> Effect:
-    if isinstance(node, ast.Name):
-        made = find("effect", GROUP, EFFECTS, node.id)
-        raise Refused(f"the effect {node.id} needs brackets: {_usage(node.id, made)}")
-    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
-        part = ast.unparse(node)[:40]
-        raise Refused(f"the link {text[:80]!r} has a part that is no effect, {part!r}; {_FORM}")
-    name = node.func.id
-    made = find("effect", GROUP, EFFECTS, name)
-    effect: Effect = made(**_arguments(name, made, node))
+    effect: Effect = KIND.make(node, text, _FORM)
     return effect
-
-
-def _arguments(name: str, made: type[Effect], node: ast.Call) -> dict[str, Any]:
-    """The call's arguments by name; whether their values are any good the effect says itself."""
-    knobs = _knobs(made)
-    usage = _usage(name, made)
-    in_place = [knob for knob, (_, by_name) in knobs.items() if not by_name]
-    if len(node.args) > len(in_place) or any(isinstance(arg, ast.Starred) for arg in node.args):
-        raise Refused(f"{name} takes at most {len(in_place)} arguments without their names: {usage}")
-    given = dict(zip(in_place, node.args, strict=False))
-    for keyword in node.keywords:
-        if keyword.arg is None or keyword.arg in given or keyword.arg not in knobs:
-            twice = "twice " if keyword.arg in given else ""
-            raise Refused(f"{name} does not take {keyword.arg or '**'} {twice}as an argument: {usage}")
-        given[keyword.arg] = keyword.value
-    missing = [knob for knob, (needed, _) in knobs.items() if needed and knob not in given]
-    if missing:
-        raise Refused(f"{name} needs {' and '.join(missing)}: {usage}")
-    try:
-        return {knob: ast.literal_eval(value) for knob, value in given.items()}
-    except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):
-        raise Refused(f"the arguments of {name} must be numbers or texts in quotes: {usage}") from None
-
-
-def _usage(name: str, made: type[Any]) -> str:
-    """What to write for an effect; of a plug-in's only the names of its arguments are known."""
-    named = ", ".join(knob if needed else f"{knob}=..." for knob, (needed, _) in _knobs(made).items())
-    return f"write for example {EXAMPLES.get(name, f'{name}({named})')}"
-
-
-def _knobs(made: type[Any]) -> dict[str, tuple[bool, bool]]:
-    """An effect's arguments: whether it is needed, whether it must be named."""
-    return {knob.name: (knob.default is MISSING, bool(knob.kw_only)) for knob in fields(made) if knob.init}
 
 
 def _call(effect: Effect) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from master.hand import Grip, Reach
-from teleop.device import Device, Encoder
+from teleop.device import Device, Encoder, VelocityEstimator
 from teleop.law import OnePortLaw
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.plant import MassDamper
@@ -21,6 +21,7 @@ def scene(
     d: float = 1.0,  # N s/m, damping of the finger
     to: float = 0.04,  # m, where the finger reaches
     step: float | None = None,  # m, step of an encoder that rounds down; none: the position as it is
+    velocity: VelocityEstimator = BackwardDifference(),  # low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1), ...
     every: int = 1,  # ticks after which the force is renewed
     delay: int = 0,  # ticks from reading to force
     observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
@@ -34,7 +35,7 @@ def scene(
         master=MassDamper(mass=m, damping=b, friction=friction),
         hand=Grip(mass=0.0, k=k, d=d, reference=Reach(to=to, start=0.1, duration=0.6)),
         device_m=Device(
-            encoder=None if step is None else Encoder(step=step), velocity=BackwardDifference(),
+            encoder=None if step is None else Encoder(step=step), velocity=velocity,
             every=every, delay=delay,
         ),
         observer=observer,

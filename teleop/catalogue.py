@@ -26,6 +26,7 @@ def overview() -> str:
         "scenes": [(name, _scene_line(name)) for name in known_scenes()],
         "laws": [(name, _law_line(name, laws[name])) for name in sorted(laws)],
         "effects": [(name, _line(_load(effects[name]))) for name in sorted(effects)],
+        "velocity estimators": [(name, _line(_load(place))) for name, place in _estimators().items()],
     }
     blocks = [f"{heading}\n{_columns(lines)}" for heading, lines in parts.items()]
     return "\n\n".join([*blocks, "`teleop list NAME` shows the knobs of one of them."])
@@ -45,10 +46,21 @@ def details(name: str) -> str:
     if name in effects:
         effect = _load(effects[name])
         parts.append(_part(f"effect {name}", effect, _field_knobs(effect), f"--link '{name}(NAME=VALUE)'"))
+    if name in (estimators := _estimators()):
+        estimator = _load(estimators[name])
+        how = f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"
+        parts.append(_part(f"velocity estimator {name}", estimator, _field_knobs(estimator), how))
     if not parts:
-        known = {*scenes, *laws, *effects}
-        raise Refused(f"there is no scene, law or effect {name!r}; {nearest(name, known)}")
+        known = {*scenes, *laws, *effects, *estimators}
+        raise Refused(f"there is no scene, law, effect or estimator {name!r}; {nearest(name, known)}")
     return "\n\n".join(parts)
+
+
+def _estimators() -> dict[str, str]:
+    from teleop.plugins import known
+    from teleop.velocity.named import ESTIMATORS
+
+    return dict(sorted(known(ESTIMATORS.group, ESTIMATORS.places).items()))
 
 
 def _part(heading: str, thing: Any, knobs: list[Knob], how: str) -> str:

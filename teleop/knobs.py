@@ -73,6 +73,10 @@ def read(key: str, value: object, hint: Any) -> object:
         return _number(key, value, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds))
     if key == "law":
         return _law(value)
+    if any(getattr(kind, "__name__", "") == "VelocityEstimator" for kind in kinds) and isinstance(value, str):
+        from teleop.velocity.named import ESTIMATORS
+
+        return ESTIMATORS.read(value)
     if str in kinds and isinstance(value, str):
         return value
     if isinstance(value, str):
