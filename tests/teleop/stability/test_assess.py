@@ -430,3 +430,8 @@ class TestWithoutAClock:
 
     def test_a_loop_that_is_unstable_without_delay_says_so(self) -> None:
         assert continuous(handles(PositionPosition(K=-500.0, B=0.0))) == Continuous(False, 0.0, None)
+
+
+def test_a_matched_wave_whose_coefficients_cancel_was_called_not_linear() -> None:
+    """b = B = K: the coupling's part of w_s is the difference of large numbers, and no reason to refuse."""
+    assert continuous(load_scene("soft_tissue", law=Wave(b=10.0, K=10.0, B=10.0))).stable_without_delay

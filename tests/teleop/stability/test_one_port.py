@@ -13,6 +13,7 @@ from master.hand import Grip, Hold
 from scenarios.encoder_wall import scene as encoder_wall
 from teleop.device import Device, Encoder
 from teleop.errors import Refused
+from teleop.laws.virtual_coupling import VirtualCoupling, rendered_impedance
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.lockstep import run
 from teleop.plant import MassDamper
@@ -103,6 +104,16 @@ class TestTheController:
         z = np.exp(0.7j)
         got = law.C @ np.linalg.solve(z * np.eye(len(law.A)) - law.A, law.B) + law.D
         assert got[0, 0] == pytest.approx(700.0 * z**-3, rel=1e-9)
+
+    @pytest.mark.parametrize("weights", [(0.0, 0.0), (0.0, 1.0), (0.5, 0.5), (1.0, 1.0)])
+    def test_of_a_virtual_coupling_is_its_impedance_by_every_integrator(self, weights: tuple[float, float]) -> None:
+        """Though the tool starts on the wall's surface, where the law has a kink."""
+        law = VirtualCoupling(mass=0.1, k_e=2e4, d_e=1.0, theta_f=weights[0], theta_x=weights[1])
+        got = controller(replace(scene(), law=law))
+        for theta in (0.01, 0.5, 3.0):
+            z = np.exp(1j * theta)
+            H = got.C @ np.linalg.solve(z * np.eye(len(got.A)) - got.A, got.B) + got.D
+            assert H[0, 0] * T / (1.0 - 1.0 / z) == pytest.approx(rendered_impedance(law, z, T), rel=1e-7)
 
     def test_of_a_velocity_that_no_device_has_is_refused(self) -> None:
         bare = replace(scene(700.0, damper=0.5), device_m=None)
