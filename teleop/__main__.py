@@ -1,4 +1,4 @@
-"""The command line: `teleop run | demo | precision | stability | list | report`."""
+"""The command line: `teleop run | demo | precision | stability | passivity | zwidth | list | report`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from teleop.options import DONE, Parser, guarded, knobs_from, scene_options, whole
+from teleop.options import DONE, INTERRUPTED, Parser, guarded, knobs_from, scene_options, whole
 
 if TYPE_CHECKING:
     from teleop.result import Result
@@ -21,6 +21,8 @@ examples:
   teleop demo jittery_wan
   teleop precision hard_wall --set k_e=1e6
   teleop stability soft_tissue --set law=direct --critical k_e
+  teleop passivity virtual_coupling --plot
+  teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02
   teleop list hard_wall
   teleop report runs/hard_wall-1
 """
@@ -104,6 +106,34 @@ def _stability(args: Namespace) -> None:
         _say_object({**summary(answer), "command": args.typed})
     else:
         _say(table(answer))
+
+
+def _passivity(args: Namespace) -> None:
+    from teleop.passivity.command import passivity
+
+    _check_plot(args)
+    told, text = passivity(args.scene, knobs_from(args), seed=args.seed, span=args.range, out=args.out,
+                           plot=args.plot, command=args.typed)
+    if args.json:
+        _say_object(told)
+    else:
+        _say(text)
+
+
+def _zwidth(args: Namespace) -> None:
+    from time import monotonic
+
+    from teleop.zwidth.command import carry_out
+    from teleop.zwidth.report import summary, table
+
+    got, out = carry_out(args.scene, knobs_from(args), range_k=args.range_k, range_b=args.range_b, seed=args.seed,
+                         out=args.out, command=args.typed, clock=monotonic, stream=None if args.json else sys.stderr)
+    if args.json:
+        _say_object({**summary(got, args.typed), "path": str(out)})
+    else:
+        _say(f"{table(got)}\nwritten to {out}")
+    if got.interrupted:
+        raise SystemExit(INTERRUPTED)
 
 
 def _demo(args: Namespace) -> None:
@@ -258,8 +288,26 @@ def _parser() -> ArgumentParser:
     stable.add_argument("--time", action="store_true",
                         help="judge by a run in virtual time: for scenes that are not linear")
     stable.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    listing = command("list", _list, "List scenes, laws and effects, or the knobs of one of them.")
-    listing.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law or an effect")
+    passive = command("passivity", _passivity,
+                      "Two-port: hybrid matrix, Llewellyn's criterion, transparency; one port: is its sampled "
+                      "controller passive.")
+    scene_options(passive)
+    passive.add_argument("--range", metavar="LOW:HIGH", help="frequencies in Hz; left out: 0.1 to half the rate")
+    passive.add_argument("--out", metavar="DIR", help="write summary.json and curves.npz into this new folder")
+    passive.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    passive.add_argument("--plot", action="store_true", help="draw passivity.png too (needs the extra `plot`); without "
+                         "--out into runs/SCENE-passivity-NUMBER")
+    zwidth = command("zwidth", _zwidth,
+                     "Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, "
+                     "and what widens it. Ctrl-C keeps what is done.")
+    scene_options(zwidth)
+    zwidth.add_argument("--range-k", metavar="LOW:HIGH", help="stiffness (N/m) in which to look for what is stable and "
+                        "what comes to rest; left out: all")
+    zwidth.add_argument("--range-b", metavar="LOW:HIGH", help="the same of damping (N s/m)")
+    zwidth.add_argument("--out", metavar="DIR", help="the new folder to write; default runs/zwidth-SCENE-NUMBER")
+    zwidth.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    listing = command("list", _list, "List scenes, laws, effects and velocity estimators, or the knobs of one of them.")
+    listing.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect or a velocity estimator")
     report = command("report", _report, "Show a stored run again, and draw it if the extra `plot` is there.")
     report.add_argument("run", metavar="RUN", help="the folder that a run wrote; or that of a master that ran by hand")
     report.add_argument("slave", metavar="SLAVE", nargs="?",

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from teleop.device import Device
+    from teleop.implicit import Resistance
     from teleop.plant import MassDamper, Plant
     from teleop.popc import PassivityController
     from teleop.relaxing import ElectricalDamping
@@ -59,17 +60,35 @@ class Hand(Protocol):
     def reference(self) -> Reference: ...
 
 
-class Environment(Protocol):
-    """What the slave touches, in one axis.
+class Exact(Protocol):
+    """What the slave touches, in one axis, where its motion has a closed form.
 
-    One without a closed form, or that goes with a slave that has friction, has `resistance()` in place of or beside
-    `plant` (`teleop.implicit`); one whose plant has an inner state has `inner = True`; one that is moved has that which
-    is, `environment`, and its `path`, a Reference.
+    If the plant has an inner state, the environment has `inner = True`.
     """
 
     def plant(self, body: MassDamper, dt: float) -> Plant:
         """The exact step of `body` in this environment."""
         ...
+
+
+class Integrated(Protocol):
+    """What the slave touches where there is none, or where it goes with friction; see `teleop.implicit`."""
+
+    def resistance(self) -> Resistance:
+        """What resists the body."""
+        ...
+
+
+class Moved(Protocol):
+    """Any other environment, carried along a path."""
+
+    @property
+    def environment(self) -> Exact | Integrated: ...
+    @property
+    def path(self) -> Reference: ...
+
+
+Environment = Exact | Integrated | Moved
 
 
 class Arrivals(Protocol):
@@ -230,19 +249,9 @@ class Scene:
         Every part of the scene, every knob, and what the files behind it hold: a scene or a law of the
         user's own is compared by its source, a recorded motion by its content.
         """
-        from teleop.packet import VERSION
+        from teleop.manifest import manifest
 
-        parts = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("name", "knobs")}
-        fixed = {
-            **parts, "wire version": VERSION, "scene": self.name, "law": f"{law_name(self.law)} {self.law}",
-            "packet_size": self.wire_size, "law source": _own_source(self.law),
-        }
-        paths = {str(value): fingerprint(value) for value in self.knobs.values()}
-        texts = {key: fingerprint(value) for key, value in {**self.knobs, **fixed}.items()}
-        for path, content in paths.items():
-            if content != path:  # the same file may lie elsewhere on the other machine
-                texts = {key: text.replace(path, content) for key, text in texts.items()}
-        return texts
+        return manifest(self)
 
 
 def _shaped(name: str, part: object) -> None:
@@ -252,33 +261,6 @@ def _shaped(name: str, part: object) -> None:
         got = f"the class {part.__name__}" if isinstance(part, type) else repr(part)
         raise Refused(f"{name} must be something with {', '.join(asked)}, not {got}; "
                       f"write for example {name}={example}")
-
-
-def fingerprint(value: object) -> str:
-    """A knob as text; a file by its name and what is in it."""
-    from os import PathLike
-
-    if not isinstance(value, PathLike):
-        return str(value)
-    from hashlib import sha256
-    from pathlib import Path
-
-    path = Path(value)
-    return f"{path.name} ({sha256(path.read_bytes()).hexdigest()[:12]})"
-
-
-def _own_source(law: object) -> str:
-    """What stands in the file of a law that does not come with this package; built-in ones go by version."""
-    from pathlib import Path
-
-    from teleop import __version__
-    from teleop.law import BUILT_IN
-
-    if law_name(law) in BUILT_IN:
-        return __version__
-    end: Any = getattr(type(law), "slave", None) or type(law).force  # type: ignore[attr-defined]  # one of both
-    source = Path(end.__code__.co_filename)
-    return fingerprint(source) if source.is_file() else "not in a file"
 
 
 def both_ends(scene: Scene) -> Scene:
@@ -322,7 +304,7 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
 
 def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:
     """A part's refusal in the words of whoever set the knobs: the part may know a knob by another name."""
-    if isinstance(refused, WrongNumber) and refused.name not in given:
+    if isinstance(refused, WrongNumber) and given.get(refused.name) != refused.value:
         same = [key for key, value in given.items() if type(value) in (int, float) and value == refused.value]
         if len(same) == 1:
             return refused.called(same[0])

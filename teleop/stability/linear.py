@@ -274,7 +274,7 @@ def not_linear(scene: Scene, e: str) -> Refused:
     """The answer to a law that is not linear at one of its ends."""
     device = scene.device_m if e == "m" else scene.device_s
     estimator = device and device.velocity
-    if estimator is not None and _not_linear(estimator, scene.dt_ns / 1e9):
+    if estimator is not None and not is_linear(estimator, scene.dt_ns / 1e9):
         return Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
                        f"eigenvalues; {INSTEAD}, or take BackwardDifference or LowPass")
     name = law_name(scene.law)
@@ -283,11 +283,12 @@ def not_linear(scene: Scene, e: str) -> Refused:
     return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
 
 
-def _not_linear(estimator: Any, dt: float) -> bool:
+def is_linear(estimator: Any, dt: float) -> bool:
+    """Is the velocity that an estimator makes a linear function of the positions."""
     start, c = estimator.start(0.0), estimator.coefficients(dt)
 
     def respond(given: Sequence[float]) -> list[float]:
         v, s = estimator.step(c, tuple(given[1:]), given[0], dt)
         return [v, *s]
 
-    return matrix(respond, 1 + len(start)) is None
+    return matrix(respond, 1 + len(start)) is not None

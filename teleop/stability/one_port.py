@@ -17,7 +17,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.scene import Scene
-from teleop.stability.linear import StateSpace, begin, end_function, not_linear, refuse_nonlinear_parts
+from teleop.stability.linear import (
+    StateSpace,
+    begin,
+    end_function,
+    is_linear,
+    not_linear,
+    refuse_nonlinear_parts,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,6 +66,9 @@ def one_port(scene: Scene) -> OnePort:
     """The loop of a scene without a slave, in one axis. Refused if it is not linear in contact."""
     refuse_nonlinear_parts(scene)
     scene = one_axis(scene)
+    estimator = scene.device_m and scene.device_m.velocity
+    if estimator is not None and not is_linear(estimator, scene.dt_ns / 1e9):
+        raise not_linear(scene, "m")  # near rest it may look so
     every = 1 if scene.device_m is None else scene.device_m.every
     delay = 0 if scene.device_m is None else scene.device_m.delay
     return OnePort(_ticks(scene, every), scene.dt_ns / 1e9, delay)

@@ -1,9 +1,9 @@
 """Stability as it shows in virtual time, for scenes that have no eigenvalues.
 
-The scene is run once as it is. It is run again with the hand staying where the slave touched hardest, or without a slave
-where the master was pushed hardest (half way, if there was no force), after a kick of `KICK`; without a hand the master
-starts that far off. What then remains is the loop's own motion: the swing of all ends about their drift, peak to peak,
-in `WINDOWS` equal pieces of time.
+The scene is run once as it is. It is run again with the hand staying where the slave touched hardest, or without a
+slave where the master was pushed hardest (half way, if there was no force), after a kick of `KICK`; without a hand the
+master starts that far off. What then remains is the loop's own motion: the swing of all ends about their drift, peak to
+peak, in `WINDOWS` equal pieces of time.
 
 - stable: the swing is below `QUIET`, or fell by 10 % or more over the last half;
 - limit cycle: it stayed, within 10 % down and 20 % up, and is bounded;

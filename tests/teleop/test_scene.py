@@ -17,8 +17,9 @@ from slave.wall import Wall
 from teleop import Refused, Scene, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
+from teleop.manifest import fingerprint
 from teleop.plant import MassDamper
-from teleop.scene import MOST_TICKS, fingerprint
+from teleop.scene import MOST_TICKS
 
 BODY = MassDamper(mass=1.0, damping=1.0)
 WALL = Wall(k=1e3)
@@ -147,6 +148,12 @@ class TestLoading:
     def test_names_the_knob_as_it_was_typed_where_a_part_knows_it_by_another_name(self) -> None:
         with pytest.raises(Refused, match=r"^k_e must be at least 0, not -5; write for example k_e=0$"):
             load_scene("canonical", k_e="-5", k_h="5", frequency="2")
+
+    def test_names_it_even_where_the_part_calls_it_like_another_knob_that_was_set(self) -> None:
+        with pytest.raises(Refused, match=r"^dark_for must be at least 0, not -1; write for example dark_for=0$"):
+            load_scene("blackout", dark_for=-1, duration=2)
+        with pytest.raises(Refused, match=r"^duration must be above 0, not -1"):
+            load_scene("blackout", duration=-1, dark_for=2)
 
     def test_says_which_knobs_were_set_where_it_cannot_tell_which_one_it_was(self) -> None:
         with pytest.raises(Refused, match=r"^k must be at least 0, .* \(scene canonical with k_e=-5\.0, k_h=-5\.0\)$"):

@@ -22,6 +22,7 @@ from teleop.stability.assess import critical, is_stable, stability
 from teleop.stability.one_port import controller, one_port
 from teleop.stability.swing import swing
 from teleop.velocity.backward_difference import BackwardDifference
+from teleop.velocity.levant import Levant
 from teleop.velocity.low_pass import LowPass
 
 M, B, T = 0.04, 0.8, 1e-3
@@ -133,6 +134,7 @@ class TestTheAnswer:
 
     def test_of_what_is_not_linear_says_what_to_do(self) -> None:
         for part, word in (({"device_m": Device(encoder=Encoder(step=1e-5))}, "encoder"),
+                           ({"device_m": Device(velocity=Levant(L=1.0))}, "estimator Levant is not linear"),
                            ({"master": MassDamper(mass=M, damping=B, friction=0.1)}, "friction")):
             with pytest.raises(Refused, match=word):
                 stability(replace(scene(), **part))

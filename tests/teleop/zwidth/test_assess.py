@@ -1,0 +1,261 @@
+"""The whole of a Z-width: its rows, what an interrupt keeps, the JSON, the figures, and wrong requests."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import teleop.zwidth.assess
+import teleop.zwidth.measured
+from teleop.errors import Refused
+from teleop.scene import Scene, load_scene
+from teleop.zwidth.assess import ZWidth, assess, span
+from teleop.zwidth.plane import Span
+from teleop.zwidth.report import numbers, ratios, said, summary, table
+
+Typed = Callable[..., Any]
+LEVERS = ["as it is", "damping x2", "encoder", "rate x2", "velocity filter", "virtual coupling",
+          "passivity controller", "electrical damping"]
+
+
+@pytest.fixture(scope="module")
+def found() -> ZWidth:
+    """That of the built-in wall."""
+    return assess(load_scene("virtual_wall"))
+
+
+def theory(scene: Scene) -> ZWidth:
+    """What is found without the runs in virtual time."""
+    def until(_: float, doing: str) -> None:
+        if doing.startswith("at rest"):
+            raise KeyboardInterrupt
+
+    return assess(scene, show=until)
+
+
+def rows(got: ZWidth) -> dict[str, dict[str, float | None]]:
+    return {row.name: numbers(row) for row in got.rows}
+
+
+class TestLevers:
+    def test_every_lever_is_there_and_the_scene_comes_first(self, found: ZWidth) -> None:
+        assert [row.name for row in found.rows] == LEVERS
+        assert not found.interrupted
+        assert numbers(found.base)["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
+        assert numbers(found.base)["stable_K_free"] == pytest.approx(1605.35, abs=5e-3)
+
+    def test_each_pulls_the_way_it_must(self, found: ZWidth) -> None:
+        own = {row.name: ratios(row, found.base) for row in found.rows}
+        assert own["damping x2"]["passive_K"] == pytest.approx(2.0)
+        assert own["damping x2"]["passive_B"] == pytest.approx(2.0)
+        assert own["rate x2"]["passive_K"] == pytest.approx(2.0)
+        assert own["rate x2"]["passive_B"] == pytest.approx(1.0)
+        assert (own["velocity filter"]["passive_B"] or 0.0) > 5.0
+        assert own["encoder"]["passive_K"] == 0.0
+        assert (own["encoder"]["K_at_rest"] or 1.0) < 0.9
+        assert own["virtual coupling"]["passive_K"] == pytest.approx(1.0, rel=1e-4)
+        assert 1.2 < (own["electrical damping"]["passive_K"] or 0.0) < 2.0
+        for name in ("damping x2", "rate x2", "passivity controller", "electrical damping"):
+            assert (own[name]["K_at_rest"] or 0.0) > 1.2, name
+
+    def test_a_passivity_controller_is_measured_and_not_claimed_for(self, found: ZWidth) -> None:
+        row = rows(found)["passivity controller"]
+        assert row["passive_K"] is row["stable_K"] is row["z_width_1hz"] is None
+        assert row["K_at_rest"]
+
+    def test_what_rests_lies_at_the_edge_of_the_linear_loop(self, found: ZWidth) -> None:
+        for name in ("as it is", "damping x2", "rate x2", "electrical damping", "virtual coupling"):
+            row = rows(found)[name]
+            assert row["K_at_rest"] == pytest.approx(row["stable_K"], rel=0.05), name
+
+    def test_an_encoder_is_made_finer_and_coarser_and_left_out(self) -> None:
+        got = theory(load_scene("virtual_wall", step=2e-5, friction=0.01))
+        own = rows(got)
+        assert own["resolution x4"]["passive_K"] == pytest.approx(1600.0)
+        assert own["resolution /4"]["passive_K"] == pytest.approx(2.0 * 0.01 / 8e-5)
+        assert own["no encoder"]["passive_B"] == pytest.approx(0.8)
+        assert any("its encoder, its Coulomb friction" in note for note in got.notes)
+        assert any("electrical damping left out" in note for note in got.notes)
+
+    def test_a_scene_with_a_controller_has_the_row_without(self) -> None:
+        got = assess(load_scene("encoder_wall", every=5, cap=0.8))
+        own = rows(got)
+        assert own["as it is"]["passive_K"] is None
+        assert own["no controller"]["passive_K"] == 0.0
+        assert (own["as it is"]["K_at_rest"] or 0.0) > 1.5 * (own["no controller"]["K_at_rest"] or 1e9)
+
+    def test_a_coupled_scene_is_asked_too(self) -> None:
+        own = rows(theory(load_scene("virtual_coupling")))
+        assert own["as it is"]["passive_K"] == pytest.approx(1600.0, rel=1e-4)
+        assert own["no coupling"]["passive_K"] == pytest.approx(1600.0, rel=1e-6)
+
+
+    def test_a_lever_that_does_not_apply_is_left_out_and_said_why(self) -> None:
+        got = theory(load_scene("virtual_wall", dt=1e-6, duration=0.01, b=0.0))
+        assert {"rate x2", "damping x2"}.isdisjoint(rows(got))
+        assert any("rate x2 left out: dt must be at least 1e-06" in note for note in got.notes)
+        assert any("damping x2 left out" in note for note in got.notes)
+
+
+class TestPlane:
+    def test_both_hands_and_what_was_measured_are_there(self, found: ZWidth) -> None:
+        assert found.stable is not None
+        assert found.stable_free is not None
+        assert found.stable_free.K[0] == pytest.approx(1605.35, abs=5e-3)
+        assert [B for B, _ in found.measured] == [0.0, 0.4, 0.8, 1.6, 4.0]
+        assert found.measured[0][1] == found.base.rest
+
+    def test_a_range_bounds_both(self) -> None:
+        got = assess(load_scene("virtual_wall"), span_K=Span(0.0, 3000.0), span_B=Span(0.5, 1.0))
+        assert got.stable is not None
+        assert got.stable_free is not None
+        assert (got.stable.B[0], got.stable.B[-1]) == (0.5, 1.0)
+        assert set(got.stable.K) == {float("inf")}
+        assert {B for B, _ in got.measured} == {0.0, 0.8}  # the scene's own B, and what lies in the range
+        assert dict(got.measured)[0.8] == float("inf")
+        told = summary(got)
+        assert told["stable"]["hand"]["K"] == [None] * 41
+        assert "K_at_rest" in told["levers"][0]["beyond"]
+        assert "no limit" in table(got)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs in virtual time too short to be trusted."""
+    monkeypatch.setattr(teleop.zwidth.measured, "LASTING", 0.1)
+    monkeypatch.setattr(teleop.zwidth.measured, "TICKS", (100, 100))
+
+
+class TestInterrupt:
+    @pytest.mark.parametrize("text", ["stable region", "rate x2", "at rest, B", "at rest, damping"])
+    def test_what_was_done_until_then_is_kept(self, text: str, short: None) -> None:
+        def stop(_: float, doing: str) -> None:
+            if doing.startswith(text):
+                raise KeyboardInterrupt
+
+        got = assess(load_scene("virtual_wall"), show=stop)
+        assert got.interrupted
+        assert got.base.curves.width == pytest.approx(253.809, abs=1e-3)
+        assert (got.stable is None) == (text == "stable region")
+        names = [row.name for row in got.rows]
+        assert names == (LEVERS[:1] if text == "stable region" else LEVERS[:3] if text == "rate x2" else LEVERS)
+        assert len(got.measured) == (5 if "damping" in text else 0)
+        told = json.loads(json.dumps(summary(got), allow_nan=False))
+        assert told["status"] == "interrupted"
+        assert table(got).count("interrupted") == 1
+
+    def test_before_anything_is_done_there_is_nothing_to_keep(self) -> None:
+        def stop(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            assess(load_scene("virtual_wall"), show=stop)
+
+    def test_progress_goes_from_nothing_to_all_and_never_back(self, short: None) -> None:
+        parts: list[float] = []
+        assess(load_scene("virtual_wall"), show=lambda *told: parts.append(told[0]))
+        assert parts == sorted(parts)
+        assert (parts[0], parts[-1]) == (0.0, 1.0)
+        assert len(parts) > 100
+
+
+class TestJson:
+    def test_it_has_every_number_with_its_unit(self, found: ZWidth) -> None:
+        told = json.loads(json.dumps(summary(found, ["teleop", "zwidth"]), allow_nan=False))
+        assert told["status"] == "done"
+        assert told["z_width_1hz"] == pytest.approx(told["z_max_1hz"] - told["z_min_1hz"])
+        assert told["units"]["z_width_1hz"] == "N s/m"
+        assert told["units"]["area"] == "decades x decades"
+        assert told["gap"] == pytest.approx(told["area"] / 3.0)
+        assert told["passive"]["corners"] == [[0.0, 0.0], pytest.approx([1600.0, 0.0]), pytest.approx([0.0, 0.8])]
+        assert len(told["impedance"]["frequency"]) == len(told["impedance"]["upper"]) == len(told["impedance"]["lower"])
+        assert told["parameters"]["law"]["K"] == 800.0
+        assert [lever["name"] for lever in told["levers"]] == LEVERS
+        assert told["levers"][1]["ratio"]["z_width_1hz"] == pytest.approx(2.0, rel=1e-3)
+        assert told["stable"]["free"]["K"][0] == pytest.approx(1605.35, abs=5e-3)
+        assert set(told["levers"][0]) > set(numbers(found.base))
+        for key in numbers(found.base):
+            assert key in told["units"], key
+
+    def test_the_table_says_them_too(self, found: ZWidth) -> None:
+        text = table(found)
+        for words in ("253.8", "x2", "passivity controller", "Z_max 254.6, Z_min 0.8385", "5.058", "29700"):
+            assert words in text, words
+        assert max(map(len, text.splitlines()[:10])) < 130
+
+    @pytest.mark.parametrize(("value", "text"), [
+        (None, "-"), (float("inf"), "no limit"), (0.0, "0"), (12345.6, "12350"), (0.83853, "0.8385"),
+    ])
+    def test_numbers_have_four_digits_and_no_exponents(self, value: float | None, text: str) -> None:
+        assert said(value) == text
+
+
+class TestCommand:
+    @pytest.fixture(autouse=True)
+    def quick(self, monkeypatch: pytest.MonkeyPatch, found: ZWidth) -> None:
+        """The command shows an answer that was found before."""
+        monkeypatch.setattr(teleop.zwidth.assess, "assess", lambda *_, **__: found)
+
+    def test_it_leaves_a_new_folder_with_json_and_figures(self, typed: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        answer = typed("zwidth", "virtual_wall")
+        assert (answer.code, answer.err) == (0, "")
+        assert "253.8" in answer.out
+        folder = Path("runs/virtual_wall-zwidth-1")
+        assert {file.name for file in folder.iterdir()} == {"zwidth.json", "plane.png", "impedance.png", "levers.png"}
+        assert json.loads((folder / "zwidth.json").read_text())["command"][:2] == ["teleop", "zwidth"]
+
+    def test_it_prints_one_object(self, typed: Typed) -> None:
+        told = json.loads(typed("zwidth", "virtual_wall", "--json", "--out", "here").out)
+        assert told["path"] == "here"
+        assert Path("here/zwidth.json").is_file()
+
+    def test_interrupted_it_leaves_what_is_done_and_says_so(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, found: ZWidth
+    ) -> None:
+        from dataclasses import replace
+
+        part = replace(found, rows=found.rows[:1], stable=None, stable_free=None, measured=[], interrupted=True)
+        monkeypatch.setattr(teleop.zwidth.assess, "assess", lambda *_, **__: part)
+        with pytest.raises(SystemExit) as left:
+            typed("zwidth", "virtual_wall", "--out", "part")
+        assert left.value.code == 130
+        assert json.loads(Path("part/zwidth.json").read_text())["status"] == "interrupted"
+
+
+class TestWrongRequests:
+    @pytest.mark.parametrize(("typed_in", "words"), [
+        (("hard_wall",), ("has a slave", "teleop zwidth virtual_wall")),
+        (("virtual_wall", "--range-k", "5:1"), ("--range-k 5:1 is empty", "lower value first")),
+        (("virtual_wall", "--range-b", "1:1"), ("--range-b 1:1 is empty",)),
+        (("virtual_wall", "--range-b=-1:2"), ("below 0",)),
+        (("virtual_wall", "--range-k", "10"), ("not LOW:HIGH", "--range-k 0:2000")),
+        (("virtual_wall", "--range-k", "a:b"), ("not LOW:HIGH",)),
+        (("virtual_wall", "--range-k", "0:nan"), ("must be finite",)),
+        (("virtual_wall", "--range-k", "0:inf"), ("must be finite",)),
+    ])
+    def test_they_are_answered_in_one_sentence(self, typed: Typed, typed_in: tuple[str, ...], words: tuple[str, ...]
+                                               ) -> None:
+        typed("zwidth", *typed_in).assert_refused(*words)
+        assert not Path("runs").exists()
+
+    def test_a_law_without_stiffness_and_damping(self) -> None:
+        class Nothing:
+            def start(self, at: Any) -> tuple[()]:
+                return ()
+
+            def force(self, s: tuple[()], at: Any) -> tuple[float, tuple[()]]:
+                return 0.0, s
+
+        from dataclasses import replace
+
+        with pytest.raises(Refused, match=r"no stiffness K and damping B .* --set law=virtual_wall"):
+            assess(replace(load_scene("virtual_wall"), law=Nothing()))
+
+    def test_left_out_a_range_is_everything(self) -> None:
+        assert span("--range-k", None) == Span(0.0, None)
+        assert span("--range-k", "1:2e3") == Span(1.0, 2000.0)
