@@ -53,8 +53,8 @@ class Sine:
     def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
         if self.frequency * dt_ns > 0.5e9:
-            raise Refused(f"frequency={self.frequency:g} Hz is more than half the tick rate, "
-                          f"{0.5e9 / dt_ns:g} Hz; lower it or dt")
+            raise Refused(f"a sine of {self.frequency:g} Hz is more than half the tick rate, {0.5e9 / dt_ns:g} Hz; "
+                          "write a frequency of at most that, or a smaller dt")
         omega = 2.0 * pi * self.frequency
         wave = [sin(omega * (k * dt_ns / 1e9)) for k in range(count)]
         return tuple([a * y for y in wave] for a in along("amplitude", self.amplitude, axes))

@@ -9,7 +9,7 @@ exact step of teleop/plant.py is its motion. The inner state is `Effort`. Signs 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isnan, pi, sqrt
+from math import isfinite, isnan, pi, sqrt
 from typing import Any, NamedTuple
 
 from teleop.errors import number
@@ -51,6 +51,7 @@ def report(z: Any) -> Mapping[str, float]:
 
     An estimate is of the error that its tick makes in position, and dt times that in speed (`integrate`). What
     becomes of it later is the motion's business: in contact it fades, in free flight an error of speed goes on.
+    A tick that ends in what is not finite is one over the tolerance; the figures are those of the others.
     """
     _, worst, total, most, over, tol = z
     return {"error_estimate_max": worst, "error_estimate_sum": total, "substeps_max": most,
@@ -155,6 +156,8 @@ def slides(part: tuple[Any, ...], kind: int, p: float, u: float, f: float, way: 
 
 def _after(z: Any, error: float, substeps: int, longest: float, tol: float) -> tuple[float, ...]:
     _, worst, total, most, over, _ = z
+    if not isfinite(total + error):
+        return longest, worst, total, max(most, substeps), over + 1, tol
     return (longest, max(worst, error), total + error, max(most, substeps), over + (not error <= tol), tol)
 
 

@@ -56,9 +56,13 @@ def run(
     packets = {} if scene.slave is None else packets
     notes = standing_notes(scene)
     notes += [f"{capped} ticks had more contact events than are followed in one tick"] * (capped > 0)
+    told = integration(scene, bodies, inner)
+    notes += [f"{own['ticks_over_tolerance']} ticks of the {end} are not within {own['tolerance']:g} m: the figures may be "
+              "off by the estimate; a smaller dt may help" for end, own in told.get("integration", {}).items()
+              if own.get("ticks_over_tolerance")]
     return Result.make(scene, seed=seed, mode="virtual", status=status, sentence=sentence, ticks=ran,
                        run_time=None if took is None else took / 1e9, trace=trace, packets=packets, notes=notes,
-                       extra=integration(scene, bodies, inner))
+                       extra=told)
 
 
 def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tuple[Any, ...]]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, NamedTuple
@@ -86,20 +86,32 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 
 def rows() -> list[dict[str, Any]]:
     """The matrix: for each row a value of every knob, and which of them were pinned at a corner."""
-    corners = list(product((0.0, 1.0), repeat=2))
-    pins = [dict(zip(pair, ends, strict=True)) for pair in combinations(RANGES, 2) for ends in corners]
-    cube = qmc.LatinHypercube(len(RANGES) + len(CHOICES), seed=SEED).random(SPREAD + len(pins)).tolist()
     matrix = []
-    for i, point in enumerate(cube):
-        pinned = pins[i - SPREAD] if i >= SPREAD else {}
-        row = {name: r.at(pinned.get(name, u)) for (name, r), u in zip(RANGES.items(), point, strict=False)}
-        row |= {name: c[int(u * len(c))] for (name, c), u in zip(CHOICES.items(), point[len(RANGES):], strict=True)}
+    for i, row in enumerate(hypercube(RANGES, CHOICES, combinations(RANGES, 2), SPREAD)):
+        pinned = row["pinned"]
         if "b" in pinned:
             row["law"] = "wave"
         if "delay" not in pinned and i % 3:  # else most messages would come after the end
             row["delay"] = min(row["delay"], 0.25 * TICKS * row["dt"])
-        matrix.append({**row, "pinned": pinned})
+        matrix.append(row)
     return matrix
+
+
+def hypercube(
+    ranges: dict[str, Range], choices: dict[str, tuple[Any, ...]], pairs: Iterable[tuple[str, str]], spread: int
+) -> list[dict[str, Any]]:
+    """`spread` rows with nothing pinned, then one for each of the four corners of each of the pairs of ranges."""
+    corners = list(product((0.0, 1.0), repeat=2))
+    pins: list[dict[str, float]] = [{}] * spread
+    pins += [dict(zip(pair, ends, strict=True)) for pair in pairs for ends in corners]
+    cube = qmc.LatinHypercube(len(ranges) + len(choices), seed=SEED).random(len(pins)).tolist()
+    found = []
+    for point, pinned in zip(cube, pins, strict=True):
+        row: dict[str, Any] = {
+            name: r.at(pinned.get(name, u)) for (name, r), u in zip(ranges.items(), point, strict=False)}
+        row |= {name: c[int(u * len(c))] for (name, c), u in zip(choices.items(), point[len(ranges):], strict=True)}
+        found.append({**row, "pinned": pinned})
+    return found
 
 
 def scene_of(row: dict[str, Any], mirror: float = 1.0) -> Scene:
@@ -171,9 +183,9 @@ class Case:
         return [self.result.trace[name].reshape(self.result.ticks, -1) for name in names]
 
 
-def tried(seed: int, row: dict[str, Any]) -> Case:
-    """Run a row; a warning is trouble as much as an exception."""
-    scene = scene_of(row)
+def tried(seed: int, row: dict[str, Any], scene: Scene | None = None) -> Case:
+    """Run a row, or another scene made of it; a warning is trouble as much as an exception."""
+    scene = scene or scene_of(row)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:

@@ -257,6 +257,17 @@ def test_the_report_adds_up_the_ticks() -> None:
     assert got["ticks_over_tolerance"] == 0
 
 
+@pytest.mark.parametrize("lost", [math.nan, math.inf, 1e308])
+def test_a_run_that_diverged_with_friction_had_no_summary_since_its_report_was_not_a_number(lost: float) -> None:
+    plant = implicit_plant(MassDamper(mass=0.2), DT, resistance=Resistance(HUNT_CROSSLEY, 1e6), friction=0.1)
+    x, v, _, z = plant.move(plant.c, 1e-4, 0.3, 1.0, plant.start)
+    for _ in range(3):
+        x, v, _, z = plant.move(plant.c, 1e-4, 0.3, lost, z)
+        assert not (math.isfinite(x) and abs(v) < 1e300)
+    assert all(map(math.isfinite, z))
+    assert report(z)["ticks_over_tolerance"] == 3
+
+
 @pytest.mark.parametrize(("wrong", "says"), [({"tol": 0.0}, "tolerance"), ({"friction": -1.0}, "friction")])
 def test_impossible_requests_are_refused(wrong: dict[str, float], says: str) -> None:
     with pytest.raises(Refused, match=f"{says} must be"):

@@ -44,6 +44,19 @@ WRONG = {
     "infinite in disguise": (["canonical", "--set", "k_e=1e999"], ["k_e", "finite"]),
     "negative mass": (["mine.py", "--set", "mass=-1"], ["mass", "above 0", "-1"]),
     "negative, under another name inside": (["canonical", "--set", "k_e=-5"], ["k_e", "-5", "at least 0"]),
+    "a heart that beats faster than ticks": (["beating_heart", "--set", "rate=1e9"],
+                                             ["1e+09 Hz", "half the tick rate, 500 Hz", "a smaller dt"]),
+    "no time to relax in": (["relaxing_tissue", "--set", "tau=0"], ["tau must be above 0"]),
+    "an exponent below one": (["rubber", "--set", "n=0.5"], ["n must be at least 1, not 0.5; write for example n=1"]),
+    "an encoder without a step": (["virtual_wall", "--set", "step=0"], ["step must be above 0"]),
+    "a force that is never renewed": (["virtual_wall", "--set", "every=0"], ["every must be at least 1"]),
+    "a force before its reading": (["virtual_wall", "--set", "delay=-1"], ["delay must be at least 0"]),
+    "a controller that drives": (["encoder_wall", "--set", "cap=-1"], ["cap must be at least 0"]),
+    "a weight above one": (["virtual_coupling", "--set", "law.theta_f=2"], ["law.theta_f must be at most 1, not 2"]),
+    "a tool that nothing moves": (["virtual_coupling", "--set", "law.mass=0", "--set", "law.theta_f=0"],
+                                  ["mass=0", "write theta_f=1"]),
+    "darkness below zero, called duration inside": (
+        ["blackout", "--set", "dark_for=-1", "--set", "duration=1"], ["dark_for must be at least 0, not -1"]),
     "zero dt": (["canonical", "--set", "dt=0"], ["dt", "at least"]),
     "zero duration": (["canonical", "--set", "duration=0"], ["duration", "above 0"]),
     "zero rate": (["canonical", "--set", "law=pfra", "--set", "observer=0"], ["observer", "above 0"]),
@@ -176,7 +189,7 @@ class TestAWrongRequest:
 
     @pytest.mark.parametrize(("arguments", "words"), [
         (["runn"], "there is no command 'runn'; did you mean run?"),
-        (["list", "nope"], "there is no scene, law or effect 'nope'; there are: "),
+        (["list", "nope"], "there is no scene, law, effect or estimator 'nope'; there are: "),
         (["list", ""], "NAME must not be empty: it is a scene"),
     ])
     def test_is_answered_with_the_nearest_or_with_all_there_is(
