@@ -66,7 +66,7 @@ def slave_plants(scene: Scene) -> list[Plant]:
         return []
     plants = [_slave(scene, body, one) for one in scene.environments]
     if any(plant.start is not None for plant in plants):  # they share the lines of the tick
-        return [plant if plant.start is not None else _with_inner(plant) for plant in plants]
+        return [plant if plant.start is not None else with_inner(plant) for plant in plants]
     return plants
 
 
@@ -102,7 +102,7 @@ def _integrated(scene: Scene, body: MassDamper, environment: Any) -> Plant:
     return implicit_plant(body, scene.dt_ns / 1e9, resistance=resistance, friction=body.friction, tol=scene.tolerance)
 
 
-def _with_inner(plant: Plant) -> Plant:
+def with_inner(plant: Plant) -> Plant:
     """A plant without an inner state, called like those that have one."""
 
     def move(c: Any, x: float, v: float, f: float, z: Any) -> tuple[Any, ...]:

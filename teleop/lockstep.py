@@ -57,8 +57,8 @@ def run(
     notes = standing_notes(scene)
     notes += [f"{capped} ticks had more contact events than are followed in one tick"] * (capped > 0)
     told = integration(scene, bodies, inner)
-    notes += [f"{own['ticks_over_tolerance']} ticks of the {end} are not within {own['tolerance']:g} m: the figures may "
-              "be off by the estimate; a smaller dt may help" for end, own in told.get("integration", {}).items()
+    notes += [f"{own['ticks_over_tolerance']} ticks of the {end} are not within {own['tolerance']:g} m: the figures "
+              "may be off by the estimate; a smaller dt may help" for end, own in told.get("integration", {}).items()
               if own.get("ticks_over_tolerance")]
     return Result.make(scene, seed=seed, mode="virtual", status=status, sentence=sentence, ticks=ran,
                        run_time=None if took is None else took / 1e9, trace=trace, packets=packets, notes=notes,

@@ -1,4 +1,4 @@
-"""What the exact steps themselves are worth: one tick from the same state, beside tight integrators of scipy's.
+"""What the stack's own steps are worth: one tick from the same state, beside tight integrators of scipy's.
 
 And what their rounding comes to over a whole run: the same run with every step put off by as much, in a fixed
 pattern of signs. Where contacts bounce or a loop is unstable that grows, and no method is told from another
@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from teleop.bodies import Bodies, exact_bodies, reference_samples
 from teleop.metrics import magnitude
 from teleop.plant import Gripped, Plant, move_free, move_gripped
-from teleop.precision.contenders import slave_of, touch_of
+from teleop.precision.contenders import touch_of
 from teleop.precision.deviation import felt
-from teleop.precision.outsiders import MOST_RADIANS, gripped_touch, located, radians, there
+from teleop.precision.located import MOST_RADIANS, gripped_touch, located, radians
+from teleop.precision.outsiders import there
+from teleop.precision.parts import inner, slave_of
 
 if TYPE_CHECKING:
     from teleop.precision.methods import Touch
@@ -28,10 +31,10 @@ RADAU = 8  # of these also by Radau, which takes far longer
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Agreement:
-    """Largest difference (m; m/s) between an exact step and each integrator, one tick from the same state.
+    """Largest difference (m; m/s) between a step of the stack's and each integrator, one tick from the same state.
 
-    `sentence` says what was compared, or why nothing was; `x` and `v` are what the exact step is taken to be off
-    by: the difference from DOP853, at least the rounding of the largest value.
+    `sentence` says what was compared, or why nothing was; `x` and `v` are what the step is taken to be off by:
+    the difference from DOP853, at least the rounding of the largest value.
     """
 
     sentence: str
@@ -42,38 +45,51 @@ class Agreement:
     changes: int = 0  # of these, the slave's in which DOP853 located a change of mode
 
 
-def agreement(scene: Scene, trace: Mapping[str, Any]) -> Agreement:
-    """Compare exact steps from states of the run `trace` with integrators that locate every change of mode."""
+def agreement(scene: Scene, trace: Mapping[str, Any], seed: int = 0) -> Agreement:
+    """Compare the stack's steps from states of the run `trace` with integrators that locate every change of mode."""
     import numpy as np
 
     with np.errstate(all="ignore"):
         least = [2.0**-53 * float(np.nanmax(magnitude(trace[name]), initial=0.0)) for name in ("x_s", "v_s")]
+    if not there():
+        return Agreement(sentence="not compared: scipy is not installed", x=least[0], v=least[1], differences={})
+    if inner(scene):
+        from teleop.precision.tight import one_tick
+
+        return _said(*one_tick(scene, ticks_of(scene, trace), RADAU, seed), least)
     plants = exact_bodies(scene).slaves
     touches = [touch_of(plant, slave_of(scene)) for plant in plants]
     dt = scene.dt_ns / 1e9
-    if not there():
-        return Agreement(sentence="not compared: scipy is not installed", x=least[0], v=least[1], differences={})
     fastest = max(radians(touch, dt) for touch in touches)
     if fastest > MOST_RADIANS:
         return Agreement(sentence=f"not compared: the fastest mode goes through {fastest:.3g} rad in a tick, too many "
                          "for a step-by-step integrator", x=least[0], v=least[1], differences={})
-    ticks = _ticks(scene, trace)
-    differences: dict[str, tuple[float, float]] = {}
-    given_up = changes = 0
+    ticks = ticks_of(scene, trace)
+    every: dict[str, list[tuple[float, float]]] = {}
+    changes = 0
     for solver, some in (("DOP853", ticks), ("Radau", ticks[:: -(-len(ticks) // RADAU)])):
         found = [difference for axis, (plant, touch) in enumerate(zip(plants, touches, strict=True))
                  for difference in _slave(plant, touch, dt, trace, axis, some, solver)]
         changes = changes or sum(own[2] > 0 for own in found)  # DOP853's, which sees all the ticks
         found += _master(scene, trace, some[:RADAU], solver)
-        done = np.array([pair[:2] for pair in found if np.isfinite(pair[:2]).all()])
+        every[solver] = [pair[:2] for pair in found]
+    return _said(len(ticks), changes, every, least)
+
+
+def _said(ticks: int, changes: int, every: Mapping[str, list[tuple[float, float]]], least: list[float]) -> Agreement:
+    """What the differences of each integrator come to; NaN is one that gave up."""
+    differences: dict[str, tuple[float, float]] = {}
+    given_up = 0
+    for solver, found in every.items():
+        done = [pair for pair in found if all(map(isfinite, pair))]
         given_up += len(found) - len(done)
-        if len(done):
-            differences[solver] = float(done[:, 0].max()), float(done[:, 1].max())
+        if done:
+            differences[solver] = max(x for x, _ in done), max(v for _, v in done)
     x, v = (max(a, b) for a, b in zip(differences.get("DOP853", (0.0, 0.0)), least, strict=True))
-    sentence = f"{len(ticks)} ticks ({changes} with a change of mode), one step each from the same state"
+    sentence = f"{ticks} ticks ({changes} with a change of mode), one step each from the same state"
     if given_up:
         sentence += f" ({given_up} times an integrator gave up)"
-    return Agreement(sentence=sentence, x=x, v=v, differences=differences, ticks=len(ticks), changes=changes)
+    return Agreement(sentence=sentence, x=x, v=v, differences=differences, ticks=ticks, changes=changes)
 
 
 def column(trace: Mapping[str, Any], name: str, axis: int) -> Any:
@@ -82,7 +98,7 @@ def column(trace: Mapping[str, Any], name: str, axis: int) -> Any:
     return values if values.ndim == 1 else values[:, axis]
 
 
-def _ticks(scene: Scene, trace: Mapping[str, Any]) -> list[int]:
+def ticks_of(scene: Scene, trace: Mapping[str, Any]) -> list[int]:
     """Ticks of the run to start from: where contact is made or lost, where the force is greatest, and between."""
     import numpy as np
 
@@ -122,9 +138,9 @@ def _master(scene: Scene, trace: Mapping[str, Any], ticks: list[int], solver: st
     return found
 
 
-def wobbled(scene: Scene, worth: Agreement) -> Bodies:
-    """The scene's exact bodies, every step put off by `worth.x` and `worth.v`, up or down in a fixed pattern."""
-    exact = exact_bodies(scene)
+def wobbled(scene: Scene, worth: Agreement, bodies: Bodies | None = None) -> Bodies:
+    """The scene's own bodies, or others, every step put off by `worth.x` and `worth.v` in a fixed pattern of signs."""
+    own = bodies or exact_bodies(scene)
     sign = _signs().__next__
 
     def off(move: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
@@ -134,8 +150,10 @@ def wobbled(scene: Scene, worth: Agreement) -> Bodies:
 
         return moved
 
-    slaves: list[Any] = [plant._replace(move=off(plant.move)) for plant in exact.slaves]
-    return Bodies(exact.master, slaves, {"move_gripped": off(move_gripped), "move_free": off(move_free)})
+    slaves: list[Any] = [plant._replace(move=off(plant.move)) for plant in own.slaves]
+    if own.inner_m is not None:
+        return own._replace(slaves=slaves, instead={**own.instead, "move_held": off(own.instead["move_held"])})
+    return Bodies(own.master, slaves, {"move_gripped": off(move_gripped), "move_free": off(move_free)})
 
 
 def _signs() -> Iterator[float]:

@@ -1,7 +1,8 @@
-"""The bodies of a scene moved by something else than the exact steps, to be measured against them.
+"""The bodies of a scene moved by something else than the stack's own steps, to be measured against them.
 
 A fixed-step method moves the slave and the gripped master. A body that is linear (in free space, bonded, or
-gripped) is a matrix per sub-step for any of them; it is taken n times, since that is what sub-steps are.
+gripped) is a matrix per sub-step for any of them; it is taken n times, since that is what sub-steps are. Bodies
+that are not piecewise linear are those of `nonlinear`, bodies that remember those of `relaxed`.
 """
 
 from __future__ import annotations
@@ -14,18 +15,13 @@ from teleop.bodies import Bodies, exact_bodies
 from teleop.contact import WallStep, move_wall, wall_force
 from teleop.errors import Refused
 from teleop.plant import Gripped, MassDamper, Plant, Sprung, linear_force, move_free, move_linear
+from teleop.precision import relaxed
 from teleop.precision.methods import Method, Touch, wall_coefficients
+from teleop.precision.nonlinear import ADVANCE, goes, held_stepped, move_stepped, stepped_force
+from teleop.precision.parts import closed, core_of, master_branch, rebuilt, relaxing_branch, slave_of
 
 if TYPE_CHECKING:
     from teleop.scene import Scene
-
-
-def slave_of(scene: Scene) -> MassDamper:
-    """The scene's slave. Refused where there is none: what is compared are ways to move it."""
-    if scene.slave is None:
-        raise Refused(f"precision compares ways to move a slave, and scene {scene.name} has none; take one that has, "
-                      "for example hard_wall")
-    return scene.slave
 
 
 def touch_of(plant: Plant, body: MassDamper) -> Touch:
@@ -40,7 +36,7 @@ def touch_of(plant: Plant, body: MassDamper) -> Touch:
         return Touch(wall.mass, wall.damping, wall.k, wall.d, wall.side, wall.at, 0.0, 0.0)
     raise Refused(
         f"no equation is known for an environment that moves by {plant.move.__name__}; precision compares methods on "
-        "walls, bonded tissue and free space"
+        "walls, bonded tissue and free space, Hunt-Crossley bodies, the standard linear solid, and these carried along"
     )
 
 
@@ -88,7 +84,23 @@ def method_bodies(scene: Scene, method: Method, n: int) -> Bodies:
     """The scene's bodies, moved by n sub-steps of `method` per tick. Refused as in `touch_of`."""
     dt = scene.dt_ns / 1e9
     exact = exact_bodies(scene)
-    slaves = [stepped(method, touch_of(plant, slave_of(scene)), dt, n) for plant in exact.slaves]
+    if not (goes(method) or closed(scene)):
+        raise Refused(f"{method.label} is not known on bodies that are not piecewise linear; take for example sdirk2")
+
+    def moved(still: Plant, environment: Any) -> Plant:
+        if (held := core_of(still)) is not None:
+            return Plant(move_stepped, stepped_force, (*held, ADVANCE[method.name], dt / n, n), ())
+        if (branch := relaxing_branch(still, environment, slave_of(scene))) is not None:
+            return still._replace(move=relaxed.bonded(relaxed.stepped(method, branch, dt, n)))
+        return stepped(method, touch_of(still, slave_of(scene)), dt, n)
+
+    slaves = rebuilt(scene, moved)
+    if scene.master.friction > 0.0:
+        move = held_stepped(exact.master[0], ADVANCE[method.name], dt, n)
+        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move}, inner_m=(), report_m=None)
+    if scene.electrical is not None:
+        own = relaxed.held(relaxed.stepped(method, master_branch(scene), dt, n), dt, scene.master.damping)
+        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": own})
     if scene.hand is None:
         body = Touch(scene.master.mass, scene.master.damping)
         master = stepped(method, body, dt, n)

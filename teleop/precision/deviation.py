@@ -64,10 +64,11 @@ def felt(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
 
     What happens between is known from the momentum that is missing: `f_s dt - M dv - b dx` is the impulse on the
     environment. Runge-Kutta methods keep it exactly, being linear in the state; the split ones to `b dt dv`.
+    What friction may have taken of it is not counted.
     """
     import numpy as np
 
-    from teleop.precision.contenders import slave_of
+    from teleop.precision.parts import slave_of
 
     body = slave_of(scene)
     m, b, dt = body.mass, body.damping, scene.dt_ns / 1e9
@@ -77,6 +78,7 @@ def felt(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
         impulse = magnitude(push - m * dv - b * dx)
         size = m * magnitude(trace["v_s"])
         noise = 1e-6 * (size[1:] + size[:-1] + magnitude(push)) + 1.01 * b * dt * magnitude(dv) + 1e-15
+        noise += body.friction * dt * scene.axes**0.5
         touching[:-1] |= impulse > noise
     return touching
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.console import si
 from teleop.figure import need_plot, save
 from teleop.precision.measure import SUBSTEPS
 from teleop.precision.outsiders import TOLERANCES
@@ -34,6 +35,7 @@ LOOKS = {
 }
 EXACT = "#000000"
 LOST = "#CC0000"
+LEAST = 1e-19  # m or N: less is not drawn along the run
 SIZES = (10.0, 7.0, 5.0, 3.5)  # of the marks, from coarse to fine
 PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force on the environment", "N"))
 
@@ -47,10 +49,14 @@ def draw(got: Precision, path: Path) -> None:
     figure = Figure(figsize=(13.0, 9.5), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     law = got.result.parameters.get("law")
+    reference = "" if got.truth.method == "exact" else (
+        f"\nagainst scipy's {got.truth.method} with every change of mode located, good to "
+        f"{si(got.truth.off['x_s'], 'm')}, {si(got.truth.off['f_env'], 'N')}")
+    scipys = "" if all(e.contender.rtol is None for e in got.entries) else (
+        f"; scipy: rtol {', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}")
     figure.suptitle(f"{got.scene.name}, law {law['name'] if isinstance(law, dict) else law}: error against run time "
                     f"({got.result.ticks} ticks, {got.contacts} contacts)\nmarks from large to small: "
-                    f"{', '.join(map(str, SUBSTEPS))} sub-steps per tick; scipy: rtol "
-                    f"{', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}", fontsize=11)
+                    f"{', '.join(map(str, SUBSTEPS))} sub-steps per tick{scipys}{reference}", fontsize=11)
     every = figure.subplots(2, 2, height_ratios=(3, 2), squeeze=True)
     for column, (series, track, what, unit) in enumerate(PANELS):
         _work(every[0, column], got, series, what, unit)
@@ -72,10 +78,13 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
     for method, entries in by_method.items():
         entries.sort(key=lambda e: -(e.contender.rtol or 0.0))
         own = [(e.ns_per_tick * 1e-3, _drawn(e, series, top), e) for e in entries]
-        if method == "exact":
+        if method in ("exact", "default"):
             x, y, e = own[0]
-            axes.scatter([x], [y], marker="*", s=220, color=EXACT, zorder=5, label="exact")
+            axes.scatter([x], [y], marker="*", s=220, color=EXACT, zorder=5, label=e.contender.label)
             axes.axvline(x, color=EXACT, linewidth=0.6, alpha=0.5)
+            if got.truth.estimated and series == "x_s":
+                axes.scatter([x], [got.truth.estimated], marker="*", s=220, facecolors="none", edgecolors=EXACT,
+                             zorder=5, label="its own estimates, summed")
             continue
         look = LOOKS[method]
         axes.plot([x for x, _, _ in own], [y for _, y, _ in own], linestyle=look.line, color=look.colour, linewidth=1.1)
@@ -136,12 +145,12 @@ def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: 
 
 
 def _some(got: Precision) -> list[Entry]:
-    """The exact steps; of the methods some that span what there is."""
-    wanted = ("exact", "euler/1", "semi_implicit_euler/1", "rk4/1", "sdirk2/16", "radau/64", "verlet/64")
+    """The stack's own steps; of the methods some that span what there is."""
+    wanted = ("exact", "default", "euler/1", "semi_implicit_euler/1", "rk4/1", "sdirk2/16", "radau/64", "verlet/64")
     return [e for e in got.entries if e.key in wanted]
 
 
 def _positive(column: Any) -> Any:
     import numpy as np
 
-    return np.where(column > 0.0, column, np.nan)
+    return np.where(column > LEAST, column, np.nan)

@@ -1,4 +1,4 @@
-"""Error against run time: the exact steps beside every other way to move the same bodies, in the same loop.
+"""Error against run time: the stack's own steps beside every other way to move the same bodies, in the same loop.
 
 The verdict is that of the SciML work-precision diagrams (Rackauckas & Nie, J. Open Res. Softw. 5 (2017)): a
 method is *beaten* where another one is at least as accurate and more than 1.2 times faster. Accuracy is the
@@ -13,16 +13,19 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
-from teleop.bodies import Bodies, exact_bodies, reference_samples
+from teleop.bodies import Bodies, exact_bodies
 from teleop.errors import Refused
 from teleop.lockstep import run
 from teleop.metrics import tracking
-from teleop.plant import move_free, move_gripped
-from teleop.precision.agreement import Agreement, agreement, column, wobbled
+from teleop.precision.agreement import Agreement
 from teleop.precision.contenders import method_bodies
+from teleop.precision.costs import run_costs, step_costs
 from teleop.precision.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
 from teleop.precision.methods import METHODS
+from teleop.precision.nonlinear import goes
 from teleop.precision.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
+from teleop.precision.parts import closed, slave_of
+from teleop.precision.truth import Truth, truth_of
 
 if TYPE_CHECKING:
     from teleop.result import Result
@@ -33,7 +36,8 @@ Show = Callable[[float, str], None]
 
 SUBSTEPS = (1, 4, 16, 64)
 FASTER = 1.2
-BUDGET = 45.0  # s that all may take if the number of rounds is left to us
+BUDGET = 45.0  # s that all may take if the number of rounds is left to us, and a reference without a closed form not
+WITH_REFERENCE = 110.0  # s that both may take: what a quick reference leaves is for more rounds
 WHOLE_ROUNDS, MOST_ROUNDS = 3, 9  # then: rounds of all methods, and with more of the cheap ones, whose times vary most
 CHEAP = 4  # sub-steps
 OUTSIDE = 0.4  # of the budget is for scipy's solvers
@@ -44,7 +48,10 @@ EULER = "semi_implicit_euler/1"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Contender:
-    """A way to move the bodies: `exact`, a fixed-step method with `substeps`, or a solver of scipy's with `rtol`."""
+    """A way to move the bodies: the stack's own, a fixed-step method with `substeps`, or scipy's solver with `rtol`.
+
+    The stack's own is `exact` where every body has a closed form, else `default`.
+    """
 
     method: str
     label: str
@@ -73,8 +80,8 @@ class Entry:
     ns_per_tick: float
     runs: int
     errors: Mapping[str, Error]
-    peak_ratio: float | None  # its largest force on the environment over the exact one, if there is one
-    missed: int  # contacts of the exact run in which it never touched
+    peak_ratio: float | None  # its largest force on the environment over that of the reference, if there is one
+    missed: int  # contacts of the reference in which it never touched
     beaten_by: str | None = None
 
     @property
@@ -87,32 +94,60 @@ class Entry:
 class Precision:
     """The comparison on one scene.
 
-    `entries` begin with the exact one, whose errors are those that its own rounding comes to; `along` holds the
-    errors along the run, each the largest within a stretch of ticks that begins at `t`.
+    `entries` begin with the stack's own; if that is exact, its errors are those that its rounding comes to. `along`
+    holds the errors along the run, each the largest within a stretch of ticks that begins at `t`.
     """
 
     scene: Scene
     seed: int
     rounds: int
-    result: Result  # the exact run
+    truth: Truth
     contacts: int
-    agreement: Agreement
     step_ns: Mapping[str, float]  # of moving all bodies by one tick, without the loop around it
     entries: Sequence[Entry]
     along: Mapping[str, Any] = field(repr=False)
     left_out: Mapping[str, str]  # and why
 
+    @property
+    def result(self) -> Result:
+        """The run that all are measured against."""
+        return self.truth.result
+
+    @property
+    def agreement(self) -> Agreement:
+        """Single steps of the stack's own beside independent ones."""
+        return self.truth.agreement
+
 
 def contenders(scene: Scene) -> Iterator[Contender]:
-    """All of them, the cheaper first. Refused where the scene's environment has no equation that is known."""
-    yield Contender(method="exact", label="exact", bodies=exact_bodies(scene))
+    """All of them, the cheaper first. Refused where there is no slave, or no equation known of its environment."""
+    slave_of(scene)
+    exact = closed(scene)
+    name, label = ("exact", "exact") if exact else ("default", f"default: SDIRK2 to {scene.tolerance:.0e} m a tick")
+    yield Contender(method=name, label=label, bodies=exact_bodies(scene))
     for n in SUBSTEPS:
         for m in METHODS:
-            yield Contender(method=m.name, label=m.label, substeps=n, bodies=method_bodies(scene, m, n))
-    for rtol in sorted(TOLERANCES, key=lambda rtol: abs(log10(rtol / 1e-6))) if there() else ():  # the middle one first
+            if exact or goes(m):
+                yield Contender(method=m.name, label=m.label, substeps=n, bodies=method_bodies(scene, m, n))
+    if not there() or _rubs(scene):
+        return
+    for rtol in sorted(TOLERANCES, key=lambda rtol: abs(log10(rtol / 1e-6))):  # the middle one first
         for solver in SOLVERS:
             bodies = outsider_bodies(scene, solver, rtol)
             yield Contender(method=solver, label=f"scipy {solver}", rtol=rtol, bodies=bodies)
+
+
+def unfit(scene: Scene) -> dict[str, str]:
+    """Who is not a contender on this scene, and why."""
+    found = {m.name: "no solver for its coupled stages where a body is not piecewise linear"
+             for m in METHODS if not closed(scene) and not goes(m)}
+    if _rubs(scene):
+        found["scipy's solvers"] = "friction jumps at rest, where their steps would become endlessly small"
+    return found
+
+
+def _rubs(scene: Scene) -> bool:
+    return scene.master.friction > 0.0 or slave_of(scene).friction > 0.0
 
 
 def measure(
@@ -127,19 +162,21 @@ def measure(
     _check(scene, rounds)
     everyone = list(contenders(scene))
     show = show or _quiet
-    show(0.0, "the reference")
-    began = clock()
-    reference = run(scene, seed=seed)
-    each = (clock() - began) / 1e9
+    share = 0.0 if closed(scene) else 0.5  # of the progress, for the reference
+    began, budget = clock(), BUDGET
+    truth = truth_of(scene, seed, clock, patient=rounds is not None, show=lambda part, text: show(share * part, text))
+    if share:
+        before, began = began, clock()
+        budget = max(BUDGET, WITH_REFERENCE - (began - before) / 1e9)
+    reference = truth.result
     trace = reference.trace
-    worth = agreement(scene, trace)
-    own = run(scene, seed=seed, bodies=wobbled(scene, worth))
-    cost = _costs(everyone, scene, trace, clock, each)
+    cost = run_costs(everyone, scene, trace, clock, truth.took)
     chosen, left_out = (everyone, {}) if rounds else _affordable(everyone, cost)
+    left_out = {**unfit(scene), **left_out}
     turns = _turns(chosen, rounds)
     total = sum(cost[c.key] for turn in turns for c in turn)
     if not rounds:
-        total = min(total, max(BUDGET - (clock() - began) / 1e9, sum(cost[c.key] for c in chosen)))
+        total = min(total, max(budget - (clock() - began) / 1e9, sum(cost[c.key] for c in chosen)))
     times: dict[str, list[float]] = {c.key: [] for c in chosen}
     found: dict[str, Entry] = {}
     touches, bins = contacts(felt(scene, trace)), range(0, reference.ticks, -(-reference.ticks // BINS))
@@ -147,36 +184,41 @@ def measure(
     done = 0.0
     for i, turn in enumerate(turns):
         spent = (clock() - began) / 1e9
-        if i and not rounds and spent + sum(cost[c.key] for c in turn) > BUDGET:
+        if i and not rounds and spent + sum(cost[c.key] for c in turn) > budget:
             break
         for c in turn:
-            show(min(done / total, 0.99), f"round {i + 1}: {c.label} {c.step}")
+            show(share + (1.0 - share) * min(done / total, 0.99), f"round {i + 1}: {c.label} {c.step}")
             got = run(scene, seed=seed, clock=clock, bodies=c.bodies)
             times[c.key].append((got.run_time or 0.0) / got.ticks * 1e9)
             done += cost[c.key]
             if not i:
-                got = own if c.method == "exact" else got
+                got = truth.own if c is everyone[0] else got
                 found[c.key] = _entry(c, got, trace, missed(felt(scene, got.trace), touches))
                 along |= {f"{name}:{c.key}": _most(distance(name, got.trace, trace), bins) for name in ("x_s", "f_env")}
     show(1.0, "done")
     return Precision(
-        scene=scene, seed=seed, rounds=len(times["exact"]), result=reference, contacts=len(touches), agreement=worth,
-        step_ns=step_costs([c for c in chosen if c.key in ("exact", EULER)], scene, trace, clock, 1000, 15),
-        entries=verdicts([_timed(found[c.key], times[c.key]) for c in chosen]), along=along, left_out=left_out,
+        scene=scene, seed=seed, rounds=len(times[everyone[0].key]), truth=truth, contacts=len(touches),
+        step_ns=step_costs([c for c in chosen if c is everyone[0] or c.key == EULER], scene, trace, clock, 1000, 15),
+        entries=verdicts([_timed(found[c.key], times[c.key]) for c in chosen], truth.off, reference.status),
+        along=along, left_out=left_out,
     )
 
 
-def verdicts(entries: Sequence[Entry]) -> list[Entry]:
-    """The entries, each with who beats it: the exact steps if they do, else the fastest that does.
+def verdicts(entries: Sequence[Entry], off: Mapping[str, float] | None = None, status: str | None = None
+             ) -> list[Entry]:
+    """The entries, each with who beats it: the stack's own steps if they do, else the fastest that does.
 
-    What lies below the exact steps' own error is not told from it. One that diverged where the exact steps do
-    not has an endless error; where they do too, it is judged by the ticks before.
+    What lies below the reference's own error `off` is not told from it. One that diverged where the reference,
+    whose status is given, does not has an endless error; where it does too, it is judged by the ticks before.
+    Without them the first entry is the reference.
     """
-    exact = entries[0]
+    first = entries[0]
+    floor = off or {name: error.max for name, error in first.errors.items()}
+    wanted = status or first.status
 
     def accuracy(entry: Entry) -> list[float]:
-        lost = entry.status != "ok" == exact.status
-        pairs = [(entry.errors[name].max, exact.errors[name].max) for name in ("x_s", "f_env")]
+        lost = entry.status != "ok" == wanted
+        pairs = [(entry.errors[name].max, floor[name]) for name in ("x_s", "f_env")]
         return [max(own, least) if isfinite(own) and not lost else inf for own, least in pairs]
 
     def beats(one: Entry, other: Entry) -> bool:
@@ -185,37 +227,10 @@ def verdicts(entries: Sequence[Entry]) -> list[Entry]:
 
     return [
         replace(e, beaten_by=min((o for o in entries if beats(o, e)),
-                                 key=lambda o: (o.contender.method != "exact", o.ns_per_tick)).key)
+                                 key=lambda o: (o.key != first.key, o.ns_per_tick)).key)
         if any(beats(o, e) for o in entries) else e
         for e in entries
     ]
-
-
-def step_costs(some: Sequence[Contender], scene: Scene, trace: Mapping[str, Any], clock: Clock, samples: int,
-               rounds: int) -> dict[str, float]:
-    """Nanoseconds to move all bodies by one tick from states of the run, by contender: the least of some rounds."""
-    ran = len(trace["t"])
-    at = range(0, ran, max(1, ran // samples))
-    reference = reference_samples(scene)
-    slaves = [list(zip(*(column(trace, name, i)[at].tolist() for name in ("x_s", "v_s", "f_s")), strict=True))
-              for i in range(scene.axes)]
-    masters = [list(zip(*(column(trace, name, i)[at].tolist() for name in ("x_m", "v_m", "f_m")), strict=True))
-               for i in range(scene.axes)]
-    if reference is not None:
-        masters = [[(*state, r[k], r[k + 1]) for k, state in zip(at, own, strict=True)]
-                   for r, own in zip(reference, masters, strict=True)]
-    name, exact = ("move_free", move_free) if reference is None else ("move_gripped", move_gripped)
-    times: dict[str, list[float]] = {c.key: [] for c in some}
-    for _ in range(rounds):
-        for c in some:
-            moves = [(c.bodies.instead.get(name, exact), c.bodies.master, states) for states in masters]
-            moves += [(plant.move, plant.c, states) for plant, states in zip(c.bodies.slaves, slaves, strict=True)]
-            began = clock()
-            for move, held, states in moves:
-                for state in states:
-                    move(held, *state)
-            times[c.key].append((clock() - began) / len(at))
-    return {key: min(several) for key, several in times.items()}
 
 
 def _quiet(part: float, text: str) -> None:
@@ -228,15 +243,6 @@ def _check(scene: Scene, rounds: int | None) -> None:
     if rounds is None and scene.ticks > MOST_UNASKED:
         raise Refused(f"{scene.ticks} ticks are too many to compare within a minute; shorten the run with --set "
                       "duration=10, or write --rounds 1 and wait")
-
-
-def _costs(everyone: Sequence[Contender], scene: Scene, trace: Mapping[str, Any], clock: Clock, each: float
-           ) -> dict[str, float]:
-    """Seconds that a run of each contender will take: those of the exact one, and more where its steps take more."""
-    step: dict[str, float] = {}
-    for c in everyone:
-        step |= step_costs([c], scene, trace, clock, 10 if c.rtol else 50, 2)
-    return {key: each + max(0.0, ns - step["exact"]) * 1e-9 * scene.ticks for key, ns in step.items()}
 
 
 def _affordable(everyone: Sequence[Contender], cost: Mapping[str, float]) -> tuple[list[Contender], dict[str, str]]:

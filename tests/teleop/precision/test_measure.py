@@ -26,9 +26,10 @@ from teleop.plant import MassDamper
 from teleop.precision.agreement import agreement, wobbled
 from teleop.precision.contenders import method_bodies, touch_of
 from teleop.precision.deviation import NEAR, Error, contacts, errors, felt, missed
+from teleop.precision.located import located
 from teleop.precision.measure import Contender, Entry, Precision, contenders, measure, verdicts
 from teleop.precision.methods import METHODS
-from teleop.precision.outsiders import located, outsider_bodies
+from teleop.precision.outsiders import outsider_bodies
 from teleop.precision.report import summary, table
 from teleop.scene import Scene, load_scene
 
