@@ -13,6 +13,15 @@ if TYPE_CHECKING:
     from teleop.plant import MassDamper, Plant
 
 
+class Held(NamedTuple):
+    """The coefficients of the bodies, and their inner states at the first tick."""
+
+    grip: Any
+    z_m: Any
+    c: tuple[Any, ...]  # of the slave, for each axis
+    z_s: tuple[Any, ...]
+
+
 class Bodies(NamedTuple):
     """What moves between two ticks of a run in virtual time."""
 
@@ -21,6 +30,16 @@ class Bodies(NamedTuple):
     instead: Mapping[str, Any] = MappingProxyType({})  # of the functions that the tick's text names, by those names
     inner_m: Any = None  # the master's inner state at the first tick, if it has one
     report_m: Callable[[Any], Mapping[str, float]] | None = None  # what to say of that state afterwards
+
+    def functions(self) -> dict[str, Any]:
+        """What the text of a run names of the bodies, by those names."""
+        own = {f"move{i}": plant.move for i, plant in enumerate(self.slaves)}
+        return {**own, **{f"force{i}": plant.force for i, plant in enumerate(self.slaves)}, **self.instead}
+
+    def held(self) -> Held:
+        """The numbers that it begins with."""
+        return Held(self.master, self.inner_m, tuple([plant.c for plant in self.slaves]),
+                    tuple([plant.start for plant in self.slaves]))
 
 
 def exact_bodies(scene: Scene) -> Bodies:

@@ -13,7 +13,7 @@ from teleop.packet import Echo, Kind, Packet, Rejection, Window, check_size, dec
 from teleop.playout import Inbox, Plan
 from teleop.scene import Scene
 from teleop.session import Session
-from teleop.source import compiled, live_text
+from teleop.source import beginnings, compiled, live_text
 from teleop.tick import columns
 
 Axes = tuple[float, ...]
@@ -184,7 +184,9 @@ class Endpoint:
         return None if self._g is None else row[self._g]
 
     def _begin(self, reading: Reading) -> None:
-        self._started = self._live(self.scene, self.scene.law, self._dt, reading.x, reading.v, reading.f)
+        scene = self.scene
+        begins = beginnings(scene, {self.e: reading.x})
+        self._started = self._live(scene, begins, scene.law, self._dt, reading.x, reading.v, reading.f)
         self._started.send(None)
 
     def _message(self, payload: Any) -> tuple[Any, ...]:

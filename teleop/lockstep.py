@@ -11,7 +11,7 @@ from teleop.errors import Refused
 from teleop.playout import repeats
 from teleop.result import Packets, Result
 from teleop.scene import Scene
-from teleop.source import compiled, loop_text
+from teleop.source import beginnings, compiled, loop_text
 from teleop.trace import EndRecord, assemble
 
 if TYPE_CHECKING:
@@ -35,12 +35,12 @@ def run(
     lag = max((plan.lag for plan in (forth, back) if plan is not None), default=0)
     rows: dict[str, list[float]] = {"m": [], "s": []}
     reference = reference_samples(scene)
-    loop = compiled(scene, loop_text(scene), "loop", bodies.instead)
+    loop = compiled(scene, loop_text(scene), "loop", bodies.functions())
+    starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
     arguments = (
-        scene, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit,
-        scene.vector("start_m", scene.start_m), scene.vector("start_s", scene.start_s),
+        beginnings(scene, starts), scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"],
         back and back.play, forth and forth.play, lag + 1,
-        reference, bodies, rows["m"].extend, rows["s"].extend,
+        reference, bodies.held(), rows["m"].extend, rows["s"].extend,
     )
     began = clock() if clock else 0
     ran, capped, end, inner = loop(*arguments)

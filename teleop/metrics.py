@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from teleop.scene import Scene
@@ -27,6 +28,9 @@ MEANING = {
 }
 
 
+TINY = 1e-300
+
+
 def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
     """Every figure of `UNITS` that the scene has, by name; of one end's trace, those that it is enough for.
 
@@ -39,12 +43,10 @@ def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
         return {}
     dt = scene.dt_ns / 1e9
     out: dict[str, float] = {}
-    ages = {"fwd": _ages(trace, "seq_s", dt), "bwd": _ages(trace, "seq_m", dt)}
-    for way, age in ages.items():
+    for way, seq in (("fwd", "seq_s"), ("bwd", "seq_m")):
+        age = _ages(trace, seq, dt)
         if age is not None:
-            out[f"fresh_{way}"] = len(age) / len(trace["t"])
-            if len(age):
-                out |= {f"T_{way}_mean": float(age.mean()), f"T_{way}_max": float(age.max())}
+            out |= _delays(way, age, len(trace["t"]))
     if "x_m" in trace and "x_s" in trace:
         for name, size in tracking(scene, trace).items():
             out |= _worst(name, size)
@@ -58,6 +60,20 @@ def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
             out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
     out |= {f"{g}_min": float(trace[g].min()) for g in ("g_m", "g_s") if g in trace}
     return {name: value for name, value in out.items() if np.isfinite(value)}
+
+
+def of_plan(way: str, play: Sequence[int], dt: float) -> dict[str, float]:
+    """What a run has of one direction ("fwd" or "bwd") by itself: `play` are the packets played at its ticks, or -1."""
+    import numpy as np
+
+    played = np.asarray(play)
+    fresh = np.flatnonzero(played >= 0)
+    return _delays(way, (fresh - played[fresh]) * dt, len(played))
+
+
+def _delays(way: str, age: NDArray[np.float64], ticks: int) -> dict[str, float]:
+    out = {f"fresh_{way}": len(age) / ticks}
+    return {**out, f"T_{way}_mean": float(age.mean()), f"T_{way}_max": float(age.max())} if len(age) else out
 
 
 def tracking(scene: Scene, trace: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
@@ -102,8 +118,16 @@ def magnitude(column: NDArray[Any]) -> NDArray[Any]:
     import numpy as np
 
     with np.errstate(all="ignore"):  # the last rows of a run that diverged
-        size: NDArray[Any] = np.abs(column) if column.ndim == 1 else np.hypot.reduce(column, axis=1)
-    return size
+        size: NDArray[Any] = np.abs(column)
+        if column.ndim == 1:
+            return size
+        # As `teleop.batch.measures.magnitude3` has it, in the same order: a sweep gives the same bits.
+        top = np.maximum(size.max(axis=1), TINY)
+        parts = (column / top[:, None]).T
+        total = parts[0] * parts[0]
+        for part in parts[1:]:
+            total = total + part * part
+        return np.asarray(top * np.sqrt(total))
 
 
 def _behind(mine: NDArray[Any], theirs: NDArray[Any], ticks: NDArray[np.int64], lag: int) -> NDArray[np.float64]:
@@ -127,7 +151,9 @@ def _worst(name: str, size: NDArray[np.float64]) -> dict[str, float]:
         return {}
     size = size[has[0]:]
     with np.errstate(all="ignore"):
-        return {f"{name}_rms": float(np.sqrt(np.mean(size * size))), f"{name}_max": float(size.max())}
+        # summed in the order of the ticks, as a sweep does as it goes
+        return {f"{name}_rms": float(np.sqrt(np.add.accumulate(size * size)[-1] / len(size))),
+                f"{name}_max": float(size.max())}
 
 
 def _stamped(trace: dict[str, Any], way: str, e: str, dt: float) -> float:

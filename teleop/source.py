@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections import namedtuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from teleop.law import At
+from teleop.law import At, start_at
 from teleop.scene import Scene
-from teleop.tick import END, ENDS, LIVE, LOOP, MASTER, START, End, columns, features
+from teleop.tick import END, ENDS, LIVE, LOOP, MASTER, MEASURE, START, SUMS, End, columns, features
 
 
 def loop_text(scene: Scene) -> str:
@@ -23,49 +24,93 @@ def live_text(scene: Scene, e: str) -> str:
 
 def compiled(scene: Scene, text: str, name: str, instead: Mapping[str, Any] | None = None) -> Callable[..., Any]:
     """The function `name` of a text made here, with the parts of the stack that it names, or others `instead`."""
-    has = features(scene)
-    from teleop.law import start_at
-
-    parts: dict[str, Any] = {"new": tuple.__new__, "At": At, "start_at": start_at, "inf": float("inf"),
-                             "nan": float("nan")}
-    if has & {"sums_m", "sums_s"}:
-        parts["over_axes"] = over_axes
-    if has & {"encoder_m", "encoder_s"}:
-        from teleop.device import encode
-
-        parts["encode"] = encode
-    if "popc_m" in has:
-        from teleop.popc import damp
-
-        parts["damp"] = damp
-    if "observe_m" in has:
-        from teleop.observer import coefficients, observe
-
-        parts |= {"coefficients": coefficients, "observe": observe}
-    if has & {"watchdog", "cap"}:
-        from teleop.safety import cap, watch
-
-        parts["watch"], parts["cap"] = watch, cap
-    from teleop.plant import grip_force, move_free, move_gripped
-
-    parts |= {"grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped}
-    parts |= instead or {}
-    exec(compile(text, f"<{name} of scene {scene.name}>", "exec"), parts)
-    function: Callable[..., Any] = parts[name]
+    names = {**parts(scene), "new": tuple.__new__, **(instead or {})}
+    exec(compile(text, f"<{name} of scene {scene.name}>", "exec"), names)
+    function: Callable[..., Any] = names[name]
     return function
 
 
-def over_axes(first: Any, *others: Any) -> Any:
-    """Field by field sums over the axes, left to right (not `sum`, which compensates from Python 3.12)."""
-    total = first
-    for other in others:
-        total = type(first)(*[a + b for a, b in zip(total, other, strict=True)])
-    return total
+def parts(scene: Scene) -> dict[str, Any]:
+    """What the texts of a scene name: its law's functions, and those of the stack that it needs."""
+    from teleop.plant import grip_force, move_free, move_gripped
+
+    has, law = features(scene), type(scene.law)
+    found: dict[str, Any] = {
+        "At": At, "start_at": start_at, "inf": float("inf"), "nan": float("nan"),
+        "grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped,
+    }
+    if scene.slave is None:
+        found |= {"begin_m": law.start, "law_m": law.force}
+    else:
+        found |= {"begin_m": law.master_start, "law_m": law.master, "begin_s": law.slave_start, "law_s": law.slave}
+    for end in ENDS.values():
+        if f"sums_{end.e}" in has:
+            found |= {f"sums_{end.e}": getattr(law, f"{end.end}_sums"),
+                      f"Sums_{end.e}": sums_type(scene.law, end, scene.dt_ns / 1e9)}
+        if f"velocity_{end.e}" in has:
+            found[f"estimate_{end.e}"] = _device(scene, end.e).velocity.step
+    if has & {"encoder_m", "encoder_s"}:
+        from teleop.device import encode
+
+        found["encode"] = encode
+    if "popc_m" in has:
+        from teleop.popc import damp
+
+        found["damp"] = damp
+    if "observe_m" in has:
+        from teleop.observer import coefficients, observe
+
+        found |= {"coefficients": coefficients, "observe": observe}
+    if has & {"watchdog", "cap"}:
+        from teleop.safety import cap, watch
+
+        found["watch"], found["cap"] = watch, cap
+    return found
 
 
-def specialise(text: str, scene: Scene, end: End) -> str:
-    """A text with the lines that this scene needs, its axes unrolled and its names filled in."""
-    has = features(scene)
+def beginnings(scene: Scene, places: Mapping[str, Sequence[float]]) -> Any:
+    """The numbers that the texts of a scene begin with, as a NamedTuple; `places` are those of its ends, per axis."""
+    has, dt = features(scene), scene.dt_ns / 1e9
+    found: dict[str, Any] = {}
+    for e, at in places.items():
+        device = _device(scene, e)
+        if f"encoder_{e}" in has:
+            from teleop.device import encode
+
+            found[f"c_enc_{e}"] = c = device.encoder.coefficients()
+            at = [encode(c, x) for x in at]  # noqa: PLW2901 - what is read there
+        if f"velocity_{e}" in has:
+            found[f"c_est_{e}"] = device.velocity.coefficients(dt)
+            found[f"est_{e}"] = tuple([device.velocity.start(x) for x in at])
+        if f"late_{e}" in has:
+            found[f"line_{e}"] = (0.0,) * device.delay
+        if f"slow_{e}" in has:
+            found[f"every_{e}"] = device.every
+    if "observe_m" in has and "m" in places:
+        from teleop.observer import coefficients
+
+        assert scene.observer is not None  # what the feature means
+        found["c_obs"] = coefficients(scene.observer, scene.master.mass, scene.master.damping, dt)
+    for name, part in (("c_pc", scene.passivity), ("c_dog", scene.watchdog), ("c_cap", scene.cap)):
+        if part is not None:
+            found[name] = part.limits(dt)
+    return namedtuple("Given", found)(**found)
+
+
+def _device(scene: Scene, e: str) -> Any:
+    return scene.device_m if e == "m" else scene.device_s
+
+
+def sums_type(law: Any, end: End, dt: float) -> Any:
+    """The NamedTuple that an end of a law sums over the axes, as a call at rest shows it."""
+    still = start_at(0.0, 0.0, 0.0, dt)
+    state, rx = getattr(law, f"{end.end}_start")(still)
+    return type(getattr(law, f"{end.end}_sums")(state, still, rx))
+
+
+def specialise(text: str, scene: Scene, end: End, more: frozenset[str] = frozenset()) -> str:
+    """A text with the lines that this scene needs, and `more` features, its axes unrolled and its names filled in."""
+    has = features(scene) | more
     lines = list(_unroll(_lines(text, scene, end, has), scene.axes))
     return "\n".join(lines) + "\n"
 
@@ -77,9 +122,9 @@ def _lines(text: str, scene: Scene, end: End, has: frozenset[str]) -> Iterator[s
         line, wanted = line.rstrip(), wanted.replace("{e}", end.e)
         if not line or not all((w[1:] not in has) if w[0] == "!" else (w in has) for w in wanted.split()):
             continue
-        inner = re.fullmatch(r"( *)\[(START|END) (\S+)\]", line.replace("{e}", end.e))
+        inner = re.fullmatch(r"( *)\[(START|END|SUMS|MEASURE) (\S+)\]", line.replace("{e}", end.e))
         if inner:
-            block = {"START": START, "END": END}[inner[2]]
+            block = {"START": START, "END": END, "SUMS": SUMS, "MEASURE": MEASURE}[inner[2]]
             yield from (inner[1] + line for line in _lines(block, scene, ENDS[inner[3]], has))
         else:
             yield _named(line, scene, end, has)
@@ -99,11 +144,25 @@ def _named(line: str, scene: Scene, end: End, has: frozenset[str]) -> str:
         "fresh": "False" if "alone" in has else "True" if "repeats" in has else f"got_{e}",
         "places": "((<<x_m@>>,),)" if "alone" in has else "((<<x_m@>>,), (<<x_s@>>,))",
         "inner": f"({_inner('m', has)}, {_inner('s', has)})",
-        "over": "sum0" if scene.axes == 1 else "over_axes(<<sum@>>)",
+        "first_m": _packed("rx_s@", scene.axes), "first_s": _packed("rx_m@", scene.axes),
+        "over": _over(scene, end, has),
         "row_e": _row(scene, e), "row_m": _row(scene, "m"),
         "row_s": "" if "alone" in has else _row(scene, "s"), "i": "@",
     }
     return re.sub(r"\{(\w+)\}", lambda found: words[found[1]], line)
+
+
+def _over(scene: Scene, end: End, has: frozenset[str]) -> str:
+    """Field by field sums over the axes, left to right (not `sum`, which compensates from Python 3.12)."""
+    if f"sums_{end.e}" not in has or scene.axes == 1:
+        return "sum0"
+    fields = sums_type(scene.law, end, scene.dt_ns / 1e9)._fields
+    sums = (" + ".join(f"sum{i}.{field}" for i in range(scene.axes)) for field in fields)
+    return f"Sums_{end.e}({', '.join(sums)})"
+
+
+def _packed(name: str, axes: int) -> str:
+    return f"<<{name}>>" if axes == 1 else f"(<<{name}>>)"
 
 
 def _inner(e: str, has: frozenset[str]) -> str:

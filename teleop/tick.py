@@ -18,23 +18,21 @@ from teleop.playout import repeats
 from teleop.scene import Scene
 
 START = """
-c_enc_{e} = scene.device_{e}.encoder.coefficients()            #? encoder_{e}
+c_enc_{e} = given.c_enc_{e}                                    #? encoder_{e}
 q_{e}@ = encode(c_enc_{e}, x_{e}@)                             #? encoder_{e}
-estimate_{e} = scene.device_{e}.velocity.step                  #? velocity_{e}
-c_est_{e} = scene.device_{e}.velocity.coefficients(dt)         #? velocity_{e}
-est_{e}@ = scene.device_{e}.velocity.start({x}); v_hat_{e}@ = 0.0  #? velocity_{e}
-c_obs = coefficients(scene.observer, scene.master.mass, scene.master.damping, dt)  #? observe_{e}
+c_est_{e} = given.c_est_{e}; est_{e}@ = given.est_{e}[{i}]; v_hat_{e}@ = 0.0  #? velocity_{e}
+c_obs = given.c_obs                                            #? observe_{e}
 v_before_{e}@ = {v}; f_h_hat@ = 0.0                            #? observe_{e}
-s_{e}@, rx_{e}@ = law.{end}_start(start_at({x}, {v}, {touch}, dt))  #? !alone
-s_{e}@ = law.start(start_at({x}, {v}, {touch}, dt))            #? alone
+s_{e}@, rx_{e}@ = begin_{e}(law, start_at({x}, {v}, {touch}, dt))  #? !alone
+s_{e}@ = begin_{e}(law, start_at({x}, {v}, {touch}, dt))       #? alone
 f_{e}@ = 0.0
-line_{e}@ = (0.0,) * scene.device_{e}.delay                    #? late_{e}
-every_{e} = scene.device_{e}.every; slow_{e}@ = 0.0            #? slow_{e}
-c_pc = scene.passivity.limits(dt); E_po@ = 0.0                 #? popc_{e}
+line_{e}@ = given.line_{e}                                     #? late_{e}
+every_{e} = given.every_{e}; slow_{e}@ = 0.0                   #? slow_{e}
+c_pc = given.c_pc; E_po@ = 0.0                                 #? popc_{e}
 newest_{e} = -1                                                #? age_{e}
 heard_{e} = -1; g_{e} = 1.0                                    #? watchdog
-c_dog = scene.watchdog.limits(dt)                              #? watchdog
-c_cap = scene.cap.limits(dt)                                   #? cap
+c_dog = given.c_dog                                            #? watchdog
+c_cap = given.c_cap                                            #? cap
 x_before_{e}@ = {x}                                            #? dx_{e}
 x_was_{e}@ = x_{e}@                                            #? energy encoder_{e}
 E_in_{out} = E_out_{in} = 0.0                                  #? waves
@@ -51,12 +49,13 @@ E_port_{e} = E_port_{e} + f_{e}@ * (x_{e}@ - x_was_{e}@); x_was_{e}@ = x_{e}@  #
 E_po@ = E_po@ + f_{e}@ * dx_{e}@                               #? popc_{e}
 f_h_hat@ = observe(c_obs, f_h_hat@, v_before_{e}@, {v}, f_{e}@)  #? observe_{e}
 v_before_{e}@ = {v}                                            #? observe_{e}
-at@ = new(At, ({x}, {v}, {touch}, f_{e}@, {dx}, {fresh}, {age}, dt))
-sum@ = sums_{e}(s_{e}@, at@, rx_{e}@)                          #? sums_{e}
+at@ = new(At, ({x}, {v}, {touch}, f_{e}@, {dx}, {fresh}, {age}, dt))  #? !kernel
+at@ = At({x}, {v}, {touch}, f_{e}@, {dx}, {fresh}, {age}, dt)  #? kernel
+sum@ = sums_{e}(law, s_{e}@, at@, rx_{e}@)                     #? sums_{e}
 over = {over}                                                  #? sums_{e}
-push@, tx_{e}@, s_{e}@ = law_{e}(s_{e}@, at@, rx_{e}@, over)   #? sums_{e}
-push@, tx_{e}@, s_{e}@ = law_{e}(s_{e}@, at@, rx_{e}@)         #? !sums_{e} !alone
-push@, s_{e}@ = law_{e}(s_{e}@, at@)                           #? alone
+push@, tx_{e}@, s_{e}@ = law_{e}(law, s_{e}@, at@, rx_{e}@, over)  #? sums_{e}
+push@, tx_{e}@, s_{e}@ = law_{e}(law, s_{e}@, at@, rx_{e}@)    #? !sums_{e} !alone
+push@, s_{e}@ = law_{e}(law, s_{e}@, at@)                      #? alone
 line_{e}@ = (*line_{e}@, push@); push@ = line_{e}@[0]; line_{e}@ = line_{e}@[1:]  #? late_{e}
 push@ = slow_{e}@ = slow_{e}@ if k % every_{e} else push@      #? slow_{e}
 push@ = push@ + damp(c_pc, E_po@, {v})                         #? popc_{e}
@@ -70,13 +69,11 @@ wave = tx_{e}@.{tx_wave}; E_in_{out} = E_in_{out} + half_dt * (wave * wave)     
 """
 
 LIVE = """
-def live(scene, law, dt, x0, v0, touch0):
+def live(scene, given, law, dt, x0, v0, touch0):
     def observer_over(ticks):                                           #? observe_{e}
         # after a stall the force was held over several ticks at once  #? observe_{e}
         return coefficients(scene.observer, scene.master.mass, scene.master.damping, ticks * dt)  #? observe_{e}
     half_dt = 0.5 * dt
-    law_{e} = law.{end}
-    sums_{e} = law.{end}_sums                                  #? sums_{e}
     <<x_{e}@>>, = x0; <<v_{e}@>>, = v0
     <<{sensor}@>>, = touch0                                    #? felt_{e}
     [START {e}]
@@ -97,20 +94,18 @@ def live(scene, law, dt, x0, v0, touch0):
 """
 
 LOOP = """
-def loop(scene, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size, ref, bodies, rows_m, rows_s):
+def loop(given, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size, ref, held, rows_m, rows_s):  #? !kernel
+def loop(given, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size, ref, held, size_x, size_f):  #? kernel
     half_dt = 0.5 * dt
     span = dt                                                  #? estimates
-    law_m = law.master; law_s = law.slave                      #? slave
-    law_m = law.force                                          #? alone
-    sums_m = law.master_sums                                   #? sums_m
-    sums_s = law.slave_sums                                    #? sums_s
     <<x_m@>>, = start_m
     <<x_s@>>, = start_s                                        #? slave
     v_m@ = 0.0; slope@ = 0.0; capped = 0
     v_s@ = 0.0                                                 #? slave
-    grip = bodies.master
-    z_m@ = bodies.inner_m                                      #? inner_m
-    move@, force@, c@, z_s@, _ = bodies.slaves[{i}]            #? slave
+    grip = held.grip
+    z_m@ = held.z_m                                            #? inner_m
+    c@ = held.c[{i}]                                           #? slave
+    z_s@ = held.z_s[{i}]                                       #? inner_s
     r@ = ref[{i}]                                              #? hand
     f_h@ = 0.0                                                 #? felt_m
     f_h@ = grip_force(grip, x_m@, v_m@, 0.0, r@[0], slope@)    #? felt_m hand !inner_m
@@ -119,8 +114,9 @@ def loop(scene, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size,
     f_env@ = force@(c@, x_s@, v_s@, z_s@)                      #? inner_s
     [START m]
     [START s]                                                  #? slave
-    ring_m = [None] * size; ring_s = [None] * size             #? link
+    ring_m = [{first_m}] * size; ring_s = [{first_s}] * size   #? link
     tx_m@ = rx_s@; tx_s@ = rx_m@                               #? !link slave
+    [SUMS m]                                                   #? kernel
     for k in range(count):
         # 1. read: the left limit at t_k, the force of the last tick still acting
         f_h@ = grip_force(grip, x_m@, v_m@, f_m@, r@[k], slope@)  #? felt_m hand !inner_m
@@ -142,9 +138,10 @@ def loop(scene, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size,
         rx_m@ = tx_s@; rx_s@ = tx_m@                           #? !link slave
         # 3. the two ends
         [END m]
-        rows_m(({row_m},))
+        rows_m(({row_m},))                                     #? !kernel
         [END s]                                                #? slave
-        rows_s(({row_s},))                                     #? slave
+        rows_s(({row_s},))                                     #? slave !kernel
+        [MEASURE m]                                            #? kernel
         ring_m[k % size] = <<tx_m@>>; ring_s[k % size] = <<tx_s@>>  #? link
         # 4. the forces are held for one tick while the plants move exactly
         x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, r@[k], r@[k + 1])  #? hand !inner_m
@@ -157,8 +154,45 @@ def loop(scene, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size,
         if not (-x_limit < x_m@ < x_limit and -x_limit < x_s@ < x_limit): break  #? slave
         if not -x_limit < x_m@ < x_limit: break                #? alone
     else:
-        return count, capped, None, {inner}
-    return k + 1, capped, {places}, {inner}
+        return count, capped, None, {inner}                    #? !kernel
+        return count, capped, {measured}                       #? kernel
+    return k + 1, capped, {places}, {inner}                    #? !kernel
+    return -(k + 1), capped, {measured}                        #? kernel
+"""
+
+SUMS = """
+n_x = 0; x_err_sq = 0.0; x_err_max = 0.0                       #? x_err
+old_x@ = [0.0] * size_x                                        #? x_err
+n_f = 0; f_err_sq = 0.0; f_err_max = 0.0                       #? f_err
+old_f@ = [0.0] * size_f                                        #? f_err
+f_m_max = 0.0                                                  #? f_m_max
+f_s_max = 0.0                                                  #? f_s_max
+f_h_max = 0.0                                                  #? f_h_max
+f_env_max = 0.0                                                #? f_env_max
+E_link = 0.0; E_link_min = inf                                 #? waves
+E_port = 0.0; E_port_min = inf                                 #? energy
+g_m_min = 1.0; g_s_min = 1.0                                   #? watchdog
+"""
+
+MEASURE = """
+old_x@[k % size_x] = x_m@                                      #? x_err
+if k >= size_x - 1:                                            #? x_err
+    d@ = x_s@ - old_x@[(k + 1) % size_x]                       #? x_err
+    err = magnitude(<<d@>>)                                    #? x_err
+    n_x += 1; x_err_sq = x_err_sq + err * err; x_err_max = most(x_err_max, err)  #? x_err
+old_f@[k % size_f] = f_env@                                    #? f_err
+if k >= size_f - 1:                                            #? f_err
+    d@ = f_m@ - old_f@[(k + 1) % size_f]                       #? f_err
+    err = magnitude(<<d@>>)                                    #? f_err
+    n_f += 1; f_err_sq = f_err_sq + err * err; f_err_max = most(f_err_max, err)  #? f_err
+f_m_max = most(f_m_max, magnitude(<<f_m@>>))                   #? f_m_max
+f_s_max = most(f_s_max, magnitude(<<f_s@>>))                   #? f_s_max
+f_h_max = most(f_h_max, magnitude(<<f_h@>>))                   #? f_h_max
+f_env_max = most(f_env_max, magnitude(<<f_env@>>))             #? f_env_max
+E_link = (E_in_fwd - E_out_fwd) + (E_in_bwd - E_out_bwd); E_link_min = least(E_link_min, E_link)  #? waves
+E_port = E_port_m - E_port_s; E_port_min = least(E_port_min, E_port)  #? energy slave
+E_port = E_port_m; E_port_min = least(E_port_min, E_port)      #? energy alone
+g_m_min = least(g_m_min, g_m); g_s_min = least(g_s_min, g_s)   #? watchdog
 """
 
 

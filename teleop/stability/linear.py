@@ -23,7 +23,7 @@ from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.playout import Fixed
 from teleop.scene import Scene
-from teleop.source import compiled, specialise
+from teleop.source import beginnings, compiled, specialise
 from teleop.tick import ENDS
 
 if TYPE_CHECKING:
@@ -33,10 +33,7 @@ if TYPE_CHECKING:
     Matrix = NDArray[np.float64]
 
 BEGIN = """
-def begin(scene, law, dt, bodies, x0):
-    law_{e} = law.{end}                                        #? !alone
-    law_{e} = law.force                                        #? alone
-    sums_{e} = law.{end}_sums                                  #? sums_{e}
+def begin(given, law, dt, bodies, x0):
     x_{e}@ = x0; v_{e}@ = {sensor}@ = 0.0
     [START {e}]
     BODIES
@@ -44,15 +41,12 @@ def begin(scene, law, dt, bodies, x0):
     return state
 """
 STEP = """
-def step(scene, law, dt, k, bodies, like, given):
+def step(given, law, dt, k, bodies, like, numbers):
     span = dt                                                  #? estimates
-    law_{e} = law.{end}                                        #? !alone
-    law_{e} = law.force                                        #? alone
-    sums_{e} = law.{end}_sums                                  #? sums_{e}
     x_{e}@ = v_{e}@ = {sensor}@ = 0.0
     [START {e}]
     BODIES
-    take = iter(given)
+    take = iter(numbers)
     newest_{e} = 0                                             #? age_{e}
     got_{e} = True                                             #? !alone
     x_{e}@ = next(take); v_{e}@ = next(take); f_{e}@ = next(take)
@@ -234,13 +228,14 @@ def end_function(scene: Scene, e: str, age: int) -> Callable[[Any], tuple[list[f
     the end has. `age` is that of the message, in ticks; without a slave it is the number of the tick.
     """
     bare, bodies, step = _made(scene, e, STEP, "step")
-    return lambda given: step(bare, bare.law, bare.dt_ns / 1e9, age, bodies, like, given)
+    begins = beginnings(bare, {e: [0.0] * bare.axes})
+    return lambda numbers: step(begins, bare.law, bare.dt_ns / 1e9, age, bodies, like, numbers)
 
 
 def begin(scene: Scene, e: str, x0: float = 0.0) -> list[float]:
     """The state of `end_function` in which an end starts at `x0` (m)."""
     bare, bodies, start = _made(scene, e, BEGIN, "begin")
-    state: list[float] = start(bare, bare.law, bare.dt_ns / 1e9, bodies, x0)
+    state: list[float] = start(beginnings(bare, {e: [x0] * bare.axes}), bare.law, bare.dt_ns / 1e9, bodies, x0)
     return state
 
 

@@ -22,7 +22,7 @@ from teleop.laws.virtual_wall import VirtualWall
 from teleop.lockstep import run
 from teleop.plant import MassDamper
 from teleop.scene import Scene
-from teleop.source import compiled, live_text, loop_text
+from teleop.source import beginnings, compiled, live_text, loop_text
 from teleop.tick import columns
 from teleop.velocity.backward_difference import BackwardDifference
 
@@ -80,7 +80,8 @@ class TestAnEstimator:
 
     def test_knows_over_how_many_ticks_a_stall_went(self) -> None:
         of = scene(device_m=Device(velocity=BackwardDifference()))
-        live = compiled(of, live_text(of, "m"), "live")(of, of.law, 1e-3, (0.0,), (0.0,), None)
+        begins = beginnings(of, {"m": (0.0,)})
+        live = compiled(of, live_text(of, "m"), "live")(of, begins, of.law, 1e-3, (0.0,), (0.0,), None)
         live.send(None)
         seen = []
         for k, x in ((0, 0.0), (1, 0.001), (5, 0.009), (6, 0.009)):  # the ticks 2 to 4 were missed

@@ -12,7 +12,7 @@ from scipy.integrate import quad, solve_ivp
 
 from teleop.observer import coefficients, observe
 from teleop.scene import load_scene
-from teleop.source import compiled, live_text
+from teleop.source import beginnings, compiled, live_text
 from teleop.tick import columns
 
 INSTANT = 1e9  # 1/s: a filter so fast that f_h_hat is f_bar itself
@@ -102,7 +102,8 @@ def test_a_stall_of_many_ticks_does_not_throw_the_live_estimate_off() -> None:
     """A held force and a constant hand, seen again after 70 ticks: the estimate is the hand's force still."""
     scene = load_scene("canonical", law="pfra", observer=INSTANT)
     M, b, dt = scene.master.mass, scene.master.damping, 1e-3
-    live = compiled(scene, live_text(scene, "m"), "live")(scene, scene.law, dt, (0.0,), (0.0,), None)
+    begins = beginnings(scene, {"m": (0.0,)})
+    live = compiled(scene, live_text(scene, "m"), "live")(scene, begins, scene.law, dt, (0.0,), (0.0,), None)
     live.send(None)
     at = [name.removesuffix("@") for name in columns(scene, "m")].index("f_h_hat")
     v, before, f_m = 0.0, 0, 0.0

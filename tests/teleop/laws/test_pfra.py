@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 from math import exp, sqrt
+from operator import add
 
 import numpy as np
 import pytest
@@ -19,12 +21,11 @@ from slave.wall import Wall
 from teleop.errors import Refused
 from teleop.law import At
 from teleop.laws.direct import Direct
-from teleop.laws.pfra import EPS, PFRA, Back
+from teleop.laws.pfra import EPS, PFRA, Back, Sums
 from teleop.lockstep import run
 from teleop.observer import coefficients, observe
 from teleop.plant import MassDamper, free_space, move_free
 from teleop.scene import Scene, load_scene
-from teleop.source import over_axes
 
 Vector = tuple[float, ...]
 
@@ -38,7 +39,8 @@ def reflected(law: PFRA, f_env: Vector, f_h_hat: Vector) -> Vector:
     nan = float("nan")
     ats = [At(0.0, 0.0, f, nan, nan, True, nan, 1e-3) for f in f_h_hat]
     rxs = [Back(f) for f in f_env]
-    over = over_axes(*[law.master_sums((), at, rx) for at, rx in zip(ats, rxs, strict=True)])
+    sums = [law.master_sums((), at, rx) for at, rx in zip(ats, rxs, strict=True)]
+    over = Sums(*(reduce(add, values) for values in zip(*sums, strict=True)))
     return tuple(law.master((), at, rx, over)[0] for at, rx in zip(ats, rxs, strict=True))
 
 

@@ -1,0 +1,1 @@
+"""Sweeps: one scene over many knobs and seeds."""
