@@ -56,7 +56,7 @@ over = {over}                                                  #? sums_{e}
 push@, tx_{e}@, s_{e}@ = law_{e}(law, s_{e}@, at@, rx_{e}@, over)  #? sums_{e}
 push@, tx_{e}@, s_{e}@ = law_{e}(law, s_{e}@, at@, rx_{e}@)    #? !sums_{e} !alone
 push@, s_{e}@ = law_{e}(law, s_{e}@, at@)                      #? alone
-line_{e}@ = (*line_{e}@, push@); push@ = line_{e}@[0]; line_{e}@ = line_{e}@[1:]  #? late_{e}
+line_{e}@ = line_{e}@ + (push@,); push@ = line_{e}@[0]; line_{e}@ = line_{e}@[1:]  #? late_{e}
 push@ = slow_{e}@ = slow_{e}@ if k % every_{e} else push@      #? slow_{e}
 push@ = push@ + damp(c_pc, E_po@, {v})                         #? popc_{e}
 heard_{e} = k if got_{e} else heard_{e}                        #? watchdog

@@ -28,9 +28,10 @@ OF_PLAN = ("fresh_fwd", "fresh_bwd", "T_fwd_mean", "T_fwd_max", "T_bwd_mean", "T
 
 
 class Job(NamedTuple):
-    """A scene, and the rows of it: number, knobs and seed of each."""
+    """A scene, the knobs that all rows share, and the rows: number, knobs and seed of each."""
 
     scene: str
+    fixed: dict[str, object]
     rows: Sequence[tuple[int, dict[str, object], int]]
     measures: tuple[Measure, ...]
     engine: str
@@ -50,7 +51,7 @@ def work(job: Job) -> Done:
     for number, knobs, seed in job.rows:
         row: Row = {"row": number, "seed": seed, **knobs}
         try:
-            scene = load_scene(job.scene, **knobs)
+            scene = load_scene(job.scene, **{**job.fixed, **knobs})
         except Refused as refused:
             rows.append({**row, "status": "refused", "ticks": 0, "sentence": str(refused)})
             continue

@@ -1,4 +1,4 @@
-"""`python -m teleop.bench [virtual|live]`: measure here what the README claims, side by side."""
+"""`python -m teleop.bench [virtual|sweep|live]`: measure here what the README claims, side by side."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import sys
 from argparse import ArgumentParser
 
 from teleop.bench.live import live
+from teleop.bench.sweep import sweep
 from teleop.bench.virtual import virtual
 
-BENCHES = {"virtual": virtual, "live": live}
+BENCHES = {"virtual": virtual, "sweep": sweep, "live": live}
 
 
 def main() -> int:
