@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields, replace
+from functools import lru_cache
 from inspect import Parameter, signature
 from pathlib import Path
 from types import NoneType, UnionType
@@ -18,6 +19,7 @@ from teleop.playout import Fixed, Hold, Zero
 _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
 
+@lru_cache(maxsize=64)
 def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
     """A scene function's knobs: `name -> (type, default)`; the default is `...` where one must be given."""
     try:

@@ -24,6 +24,7 @@ is NaN, so a field read by a way that `reads` cannot see shows at once.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple, Protocol
 
@@ -118,9 +119,15 @@ def messages(law: Law, dt: float = 1e-3) -> tuple[type[Any], type[Any]]:
 
 def reads(end: Callable[..., Any]) -> frozenset[str]:
     """Which fields of `At` an end's lines name, those of the plain functions it calls included."""
+    function = getattr(end, "__func__", end)
+    return _reads(function) if isinstance(function, FunctionType) else frozenset()
+
+
+@lru_cache(maxsize=256)
+def _reads(function: FunctionType) -> frozenset[str]:
     found: set[str] = set()
     seen: set[CodeType] = set()
-    waiting = _code(getattr(end, "__func__", end))
+    waiting = _code(function)
     while waiting:
         code, around = waiting.pop()
         if code in seen:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -280,12 +280,17 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
     >>> load_scene("canonical", delay=0.1).name
     'canonical'
     """
-    from teleop.knobs import settle
     from teleop.library import scene_function
 
     if not isinstance(name, str):
         raise Refused(f"a scene is named by a text, not {name!r}; write for example load_scene('canonical')")
-    function = scene_function(name)
+    return made_by(scene_function(name), name, knobs)
+
+
+def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]) -> Scene:
+    """The scene that a scene's function makes with its knobs set, as `load_scene` does."""
+    from teleop.knobs import settle
+
     settled, link = settle(name, function, knobs)
     try:
         scene = function(**settled)

@@ -117,6 +117,7 @@ def specialise(text: str, scene: Scene, end: End, more: frozenset[str] = frozens
 
 def _lines(text: str, scene: Scene, end: End, has: frozenset[str]) -> Iterator[str]:
     """The lines that this scene needs, with the ends' texts put in and the ends' names filled in."""
+    words = _words(scene, end, has)
     for raw in text.strip("\n").splitlines():
         line, _, wanted = raw.partition("#?")
         line, wanted = line.rstrip(), wanted.replace("{e}", end.e)
@@ -127,13 +128,14 @@ def _lines(text: str, scene: Scene, end: End, has: frozenset[str]) -> Iterator[s
             block = {"START": START, "END": END, "SUMS": SUMS, "MEASURE": MEASURE}[inner[2]]
             yield from (inner[1] + line for line in _lines(block, scene, ENDS[inner[3]], has))
         else:
-            yield _named(line, scene, end, has)
+            yield re.sub(r"\{(\w+)\}", lambda found: words[found[1]], line)
 
 
-def _named(line: str, scene: Scene, end: End, has: frozenset[str]) -> str:
+def _words(scene: Scene, end: End, has: frozenset[str]) -> dict[str, str]:
+    """What stands for the words in braces at one end."""
     e = end.e
     sensed, observed = f"sense_{e}" in has, f"observe_{e}" in has
-    words = {
+    return {
         "e": e, "end": end.end, "out": end.out, "in": end.inward, "sensor": end.sensor,
         "tx_wave": end.tx_wave, "rx_wave": end.rx_wave,
         "x": f"q_{e}@" if f"encoder_{e}" in has else f"x_{e}@",
@@ -149,7 +151,6 @@ def _named(line: str, scene: Scene, end: End, has: frozenset[str]) -> str:
         "row_e": _row(scene, e), "row_m": _row(scene, "m"),
         "row_s": "" if "alone" in has else _row(scene, "s"), "i": "@",
     }
-    return re.sub(r"\{(\w+)\}", lambda found: words[found[1]], line)
 
 
 def _over(scene: Scene, end: End, has: frozenset[str]) -> str:

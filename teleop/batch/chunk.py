@@ -10,15 +10,16 @@ from collections.abc import Callable, Sequence
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.batch.kernel import Kernel, available, figures, kernel_text, names_of, numbers, plain
+from teleop.batch.kernel import Kernel, Water, available, figures, names_of, numbers, plain
 from teleop.bodies import Bodies, exact_bodies, reference_samples
 from teleop.errors import Refused
+from teleop.library import scene_function
 from teleop.lockstep import link_plans, run
 from teleop.metrics import UNITS, of_plan
-from teleop.scene import Scene, load_scene
+from teleop.scene import Scene, made_by
+from teleop.tick import features
 
 if TYPE_CHECKING:
-    from teleop.playout import Plan
     from teleop.result import Result
 
 Row = dict[str, Any]
@@ -48,10 +49,11 @@ def work(job: Job) -> Done:
     """Run every row of a job."""
     rows: list[Row] = []
     instead: dict[str, str] = {}
+    function = scene_function(job.scene)
     for number, knobs, seed in job.rows:
         row: Row = {"row": number, "seed": seed, **knobs}
         try:
-            scene = load_scene(job.scene, **{**job.fixed, **knobs})
+            scene = made_by(function, job.scene, {**job.fixed, **knobs})
         except Refused as refused:
             rows.append({**row, "status": "refused", "ticks": 0, "sentence": str(refused)})
             continue
@@ -74,14 +76,15 @@ def _has(measure: str, scene: Scene) -> bool:
 def _run(scene: Scene, seed: int, job: Job, instead: dict[str, str]) -> tuple[str, int, dict[str, float]]:
     if whole_runs(job.measures, scene):
         return _recorded(scene, seed, job.measures)
-    plans = _once(("plans", scene.link, scene.playout, seed, scene.ticks, scene.dt_ns, scene.wire_size),
-                  lambda: link_plans(scene, seed))
+    key = ("water", scene.link, scene.link and scene.playout, scene.link and seed, scene.ticks, scene.dt_ns,
+           scene.wire_size)
+    water = _once(key, lambda: Water.of(link_plans(scene, seed)))
     bodies = exact_bodies(scene)
     wanted = tuple(one for one in job.measures if isinstance(one, str) and one in available(scene))
     kernel = _kernel(scene, bodies, wanted, job.engine, instead)
-    given = numbers(kernel, scene, bodies, _reference(scene, kernel), plans)
-    status, ran, told = figures(kernel, given, plans, scene.ticks)
-    told |= {name: value for name, value in _of_plans(plans, ran, scene).items() if name in job.measures}
+    status, ran, told = figures(kernel, numbers(kernel, scene, bodies, _reference(scene, kernel), water), water)
+    if any(name in OF_PLAN for name in job.measures):
+        told |= {name: value for name, value in _of_water(water, ran, scene).items() if name in job.measures}
     return status, ran, told
 
 
@@ -98,11 +101,11 @@ def _recorded(scene: Scene, seed: int, measures: Sequence[Measure]) -> tuple[str
     return result.status, result.ticks, told
 
 
-def _of_plans(plans: tuple[Plan | None, Plan | None], ran: int, scene: Scene) -> dict[str, float]:
+def _of_water(water: Water, ran: int, scene: Scene) -> dict[str, float]:
     told: dict[str, float] = {}
-    for way, plan in zip(("fwd", "bwd"), plans, strict=True):
+    for way, plan, play in zip(("fwd", "bwd"), water.plans, water.plays, strict=True):
         if plan is not None:
-            told |= of_plan(way, plan.play[:ran], scene.dt_ns / 1e9)
+            told |= of_plan(way, play[:ran], scene.dt_ns / 1e9)
     return told
 
 
@@ -142,9 +145,9 @@ def _once(key: Any, make: Callable[[], Any]) -> Any:
 
 def _kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, instead: dict[str, str]) -> Kernel:
     """The kernel of a scene's structure, by `engine`, or by plain Python where it is not made for that."""
-    text = kernel_text(scene, measures)
-    parts = tuple(sorted((name, id(part)) for name, part in names_of(scene, bodies).items()))
-    key = engine, text, parts
+    # What the text depends on, and the functions that it names; those of a kernel that is kept live on in it.
+    functions = tuple([(name, id(part)) for name, part in names_of(scene, bodies).items() if type(part) is not float])
+    key = engine, measures, features(scene), scene.axes, type(scene.law), functions
     kernel = _KERNELS.get(key)
     if kernel is None:
         with _MAKING:
@@ -165,9 +168,8 @@ def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, 
     try:
         kernel = scalar(scene, bodies, measures)
         first = load_first(scene)
-        plans = link_plans(first, 0)
-        given = numbers(kernel, first, exact_bodies(first), _reference(first, kernel), plans)
-        figures(kernel, given, plans, first.ticks)  # compiled now, for the types of its arguments
+        water = Water.of(link_plans(first, 0))
+        figures(kernel, numbers(kernel, first, exact_bodies(first), _reference(first, kernel), water), water)
     except (NumbaError, NotCompiled, AttributeError, TypeError) as error:
         why = str(error).strip().splitlines()
         instead["plain"] = f"{type(error).__name__}: {' '.join(why[-1:])[:200]}" if why else type(error).__name__

@@ -70,45 +70,64 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
     return Kernel("plain", tuple(measures), names["loop"])
 
 
-def numbers(kernel: Kernel, scene: Scene, bodies: Bodies, reference: Any, plans: tuple[Plan | None, Plan | None]
-            ) -> tuple[Any, ...]:
-    """The arguments of a row but for the sizes of its rings: plain Python keeps lists, compiled code takes arrays."""
-    lag = max((plan.lag for plan in plans if plan is not None), default=0)
-    starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
-    begins, law, held = beginnings(scene, starts), scene.law, bodies.held()
-    play: tuple[Any, ...] = tuple(None if plan is None else plan.play for plan in reversed(plans))
-    if kernel.given is not None:
+class Water(NamedTuple):
+    """The link of a row, drawn up front: what rows with the same link, seed and clock share."""
+
+    plans: tuple[Plan | None, Plan | None]  # forth, back
+    plays: tuple[Any, Any]  # the same as arrays
+    lags: tuple[int, int]
+    size: int  # of a ring of messages
+
+    @classmethod
+    def of(cls, plans: tuple[Plan | None, Plan | None]) -> Water:
+        """That of two plans."""
         import numpy as np
 
+        plays = tuple([np.asarray([] if plan is None else plan.play, dtype=np.int64) for plan in plans])
+        lags = tuple([1 if plan is None else lag_of(play) for plan, play in zip(plans, plays, strict=True)])
+        size = max((plan.lag for plan in plans if plan is not None), default=0) + 1
+        return cls(plans, plays, lags, size)  # type: ignore[arg-type]  # there are two
+
+    def lags_until(self, ran: int) -> tuple[int, int]:
+        """Those of a run that ended early."""
+        if ran == len(self.plays[0]):
+            return self.lags
+        forth, back = [1 if plan is None else lag_of(play[:ran]) for plan, play in
+                       zip(self.plans, self.plays, strict=True)]
+        return forth, back
+
+
+def numbers(kernel: Kernel, scene: Scene, bodies: Bodies, reference: Any, water: Water) -> tuple[Any, ...]:
+    """The arguments of a row but for the sizes of its rings: plain Python keeps lists, compiled code takes arrays."""
+    starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
+    begins, law, held = beginnings(scene, starts), scene.law, bodies.held()
+    forth, back = water.plays
+    if kernel.given is None:
+        forth, back = (None if plan is None else plan.play for plan in water.plans)
+    else:
         begins = kernel.given(*begins)
         law = kernel.law(*[float(getattr(law, field.name)) for field in fields(law)])
-        play = tuple([np.zeros(0, dtype=np.int64) if each is None else np.asarray(each) for each in play])
         held = Held(tuple(held.grip), 0 if held.z_m is None else held.z_m, held.c,
                     tuple([0 if z is None else z for z in held.z_s]))
-    return (begins, law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"], *play, lag + 1,
-            reference, held)
+    return (begins, law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"], back, forth,
+            water.size, reference, held)
 
 
-def lag_of(plan: Plan | None, ran: int) -> int:
-    """The median age of the messages that were played until tick `ran`, in ticks, as `teleop.metrics` has it."""
+def lag_of(play: Any) -> int:
+    """The median age of the messages that were played, in ticks, as `teleop.metrics` has it."""
     import numpy as np
 
-    if plan is None:
-        return 1
-    play = np.asarray(plan.play[:ran])
     fresh = np.flatnonzero(play >= 0)
     ages = np.sort(fresh - play[fresh])
     return int(ages[len(ages) // 2]) if len(ages) else 0
 
 
-def figures(kernel: Kernel, given: tuple[Any, ...], plans: tuple[Plan | None, Plan | None], count: int
-            ) -> tuple[str, int, dict[str, float]]:
+def figures(kernel: Kernel, given: tuple[Any, ...], water: Water) -> tuple[str, int, dict[str, float]]:
     """Status, ticks and figures of one row; a figure that is not finite is left out, as in a single run."""
-    lags = [lag_of(plan, count) for plan in plans]
-    ran, _, told = kernel.loop(*given, lags[0] + 1, lags[1] + 1)
+    ran, _, told = kernel.loop(*given, water.lags[0] + 1, water.lags[1] + 1)
     if ran < 0:
-        own = [lag_of(plan, -ran) for plan in plans]
-        if own != lags:  # the lag of a run that ended early is that of the messages which came until then
+        own = water.lags_until(-ran)
+        if own != water.lags:  # the lag of a run that ended early is that of the messages which came until then
             ran, _, told = kernel.loop(*given, own[0] + 1, own[1] + 1)
     status = "ok" if ran >= 0 and told[-1] == 1.0 else "diverged"
     named = zip(kernel.measures, told[:-1], strict=True)

@@ -108,16 +108,16 @@ def _ours(scene: Scene) -> tuple[Callable[[], Any], float]:
     import numpy as np
 
     from teleop.batch.compiled import scalar
-    from teleop.batch.kernel import lag_of, numbers
+    from teleop.batch.kernel import Water, numbers
     from teleop.bodies import exact_bodies, reference_samples
     from teleop.lockstep import link_plans
 
-    plans, bodies = link_plans(scene, 1), exact_bodies(scene)
+    water, bodies = Water.of(link_plans(scene, 1)), exact_bodies(scene)
     path = tuple([np.asarray(axis) for axis in reference_samples(scene) or ()])
     began = time.perf_counter()
     kernel = scalar(scene, bodies, MEASURES)
-    given = numbers(kernel, scene, bodies, path, plans)
-    sizes = [lag_of(plan, scene.ticks) + 1 for plan in plans]
+    given = numbers(kernel, scene, bodies, path, water)
+    sizes = [lag + 1 for lag in water.lags]
     kernel.loop(*given, *sizes)
     took = time.perf_counter() - began
     return lambda: kernel.loop(*given, *sizes), took
@@ -127,7 +127,7 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     """The same row by the C program."""
     import numpy as np
 
-    from teleop.batch.kernel import lag_of
+    from teleop.batch.kernel import Water
     from teleop.bodies import reference_samples
     from teleop.lockstep import link_plans
 
@@ -137,10 +137,8 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     own: Any = wall
     parts = np.array([scene.dt, law.b, law.K, law.B, scene.master.mass, scene.master.damping, hand.mass, hand.k, hand.d,
                       slave.mass, slave.damping, own.k, own.d, own.at])
-    forth, back = link_plans(scene, 1)
-    assert forth is not None
-    assert back is not None
-    play = [np.asarray(plan.play, dtype=np.int64) for plan in (back, forth)]
+    water = Water.of(link_plans(scene, 1))
+    play = [water.plays[1], water.plays[0]]
     path, = reference_samples(scene) or ()
     r, out = np.asarray(path), np.zeros(2)
     kept = parts, *play, r, out  # the pointers below do not keep them
@@ -149,7 +147,7 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
         return ctypes.c_void_p(array.ctypes.data)
 
     arguments = (pointer(parts), ctypes.c_int64(scene.ticks), pointer(play[0]), pointer(play[1]),
-                 ctypes.c_int64(max(forth.lag, back.lag) + 1), ctypes.c_int64(lag_of(forth, scene.ticks)), pointer(r),
+                 ctypes.c_int64(water.size), ctypes.c_int64(water.lags[0]), pointer(r),
                  pointer(out))
     return lambda: (program.row(*arguments), kept)
 

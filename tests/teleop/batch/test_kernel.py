@@ -19,7 +19,7 @@ from slave.wall import Wall
 from teleop import At, Scene, load_scene, run
 from teleop.batch import compiled
 from teleop.batch.compiled import NotCompiled, module_text, scalar
-from teleop.batch.kernel import Kernel, available, figures, kernel_text, numbers, plain
+from teleop.batch.kernel import Kernel, Water, available, figures, kernel_text, numbers, plain
 from teleop.bodies import exact_bodies, reference_samples
 from teleop.device import Device, Encoder
 from teleop.laws.direct import Direct
@@ -42,10 +42,10 @@ def scene(name: str, folder: Path, **knobs: Any) -> Scene:
 
 def row(kernel: Kernel, of: Scene, seed: int) -> tuple[str, int, dict[str, float]]:
     """What one row of a sweep comes to."""
-    plans, bodies, path = link_plans(of, seed), exact_bodies(of), reference_samples(of)
+    water, bodies, path = Water.of(link_plans(of, seed)), exact_bodies(of), reference_samples(of)
     if kernel.given is not None:
         path = tuple(np.asarray(axis) for axis in path or ())  # type: ignore[assignment]  # what compiled code takes
-    return figures(kernel, numbers(kernel, of, bodies, path, plans), plans, of.ticks)
+    return figures(kernel, numbers(kernel, of, bodies, path, water), water)
 
 
 def assert_as_a_run(kernel: Kernel, of: Scene, seed: int = 3) -> None:
