@@ -156,17 +156,19 @@ class Mine:
     def master(self, s, at, rx): return push(at.x - rx.x), Word(at.x), s
     def slave(self, s, at, rx): return self.K * (rx.x - at.x) - 4.0 * at.v, Word(at.x), s
 '''
-PROGRAM = """
+SCENE = """
 from dataclasses import replace
 from mine import Mine
+from teleop import Scene, load_scene
+
+def scene(*, duration: float = 0.2) -> Scene:
+    return replace(load_scene("canonical"), law=Mine(), duration=duration)
+"""
+PROGRAM = """
 from teleop import load_scene, run
 from teleop.batch.chunk import Job, work
-scene = replace(load_scene("canonical"), duration=0.2)
-import scenarios.canonical as home
-home.scene.__kwdefaults__["law"] = Mine()
-home.scene.__kwdefaults__["duration"] = 0.2
-done = work(Job("canonical", {}, [(0, {}, 1)], ("f_m_max", "x_err_max"), "scalar"))
-single = run(load_scene("canonical"), seed=1)
+done = work(Job("./own.py", {}, [(0, {}, 1)], ("f_m_max", "x_err_max"), "scalar"))
+single = run(load_scene("./own.py"), seed=1)
 assert not done.instead, done.instead
 assert done.rows[0]["f_m_max"] == single.metrics["f_m_max"], (done.rows, single.metrics)
 print(repr(done.rows[0]["f_m_max"]))
@@ -176,6 +178,7 @@ print(repr(done.rows[0]["f_m_max"]))
 def test_an_edited_law_is_never_served_stale(tmp_path: Path) -> None:
     """Not even when a function that it calls was edited, which numba's own cache does not see."""
     said = []
+    (tmp_path / "own.py").write_text(SCENE)
     for factor in (50.0, 70.0, 50.0):
         (tmp_path / "mine.py").write_text(LAW.replace("{factor}", str(factor)))
         done = subprocess.run(
