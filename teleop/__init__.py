@@ -14,6 +14,7 @@ __version__ = "0.1.0"
 DISTRIBUTION = "bilateral-teleop"  # the index knows another package that imports as `teleop`
 
 if TYPE_CHECKING:
+    from teleop.batch.runner import sweep as sweep
     from teleop.conformance import check_law as check_law
     from teleop.errors import Refused as Refused
     from teleop.law import At as At
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
 
 _HOME = {
     "At": "law", "find_law": "law", "check_law": "conformance", "Refused": "errors", "run": "lockstep",
-    "Result": "result", "load_result": "result", "Scene": "scene", "load_scene": "scene",
+    "Result": "result", "load_result": "result", "Scene": "scene", "load_scene": "scene", "sweep": "batch.runner",
 }
 __all__ = ["DISTRIBUTION", "At", "Refused", "Result", "Scene", "__version__", "check_law", "find_law",
-           "load_result", "load_scene", "run"]
+           "load_result", "load_scene", "run", "sweep"]
 
 
 def __getattr__(name: str) -> object:

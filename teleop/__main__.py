@@ -1,32 +1,18 @@
-"""The command line: `teleop run | demo | precision | stability | passivity | zwidth | list | report`."""
+"""The command line: what each verb of `teleop` does; `teleop.commands` has what may be typed."""
 
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from teleop.options import DONE, INTERRUPTED, Parser, guarded, knobs_from, scene_options, whole
+from teleop.commands import parser
+from teleop.options import DONE, INTERRUPTED, guarded, knobs_from
 
 if TYPE_CHECKING:
     from teleop.result import Result
-
-EXAMPLES = """\
-examples:
-  teleop run hard_wall
-  teleop run canonical --set law=pfra --set law.alpha=0.2 --set delay=0.1 --plot
-  teleop run hard_wall --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)' --seed 7 --json
-  teleop demo jittery_wan
-  teleop precision hard_wall --set k_e=1e6
-  teleop stability soft_tissue --set law=direct --critical k_e
-  teleop passivity virtual_coupling --plot
-  teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02
-  teleop list hard_wall
-  teleop report runs/hard_wall-1
-"""
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Do what `argv` (left out: the command line) asks for; returns the exit code, 0 or that of `guarded`."""
@@ -35,10 +21,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _obey(typed: Sequence[str]) -> int:
-    parser = _parser()
-    args = parser.parse_args(typed)
+    known = parser(DO)
+    args = known.parse_args(typed)
     if args.do is None:
-        parser.print_help()
+        known.print_help()
         return DONE
     args.typed = ["teleop", *typed]
     args.do(args)
@@ -136,6 +122,36 @@ def _zwidth(args: Namespace) -> None:
         raise SystemExit(INTERRUPTED)
 
 
+def _sweep(args: Namespace) -> None:
+    from time import perf_counter
+
+    from teleop.batch.command import carry_out
+
+    _check_plot(args)
+    swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
+                      engine=args.engine, out=args.out, yes=args.yes, clock=perf_counter, plot=args.plot,
+                      stream=None if args.json else sys.stderr)
+    if args.json:
+        _say_object(swept.summary(args.typed))
+    else:
+        _say(swept.text())
+    if swept.interrupted:
+        raise SystemExit(INTERRUPTED)
+
+
+def _matrix(args: Namespace) -> None:
+    from time import perf_counter
+
+    from teleop.batch.matrix import answer
+
+    told, text = answer(args.file, out=args.out, command=args.typed, clock=perf_counter,
+                        stream=None if args.json else sys.stderr)
+    if args.json:
+        _say_object(told)
+    else:
+        _say(text)
+
+
 def _demo(args: Namespace) -> None:
     from teleop.live.demo import demo
 
@@ -145,6 +161,17 @@ def _demo(args: Namespace) -> None:
     _tell(args, result)
     if result.path is not None:  # a live run takes its time anyway
         _draw_if_possible(args, result, result.path)
+
+
+def _doctor(args: Namespace) -> None:
+    from teleop.doctor import clear, findings, text
+
+    removed = clear() if args.clear else 0
+    found = findings()
+    if args.json:
+        _say_object({**found, "removed": removed})
+    else:
+        _say(f"{removed} kernels removed\n{text(found)}" if args.clear else text(found))
 
 
 def _list(args: Namespace) -> None:
@@ -245,82 +272,10 @@ def _plot(args: Namespace, result: Result, folder: Path) -> None:
         draw(result, folder / "figure.png")
 
 
-def _parser() -> ArgumentParser:
-    parser = Parser(
-        prog="teleop", epilog=EXAMPLES, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False,
-        description="A delayed bilateral teleoperation stack: run a scene in virtual time or live.",
-    )
-    parser.add_argument("--version", action="version", version=_version())
-    parser.set_defaults(do=None)
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-
-    def command(name: str, do: object, text: str) -> ArgumentParser:
-        added: ArgumentParser = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
-        added.set_defaults(do=do)
-        return added
-
-    run = command("run", _run, "Run a scene in virtual time: the same seed gives the same bits.")
-    demo = command("demo", _demo, "Run a scene live, slave, channel and master as three processes.")
-    scene_options(run)
-    scene_options(demo, default="hard_wall")
-    for sub in (run, demo):
-        sub.add_argument("--out", metavar="DIR", help="the new folder to write; default runs/SCENE-NUMBER")
-        sub.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-        sub.add_argument("--plot", action="store_true", help="draw figure.png too (needs the extra `plot`)")
-    demo.add_argument("--lockstep", action="store_true",
-                      help="step both ends together over UDP: bit for bit what `teleop run` gives")
-    precision = command("precision", _precision,
-                        "Measure error against run time: the exact steps beside every other way to integrate.")
-    scene_options(precision)
-    precision.add_argument("--out", metavar="DIR", help="the new folder to write; default runs/SCENE-precision-NUMBER")
-    precision.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    precision.add_argument("--rounds", metavar="N", type=whole,
-                           help="how often each is timed; left out: as often, and as many, as fit into a minute")
-    stable = command("stability", _stability,
-                     "Count the unstable roots of a linear scene's exact sampled loop, and find its margins.")
-    scene_options(stable)
-    stable.add_argument("--critical", metavar="KNOB", help="find the value of this knob at which the verdict changes")
-    stable.add_argument("--range", metavar="LOW:HIGH", help="where to look for it; left out: a hundredth of the "
-                        "knob's own value to a hundred times that")
-    stable.add_argument("--tol", metavar="X", help="how closely, in the knob's unit; left out: 1e-6 of the value "
-                        "(with --time 1e-3)")
-    stable.add_argument("--continuous", action="store_true", help="the delay margin in continuous time too")
-    stable.add_argument("--time", action="store_true",
-                        help="judge by a run in virtual time: for scenes that are not linear")
-    stable.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    passive = command("passivity", _passivity,
-                      "Two-port: hybrid matrix, Llewellyn's criterion, transparency; one port: is its sampled "
-                      "controller passive.")
-    scene_options(passive)
-    passive.add_argument("--range", metavar="LOW:HIGH", help="frequencies in Hz; left out: 0.1 to half the rate")
-    passive.add_argument("--out", metavar="DIR", help="write summary.json and curves.npz into this new folder")
-    passive.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    passive.add_argument("--plot", action="store_true", help="draw passivity.png too (needs the extra `plot`); without "
-                         "--out into runs/SCENE-passivity-NUMBER")
-    zwidth = command("zwidth", _zwidth,
-                     "Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, "
-                     "and what widens it. Ctrl-C keeps what is done.")
-    scene_options(zwidth)
-    zwidth.add_argument("--range-k", metavar="LOW:HIGH", help="stiffness (N/m) in which to look for what is stable and "
-                        "what comes to rest; left out: all")
-    zwidth.add_argument("--range-b", metavar="LOW:HIGH", help="the same of damping (N s/m)")
-    zwidth.add_argument("--out", metavar="DIR", help="the new folder to write; default runs/zwidth-SCENE-NUMBER")
-    zwidth.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    listing = command("list", _list, "List scenes, laws, effects and velocity estimators, or the knobs of one of them.")
-    listing.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect or a velocity estimator")
-    report = command("report", _report, "Show a stored run again, and draw it if the extra `plot` is there.")
-    report.add_argument("run", metavar="RUN", help="the folder that a run wrote; or that of a master that ran by hand")
-    report.add_argument("slave", metavar="SLAVE", nargs="?",
-                        help="the folder of the slave of that master: puts the two ends together, as a new run")
-    report.add_argument("--out", metavar="DIR", help="with SLAVE: the new folder to write; default runs/SCENE-NUMBER")
-    report.add_argument("--json", action="store_true", help="print the stored summary and nothing else")
-    return parser
-
-
-def _version() -> str:
-    from teleop import __version__
-
-    return f"bilateral-teleop {__version__}"
+DO = {
+    "run": _run, "demo": _demo, "sweep": _sweep, "matrix": _matrix, "precision": _precision, "stability": _stability,
+    "passivity": _passivity, "zwidth": _zwidth, "list": _list, "doctor": _doctor, "report": _report,
+}
 
 
 if __name__ == "__main__":

@@ -37,19 +37,21 @@ def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
 
 def settle(
     name: str, function: Callable[..., Any], given: Mapping[str, object]
-) -> tuple[dict[str, object], tuple[str, Any] | None]:
-    """All knobs of a scene with their values, and the link that replaces the scene's, if one was given."""
+) -> tuple[dict[str, object], dict[str, tuple[object, Any]]]:
+    """All knobs of a scene with their values; of what every scene has, what was given, to be shown and to be set."""
     known = knobs_of(function)
     values: dict[str, Any] = {key: default for key, (_, default) in known.items() if default is not ...}
-    link: tuple[str, Any] | None = None
+    of_scene: dict[str, tuple[object, Any]] = {}
     of_law: dict[str, object] = {}
     for key, value in given.items():
         if key.startswith("law.") and "law" in known:
             of_law[key.removeprefix("law.")] = value
         elif key == "link" and key not in known:
-            link = _link(value)
+            of_scene[key] = _link(value)
+        elif key == "x_limit" and key not in known:
+            of_scene[key] = (limit := _number(key, value, whole=False, vector=False)), limit
         elif key not in known:
-            raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, 'link'])}")
+            raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, 'link', 'x_limit'])}")
         else:
             values[key] = read(key, value, known[key][0])
     missing = [key for key in known if key not in values]
@@ -57,7 +59,7 @@ def settle(
         raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
     if of_law:
         values["law"] = _tuned(values["law"], of_law)
-    return values, link
+    return values, of_scene
 
 
 def read(key: str, value: object, hint: Any) -> object:

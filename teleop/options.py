@@ -29,8 +29,8 @@ class Parser(ArgumentParser):
             raise Refused(f"{where} must not be empty: it is {action.help}")
 
 
-def scene_options(parser: ArgumentParser, *, default: str | None = None) -> None:
-    """Add SCENE (which may be left out if there is a `default`), --set, --seed and --link."""
+def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: bool = True) -> None:
+    """Add SCENE (which may be left out if there is a `default`), --set, --link and, unless there are many, --seed."""
     parser.add_argument(
         "scene", metavar="SCENE", nargs=None if default is None else "?", default=default,
         help="a scene's name (see `teleop list`) or the path of a .py file with a function `scene`"
@@ -40,9 +40,10 @@ def scene_options(parser: ArgumentParser, *, default: str | None = None) -> None
         "--set", metavar="NAME=VALUE", action="append", default=[],
         help="a knob of the scene, its law (law=pfra) or a knob of the law (law.b=4); may be repeated",
     )
-    parser.add_argument(
-        "--seed", metavar="N", type=_seed, default=0, help="keys every random draw of the link; left out: 0"
-    )
+    if seed:
+        parser.add_argument(
+            "--seed", metavar="N", type=_seed, default=0, help="keys every random draw of the link; left out: 0"
+        )
     parser.add_argument(
         "--link", metavar="SPEC",
         help="another link in place of the scene's, for example 'delay(0.05) | bernoulli(0.02)'; "

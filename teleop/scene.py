@@ -274,7 +274,8 @@ def both_ends(scene: Scene) -> Scene:
 def load_scene(name: str, /, **knobs: object) -> Scene:
     """The scene `name` (built in, of a plug-in, or a path ending in .py) with its knobs set.
 
-    `law` may be a law or a law's name; `law.FIELD` sets one of the law's own numbers; `link` takes a link
+    `law` may be a law or a law's name; `law.FIELD` sets one of the law's own numbers; `x_limit` (m), beyond which a run
+    has diverged, is a knob of every scene, and so is `link`, which takes a link
     or its text and replaces the scene's. Values may be texts, as on the command line. Raises `Refused`.
 
     >>> load_scene("canonical", delay=0.1).name
@@ -291,7 +292,7 @@ def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]
     """The scene that a scene's function makes with its knobs set, as `load_scene` does."""
     from teleop.knobs import settle
 
-    settled, link = settle(name, function, knobs)
+    settled, of_scene = settle(name, function, knobs)
     try:
         scene = function(**settled)
     except Refused as refused:
@@ -302,9 +303,9 @@ def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]
     if not isinstance(scene, Scene):
         raise Refused(f"scene {name!r} returned {type(scene).__name__}; its function must return a teleop.Scene")
     stem = name.rsplit("/", 1)[-1].removesuffix(".py")
-    if link is None:
-        return replace(scene, name=stem, knobs=settled)
-    return replace(scene, name=stem, knobs={**settled, "link": str(link[0])}, link=link[1])
+    shown = {key: shown for key, (shown, _) in of_scene.items()}
+    parts: dict[str, Any] = {key: part for key, (_, part) in of_scene.items()}
+    return replace(scene, name=stem, knobs={**settled, **shown}, **parts)
 
 
 def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:

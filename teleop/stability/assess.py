@@ -36,6 +36,7 @@ class Stability:
     gain_margin: float | None  # the factor on the loop's gain that changes the verdict; None: see `margins`
     critical_round_trip: int | None  # ticks, the least at which the loop is unstable; None: stable at every delay
     alone: bool = False  # no slave: all delays are those of the computation, `forth` in all
+    tried: int | None = None  # ticks up to which a critical delay was looked for; None: any
 
     @property
     def verdict(self) -> str:
@@ -85,30 +86,23 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
 
 
 def _one_port(scene: Scene) -> Stability:
-    """The same of a scene without a slave, from the eigenvalues of its loop in contact."""
-    import numpy as np
+    """The same of a scene without a slave: the loop in contact, its delay that of the computation."""
+    from teleop.stability.one_port import margins
 
-    from teleop.stability.margins import Mode
-    from teleop.stability.one_port import AT_REST, critical_delay, gain_margin, one_port, unstable_roots
-
-    loop = one_port(scene)
-    roots = loop.roots()
-    moving = roots[np.abs(roots - 1.0) > AT_REST]
-    period = loop.dt * len(loop.ticks)
-    greatest = complex(moving[np.argmax(np.abs(moving))]) if moving.size else 0j
+    found = margins(scene)
     return Stability(
-        scene=scene.name, unstable=unstable_roots(loop), integrators=len(roots) - len(moving), forth=loop.delay, back=0,
-        dt=loop.dt, mode=Mode.of(greatest, period) if abs(greatest) > 1e-6 else None, gain_margin=gain_margin(scene),
-        critical_round_trip=critical_delay(scene), alone=True,
+        scene=scene.name, unstable=found.unstable, integrators=found.integrators,
+        forth=0 if scene.device_m is None else scene.device_m.delay, back=0, dt=scene.dt_ns / 1e9, mode=found.mode,
+        gain_margin=found.gain_margin, critical_round_trip=found.critical_delay, alone=True, tried=found.tried,
     )
 
 
 def is_stable(scene: Scene, *, seed: int = 0) -> bool:
     """The verdict alone, from the root count: quicker than `stability`."""
     if scene.slave is None:
-        from teleop.stability.one_port import one_port, unstable_roots
+        from teleop.stability.one_port import settles
 
-        return not unstable_roots(one_port(scene))
+        return settles(scene)
     from teleop.stability.linear import linear_scene
     from teleop.stability.loop import sampled_loop
 

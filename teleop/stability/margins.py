@@ -221,8 +221,8 @@ def _size_at_turn(loop: Loop, delay: int, low: float, high: float, j: int, turn:
     return psi(0.5 * (low + high)).real
 
 
-def critical_round_trip(linear: Linear) -> int | None:
-    """The least round trip in ticks, from 2 on, at which the loop is unstable; None if there is none.
+def critical_round_trip(linear: Linear, least: int = 2) -> int | None:
+    """The least round trip in ticks, from `least` on, at which the loop is unstable; None if there is none.
 
     On the unit circle a delay changes phases alone, so the places where |l_j| = 1 are found once and the count of
     roots follows for every delay from them. What it comes to is then counted in full, there and a tick below.
@@ -230,31 +230,31 @@ def critical_round_trip(linear: Linear) -> int | None:
     import numpy as np
 
     loop = sampled_loop(linear)
-    first = loop.outside(2)
+    first = loop.outside(least)
     if first:
-        return 2
-    crossings = [c for c in loop.crossings(2) if c.at.imag > 2.0 * indent(linear)]
+        return least
+    crossings = [c for c in loop.crossings(least) if c.at.imag > 2.0 * indent(linear)]
     logs = loop.samples[2]
     throughout = int(np.count_nonzero(logs[-1].real > 0.0))
     if not crossings and not throughout:
         return None
-    begin, width = 3, 4096
+    begin, width = least + 1, 4096
     while begin < MOST_DELAY:
         ticks = np.arange(begin, begin + width)
-        roots = first + throughout * (ticks - 2)
+        roots = first + throughout * (ticks - least)
         for c in crossings:
             turns = np.floor((c.log.imag - ticks * c.at.imag) / (2.0 * pi))
-            roots += 2 * c.into * (turns - floor((c.log.imag - 2 * c.at.imag) / (2.0 * pi))).astype(int)
+            roots += 2 * c.into * (turns - floor((c.log.imag - least * c.at.imag) / (2.0 * pi))).astype(int)
         unstable = np.flatnonzero(roots > 0)
         if unstable.size:
-            return _settled(loop, int(ticks[unstable[0]]))
+            return _settled(loop, int(ticks[unstable[0]]), least)
         begin, width = begin + width, 2 * width
     return None
 
 
-def _settled(loop: Loop, ticks: int) -> int:
+def _settled(loop: Loop, ticks: int, least: int) -> int:
     """The nearest round trip at which the full count agrees."""
-    while ticks > 2 and loop.outside(ticks - 1):
+    while ticks > least and loop.outside(ticks - 1):
         ticks -= 1
     while not loop.outside(ticks):
         ticks += 1

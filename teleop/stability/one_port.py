@@ -18,6 +18,7 @@ from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.scene import Scene
 from teleop.stability.linear import (
+    Linear,
     StateSpace,
     begin,
     end_function,
@@ -30,13 +31,16 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from teleop.stability.margins import Mode
+
     Matrix = NDArray[np.float64]
 
 DEPTH = 1.0  # m
 SIZES = [0.25**i for i in range(1, 16)]  # of the neighbourhoods in which the map may be affine
 SETTLING = 8  # ticks
-MOST_STATES = 2000  # of a dense matrix
-MOST_DELAY = 1000  # ticks of computation that a margin is looked for up to
+MOST_STATES = 400  # of a dense matrix
+MOST_DELAY = 64  # ticks of computation that a margin is looked for up to, where the loop cannot be cut open
+FEW = 32  # ticks of delay that a dense matrix takes in its stride
 AT_REST = 1e-6  # from z = 1: a position that nothing returns, which is not held against the scene
 
 
@@ -87,10 +91,7 @@ def controller(scene: Scene) -> StateSpace:
         raise Refused(f"the force is renewed every {len(loop.ticks)} ticks, so the controller is not time-invariant; "
                       "set every=1 and a longer tick")
     tick = loop.ticks[0]
-    from teleop.tick import features
-
-    inner = len(begin(replace(scene, electrical=None), "m")) if "inner_m" in features(scene) else len(tick)
-    plant = [0, 1, *range(3, 3 + len(tick) - inner)]
+    plant = [0, 1, *range(3, 3 + _inner_states(scene))]
     own = [i for i in range(len(tick)) if i not in plant]
     if np.abs(tick[np.ix_(own, plant[1:])]).max(initial=0.0) > 0.0:
         raise Refused(f"law {law_name(scene.law)} reads the velocity itself, which no device has; name an estimator, "
@@ -106,6 +107,89 @@ def one_axis(scene: Scene) -> Scene:
     return replace(scene, axes=1, start_m=scene.vector("start_m", scene.start_m)[0])
 
 
+def opened(scene: Scene) -> Linear | None:
+    """The loop cut open at the force: device and controller as two ends, the computation's delay between them.
+
+    Kept as a number beside the matrices the delay costs nothing, whatever its length. None where the loop is not of
+    that form: a force renewed more slowly than the tick, or a law that reads what acts on its device (a force sensor,
+    an observer, the force that was held), which is the late one.
+    """
+    import numpy as np
+
+    from teleop.device import Device
+    from teleop.safety import Cap
+
+    scene = one_axis(scene)
+    device = scene.device_m or Device()
+    if device.every > 1:
+        return None
+    prompt = replace(scene, device_m=replace(device, delay=0))
+    tick, dead = one_port(prompt).ticks[0], _ticks(replace(prompt, cap=Cap(f_max=0.0)), 1)[0]
+    inner = _inner_states(prompt)
+    body = [0, 1, *range(3, 3 + inner)]
+    own = [i for i in range(len(tick)) if i not in (2, *body)]
+    if tick[np.ix_([2, *own], [2, *body[2:]])].any():
+        return None
+    force = tick[2]
+    strongest = int(np.abs(force).argmax())
+    push = (tick - dead)[body, strongest] / force[strongest] if force.any() else np.zeros(len(body))
+    read = np.eye(2, len(body))  # position and velocity
+    plant = StateSpace(dead[np.ix_(body, body)], push[:, None], read, np.zeros((2, 1)))
+    law = StateSpace(tick[np.ix_(own, own)], tick[np.ix_(own, [0, 1])], force[own][None, :], force[[0, 1]][None, :])
+    return Linear(plant, law, device.delay, 0, scene.dt_ns / 1e9)
+
+
+def _inner_states(scene: Scene) -> int:
+    """States of the device beside position, velocity and held force."""
+    from teleop.tick import features
+
+    if "inner_m" not in features(scene):
+        return 0
+    return len(begin(scene, "m")) - len(begin(replace(scene, electrical=None), "m"))
+
+
+class Margins(NamedTuple):
+    """What is known of a one-port loop."""
+
+    unstable: int  # roots outside the unit circle
+    integrators: int
+    mode: Mode | None
+    gain_margin: float | None  # the factor on the force that changes the verdict
+    critical_delay: int | None  # ticks of computation, the least at which it is unstable; None: at none up to `tried`
+    tried: int | None  # ticks; None: at any
+
+
+def margins(scene: Scene) -> Margins:
+    """Roots and margins of a scene without a slave."""
+    from teleop.stability import margins as of_two
+    from teleop.stability.loop import sampled_loop
+
+    linear = opened(scene)
+    if linear is None:
+        whole = one_port(scene)
+        resting, mode = _dominant(whole)
+        return Margins(unstable_roots(whole), resting, mode, _gain_margin(scene), _critical_delay(scene), MOST_DELAY)
+    if linear.forth == 0:
+        whole = one_port(scene)
+        unstable, (resting, mode) = unstable_roots(whole), _dominant(whole)
+    else:
+        unstable, resting = sampled_loop(linear).outside(linear.round_trip), of_two.integrators(linear)
+        mode = of_two.dominant(linear, resting)
+    return Margins(unstable, resting, mode, of_two.gain_margin(linear), of_two.critical_round_trip(linear, 0), None)
+
+
+def settles(scene: Scene) -> bool:
+    """Is no root outside the unit circle? Quicker than `margins`."""
+    delay = 0 if scene.device_m is None else scene.device_m.delay
+    if delay > FEW:
+        from teleop.stability.loop import sampled_loop
+
+        linear = opened(scene)
+        if linear is not None:
+            return not sampled_loop(linear).outside(linear.round_trip)
+    return not unstable_roots(one_port(scene))
+
+
 def unstable_roots(loop: OnePort) -> int:
     """Eigenvalues outside the unit circle, those at rest at z = 1 aside."""
     import numpy as np
@@ -114,7 +198,20 @@ def unstable_roots(loop: OnePort) -> int:
     return int(np.count_nonzero((np.abs(roots) > 1.0 + 1e-12) & (np.abs(roots - 1.0) > AT_REST)))
 
 
-def gain_margin(scene: Scene) -> float | None:
+def _dominant(loop: OnePort) -> tuple[int, Mode | None]:
+    """Roots at rest, and the greatest of the others as a motion."""
+    import numpy as np
+
+    from teleop.stability.margins import Mode
+
+    roots = loop.roots()
+    moving = roots[np.abs(roots - 1.0) > AT_REST]
+    greatest = complex(moving[np.argmax(np.abs(moving))]) if moving.size else 0j
+    period = loop.dt * len(loop.ticks)
+    return len(roots) - len(moving), Mode.of(greatest, period) if abs(greatest) > 1e-6 else None
+
+
+def _gain_margin(scene: Scene) -> float | None:
     """The factor on the force, nearest to 1, that changes the verdict; None if none from 1e-6 to 1e6 does.
 
     A tick's map is affine in that factor: it is known from the map as it is and that of a force held at zero.
@@ -142,23 +239,15 @@ def gain_margin(scene: Scene) -> float | None:
     return exp(min(found, key=abs)) if found else None
 
 
-def critical_delay(scene: Scene) -> int | None:
+def _critical_delay(scene: Scene) -> int | None:
     """The least whole number of ticks of computation at which the loop is unstable; None if none up to `MOST_DELAY`."""
+    from teleop.device import Device
 
-    def unstable(ticks: int) -> bool:
-        from teleop.device import Device
-
+    for ticks in range(MOST_DELAY + 1):
         device = replace(scene.device_m or Device(), delay=ticks)
-        return unstable_roots(one_port(replace(scene, device_m=device))) > 0
-
-    ticks = 0
-    while not unstable(ticks):  # more delay may stabilise again, so no bisection until the first bracket
-        ticks = ticks + 1 if ticks < 16 else ticks + ticks // 8
-        if ticks > MOST_DELAY:
-            return None
-    while ticks and unstable(ticks - 1):
-        ticks -= 1
-    return ticks
+        if unstable_roots(one_port(replace(scene, device_m=device))):
+            return ticks
+    return None
 
 
 def _ticks(scene: Scene, every: int) -> list[Matrix]:
@@ -166,7 +255,7 @@ def _ticks(scene: Scene, every: int) -> list[Matrix]:
     base = begin(scene, "m", getattr(scene.law, "at", 0.0) + DEPTH)
     if len(base) > MOST_STATES:
         raise Refused(f"the loop has {len(base)} states, more than the {MOST_STATES} of a dense matrix; lower the "
-                      "device's delay")
+                      "device's delay, or renew the force at every tick")
     for _ in range(SETTLING):
         kinds = [near(_state_after(scene, k), base) for k in range(min(every, 2))]
         maps = [found for found in kinds if found is not None]

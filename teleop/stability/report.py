@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.console import si
 from teleop.errors import Refused, number
 from teleop.stability.assess import Critical, Stability, critical, rests, stability
-from teleop.stability.one_port import MOST_DELAY
 
 if TYPE_CHECKING:
     from teleop.scene import Scene
@@ -157,7 +156,7 @@ def _roots(found: Stability) -> list[tuple[str, str]]:
         rows.append(("computation", f"{trip} ticks late, {si(trip * dt, 's')}"))
     else:
         rows.append(("round trip", f"{found.forth} + {found.back} = {trip} ticks, {si(trip * dt, 's')}"))
-    first = f"none up to {MOST_DELAY} ticks" if found.alone else "none: stable at every delay"
+    first = "none: stable at every delay" if found.tried is None else f"none up to {found.tried} ticks"
     if edge is not None:
         first = f"{edge} ticks, {si(edge * dt, 's')}, is the least unstable"
     if edge == 0:

@@ -41,9 +41,15 @@ class TestNames:
         assert knobs_of(scene) == {"up": (Path, ...), "k_e": (float, 1.0), "law": (Law, Wave()), "steps": (int, 3)}
 
     def test_that_are_not_given_keep_their_defaults(self) -> None:
-        values, link = settle("s", scene, {"up": "a", "k_e": "2"})
+        values, of_every_scene = settle("s", scene, {"up": "a", "k_e": "2"})
         assert values == {"up": Path("a"), "k_e": 2.0, "law": Wave(), "steps": 3}
-        assert link is None
+        assert not of_every_scene
+
+    def test_that_every_scene_has_are_kept_apart(self) -> None:
+        values, of_every_scene = settle("s", scene, {"up": "a", "x_limit": "0.5"})
+        assert "x_limit" not in values
+        assert of_every_scene == {"x_limit": (0.5, 0.5)}
+        assert load_scene("canonical", x_limit=0.5).x_limit == 0.5
 
     def test_that_must_be_given_are_asked_for(self) -> None:
         with pytest.raises(Refused, match=r"scene s needs up: add --set up=VALUE"):

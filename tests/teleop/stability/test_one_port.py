@@ -92,6 +92,33 @@ class TestTheLoop:
             assert (late > early) == grows
 
 
+class TestALongDelay:
+    """Of the computation: kept as a number, as the link's is in a scene with a slave."""
+
+    @pytest.mark.parametrize(("K", "delay"), [(30.0, 40), (5.0, 100), (12.0, 100), (300.0, 57)])
+    def test_has_the_roots_of_the_dense_model(self, K: float, delay: int) -> None:
+        got = stability(scene(K, delay=delay))
+        greatest = by_hand(K, 0.0, delay)
+        assert got.mode is not None
+        assert abs(got.mode.z) == pytest.approx(greatest, abs=1e-7)
+        assert (got.unstable > 0) == (greatest > 1.0)
+
+    def test_of_ten_seconds_is_no_dearer_than_of_ten_milliseconds(self) -> None:
+        got = stability(scene(0.05, delay=10_000))
+        assert got.verdict == "stable"
+        assert got.critical_round_trip is not None
+        least = got.critical_round_trip
+        assert not is_stable(scene(0.05, delay=least))
+        assert is_stable(scene(0.05, delay=least - 1))
+
+    def test_of_a_law_that_reads_the_held_force_is_dense_and_has_a_limit(self) -> None:
+        slow = stability(scene(300.0, every=3))
+        assert slow.tried is not None
+        assert slow.critical_round_trip is not None
+        with pytest.raises(Refused, match="renew the force at every tick"):
+            stability(scene(300.0, every=3, delay=5000))
+
+
 class TestTheController:
     def test_is_spring_and_damper_of_the_reading(self) -> None:
         law = controller(scene(700.0, damper=0.5))

@@ -1,0 +1,93 @@
+"""What `teleop sweep` does: run a grid of rows, show how far that has come, and leave a folder that can go on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+
+from teleop.errors import Refused
+
+if TYPE_CHECKING:
+    from teleop.batch.runner import Sweep
+    from teleop.batch.table import Table
+
+MANY = 1_000_000_000  # rows: more are a slip of the keyboard unless somebody says --yes
+
+
+class Swept(NamedTuple):
+    """A sweep as far as it came."""
+
+    plan: Sweep
+    table: Table
+    folder: Path
+    interrupted: bool
+    seconds: float
+    ran: int  # rows that were run now
+
+    def summary(self, command: Sequence[str]) -> dict[str, Any]:
+        """The sweep as JSON can hold it, without its rows."""
+        return {
+            **self.plan.definition(), "rows": len(self.plan.grid), "done": len(self.table), "ran": self.ran,
+            "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
+            "instead": self.plan.instead, "seconds": self.seconds, "interrupted": self.interrupted,
+            "command": list(command), "path": str(self.folder),
+        }
+
+    def text(self) -> str:
+        """The sweep in a few lines."""
+        counts = ", ".join(f"{count} {status}" for status, count in sorted(self.table.counts().items()))
+        rate = f", {self.ran / self.seconds:.3g} rows a second" if self.seconds > 0.0 and self.ran else ""
+        turned = ", ".join(self.plan.grid.knobs) or "seeds"
+        lines = [f"sweep    {self.plan.scene}, {len(self.plan.grid)} rows of {turned}",
+                 f"status   {len(self.table)} done: {counts or 'none'}",
+                 f"engine   {self.plan.engine}: {self.plan.why}{rate}"]
+        lines += [f"         some rows by {engine}: {why}" for engine, why in self.plan.instead.items()]
+        lines += [str(self.table), f"written to {self.folder}"]
+        if self.interrupted:
+            lines.append("interrupted: the same command goes on from here")
+        return "\n".join(lines)
+
+
+def carry_out(
+    name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
+    out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, plot: bool = False,
+) -> Swept:
+    """Run the sweep of scene `name` over `axes` (texts, see `parse_axes`). `clock` (s) times it. Raises `Refused`."""
+    from teleop.batch.typed import parse_axes
+    from teleop.batch.runner import carry_out as run_rows
+    from teleop.batch.runner import prepare
+    from teleop.batch.store import Store
+    from teleop.console import Progress
+
+    wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
+    plan = prepare(name, parse_axes(axes), seeds=seeds, metrics=wanted, fixed=knobs, engine=engine)
+    rows = len(plan.grid)
+    if rows > MANY and not yes:
+        raise Refused(f"this is {rows:.3g} rows; write fewer values, or --yes if you mean it")
+    folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"
+    line = None if stream is None else Progress(stream, float(rows))
+    began, first = clock(), -1
+
+    def show(done: int, of: int) -> None:
+        nonlocal first
+        first = done if first < 0 else first
+        if line is not None:
+            line.show(float(done), clock(), f"{done} of {of} rows")
+
+    interrupted = False
+    before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
+    try:
+        table = run_rows(plan, out=folder, show=show)
+    except KeyboardInterrupt:
+        interrupted = True
+        table = Store.look(folder).table()
+    finally:
+        if line is not None:
+            line.end()
+    swept = Swept(plan, table, folder, interrupted, clock() - began, len(table) - before)
+    if plot:
+        from teleop.batch.picture import draw
+
+        draw(table, folder / "sweep.png")
+    return swept

@@ -1,0 +1,313 @@
+"""Which rows a sweep has: knobs times seeds, each row found from its number, none of them kept.
+
+A grid is made of axes, crossed with one another and with the seeds; an axis turns one knob, or several together
+(zipped). Rows are numbered in the order of `itertools.product`, the seeds fastest and then the last axis.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from fractions import Fraction
+from itertools import islice
+from math import log10, prod
+from numbers import Integral, Real
+from os import PathLike, fspath
+from sys import maxsize
+from typing import Any
+
+from teleop.errors import Refused, number
+
+MOST_VALUES = 1_000_000  # of one axis, whose values are kept; axes multiply without being kept
+WRITTEN_OUT = 1000  # values of an axis that its definition lists; of more it has the digest
+OWN = ("row", "seed", "status", "ticks", "sentence")  # what a row has beside knobs and metrics
+_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
+
+Axis = tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Grid:
+    """Axes (names, points) crossed with one another and with the seeds. Raises `Refused`; `grid` makes one."""
+
+    axes: tuple[Axis, ...]
+    seeds: tuple[int, ...] | range
+
+    def __post_init__(self) -> None:
+        for names, points in self.axes:
+            if not names:
+                raise Refused('an axis turns no knobs; write for example {"delay": [0.1]}, or leave it out')
+            for name in names:
+                if not isinstance(name, str) or not name.strip():
+                    raise Refused(f'a knob is called by a text, not {name!r}; write for example {{"delay": [0.1]}}')
+                if name in OWN:
+                    other = "write seeds=30" if name == "seed" else "give the scene's knob another name"
+                    raise Refused(f"{name} is a column of every row and cannot be a knob of the grid too; {other}")
+            for point in points:
+                if len(point) != len(names):
+                    raise Refused(f"{', '.join(names)} are turned together, so a point has {len(names)} values, not "
+                                  f"{point!r}; write for example {_example(names)}")
+            if not points:
+                raise Refused(f"the axis {', '.join(names)} has no values; write at least one, {_example(names)}")
+        twice = next((name for i, name in enumerate(self.knobs) if name in self.knobs[:i]), None)
+        if twice is not None:
+            raise Refused(f"{twice} is in the grid twice; write all of its values into one axis, {_example((twice,))}")
+        if not self.seeds:
+            raise Refused("a sweep has at least one seed; write seeds=1")
+        if self.points * len(self.seeds) > maxsize:
+            raise Refused(f"the grid has {self.points * len(self.seeds):.3g} rows, more than can be numbered; "
+                          "write fewer values, or take a sample of n points")
+
+    @property
+    def knobs(self) -> tuple[str, ...]:
+        """The knobs that are turned, in the order of the axes."""
+        return tuple(name for names, _ in self.axes for name in names)
+
+    @property
+    def points(self) -> int:
+        """How many settings of the knobs there are; each is run with every seed."""
+        return prod(len(points) for _, points in self.axes)
+
+    def __len__(self) -> int:
+        return self.points * len(self.seeds)
+
+    def point(self, row: int) -> tuple[dict[str, Any], int]:
+        """The knobs and the seed of a row, 0 .. len - 1. Raises `Refused` for another number."""
+        if not 0 <= row < len(self):
+            raise Refused(f"the grid has no row {row}; write a number from 0 to {len(self) - 1}")
+        at, seed = divmod(row, len(self.seeds))
+        chosen: list[tuple[tuple[str, ...], tuple[Any, ...]]] = []
+        for names, points in reversed(self.axes):
+            at, which = divmod(at, len(points))
+            chosen.append((names, points[which]))
+        knobs = {name: value for names, values in reversed(chosen) for name, value in zip(names, values, strict=True)}
+        return knobs, self.seeds[seed]
+
+    def definition(self) -> dict[str, Any]:
+        """The grid as JSON can hold it, equal for grids with equal rows; of a long axis its ends and its SHA-256."""
+        axes = [{"knobs": list(names), "values": _written([[plain(v) for v in p] if len(names) > 1 else plain(p[0])
+                                                           for p in points])} for names, points in self.axes]
+        s = self.seeds
+        seeds = {"first": s[0], "step": s.step, "count": len(s)} if isinstance(s, range) else _written(list(s))
+        return {"axes": axes, "seeds": seeds}
+
+
+def grid(axes: Mapping[Any, Iterable[Any]], seeds: int | Iterable[int] = 1) -> Grid:
+    """A grid of `axes`: a knob with its values, or a tuple of knobs with tuples of values, which are zipped.
+
+    `seeds`: how many, from 0 on, or which. Values are numbers, texts or parts (laws, links). Raises `Refused`.
+
+    >>> both = grid({"law": ["wave", "pfra"], ("delay", "k_e"): [(0.0, 1e3), (0.1, 1e2)]}, seeds=2)
+    >>> len(both), both.point(6)
+    (8, ({'law': 'pfra', 'delay': 0.1, 'k_e': 100.0}, 0))
+    """
+    if not isinstance(axes, Mapping):
+        raise Refused(f'the axes of a grid are a dict, not {axes!r}; write for example {{"delay": [0.0, 0.1]}}')
+    made: list[Axis] = []
+    for key, values in axes.items():
+        if isinstance(key, tuple):
+            name = ", ".join(map(str, key))
+            points = tuple(tuple(listed(name, point)) for point in _each(name, values))
+            made.append((key, points))
+        else:
+            made.append(((key,), tuple((value,) for value in listed(key, values))))
+    return Grid(axes=tuple(made), seeds=_seeds(seeds))
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """All numbers from `low` to `high`, both included; `log` goes by equal ratios. Raises `Refused`."""
+
+    low: float
+    high: float
+    _: KW_ONLY
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        low, high = number("a range's first end", self.low), number("a range's other end", self.high)
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+        if low == high:
+            raise Refused(f"the range {low:g}:{high:g} has a single value; write it alone, {low:g}")
+        if self.log and min(low, high) <= 0.0:
+            raise Refused(f"the range {low:g}:{high:g} by equal ratios must lie above 0; write for example "
+                          "1e2:1e6:9:log")
+
+    def values(self, n: int) -> list[float]:
+        """`n` values evenly spaced, both ends exactly.
+
+        Each is the float nearest to the decimal number: 0 to 0.3 in four is 0, 0.1, 0.2, 0.3 as one would type
+        them. By equal ratios it is the exponents of ten that are so spaced, and whole decades are hit.
+        """
+        count = counted("a range's number of values", n)
+        if count < 2:
+            raise Refused("a range with both its ends has at least 2 values; write for example 0:0.5:51, or one value "
+                          "alone")
+        if not self.log:
+            return _evenly(self.low, self.high, count)
+        inner = [self._within(10.0**exponent) for exponent in _evenly(log10(self.low), log10(self.high), count)]
+        return [self.low, *inner[1:-1], self.high]
+
+    def at(self, u: float) -> float:
+        """The value at the part `u` of the way, 0 to 1."""
+        if self.log:
+            return self.low if u == 0.0 else self._within(10.0 ** (log10(self.low) * (1.0 - u) + log10(self.high) * u))
+        return self._within(self.low * (1.0 - u) + self.high * u)
+
+    def _within(self, value: float) -> float:
+        return min(max(value, min(self.low, self.high)), max(self.low, self.high))
+
+
+def sampled(ranges: Mapping[str, Range | Sequence[Any]], n: int, *, key: int = 0, latin: bool = True,
+            seeds: int | Iterable[int] = 1) -> Grid:
+    """A grid of `n` points drawn from `ranges`: of a `Range` any number, of a list any entry.
+
+    Each knob has Philox dice of its own, keyed by `key` (0 .. 2^64-1) and its name, so knobs that are added change no
+    others. `latin`: one point in each of n equal strata of every knob (McKay, Beckman & Conover, Technometrics 21,
+    1979); otherwise independent, and a greater n keeps the points that are there.
+    """
+    count = counted("n", n)
+    if not _is_whole(key, 0, (1 << 64) - 1):
+        raise Refused(f"key must be a whole number from 0 to 2^64-1, not {key!r}; write key=1")
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise Refused('a sample needs the range of at least one knob; write for example {"delay": Range(0.0, 0.5)}')
+    columns = []
+    for name, over in ranges.items():
+        draws = _draws(str(name), count, int(key), latin)
+        if isinstance(over, Range):
+            columns.append([over.at(u) for u in draws])
+            continue
+        entries = listed(name, over)
+        if not entries:
+            raise Refused(f"{name} has no values to draw from; write for example {name}=[1.0, 2.0]")
+        columns.append([entries[min(int(u * len(entries)), len(entries) - 1)] for u in draws])
+    return Grid(axes=((tuple(ranges), tuple(zip(*columns, strict=True))),), seeds=_seeds(seeds))
+
+
+def plain(value: Any) -> Any:
+    """A knob's value as JSON can hold it: what is no number, text, truth or list of them by its `repr`."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, tuple | list):
+        return [plain(each) for each in value]
+    return fspath(value) if isinstance(value, PathLike) else repr(value)
+
+
+def listed(name: object, values: Iterable[Any]) -> list[Any]:
+    """The values of a knob, those of numpy as Python's own. Raises `Refused`."""
+    return [_clean(str(name), value) for value in _each(str(name), values)]
+
+
+def counted(name: str, n: int) -> int:
+    """A number of values, 1 .. `MOST_VALUES`. Raises `Refused`."""
+    if not _is_whole(n, 1, MOST_VALUES):
+        raise Refused(f"{name} must be a whole number from 1 to {MOST_VALUES}, not {n!r}; write for example 51")
+    return int(n)
+
+
+def _each(name: str, values: Iterable[Any]) -> Iterator[Any]:
+    """The entries of what a person gave as a list."""
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable) or getattr(values, "shape", None) == ():
+        raise Refused(f'{name} takes a list of values, not {values!r}; write "{name}": [{values!r}]')
+    if isinstance(values, set | frozenset):
+        raise Refused(f"{name} takes its values in an order, and a set has none; write a list, [...]")
+    for i, value in enumerate(islice(values, MOST_VALUES + 1)):
+        if i == MOST_VALUES:
+            raise Refused(f"{name} has more than {MOST_VALUES} values; write fewer, or cross several axes")
+        yield value
+
+
+def _clean(name: str, value: Any) -> Any:
+    if value is None or isinstance(value, str | bool):
+        return value
+    if getattr(value, "shape", None) == () and hasattr(value, "item"):  # of numpy
+        value = value.item()
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, Real):
+        return int(value) if isinstance(value, Integral) else number(name, value)
+    if isinstance(value, list | tuple) or hasattr(value, "tolist"):
+        return tuple(_clean(name, each) for each in value)
+    if _ADDRESS.search(repr(value)):
+        raise Refused(f"{name} has the value {value!r}, which no table can tell from another; write it as a text, or "
+                      "make it a dataclass")
+    return value
+
+
+def _is_whole(value: object, low: int, high: int) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool) and low <= int(value) <= high
+
+
+def _seeds(seeds: int | Iterable[int]) -> tuple[int, ...] | range:
+    """The seeds, as a range where they are evenly spaced, so that equal seeds are equal however they were given."""
+    if isinstance(seeds, Integral) and not isinstance(seeds, bool):
+        if seeds < 1:
+            raise Refused(f"a sweep has at least one seed, not {seeds}; write seeds=1")
+        return range(int(seeds))
+    kept = seeds if isinstance(seeds, range) else None
+    if kept is None and (isinstance(seeds, bool | str) or not isinstance(seeds, Iterable)):
+        raise Refused(f"seeds are a whole number of them or a list, not {seeds!r}; write seeds=30 or seeds=[1, 2, 5]")
+    each = [*kept[:1], *kept[-1:]] if kept is not None else list(_each("seeds", seeds))  # type: ignore[arg-type]  # no int
+    for seed in each:
+        if not _is_whole(seed, 0, (1 << 64) - 1):
+            raise Refused(f"a seed must be a whole number from 0 to 2^64-1, not {seed!r}; write for example "
+                          "seeds=[1, 2]")
+    if kept is not None:
+        return range(kept[0], kept[0] + 1) if len(kept) == 1 else kept
+    whole = tuple(int(seed) for seed in each)
+    if len(set(whole)) < len(whole):
+        raise Refused("the same seed is in the list twice and would give the same rows; write each seed once")
+    if not whole:
+        return whole
+    step = whole[1] - whole[0] if len(whole) > 1 else 1
+    even = range(whole[0], whole[0] + step * len(whole), step)
+    return even if tuple(even) == whole else whole
+
+
+def _evenly(low: float, high: float, n: int) -> list[float]:
+    """`n` floats nearest to evenly spaced decimal numbers."""
+    a, b = Fraction(repr(low)), Fraction(repr(high))
+    return [low, *(float(a + (b - a) * k / (n - 1)) for k in range(1, n - 1)), high]
+
+
+def _draws(name: str, n: int, key: int, latin: bool) -> list[float]:
+    """`n` numbers in [0, 1) of a knob's own dice; with `latin` one of them in each of n equal parts."""
+    from hashlib import sha256
+
+    import numpy as np
+    from numpy.random import Philox
+
+    keys = np.array([key, int.from_bytes(sha256(name.encode()).digest()[:8], "little")], np.uint64)
+    places, order = (Philox(key=keys, counter=np.array([0, 0, lane, 0], np.uint64)).random_raw(n) for lane in (0, 1))
+    u = (np.asarray(places, np.uint64) >> np.uint64(11)).astype(float) * 2.0**-53
+    if latin:
+        part = np.argsort(order, kind="stable")
+        u = np.minimum((part + u) / n, np.nextafter((part + 1) / n, 0.0))  # rounding does not leave the part
+    drawn: list[float] = u.tolist()
+    return drawn
+
+
+def _written(values: list[Any]) -> Any:
+    """The values; of many their number, their ends and the SHA-256 of their JSON."""
+    if len(values) <= WRITTEN_OUT:
+        return values
+    from hashlib import sha256
+    from json import dumps
+
+    digest = sha256(dumps(_alike(values)).encode()).hexdigest()
+    return {"count": len(values), "first": values[0], "last": values[-1], "sha256": digest}
+
+
+def _alike(value: Any) -> Any:
+    """What is equal written equally: 1.0 as 1."""
+    if isinstance(value, list):
+        return [_alike(each) for each in value]
+    return int(value) if isinstance(value, bool | float) and value == int(value) else value
+
+
+def _example(names: tuple[str, ...]) -> str:
+    if len(names) == 1:
+        return f'"{names[0]}": [1.0, 2.0]'
+    rows = ", ".join(f"({', '.join(f'{i}.0' for _ in names)})" for i in (1, 2))
+    return f"({', '.join(repr(name) for name in names)}): [{rows}]"

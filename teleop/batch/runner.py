@@ -1,0 +1,174 @@
+"""Sweeps: a grid of knobs and seeds over one scene, in chunks, by any executor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from os import cpu_count
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from teleop.batch.chunk import Done, Job, Measure, work
+from teleop.batch.grid import Grid, grid
+from teleop.batch.kernel import available
+from teleop.batch.store import Store
+from teleop.batch.table import Table, TableBuilder
+from teleop.errors import Refused, nearest
+from teleop.metrics import UNITS
+from teleop.scene import Scene, load_scene
+
+ENGINES = ("plain", "scalar")
+CHUNK = 0.5  # s of work that a chunk aims at
+LARGEST = 4096  # rows in one
+WORTH = 4.0  # s of plain Python above which compiling is worth its time
+PLAIN = 4e-6  # s a tick, about
+USUAL = ("x_err_rms", "x_err_max", "f_m_max", "E_link_min", "E_port_min")
+
+Show = Callable[[int, int], None]
+
+
+@dataclass(kw_only=True)
+class Sweep:
+    """A sweep and how far it has come."""
+
+    scene: str
+    grid: Grid
+    fixed: Mapping[str, object]
+    measures: tuple[Measure, ...]
+    engine: str
+    why: str  # the engine
+    instead: dict[str, str] = field(default_factory=dict)  # rows that were run by plain Python in its place, and why
+
+    def definition(self) -> dict[str, Any]:
+        """What the folder of this sweep is held to."""
+        from teleop import __version__
+
+        return {
+            "scene": self.scene, "fixed": {key: str(value) for key, value in self.fixed.items()},
+            "grid": self.grid.definition(), "metrics": [one if isinstance(one, str) else one.__name__ for one in
+                                                        self.measures],
+            "version": __version__,
+        }
+
+
+def sweep(
+    scene: str, axes: Mapping[Any, Iterable[Any]] | Grid | None = None, *, seeds: int | Iterable[int] = 1,
+    metrics: Sequence[Measure] | None = None, fixed: Mapping[str, object] | None = None, engine: str | None = None,
+    executor: Executor | None = None, out: Path | str | None = None, show: Show | None = None,
+) -> Table:
+    """Run `scene` (a name, or the path of a file) at every point of a grid and with every seed.
+
+        sweep("soft_tissue", {"law": ["wave", "direct"], "delay": [0.0, 0.05]}, seeds=3)["x_err_rms"]
+
+    `axes`: knobs and their values as `load_scene` takes them; a tuple of knobs goes with a list of tuples. `fixed`:
+    knobs that are the same in every row. `metrics`: names of `teleop.metrics.UNITS`, or functions of a `Result`,
+    which cost a whole record. `engine`: plain or scalar; left out, by the amount of work and what is installed.
+    `executor`: any of concurrent.futures; left out, threads. `out`: a folder that rows are appended to as they finish;
+    the same sweep there goes on where it stopped. `show` is told rows done and rows in all. Raises `Refused`.
+    """
+    plan = prepare(scene, axes, seeds=seeds, metrics=metrics, fixed=fixed, engine=engine)
+    return carry_out(plan, executor=executor, out=out, show=show)
+
+
+def prepare(
+    scene: str, axes: Mapping[Any, Iterable[Any]] | Grid | None = None, *, seeds: int | Iterable[int] = 1,
+    metrics: Sequence[Measure] | None = None, fixed: Mapping[str, object] | None = None, engine: str | None = None,
+) -> Sweep:
+    """The sweep, checked before anything is run or written: its first row must make a scene."""
+    points = axes if isinstance(axes, Grid) else grid(axes or {}, seeds)
+    fixed = dict(fixed or {})
+    twice = [knob for knob in points.knobs if knob in fixed]
+    if twice:
+        raise Refused(f"{twice[0]} is an axis of the grid and set besides; leave one of them out")
+    first = load_scene(scene, **{**fixed, **points.point(0)[0]})
+    measures = tuple(metrics) if metrics is not None else tuple(name for name in USUAL if name in available(first))
+    for one in measures:
+        if isinstance(one, str) and one not in UNITS:
+            raise Refused(f"there is no metric {one!r}; {nearest(one, UNITS)}")
+    chosen, why = _engine(engine, first, len(points))
+    return Sweep(scene=scene, grid=points, fixed=fixed, measures=measures, engine=chosen, why=why)
+
+
+def _engine(asked: str | None, scene: Scene, rows: int) -> tuple[str, str]:
+    from importlib.util import find_spec
+
+    if asked is not None:
+        if asked not in ENGINES:
+            raise Refused(f"there is no engine {asked!r}; {nearest(asked, ENGINES)}")
+        if asked != "plain":
+            from teleop.batch.compiled import need_numba
+
+            need_numba(asked)
+        return asked, "as asked for"
+    seconds = PLAIN * scene.ticks * rows
+    if seconds < WORTH:
+        return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
+    if find_spec("numba") is None:
+        return "plain", "numba is not installed; with it this would be some 50 times faster (the extra `batch`)"
+    return "scalar", f"about {seconds:.3g} s of plain Python, so it is compiled"
+
+
+def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str | None = None, show: Show | None = None
+              ) -> Table:
+    """Run what is not done yet of a sweep."""
+    total = len(plan.grid)
+    store = None if out is None else Store.open(Path(out), plan.definition())
+    names = tuple(one if isinstance(one, str) else one.__name__ for one in plan.measures)
+    builder = TableBuilder(plan.grid.knobs, names)
+    try:
+        count = 0 if store is None else len(store.done)
+        waiting = iter(range(total)) if store is None else chain.from_iterable(store.done.gaps(total))
+        for finished in _chunks(plan, waiting, executor):
+            plan.instead.update(finished.instead)
+            if store is not None:
+                store.append(finished.rows)
+            else:
+                for row in finished.rows:
+                    builder.add(row)
+            count += len(finished.rows)
+            if show is not None:
+                show(count, total)
+        return builder.table() if store is None else store.table()
+    finally:
+        if store is not None:
+            store.close()
+
+
+def _chunks(plan: Sweep, waiting: Iterator[int], executor: Executor | None) -> Iterator[Done]:
+    """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back."""
+    own = executor is None
+    pool = executor or ThreadPoolExecutor(cpu_count() or 1)
+    workers: int = getattr(pool, "_max_workers", 4)
+    each = 0.0  # s a row
+    running: dict[Future[Done], tuple[int, float]] = {}
+    try:
+        while True:
+            while len(running) < 2 * workers:
+                size = 1 if each == 0.0 else max(1, min(LARGEST, int(CHUNK / each)))
+                job = _job(plan, list(islice(waiting, size)))
+                if not job.rows:
+                    break
+                running[pool.submit(work, job)] = len(job.rows), perf_counter()
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                rows, began = running.pop(future)
+                spent = (perf_counter() - began) / rows
+                each = spent if each == 0.0 else min(each, spent)
+                yield future.result()
+    finally:
+        for future in running:
+            future.cancel()
+        if own:
+            pool.shutdown(cancel_futures=True)
+
+
+def _job(plan: Sweep, numbers: list[int]) -> Job:
+    rows = []
+    for number in numbers:
+        knobs, seed = plan.grid.point(number)
+        rows.append((number, knobs, seed))
+    return Job(plan.scene, dict(plan.fixed), rows, plan.measures, plan.engine)

@@ -1,0 +1,330 @@
+"""The folder of a sweep: what was asked for, and its rows as they finish. A kill at any time costs the rows in flight.
+
+`sweep.json` holds the definition; it is there, whole, before the first row. `rows.jsonl` holds one line of JSON a
+row and is only ever appended to. A line counts once its newline is there, so what a kill leaves half-written is cut
+off when the folder is opened again. Whoever only reads (`Store.look`) changes nothing and may do so meanwhile.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from io import FileIO
+from math import isfinite
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, BinaryIO
+
+from teleop.batch.grid import plain
+from teleop.errors import Refused
+from teleop.folder import new_folder
+
+if TYPE_CHECKING:
+    from teleop.batch.table import Table
+
+DEFINITION, ROWS = "sweep.json", "rows.jsonl"
+_PART = f".{DEFINITION}.part"
+_ABSENT = object()
+_STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # and ASCII, whatever a knob's text holds
+
+
+class Done:
+    """The numbers of the rows that are there, a bit for each: a sweep of 1e9 rows takes 125 MB."""
+
+    def __init__(self) -> None:
+        self._bits = bytearray()
+        self._count = 0
+
+    def __contains__(self, row: int) -> bool:
+        return 0 <= row < 8 * len(self._bits) and bool(self._bits[row >> 3] >> (row & 7) & 1)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[int]:
+        return (8 * at + bit for at, byte in enumerate(self._bits) if byte for bit in range(8) if byte >> bit & 1)
+
+    def gaps(self, stop: int) -> Iterator[range]:
+        """The rows below `stop` that are missing, as the longest ranges there are, in order."""
+        begin, top = None, min(stop, 8 * len(self._bits))
+        for run in re.finditer(rb"\x00+|\xff+|[^\x00\xff]", self._bits):
+            byte = self._bits[run.start()]
+            whole = byte in (0, 255)  # bytes that are all alike need no look at each bit
+            for row in (8 * run.start(),) if whole else range(8 * run.start(), 8 * run.end()):
+                if row >= top:
+                    break
+                if row not in self:
+                    begin = row if begin is None else begin
+                elif begin is not None:
+                    yield range(begin, row)
+                    begin = None
+        begin = top if begin is None else begin
+        if begin < stop:
+            yield range(begin, stop)
+
+    def _add(self, row: int) -> None:
+        if row not in self:
+            if row >> 3 >= len(self._bits):
+                self._bits.extend(bytes(max((row >> 3) + 1 - len(self._bits), len(self._bits) >> 3)))
+            self._bits[row >> 3] |= 1 << (row & 7)
+            self._count += 1
+
+    def _discard(self, row: int) -> None:
+        if row in self:
+            self._bits[row >> 3] &= ~(1 << (row & 7))
+            self._count -= 1
+
+
+class Store:
+    """A sweep's folder, made by `Store.open` or `Store.look`. One thread of one process may append to it."""
+
+    def __init__(self, folder: Path, definition: Mapping[str, Any]) -> None:
+        self.folder, self.definition, self.done = folder, definition, Done()
+        self._file: FileIO | None = None  # none: only looked at
+        self._lock: IO[bytes] | None = None
+        self._size = 0  # bytes of whole lines
+
+    @classmethod
+    def open(cls, folder: Path | str, definition: Mapping[str, Any]) -> Store:
+        """Make `folder` for the sweep of this definition, or open it to go on where it stopped.
+
+        Raises `Refused` if the folder holds something else or another sweep (naming the first difference), if
+        another process writes there, or if it cannot be written to.
+        """
+        at, wanted = Path(folder), json.loads(_text(definition))
+        try:
+            if not os.path.lexists(at):
+                with new_folder(at) as inside:
+                    _define(inside, definition)
+            elif at.is_dir() and all(path.name == _PART for path in at.iterdir()):  # empty, or a kill left it so
+                _define(at, definition)
+            there = _definition(at)
+            _same(at, there, wanted)
+            store = cls(at, there)
+            store._lock = _locked(at)
+            try:
+                store._mend()
+            except BaseException:
+                store.close()
+                raise
+        except OSError as error:
+            raise Refused(f"cannot write to {at} ({error.strerror or error}); make it writable, or give another "
+                          f"folder with --out") from error
+        return store
+
+    @classmethod
+    def look(cls, folder: Path | str) -> Store:
+        """The sweep in `folder`, to read from, also while it is being written. Raises `Refused` if there is none."""
+        at = Path(folder)
+        store = cls(at, _definition(at))
+        try:
+            for _, row in store._lines():
+                if row is not None:
+                    store.done._add(row["row"])
+        except OSError as error:
+            raise Refused(f"cannot read {at / ROWS} ({error.strerror or error}); make it readable") from error
+        return store
+
+    def append(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Add the rows that are not there yet, all in one write, and hand them to the system.
+
+        A row has its number under "row". What JSON has no word for is written as text; a metric that is not
+        finite is left out. Raises `Refused` if the disk is full or gone, and then none of `rows` was added.
+        """
+        if self._file is None:
+            raise Refused(f"{self.folder} was opened to be read; open it with `Store.open` to add to it")
+        fresh = {row["row"]: row for row in reversed([*rows]) if row["row"] not in self.done}  # of twins the first
+        metrics = frozenset(self.definition.get("metrics", ()))
+        data = b"".join(_line(fresh[number], metrics) for number in reversed(fresh))
+        try:
+            rest = memoryview(data)
+            while rest:
+                rest = rest[self._file.write(rest):]
+            for number in fresh:
+                self.done._add(number)
+            self._size += len(data)
+        except BaseException as error:  # an interrupt too: half a line would spoil the one after it
+            for number in fresh:
+                self.done._discard(number)
+            with suppress(OSError):
+                self._file.truncate(self._size)
+            if isinstance(error, OSError):
+                raise Refused(f"could not add to {self.folder / ROWS} ({error.strerror or error}); the rows before "
+                              f"are safe: make room and type the same command again") from error
+            raise
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The rows in the order in which they finished."""
+        return (row for _, row in self._lines() if row is not None)
+
+    def table(self) -> Table:
+        """Every row that is there, by number: the same table whatever order they finished in."""
+        from teleop.batch.table import Table
+
+        axes = self.definition.get("grid", {}).get("axes", ())
+        knobs = tuple(knob for axis in axes for knob in axis["knobs"])
+        return Table(self.rows(), knobs, tuple(self.definition.get("metrics", ())))
+
+    def close(self) -> None:
+        """Let the disk have it, and others the folder."""
+        if self._file is not None:
+            with suppress(OSError):
+                os.fsync(self._file.fileno())
+            self._file.close()
+        if self._lock is not None:
+            self._lock.close()
+        self._file = self._lock = None
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _lines(self) -> Iterator[tuple[bytes, dict[str, Any] | None]]:
+        """Each line with its newline, and its row: none where the line is damaged, or the twin of one before."""
+        seen = Done()
+        try:
+            file: BinaryIO = (self.folder / ROWS).open("rb")
+        except FileNotFoundError:  # no row yet
+            return
+        with file:
+            for line in file:
+                if not line.endswith(b"\n"):  # the torn last one, or one just being written
+                    return
+                row = _row(line)
+                if row is not None and row["row"] in seen:
+                    row = None
+                if row is not None:
+                    seen._add(row["row"])
+                yield line, row
+
+    def _mend(self) -> None:
+        """Read what is there, cut off a torn end, and drop lines that a failing disk or two writers left."""
+        path, whole, sound = self.folder / ROWS, 0, True
+        for line, row in self._lines():
+            whole += len(line)
+            if row is None:
+                sound = False
+            else:
+                self.done._add(row["row"])
+        if not sound:  # written anew beside it and put in its place, so that no row is ever at risk
+            part, whole = path.with_name(f".{ROWS}.part"), 0
+            with part.open("wb") as file:
+                whole = sum(file.write(line) for line, row in self._lines() if row is not None)
+                _settle(file)
+            part.replace(path)
+        self._file, self._size = FileIO(path, "a"), whole
+        if self._file.tell() != whole:
+            self._file.truncate(whole)
+
+
+def _row(line: bytes) -> dict[str, Any] | None:
+    """The row of a line, or none if it holds no row."""
+    try:
+        row = json.loads(line.decode())
+        return row if type(row["row"]) is int and row["row"] >= 0 else None
+    except (ValueError, TypeError, KeyError, RecursionError):  # no JSON, or JSON of something else
+        return None
+
+
+def _line(row: Mapping[str, Any], metrics: frozenset[str]) -> bytes:
+    try:
+        text = _STRICT.encode(row)
+    except (TypeError, ValueError):
+        text = _text({k: v for k, v in row.items() if k not in metrics or (v is not None and isfinite(v))})
+    return text.encode() + b"\n"
+
+
+def _text(value: object) -> str:
+    """`value` as JSON of one line that any reader takes."""
+    try:
+        return _STRICT.encode(value)
+    except (TypeError, ValueError):
+        return _STRICT.encode(_jsonable(value))
+
+
+def _jsonable(value: object) -> object:
+    """`value` in JSON's types: a numpy number as one of Python's, what JSON has no word for as text."""
+    if isinstance(value, Mapping):
+        return {str(key): _jsonable(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_jsonable(item) for item in value]
+    if hasattr(value, "tolist"):  # numpy's scalars and arrays
+        return _jsonable(value.tolist())
+    if isinstance(value, float):
+        return value if isfinite(value) else str(value)
+    return plain(value)
+
+
+def _define(inside: Path, definition: Mapping[str, Any]) -> None:
+    part = inside / _PART
+    with part.open("w", encoding="utf-8") as file:
+        json.dump(json.loads(_text(definition)), file, indent=1)
+        file.write("\n")
+        _settle(file)
+    part.replace(inside / DEFINITION)
+
+
+def _settle(file: IO[Any]) -> None:
+    """Wait until the disk has the file: a rename must never be on it before what it names."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def _definition(folder: Path) -> dict[str, Any]:
+    try:
+        got = json.loads((folder / DEFINITION).read_bytes())
+        if not isinstance(got, dict):
+            raise ValueError(f"{DEFINITION} is no definition")
+    except (OSError, ValueError, RecursionError) as error:
+        why = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        raise Refused(f"{folder} holds no sweep ({DEFINITION}: {why}); give the folder of one, or with --out one "
+                      f"that is not there yet") from error
+    return got
+
+
+def _same(folder: Path, there: object, wanted: object) -> None:
+    for name, old, new in _differences("", there, wanted):
+        was, now = ("absent" if value is _ABSENT else _short(value) for value in (old, new))
+        raise Refused(f"{folder} holds another sweep: {name or DEFINITION} is {was} there and {now} here; give "
+                      f"another folder with --out, or ask for the same sweep to go on with it")
+
+
+def _differences(name: str, old: Any, new: Any) -> Iterator[tuple[str, object, object]]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in dict.fromkeys([*new, *old]):
+            yield from _differences(f"{name}.{key}".lstrip("."), old.get(key, _ABSENT), new.get(key, _ABSENT))
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for i, (a, b) in enumerate(zip(old, new, strict=True)):
+            yield from _differences(f"{name}[{i}]", a, b)
+    elif old != new or isinstance(old, bool) != isinstance(new, bool):
+        yield name, old, new
+
+
+def _short(value: object) -> str:
+    text = _text(value)
+    many = f" ({len(value)} values)" if isinstance(value, (list, dict)) else ""
+    return (text if len(text) <= 60 else text[:57] + "...") + many
+
+
+def _locked(folder: Path) -> IO[bytes]:
+    """The open definition, with a lock on it that goes when the process does, however it ends."""
+    file = (folder / DEFINITION).open("r+b")
+    lock: Callable[[IO[bytes], int], None] | None = None
+    with suppress(ImportError):
+        import fcntl
+
+        lock, how = fcntl.flock, fcntl.LOCK_EX | fcntl.LOCK_NB
+    if lock is not None:
+        try:
+            lock(file, how)
+        except BlockingIOError:
+            file.close()
+            raise Refused(f"another process is writing to {folder}; wait for its end or end it, or give another "
+                          f"folder with --out") from None
+        except OSError:  # a file system that has no locks
+            pass
+    return file

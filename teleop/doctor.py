@@ -1,0 +1,63 @@
+"""What is installed here, and what the stack keeps: `teleop doctor`."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+EXTRAS = {"matplotlib": "plot", "numba": "batch", "scipy": "test"}  # what to install for each
+
+
+def kernels() -> Path:
+    """Where compiled kernels are kept."""
+    from teleop.batch.compiled import folder
+
+    return folder()
+
+
+def findings() -> dict[str, Any]:
+    """Versions, extras and the kernels on disk, as JSON can hold them."""
+    from teleop import __version__
+
+    held = _kept(kernels())
+    return {
+        "bilateral-teleop": __version__, "python": sys.version.split()[0], "platform": sys.platform,
+        "packages": {name: _version(name) for name in ("numpy", "msgpack", *EXTRAS)},
+        "kernels": {"folder": str(kernels()), "modules": sum(path.suffix == ".py" for path in held),
+                    "bytes": sum(path.stat().st_size for path in held)},
+    }
+
+
+def clear() -> int:
+    """Remove every compiled kernel, and nothing else; how many there were."""
+    held = _kept(kernels())
+    for path in held:
+        path.unlink(missing_ok=True)
+    return sum(path.suffix == ".py" for path in held)
+
+
+def text(found: dict[str, Any]) -> str:
+    """The findings in a few lines."""
+    rows = [("bilateral-teleop", f"{found['bilateral-teleop']}, Python {found['python']} on {found['platform']}")]
+    for name, there in found["packages"].items():
+        cure = f"not installed: pip install 'bilateral-teleop[{EXTRAS[name]}]'" if name in EXTRAS else "not installed"
+        rows.append((name, there or cure))
+    held = found["kernels"]
+    rows.append(("kernels", f"{held['modules']} compiled, {held['bytes'] / 1e6:.3g} MB in {held['folder']}; "
+                 "teleop doctor --clear removes them"))
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:<{width}}   {said}" for name, said in rows)
+
+
+def _kept(folder: Path) -> list[Path]:
+    """The files that kernels left there, numba's own among them."""
+    return [path for path in folder.rglob("teleop_kernel_*") if path.is_file()] if folder.is_dir() else []
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

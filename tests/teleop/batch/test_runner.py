@@ -1,0 +1,184 @@
+"""Sweeps: rows that are runs, whatever runs them, in any order, after any stop."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop import Refused, load_scene, run, sweep
+from teleop.batch.runner import prepare
+from teleop.library import ROOT
+from teleop.result import Result
+
+AXES = {"law": ["wave", "direct", "pfra"], "delay": [0.0, 0.02]}
+FIXED = {"duration": 0.3, "link": "delay(0.01) | uniform(0.02) | bernoulli(0.1)"}
+
+
+def rows(table: Any) -> list[dict[str, Any]]:
+    """Its rows in the order of their numbers."""
+    return sorted(({k: v for k, v in row.items() if v is not None} for row in table), key=lambda row: row["row"])
+
+
+def peak(result: Result) -> float:
+    """A figure of the user's own."""
+    return float(abs(result.trace["f_m"]).max()) + 1.0
+
+
+class Backwards(Executor):
+    """An executor that does one job at a time, the newest first, when a result is asked for."""
+
+    _max_workers = 3
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
+        self.pool = ThreadPoolExecutor(1)
+
+    def submit(self, fn: Any, /, *args: Any, **_: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.waiting.append((future, fn, args))
+        self.pool.submit(self._one)
+        return future
+
+    def _one(self) -> None:
+        future, fn, args = self.waiting.pop()
+        future.set_result(fn(*args))
+
+
+class TestARow:
+    @pytest.mark.parametrize("engine", ["plain", "scalar"])
+    def test_is_the_run_of_its_knobs_and_seed(self, engine: str) -> None:
+        table = sweep("soft_tissue", AXES, seeds=2, fixed=FIXED, engine=engine,
+                      metrics=["x_err_rms", "f_m_max", "E_link_min", "E_port_end", "fresh_fwd", "T_bwd_mean"])
+        assert len(table) == 12
+        for row in rows(table):
+            single = run(load_scene("soft_tissue", **FIXED, law=row["law"], delay=row["delay"]), seed=row["seed"])
+            assert (row["status"], row["ticks"]) == (single.status, single.ticks)
+            for name in ("x_err_rms", "f_m_max", "E_link_min", "E_port_end", "fresh_fwd", "T_bwd_mean"):
+                assert row.get(name) == single.metrics.get(name)
+
+    def test_depends_on_no_other_row(self) -> None:
+        few = rows(sweep("soft_tissue", {"delay": [0.02], "k_e": [100.0]}, seeds=[5], fixed=FIXED))
+        many = rows(sweep("soft_tissue", {"delay": [0.0, 0.02, 0.05], "k_e": [50.0, 100.0]}, seeds=[3, 5], fixed=FIXED))
+        same = [row for row in many if (row["delay"], row["k_e"], row["seed"]) == (0.02, 100.0, 5)]
+        assert [{**row, "row": 0} for row in same] == few
+
+    def test_has_a_users_own_figure_and_those_that_need_a_record(self) -> None:
+        row, = rows(sweep("soft_tissue", {}, fixed=FIXED, metrics=[peak, "E_fwd_min"]))
+        single = run(load_scene("soft_tissue", **FIXED))
+        assert row["peak"] == peak(single)
+        assert row["E_fwd_min"] == single.metrics["E_fwd_min"]
+
+    def test_that_cannot_be_is_refused_by_itself(self) -> None:
+        table = sweep("soft_tissue", {"k_e": [100.0, -1.0]}, fixed=FIXED)
+        good, bad = rows(table)
+        assert good["status"] == "ok"
+        assert bad["status"] == "refused"
+        assert "k_e" in bad["sentence"]
+
+    def test_that_diverges_is_a_row(self) -> None:
+        row, = rows(sweep("soft_tissue", {"law": ["direct"]}, fixed={**FIXED, "x_limit": 1e-3}))
+        single = run(load_scene("soft_tissue", **FIXED, law="direct", x_limit=1e-3))
+        assert row["status"] == single.status == "diverged"
+        assert row["ticks"] == single.ticks
+        assert row["x_err_rms"] == single.metrics["x_err_rms"]
+
+
+class TestWhoeverRunsIt:
+    @pytest.mark.parametrize(
+        "executor", [None, Backwards, lambda: ThreadPoolExecutor(3), lambda: ProcessPoolExecutor(2)])
+    def test_the_rows_are_the_same(self, executor: Callable[[], Executor] | None) -> None:
+        pool = None if executor is None else executor()
+        table = sweep("soft_tissue", AXES, seeds=3, fixed=FIXED, executor=pool)
+        if pool is not None:
+            pool.shutdown()
+        one_by_one = sweep("soft_tissue", AXES, seeds=3, fixed=FIXED, executor=ThreadPoolExecutor(1))
+        assert rows(table) == rows(one_by_one)
+
+    def test_is_told_how_far_it_has_come(self) -> None:
+        told: list[tuple[int, int]] = []
+        sweep("soft_tissue", AXES, fixed=FIXED, show=lambda done, of: told.append((done, of)))
+        assert told == sorted(told)
+        assert told[-1] == (6, 6)
+
+
+class TestAStop:
+    def test_loses_no_row_that_was_finished_and_makes_none_twice(self, tmp_path: Path) -> None:
+        def stop(done: int, _: int) -> None:
+            if done >= 4:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            sweep("soft_tissue", AXES, seeds=4, fixed=FIXED, out=tmp_path / "s", show=stop)
+        lines = (tmp_path / "s" / "rows.jsonl").read_text().splitlines()
+        assert 4 <= len(lines) < 24
+        table = sweep("soft_tissue", AXES, seeds=4, fixed=FIXED, out=tmp_path / "s")
+        assert [row["row"] for row in rows(table)] == list(range(24))
+        assert rows(table) == rows(sweep("soft_tissue", AXES, seeds=4, fixed=FIXED))
+        written = [json.loads(line)["row"] for line in (tmp_path / "s" / "rows.jsonl").read_text().splitlines()]
+        assert sorted(written) == list(range(24))
+
+    def test_of_another_sweep_is_not_gone_on_with(self, tmp_path: Path) -> None:
+        sweep("soft_tissue", {"delay": [0.0]}, fixed=FIXED, out=tmp_path / "s")
+        for other in ({"axes": {"delay": [0.1]}}, {"fixed": {**FIXED, "k_e": 3.0}}, {"metrics": ["f_m_max"]}):
+            with pytest.raises(Refused):
+                sweep("soft_tissue", **{"axes": {"delay": [0.0]}, "fixed": FIXED, "out": tmp_path / "s", **other})  # type: ignore[arg-type]  # one of them is other
+
+
+class TestAWrongRequest:
+    @pytest.mark.parametrize(("request_", "words"), [
+        ({"axes": {"stiffness": [1.0]}}, "no knob 'stiffness'"),
+        ({"axes": {"delay": []}}, "no values"),
+        ({"metrics": ["x_err"]}, r"no metric 'x_err'; did you mean"),
+        ({"engine": "vector9"}, "no engine"),
+        ({"axes": {"delay": [0.1]}, "fixed": {"delay": 0.2}}, "leave one of them out"),
+        ({"seeds": 0}, "seed"),
+    ])
+    def test_is_refused_before_anything_runs(self, request_: dict[str, Any], words: str) -> None:
+        with pytest.raises(Refused, match=words):
+            prepare("soft_tissue", **{"axes": {}, **request_})
+
+    def test_without_numba_an_engine_that_needs_it_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+        with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[batch\]'"):
+            prepare("soft_tissue", engine="scalar")
+        assert prepare("satellite", {"delay": [0.1 * i for i in range(100)]}).engine == "plain"
+
+
+class TestTheCommand:
+    def typed(self, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-m", "scenarios", "sweep", *words], cwd=folder, text=True, check=False,
+                              capture_output=True, env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"})
+
+    def test_leaves_a_folder_and_goes_on_there(self, tmp_path: Path) -> None:
+        words = ["soft_tissue", "--grid", "law=wave,direct", "delay=0:0.04:3", "--seeds", "2", "--set", "duration=0.2"]
+        first = self.typed(tmp_path, *words)
+        assert first.returncode == 0, first.stderr
+        assert "12 done: 12 ok" in first.stdout
+        folder = tmp_path / "runs" / "soft_tissue-sweep"
+        again = self.typed(tmp_path, *words, "--json")
+        told = json.loads(again.stdout)
+        assert (told["done"], told["ran"]) == (12, 0)
+        assert told["counts"] == {"ok": 12}
+        assert len((folder / "rows.jsonl").read_text().splitlines()) == 12
+        other = self.typed(tmp_path, *words[:-1], "duration=0.3")
+        assert other.returncode == 2
+        assert other.stderr.count("\n") == 1
+
+    @pytest.mark.parametrize(("words", "said"), [
+        (["soft_tissue", "--grid", "delay="], "delay"), (["soft_tissue", "--grid", "stiff=1,2"], "no knob"),
+        (["soft_tissue", "--grid", "delay=0:1:3", "k_e=1:2:100000", "--seeds", "100000"], "--yes"),
+        (["nowhere", "--grid", "delay=1"], "no scene"),
+    ])
+    def test_refuses_in_one_sentence(self, words: list[str], said: str, tmp_path: Path) -> None:
+        got = self.typed(tmp_path, *words)
+        assert got.returncode == 2
+        assert got.stderr.count("\n") == 1
+        assert said in got.stderr
+        assert not (tmp_path / "runs").exists()
