@@ -186,6 +186,9 @@ def _report(args: Namespace) -> None:
     if args.slave is not None:
         _put_together(args)
         return
+    if (Path(args.run) / "sweep.json").is_file():
+        _report_sweep(args)
+        return
     result = load_result(args.run)
     if args.json:
         from json import loads
@@ -194,6 +197,23 @@ def _report(args: Namespace) -> None:
         return
     _tell(args, result)
     _draw_if_possible(args, result, Path(args.run))
+
+
+def _report_sweep(args: Namespace) -> None:
+    from teleop.batch.command import picture, shown
+    from teleop.errors import Refused
+    from teleop.figure import drawable
+
+    definition, table = shown(Path(args.run))
+    if args.json:
+        _say_object({**definition, "done": len(table), "counts": table.counts(), "path": args.run})
+        return
+    _say(f"sweep    {definition['scene']}\n{table}")
+    if drawable() and len(table):
+        try:
+            picture(table, Path(args.run), definition["scene"])
+        except Refused as refused:
+            _say(f"no figure: {refused}")
 
 
 def _put_together(args: Namespace) -> None:

@@ -7,12 +7,13 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from functools import lru_cache
 from inspect import Parameter, signature
+from numbers import Real
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints
 
 from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
-from teleop.law import BUILT_IN, find_law, law_name
+from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, law_name
 from teleop.library import house
 from teleop.playout import Fixed, Hold, Zero
 
@@ -21,7 +22,10 @@ _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no"
 
 @lru_cache(maxsize=64)
 def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
-    """A scene function's knobs: `name -> (type, default)`; the default is `...` where one must be given."""
+    """A scene function's knobs: `name -> (type, default)`; the default is `...` where one must be given.
+
+    A knob without an annotation is of its default's type; one without a default too is a number.
+    """
     try:
         hints = get_type_hints(function)
     except Exception as error:
@@ -32,7 +36,30 @@ def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
         if p.kind not in (Parameter.KEYWORD_ONLY, Parameter.POSITIONAL_OR_KEYWORD):
             raise Refused(f"a scene takes each knob by its name, so `{p}` cannot be one; "
                           "write for example `def scene(*, k_e: float = 1e3) -> Scene:`")
-    return {p.name: (hints.get(p.name, float), ... if p.default is p.empty else p.default) for p in parameters}
+    defaults = {p.name: ... if p.default is p.empty else p.default for p in parameters}
+    return {name: (hints[name] if name in hints else _kind(name, default), default)
+            for name, default in defaults.items()}
+
+
+def _kind(name: str, default: Any) -> Any:
+    """The type of a knob that has no annotation."""
+    if name == "law" or _is_law(default):
+        return Law | OnePortLaw
+    if isinstance(default, (Zero, Hold, Fixed)):
+        return Zero | Hold | Fixed
+    if isinstance(default, (bool, str, Path)):
+        return Path if isinstance(default, Path) else type(default)
+    if default is None:
+        return float | None
+    if default is ... or isinstance(default, Real):
+        return float  # of a whole number too: who writes k=1000 does not mean that k counts something
+    if isinstance(default, tuple) and all(isinstance(each, Real) for each in default):
+        return float | tuple[float, ...]
+    if all(hasattr(default, each) for each in ("coefficients", "start", "step")):
+        from teleop.device import VelocityEstimator
+
+        return VelocityEstimator
+    return type(default)
 
 
 def settle(
@@ -75,8 +102,8 @@ def read(key: str, value: object, hint: Any) -> object:
         return _playout(key, value)
     if float in kinds or int in kinds:
         return _number(key, value, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds))
-    if key == "law":
-        return _law(value)
+    if key == "law" or Law in kinds or OnePortLaw in kinds:
+        return _law(key, value)
     if any(getattr(kind, "__name__", "") == "VelocityEstimator" for kind in kinds) and isinstance(value, str):
         from teleop.velocity.named import ESTIMATORS
 
@@ -116,11 +143,15 @@ def _number(key: str, value: object, *, whole: bool, vector: bool) -> object:
     return whole_number(key, value) if whole else number(key, value)
 
 
-def _law(value: object) -> object:
+def _is_law(value: object) -> bool:
+    return hasattr(value, "master_start") or hasattr(value, "force")
+
+
+def _law(key: str, value: object) -> object:
     if isinstance(value, str):
         return find_law(value)()
-    if not hasattr(value, "master_start") and not hasattr(value, "force"):
-        raise Refused(f"law must be a law or the name of one, not {value!r}; write law=wave")
+    if not _is_law(value):
+        raise Refused(f"{key} must be a law or the name of one, not {value!r}; write {key}=wave")
     return value
 
 

@@ -91,22 +91,26 @@ def test_every_public_module_class_and_function_has_a_docstring() -> None:
 
 
 def test_the_readme_names_only_commands_and_scenes_that_exist() -> None:
-    from teleop.__main__ import EXAMPLES
+    from teleop.commands import COMMANDS
     from teleop.library import built_in_scenes
 
     text = (ROOT / "README.md").read_text()
-    commands = r"teleop (run|demo|list|report|precision|stability)(?: ([a-z_]+)(?![a-z_.]))?"
-    for command, scene in re.findall(commands, text):
-        assert f"teleop {command}" in EXAMPLES
-        if command not in ("list", "report") and scene:
+    typed = re.findall(r"bin/teleop ([a-z]+)(?: ([a-z_]+)(?![a-z_./]))?", text)
+    assert {command for command, _ in typed} >= {"run", "sweep", "precision", "stability", "passivity", "zwidth"}
+    for command, scene in typed:
+        assert command in COMMANDS
+        if command not in ("list", "report", "matrix", "doctor") and scene:
             assert scene in built_in_scenes()
+    for picture in re.findall(r"!\[.*?\]\((.*?)\)", text):
+        assert (ROOT / picture).is_file()
 
 
 def test_the_python_of_the_readme_runs() -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(blocks) == 2
-    delays, own_law = (run(sys.executable, "-c", block) for block in blocks)
-    assert (delays.returncode, own_law.returncode) == (0, 0), delays.stderr + own_law.stderr
+    assert len(blocks) == 3
+    delays, swept, own_law = (run(sys.executable, "-c", block) for block in blocks)
+    assert [each.returncode for each in (delays, swept, own_law)] == [0, 0, 0], delays.stderr + own_law.stderr
+    assert "{'ok': 12}" in swept.stdout
     assert [line.split()[1] for line in delays.stdout.splitlines()] == ["ok"] * 3
     assert 0.0 < float(own_law.stdout) < 0.05  # m: the example follows, it does not run away
 

@@ -54,10 +54,10 @@ def carry_out(
     out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, plot: bool = False,
 ) -> Swept:
     """Run the sweep of scene `name` over `axes` (texts, see `parse_axes`). `clock` (s) times it. Raises `Refused`."""
-    from teleop.batch.typed import parse_axes
     from teleop.batch.runner import carry_out as run_rows
     from teleop.batch.runner import prepare
     from teleop.batch.store import Store
+    from teleop.batch.typed import parse_axes
     from teleop.console import Progress
 
     wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
@@ -87,7 +87,20 @@ def carry_out(
             line.end()
     swept = Swept(plan, table, folder, interrupted, clock() - began, len(table) - before)
     if plot:
-        from teleop.batch.picture import draw
-
-        draw(table, folder / "sweep.png")
+        picture(table, folder, name)
     return swept
+
+
+def picture(table: Table, folder: Path, name: str) -> None:
+    """Draw sweep.png into a sweep's folder. Raises `Refused` where the extra is not there, or nothing varies."""
+    from teleop.batch.picture import draw
+
+    draw(table, folder / "sweep.png", title=Path(name).stem)
+
+
+def shown(folder: Path) -> tuple[dict[str, Any], Table]:
+    """What a sweep's folder holds: its definition and the rows that are there."""
+    from teleop.batch.store import Store
+
+    store = Store.look(folder)
+    return dict(store.definition), store.table()
