@@ -50,7 +50,7 @@ why = "nothing has moved yet"
 [[block]]
 scene = "local"
 laws = ["pfra"]
-set = {law.alpha = 0.5, duration = 0.7, x_limit = 1e-3}
+set = {law.alpha = 0.5, duration = 1.0, x_limit = 1e-3}
 expect = "ok"
 why = "a hope"
 """
@@ -108,8 +108,7 @@ class TestABlock:
             assert outcome.figures["x_err_max"] == single.metrics["x_err_max"]
 
     def test_without_losses_keeps_the_scenes_own_link(self, written: Written) -> None:
-        text = BLOCK.replace("soft_tissue", "jittery_wan").replace('"passive"', '"x"\nset = {duration = 0.2}\nseeds = 3')
-        block, = written(text)
+        block, = written(BLOCK.replace("soft_tissue", "jittery_wan") + "seeds = 3\nset = {duration = 0.2}")
         for outcome in run_block(block):
             single = run(load_scene("jittery_wan", delay=outcome.row.delay, duration=0.2), seed=3)
             assert outcome.figures["x_err_max"] == single.metrics["x_err_max"]
