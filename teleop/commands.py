@@ -76,6 +76,9 @@ def _sweep(added: ArgumentParser) -> None:
                        help="axes of the grid: delay=0:0.5:51, k_e=1e2:1e6:9:log, law=wave,pfra; several are crossed")
     added.add_argument("--seeds", metavar="N", type=whole, default=1,
                        help="every point with the seeds 0 .. N-1; left out: 1")
+    added.add_argument("--latin", metavar="N", type=whole, help="N points drawn from the ranges of --grid "
+                       "(delay=0:0.5, k_e=1e2:1e6:log, law=wave,pfra) in place of all of them: a Latin hypercube")
+    added.add_argument("--random", metavar="N", type=whole, help="the same, each point by itself")
     added.add_argument("--metrics", metavar="NAMES", help="which figures, joined by commas; left out: the tracking "
                        "error, the largest force, the energies")
     added.add_argument("--engine", metavar="NAME", help="plain or scalar (compiled; needs the extra `batch`); left "

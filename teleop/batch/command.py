@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 from teleop.errors import Refused
 
 if TYPE_CHECKING:
+    from teleop.batch.grid import Grid
     from teleop.batch.runner import Sweep
     from teleop.batch.table import Table
 
@@ -52,16 +53,20 @@ class Swept(NamedTuple):
 def carry_out(
     name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
     out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, plot: bool = False,
+    latin: int | None = None, random: int | None = None,
 ) -> Swept:
-    """Run the sweep of scene `name` over `axes` (texts, see `parse_axes`). `clock` (s) times it. Raises `Refused`."""
+    """Run the sweep of scene `name` over `axes` (texts, see `teleop.batch.typed`). Raises `Refused`.
+
+    `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it.
+    """
     from teleop.batch.runner import carry_out as run_rows
     from teleop.batch.runner import prepare
     from teleop.batch.store import Store
-    from teleop.batch.typed import parse_axes
     from teleop.console import Progress
 
     wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
-    plan = prepare(name, parse_axes(axes), seeds=seeds, metrics=wanted, fixed=knobs, engine=engine)
+    points = _points(axes, seeds, latin, random)
+    plan = prepare(name, points, metrics=wanted, fixed=knobs, engine=engine)
     rows = len(plan.grid)
     if rows > MANY and not yes:
         raise Refused(f"this is {rows:.3g} rows; write fewer values, or --yes if you mean it")
@@ -89,6 +94,18 @@ def carry_out(
     if plot:
         picture(table, folder, name)
     return swept
+
+
+def _points(axes: Sequence[str], seeds: int, latin: int | None, random: int | None) -> Grid:
+    from teleop.batch.grid import grid, sampled
+    from teleop.batch.typed import parse_axes, parse_ranges
+
+    if latin is not None and random is not None:
+        raise Refused("--latin and --random are two ways to draw points; leave one of them out")
+    count = latin or random
+    if count is None:
+        return grid(parse_axes(axes), seeds)
+    return sampled(parse_ranges(axes), count, latin=latin is not None, seeds=seeds)
 
 
 def picture(table: Table, folder: Path, name: str) -> None:

@@ -171,7 +171,21 @@ class TestTheCommand:
         assert other.returncode == 2
         assert other.stderr.count("\n") == 1
 
+    @pytest.mark.parametrize("way", ["--latin", "--random"])
+    def test_draws_points_from_ranges(self, way: str, tmp_path: Path) -> None:
+        words = ["soft_tissue", "--grid", "delay=0:0.05", "k_e=1e2:1e4:log", way, "7"]
+        words += ["--set", "duration=0.1", "--json"]
+        told = json.loads(self.typed(tmp_path, *words).stdout)
+        assert (told["done"], told["rows"]) == (7, 7)
+        assert json.loads(self.typed(tmp_path, *words).stdout)["ran"] == 0  # the same points again
+        lines = (tmp_path / "runs/soft_tissue-sweep/rows.jsonl").read_text().splitlines()
+        delays = sorted(json.loads(line)["delay"] for line in lines)
+        assert 0.0 <= delays[0] < delays[-1] <= 0.05
+        if way == "--latin":
+            assert [int(delay / 0.05 * 7) for delay in delays] == list(range(7))
+
     @pytest.mark.parametrize(("words", "said"), [
+        (["soft_tissue", "--grid", "delay=0:1", "--latin", "3", "--random", "3"], "leave one of them out"),
         (["soft_tissue", "--grid", "delay="], "delay"), (["soft_tissue", "--grid", "stiff=1,2"], "no knob"),
         (["soft_tissue", "--grid", "delay=0:1:3", "k_e=1:2:100000", "--seeds", "100000"], "--yes"),
         (["nowhere", "--grid", "delay=1"], "no scene"),
