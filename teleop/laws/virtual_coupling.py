@@ -131,8 +131,11 @@ def tool_impedance(law: VirtualCoupling, z: complex, dt: float) -> complex:
 
         Re = (m/dt) h/(h^2 + cot(th/2)^2/4):   -2 (m/dt) sin(th/2)^2, 0, 2 (m/dt) sin(th/2)^2.
 
-    So E is positive real for any tool iff both weights are at least 1/2. For the tool in free space give the law
-    with k_e = 0 and d_e = 0.
+    So E is positive real for any tool iff both weights are at least 1/2. The circle alone does not say it: for
+    theta_f < 1/2 the mass has a pole outside, at z = -(1 - theta_f)/theta_f (at infinity for theta_f = 0), so no
+    E + alpha is positive real, whatever Re is on the circle; and where E has a zero outside, the tool on its wall
+    swings up by itself, semi-implicit Euler without damping at k_e dt^2 > 4 m (`passivity.coupling.tool_lack`). For
+    the tool in free space give the law with k_e = 0 and d_e = 0.
     """
     inertia = law.mass * (z - 1.0) / (dt * (law.theta_f * z + 1.0 - law.theta_f)) if law.mass > 0.0 else 0.0
     return inertia + law.damping + law.d_e + law.k_e * _summed(law.theta_x, z, dt)

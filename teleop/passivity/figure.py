@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from math import ceil, floor, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
 from teleop.figure import need_plot, save
-from teleop.passivity.report import curves
+from teleop.passivity.report import curves, lacking
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,6 +58,11 @@ def _frequency(axes: Axes, label: str) -> None:
     axes.grid(visible=True, which="major", linewidth=0.4, alpha=0.5)
 
 
+def _legend(axes: Axes) -> None:
+    """Above the panel, where no line runs."""
+    axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, borderaxespad=0.2)
+
+
 def _two(figure: Figure, answer: Answer, data: dict[str, Any]) -> None:
     import numpy as np
 
@@ -83,7 +89,7 @@ def _two(figure: Figure, answer: Answer, data: dict[str, Any]) -> None:
     for axes, label in ((top, "impedance (N s/m)"), (eta, "Llewellyn's parameter"), (passed, "what is passed on"),
                         (felt, "impedance (N s/m)")):
         _frequency(axes, label)
-        axes.legend(frameon=False, fontsize=9)
+        _legend(axes)
     for axes in (top, eta):
         axes.set_xlabel("")
     eta.set_xlim(answer.low, answer.high)
@@ -119,7 +125,7 @@ def _one(figure: Figure, one: OnePort, data: dict[str, Any]) -> None:
     _needed(needed, one, data)
     _diagram(diagram, one, one.behind)
     _lost(lost, one, one.behind, data)
-    lost.legend(frameon=False, fontsize=9)
+    _legend(lost)
     _real(real, one, one.behind, data["frequency"][data["frequency"] < 0.49 / one.T])
 
 
@@ -148,10 +154,10 @@ def _needed(axes: Axes, one: OnePort, data: dict[str, Any]) -> None:
     axes.plot(f, need, color=BLUE, label="damping that the held force asks for")
     axes.axhline(one.damping, color=GREEN, label="the device's damping $b$")
     axes.fill_between(f, one.damping, need, where=list(need > one.damping), color=FAILS, alpha=0.15, linewidth=0.0,
-                      label="energy is made" if np.any(need > one.damping) else None)
+                      label="more than that" if np.any(need > one.damping) else None)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     _frequency(axes, "damping (N s/m)")
-    axes.legend(frameon=False, fontsize=9)
+    _legend(axes)
 
 
 def _diagram(axes: Axes, one: OnePort, behind: Behind) -> None:
@@ -170,18 +176,19 @@ def _diagram(axes: Axes, one: OnePort, behind: Behind) -> None:
         edge = delta / behind.passive_needs  # that grows with C in proportion
         few = np.union1d(factors[::10][factors[::10] < edge], [edge * (1.0 - 1e-6)])
         axes.axvline(behind.gamma * edge, color=GREY, linestyle=":", linewidth=1.0,
-                     label="beyond: a rigid or other passive one makes energy")
+                     label="beyond: a rigid one makes energy")
         found = [alpha_max(delta, _scaled(behind, factor), one.T, d=one.d, tol=1e-4) for factor in few]
         most = [np.nan if alpha is None else alpha for alpha in found]
         axes.plot(behind.gamma * few, most, color=BLUE, marker=".", markersize=4,
-                  label="exact for linear environments, with the hold's sample")
+                  label="exact for linear ones, holding included")
     alpha = behind.alpha.alpha
+    lacks = rf"$\alpha_e$ = {alpha:.3g} N s/m" if isfinite(alpha) else behind.alpha.why
     axes.plot([behind.gamma], [min(alpha, 3.0 * delta)], color=RED, marker="*" if alpha <= 3.0 * delta else "^",
-              markersize=13, linestyle="none", label=rf"this scene, $\alpha_e$ = {alpha:.3g} N s/m")
+              markersize=13, linestyle="none", label=f"this scene, {lacks}")
     axes.set_ylim(-0.05 * delta, 3.1 * delta if alpha > delta else 1.25 * delta)
     _frequency(axes, r"$\alpha_e$ allowed (N s/m)")
     axes.set_xlabel(r"$\gamma$ of the coupling, stiffness and damping scaled alike (N s/m)")
-    axes.legend(frameon=False, fontsize=9)
+    _legend(axes)
 
 
 def _scaled(behind: Behind, factor: float) -> Any:
@@ -189,18 +196,31 @@ def _scaled(behind: Behind, factor: float) -> Any:
 
 
 def _real(axes: Axes, one: OnePort, behind: Behind, frequency: Any) -> None:
-    """Is the environment passive, by integrator: the real part of its impedance."""
+    """The real part of the environment's impedance on the unit circle, by integrator; what it is not says the legend.
+
+    Below 0 it is not passive; above it is if nothing of it grows or anticipates, which the circle does not show.
+    """
     import numpy as np
 
     from teleop.passivity.sampled import smooth
 
-    looks = (("explicit", RED, "-"), ("semi-implicit", ORANGE, "-"), ("trapezoid", SKY, "--"), ("backward", BLUE, "-"))
-    for name, colour, line in looks:
+    looks = (("explicit", RED), ("semi-implicit", ORANGE), ("trapezoid", SKY), ("backward", BLUE))
+    greatest = one.damping
+    for name, colour in looks:
         if name in behind.by:
-            axes.plot(frequency, smooth(behind.by[name], 2.0 * np.pi * one.T * frequency).real, color=colour,
-                      linestyle=line, label=f"{name}: lacks {behind.integrators[name].alpha:.3g} N s/m")
+            lack = behind.integrators[name]
+            real = smooth(behind.by[name], 2.0 * np.pi * one.T * frequency).real
+            axes.plot(frequency, real, color=colour, linestyle=":" if lack.why else "-",
+                      label=f"{name}: {lacking(lack)}")
+            greatest = max(greatest, float(np.abs(real).max()))
     axes.axhline(-one.damping, color=GREEN, linewidth=0.9, label=r"$-\delta$")
     axes.axhline(0.0, color=GREY, linewidth=0.6)
-    axes.set_yscale("symlog", linthresh=max(one.damping, 1e-3))
-    _frequency(axes, "Re $E$ of the environment (N s/m)")
-    axes.legend(frameon=False, fontsize=9)
+    linear = 10.0 ** floor(log10(max(one.damping, 1e-3)))  # within +- this the axis is linear
+    decades = max(1, ceil(log10(greatest / linear)))
+    axes.set_yscale("symlog", linthresh=linear)
+    top = [linear * 10.0**i for i in range(0, decades + 1, 1 + decades // 5)]
+    axes.set_yticks([-value for value in reversed(top)] + [0.0] + top)
+    axes.minorticks_off()
+    axes.set_ylim(-2.0 * linear * 10.0**decades, 2.0 * linear * 10.0**decades)
+    _frequency(axes, "Re $E$ on the unit circle (N s/m)")
+    _legend(axes)

@@ -68,8 +68,8 @@ def two_ports(scene: Scene, *, low: float = 0.1, high: float | None = None, seed
     top = 0.49e9 / scene.dt_ns
     high = top if high is None else high
     if not 0.0 < low < high <= top:
-        raise Refused(f"the range {low:g}:{high:g} Hz must lie above 0 and below half the rate, {top:g} Hz here, its "
-                      "lower end first; write for example --range 0.1:100")
+        raise Refused(f"the range {low:g}:{high:g} Hz must lie above 0 and not above 0.49 of the rate, {top:g} Hz "
+                      "here, its lower end first; write for example --range 0.1:100")
     one_hertz = touched(scene, _axis(_array([UNIT])))
 
     def at(frequency: Reals) -> Points:

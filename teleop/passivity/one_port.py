@@ -3,8 +3,8 @@
 The controller is read off the scene's own tick in contact (`teleop.stability.one_port`): law and velocity estimator.
 Of a virtual coupling on a backward difference the impedances of coupling and tool are known in closed form as well.
 
-An encoder, friction, a cap and a passivity controller are not linear and left out, and so is the motor's shunt, which
-adds damping above its cutoff: an encoder makes more energy than is seen here, each of the others takes some up.
+The damping needed is that of the linear controller alone; what encoder, friction, a cap, a passivity controller and the
+motor's shunt make of it is in the verdict (`teleop.passivity.verdict`), or said to be left out of it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.errors import Refused
 from teleop.passivity import coupling, sampled
 from teleop.passivity.surroundings import linear_parts
+from teleop.passivity.verdict import Verdict, verdict
 from teleop.scene import Scene
 
 if TYPE_CHECKING:
@@ -57,14 +58,19 @@ class OnePort:
     damping: float  # N s/m, of the device
     needed: Needed
     stiffness: float  # N/m, rendered at rest
-    quantised: float | None  # N/m, the most that an encoder and friction allow; None: no encoder, or no formula
+    quantised: float | None  # N/m, the most that an encoder and friction allow; None: no encoder, or no spring alone
     behind: Behind | None  # if the law is a virtual coupling
-    left_out: tuple[str, ...]
+    verdict: Verdict
 
     @property
-    def passive(self) -> bool:
-        """Is there damping enough?"""
-        return self.damping >= self.needed.damping * (1.0 - 1e-9)
+    def passive(self) -> bool | None:
+        """Is it, to any hand, with all that is in the scene? None: not known."""
+        return self.verdict.passive
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The parts with which that is not known."""
+        return self.verdict.left_out
 
     def curve(self, frequency: Reals) -> Reals:
         """The damping needed at frequencies (Hz) below half the rate of renewal."""
@@ -80,24 +86,24 @@ def one_port(scene: Scene) -> OnePort:
 
     T = scene.dt_ns / 1e9
     device = scene.device_m or Device()
-    bare, left = linear_parts(scene)
-    left += ["electrical damping"] if scene.electrical is not None else []
+    bare, _ = linear_parts(scene)
     E = _controller(replace(bare, electrical=None, device_m=replace(device, encoder=None, every=1, delay=0)), T)
-    rendered = coupling.stiffness(E, T)
-    simple = device.every == 1 and device.delay == 0 and device.encoder is not None
+    needed = sampled.needed_damping(E, T, d=device.delay, every=device.every)
+    judged = verdict(scene, E, needed)
+    simple = device.every == 1 and device.delay == 0 and judged.spring  # Abbott and Okamura's conditions
     return OnePort(
-        E=E, T=T, d=device.delay, every=device.every, damping=scene.master.damping,
-        needed=sampled.needed_damping(E, T, d=device.delay, every=device.every), stiffness=rendered,
+        E=E, T=T, d=device.delay, every=device.every, damping=scene.master.damping, needed=needed,
+        stiffness=coupling.stiffness(E, T), verdict=judged,
         quantised=sampled.quantised_stiffness(b=scene.master.damping, T=T, step=device.encoder.step,
                                               friction=scene.master.friction) if simple and device.encoder else None,
-        behind=_behind(scene, device, T), left_out=tuple(left),
+        behind=_behind(scene, device, T),
     )
 
 
 def _controller(scene: Scene, T: float) -> Impedance:
     import numpy as np
 
-    from teleop.stability.linear import INSTEAD
+    from teleop.stability.linear import INSTEAD, is_linear
     from teleop.stability.one_port import controller
 
     try:
@@ -105,8 +111,12 @@ def _controller(scene: Scene, T: float) -> Impedance:
     except Refused as refused:
         why, _, rest = str(refused).partition(f"; {INSTEAD}")
         if rest or INSTEAD in str(refused):
-            raise Refused(f"{why}; take a linear law, for example --set law=virtual_wall, or run it with teleop run "
-                          "and energy in the scene, which sums what its port takes and gives") from None
+            velocity = scene.device_m and scene.device_m.velocity
+            linear = "law, for example --set law=virtual_wall"
+            if velocity is not None and not is_linear(velocity, T):
+                linear = "one, --set 'velocity=backward_difference()'"
+            raise Refused(f"{why}; take a linear {linear}, or run it with teleop run and energy in the scene, which "
+                          "sums what its port takes and gives") from None
         raise
     if (np.abs(np.linalg.eigvals(found.A)) > 1.0 + 1e-6).any():
         raise Refused("the controller grows by itself, whatever it is joined to, so no damping makes it passive; try a "
@@ -136,18 +146,19 @@ def _behind(scene: Scene, device: Any, T: float) -> Behind | None:
 
     delta, gamma = scene.master.damping, coupling.least_real(C, T)
     exact = device.every == 1 and law.theta_x == 1.0  # the derivation's own conditions
-    by = {}
+    by, lacks = {}, {}
     for name, (theta_f, theta_x) in INTEGRATORS.items():
         try:
-            by[name] = tool(replace(law, theta_f=theta_f, theta_x=theta_x))
+            own = replace(law, theta_f=theta_f, theta_x=theta_x)
         except Refused:  # a tool without a mass has no explicit step
             continue
+        by[name], lacks[name] = tool(own), coupling.tool_lack(own, T)
     E = tool(law)
     return Behind(
-        C=C, E=E, alpha=coupling.lack(E, T), gamma=gamma, miller=coupling.alpha_miller(delta, gamma),
+        C=C, E=E, alpha=coupling.tool_lack(law, T), gamma=gamma, miller=coupling.alpha_miller(delta, gamma),
         most=coupling.alpha_max(delta, C, T, d=device.delay) if exact else None, conditions=exact,
         passive_needs=coupling.needed_damping(C, 0.0, T, d=device.delay).damping,
         alone=sampled.needed_damping(E, T, d=device.delay, every=device.every).damping,
         stiffness=coupling.stiffness(E, T), by=by,
-        integrators={name: coupling.lack(own, T) for name, own in by.items()},
+        integrators=lacks,
     )

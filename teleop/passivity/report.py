@@ -14,6 +14,7 @@ from teleop.passivity.one_port import OnePort, one_port
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from teleop.passivity.coupling import Lack
     from teleop.passivity.one_port import Behind
     from teleop.scene import Scene
 
@@ -34,7 +35,7 @@ class Answer(NamedTuple):
     def sentence(self) -> str:
         """The verdict."""
         if self.one is not None:
-            return _one_verdict(self.one)
+            return self.one.verdict.sentence
         assert self.two is not None
         judged = self.two.sampled or self.two.continuous
         assert judged is not None
@@ -90,45 +91,45 @@ def _damping(value: float) -> str:
     return f"{value:.4g} N s/m"
 
 
-def _one_verdict(one: OnePort) -> str:
-    need = one.needed
-    if not isfinite(need.damping):
-        return "not passive with any damping: the law's stiffness is negative"
-    has = f"the device has {_damping(one.damping)} and needs {_damping(need.damping)}"
-    where = f"most at {si(need.frequency, 'Hz')}" if need.frequency > 0.0 else "from slow motion on"
-    return f"{'passive' if one.passive else 'not passive'}: {has}, {where}"
-
-
 def _one(one: OnePort) -> list[tuple[str, str]]:
-    rows = [("verdict", _one_verdict(one))]
+    rows = [("verdict", one.verdict.sentence)]
     late = f", {one.d} of them after the reading" if one.d else ""
     often = "tick" if one.every == 1 else f"{one.every} ticks"
     rows.append(("force", f"renewed every {often} of {si(one.T, 's')}{late}"))
     rows.append(("at rest", f"{one.stiffness:.4g} N/m"))
     if one.quantised is not None:
-        spring = f"a spring up to {one.quantised:.4g} N/m" if one.quantised > 0.0 else "without friction no spring"
-        rows.append(("encoder", f"{spring} is passive behind it"))
+        most = f"a spring alone is passive up to {one.quantised:.4g} N/m"
+        rows.append(("encoder", most if one.quantised > 0.0 else "no spring is passive behind it without friction"))
     return rows + ([] if one.behind is None else _behind(one, one.behind))
 
 
 def _behind(one: OnePort, behind: Behind) -> list[tuple[str, str]]:
     alpha, delta = behind.alpha.alpha, one.damping
-    at = f" at {si(behind.alpha.frequency, 'Hz')}" if alpha > 0.0 else ", it is passive"
+    lacks = f"lacks alpha_e = {_damping(alpha)}, it is passive"
+    if alpha > 0.0:
+        lacks = f"lacks alpha_e = {_damping(alpha)} at {si(behind.alpha.frequency, 'Hz')}"
+    if not isfinite(alpha):
+        lacks = f"not passive by any alpha_e: {behind.alpha.why}"
     most = "not known for this integrator, or a force renewed slowly"
     if behind.conditions:
         most = f"not even every passive one is safe: that needs {_damping(behind.passive_needs)}"
     if behind.most is not None:
         most = f"every one that lacks up to {_damping(behind.most)} is safe, holding and delay included"
-    told = ", ".join(f"{name} {lack.alpha:.4g}" for name, lack in behind.integrators.items())
+    told = ", ".join(f"{name} {lacking(lack)}" for name, lack in behind.integrators.items())
     return [
-        ("environment", f"lacks alpha_e = {_damping(alpha)}{at}; {behind.stiffness:.4g} N/m at rest"),
-        ("by integrator", f"{told} N s/m"),
+        ("environment", f"{lacks}; {behind.stiffness:.4g} N/m at rest"),
+        ("by integrator", told),
         ("uncoupled", f"alpha_e < delta = {_damping(delta)} {_holds(alpha < delta)}; that very environment needs "
                       f"{_damping(behind.alone)}"),
         ("coupled", f"gamma = {_damping(behind.gamma)}; alpha_e < delta gamma/(delta + gamma) = "
                     f"{_damping(behind.miller)} {_holds(alpha < behind.miller)}"),
         ("behind it", most),
     ]
+
+
+def lacking(lack: Lack) -> str:
+    """How much passivity an environment lacks, or why no damper makes it passive."""
+    return lack.why or (f"lacks {_damping(lack.alpha)}" if lack.alpha > 0.0 else "passive")
 
 
 def _holds(yes: bool) -> str:
@@ -167,7 +168,7 @@ def _llewellyn(judged: Judged) -> str:
 
 
 def summary(answer: Answer, command: Sequence[str] = ()) -> dict[str, Any]:
-    """The answer as JSON can hold it: SI units; what is endless is null."""
+    """The answer as JSON can hold it: SI units; what is endless or not known is null."""
     from teleop import __version__
     from teleop.result import parameters
 
@@ -190,13 +191,15 @@ def _one_numbers(one: OnePort) -> dict[str, Any]:
     return {
         "damping": one.damping, "needed_damping": _finite(one.needed.damping), "frequency": one.needed.frequency,
         "delay": one.d, "every": one.every, "stiffness": one.stiffness,
-        "quantised_stiffness": one.quantised,
+        "quantised_stiffness": one.quantised, "encoder_friction": one.verdict.asked,
         "coupling": behind and {
-            "alpha_e": behind.alpha.alpha, "alpha_e_frequency": behind.alpha.frequency, "delta": one.damping,
+            "alpha_e": _finite(behind.alpha.alpha), "alpha_e_frequency": behind.alpha.frequency, "delta": one.damping,
             "gamma": behind.gamma, "alpha_miller": behind.miller, "alpha_max": behind.most,
             "needed_for_passive": _finite(behind.passive_needs),
             "needed_alone": _finite(behind.alone), "stiffness": behind.stiffness,
-            "alpha_by_integrator": {name: lack.alpha for name, lack in behind.integrators.items()},
+            "alpha_by_integrator": {name: _finite(lack.alpha) for name, lack in behind.integrators.items()},
+            "why_not": {name: lack.why for name, lack in [("alpha_e", behind.alpha), *behind.integrators.items()]
+                        if lack.why},
         },
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, inf, pi, tan
 from typing import NamedTuple
 
@@ -10,8 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.laws.virtual_coupling import VirtualCoupling, coupling_impedance, tool_impedance
+from teleop.law import At
+from teleop.laws.virtual_coupling import Tool, VirtualCoupling, coupling_impedance, tool_impedance
 from teleop.passivity.coupling import (
+    ANTICIPATES,
+    UNSTABLE,
     alpha_max,
     alpha_max_spring_damper,
     alpha_miller,
@@ -22,6 +26,7 @@ from teleop.passivity.coupling import (
     needed_damping,
     rendered,
     stiffness,
+    tool_lack,
 )
 from teleop.passivity.sampled import needed_damping as needed_alone
 from teleop.passivity.sampled import spring_damper, wall_damping
@@ -103,11 +108,92 @@ class TestMiller:
         assert needed_alone(C, T).damping > 0.8
 
 
+def left_alone(law: VirtualCoupling, ticks: int = 400) -> float:
+    """How much a tool on its wall, before a device held fast far away on a weak spring, swings up in `ticks`."""
+    hold = 1e-6 * law.k_e
+    law = replace(law, K=hold, B=0.0)
+    x = 1e6 + 1.0  # presses the tool 1 m into the wall
+    at = At(x, 0.0, 0.0, 0.0, 0.0, False, 0.0, T)
+    tool = Tool(1.0 + 1e-6, 0.0, -1e-6 * law.k_e)
+    off = 1e-6
+    for _ in range(ticks):
+        _, tool = law.force(tool, at)
+        off = abs(tool.y - 1.0) + T * abs(tool.u)
+        if not off < 0.1:
+            break
+    return off / 1e-6
+
+
+tools = st.builds(
+    VirtualCoupling, K=st.just(1.0), mass=st.floats(1e-4, 0.1), damping=st.sampled_from([0.0, 0.1, 5.0, 100.0]),
+    k_e=st.floats(1e2, 1e5), d_e=st.sampled_from([0.0, 1.0, 30.0]),
+    theta_f=st.sampled_from([0.0, 0.3, 0.49, 0.5, 0.7, 1.0]), theta_x=st.sampled_from([0.0, 0.3, 0.5, 0.7, 1.0]))
+
+
+def polynomials(law: VirtualCoupling) -> tuple[np.ndarray, np.ndarray]:
+    """E(z) = N/D, put together from its parts."""
+    Q, W = np.array([law.theta_f, 1 - law.theta_f]), np.array([law.theta_x, 1 - law.theta_x])
+    step = np.array([1.0, -1.0])
+    N = law.mass * np.polymul(step, step)
+    N = np.polyadd(N, (law.damping + law.d_e) * T * np.polymul(Q, step))
+    return np.polyadd(N, law.k_e * T**2 * np.polymul(Q, W)), T * np.polymul(Q, step)
+
+
+class TestToolLack:
+    @settings(max_examples=150, deadline=None)
+    @given(law=tools)
+    def test_unstable_by_itself_is_what_grows(self, law: VirtualCoupling) -> None:
+        """The law's own tick, apart from the edge itself."""
+        size = np.abs(np.roots(polynomials(law)[0])).max()
+        if abs(size - 1.0) < 0.02:
+            return
+        grown = left_alone(law)
+        assert (tool_lack(law, T).why == UNSTABLE) == (grown > 100.0)
+        assert (size > 1.0) == (grown > 100.0)
+
+    @pytest.mark.parametrize(("own", "why", "root"), [
+        ({"theta_f": 0.0}, UNSTABLE, -2.618),  # semi-implicit Euler, k dt^2/m = 5
+        ({"theta_f": 0.0, "mass": 0.0251}, ANTICIPATES, -1.0),
+        ({"theta_f": 0.0, "mass": 0.0249}, UNSTABLE, -1.1),
+        ({"theta_f": 0.3, "mass": 0.1}, ANTICIPATES, 0.0),
+        ({"theta_f": 0.0, "theta_x": 0.0}, UNSTABLE, 0.0),
+        ({"theta_f": 1.0, "theta_x": 0.0}, UNSTABLE, 0.0),
+        ({"theta_f": 0.3, "theta_x": 1.0, "mass": 0.0}, UNSTABLE, -7 / 3),
+        ({"theta_f": 0.5, "theta_x": 0.5}, "", 0.0),
+        ({}, "", 0.0),
+    ])
+    def test_known_tools(self, own: dict[str, float], why: str, root: float) -> None:
+        law = VirtualCoupling(**own)
+        found = tool_lack(law, T)
+        assert found.why == why
+        assert found.alpha == (inf if why else 0.0)
+        if abs(root) > 1.2:
+            assert np.abs(np.roots(polynomials(law)[0])).max() == pytest.approx(abs(root), rel=1e-3)
+
+    @settings(max_examples=100, deadline=None)
+    @given(law=tools)
+    def test_with_a_finite_alpha_it_is_positive_real_all_over_the_outside(self, law: VirtualCoupling) -> None:
+        found = tool_lack(law, T)
+        r, th = np.meshgrid(np.r_[1.0 + np.geomspace(1e-6, 1.0, 25), 3.0, 10.0, 1e3], np.linspace(0.0, pi, 181))
+        E = tool_impedance(law, r * np.exp(1j * th), T)
+        if not found.why:
+            assert (E.real + found.alpha >= -1e-6 * np.abs(E)).all()
+
+    @settings(max_examples=100, deadline=None)
+    @given(law=tools.filter(lambda law: law.theta_f < 0.5), alpha=st.floats(0.0, 1e4))
+    def test_where_it_anticipates_no_damper_does_it(self, law: VirtualCoupling, alpha: float) -> None:
+        assert tool_lack(law, T).alpha == inf
+        near = -1e9 if law.theta_f == 0.0 else -(1 - law.theta_f) / law.theta_f
+        by = [tool_impedance(law, z, T).real for z in (near * (1 - 1e-9), near * (1 + 1e-9))]
+        assert min(by) < -alpha
+
+
 class TestLack:
     @pytest.mark.parametrize(("theta_f", "theta_x", "spring", "mass"), [
         (0.0, 0.0, 0.5, 2.0), (0.0, 1.0, 0.0, 2.0), (0.5, 0.5, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0),
     ])
-    def test_springs_and_masses_by_integrator(self, theta_f: float, theta_x: float, spring: float, mass: float) -> None:
+    def test_on_the_circle_springs_and_masses_by_integrator(
+            self, theta_f: float, theta_x: float, spring: float, mass: float) -> None:
         k, m = 400.0, 0.02
         bare = VirtualCoupling(K=1.0, mass=0.0 if theta_f else 1e-300, k_e=k, theta_f=theta_f, theta_x=theta_x)
         heavy = VirtualCoupling(K=1.0, mass=m, k_e=0.0, theta_f=theta_f, theta_x=theta_x)
