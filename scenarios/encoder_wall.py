@@ -18,6 +18,7 @@ def scene(
     K: float = 400.0,  # N/m, stiffness of the wall; 2500 hums at 34 Hz
     every: int = 1,  # ticks after which the wall's force is renewed; 5 shakes at 21 Hz
     cap: float | None = None,  # N s/m, most damping of the passivity controller; none: no controller
+    v_min: float = 0.0,  # m/s, velocity that the passivity controller leaves alone
     step: float | None = 2.0 * pi * 0.010 / 1024.0,  # m, of the encoder: 1024 lines on a 10 mm drum; none: no encoder
     f_max: float = 2.0,  # N, most force of wall and controller together
     dt: float = 1e-3,  # s, the tick
@@ -29,7 +30,7 @@ def scene(
     else:
         from teleop.popc import PassivityController
 
-        passivity = PassivityController(cap=cap)
+        passivity = PassivityController(cap=cap, v_min=v_min)
     return Scene(
         law=VirtualWall(K=K, at=0.030),
         master=MassDamper(mass=0.04, damping=0.8),

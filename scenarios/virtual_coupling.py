@@ -24,12 +24,30 @@ def scene(
     velocity: VelocityEstimator = BackwardDifference(),  # low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1), ...
     every: int = 1,  # ticks after which the force is renewed
     delay: int = 0,  # ticks from reading to force
+    cap: float | None = None,  # N s/m, most damping of the passivity controller; none: no controller
+    v_min: float = 0.0,  # m/s, velocity that the passivity controller leaves alone
+    f_max: float | None = None,  # N, most force of the actuator; none: no saturation
+    b_e: float | None = None,  # N s/m, electrical damping of the motor, well above its cutoff; none: none
+    cutoff: float = 10.0,  # Hz, below which the electrical damping fades
     observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
     energy: bool = True,  # record the energy ledger
     dt: float = 1e-3,  # s, the tick
     duration: float = 2.0,  # s
 ) -> Scene:
     """A reach of least jerk takes a tool on a virtual coupling into a stiff virtual wall."""
+    passivity, saturation, electrical = None, None, None
+    if cap is not None:
+        from teleop.popc import PassivityController
+
+        passivity = PassivityController(cap=cap, v_min=v_min)
+    if f_max is not None:
+        from teleop.safety import Cap
+
+        saturation = Cap(f_max=f_max)
+    if b_e is not None:
+        from teleop.relaxing import ElectricalDamping
+
+        electrical = ElectricalDamping(b=b_e, cutoff=cutoff)
     return Scene(
         law=law,
         master=MassDamper(mass=m, damping=b, friction=friction),
@@ -38,6 +56,9 @@ def scene(
             encoder=None if step is None else Encoder(step=step), velocity=velocity,
             every=every, delay=delay,
         ),
+        passivity=passivity,
+        cap=saturation,
+        electrical=electrical,
         observer=observer,
         energy=energy,
         dt=dt,

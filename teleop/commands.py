@@ -121,8 +121,8 @@ def _stability(added: ArgumentParser) -> None:
 
 def _passivity(added: ArgumentParser) -> None:
     scene_options(added)
-    added.add_argument("--range", metavar="LOW:HIGH", help="frequencies in Hz; left out: 0.1 to half the rate, of two ports "
-                       "0.49 of it")
+    added.add_argument("--range", metavar="LOW:HIGH", help="frequencies in Hz; left out: 0.1 to half the rate, of two "
+                       "ports 0.49 of it")
     added.add_argument("--out", metavar="DIR", help="write summary.json and curves.npz into this new folder")
     _json(added)
     _plot(added, "passivity.png, without --out into runs/SCENE-passivity-NUMBER,")

@@ -124,27 +124,8 @@ def _apply(psi: Triple, a: Matrix, q: Triple) -> Triple:
     return x, y, z
 
 
-class Relaxing(NamedTuple):
-    """A body bonded to a relaxing spring: where that rests, its lasting stiffness, then the fields of `Step3`."""
-
-    at: float
-    k: float
-    a11: float
-    a12: float
-    a13: float
-    b1: float
-    a21: float
-    a22: float
-    a23: float
-    b2: float
-    a31: float
-    a32: float
-    a33: float
-    b3: float
-
-
 def move_relaxing(c: Coefficients, x: float, v: float, f: float, z: Inner) -> tuple[float, float, int, Inner]:
-    """Move a body bonded to a relaxing spring over one tick with f held; c is `Relaxing`, z is (phi,)."""
+    """Move a body bonded to a relaxing spring over one tick with f held; c is (at, k, *`Step3`), z is (phi,)."""
     at, _, a11, a12, a13, b1, a21, a22, a23, b2, a31, a32, a33, b3 = c
     phi, = z
     q = x - at
@@ -153,15 +134,15 @@ def move_relaxing(c: Coefficients, x: float, v: float, f: float, z: Inner) -> tu
 
 
 def relaxing_force(c: Coefficients, x: float, v: float, z: Inner) -> float:  # noqa: ARG001 - every force's arguments
-    """Force on the relaxing spring, which can push and pull: `k (x - at) + phi`."""
+    """Force on the relaxing spring, which can push and pull: `k (x - at) + phi`; c as in `move_relaxing`."""
     return c[1] * (x - c[0]) + z[0]
 
 
 def relaxing(body: MassDamper, dt: float, *, k: float, k1: float, tau: float, at: float = 0.0) -> Plant:
     """A body bonded to a spring k (N/m) in parallel with a Maxwell branch: k1 (N/m) that relaxes within tau (s).
 
-    The inner state is (phi,), the force (N) in the branch, 0 at the start wherever the body is then: at rest
-    for so long that the branch has let go.
+    `at` (m) is where the springs rest. The inner state is (phi,), the force (N) in the branch, 0 at the start
+    wherever the body is then: at rest for so long that the branch has let go.
     """
     _no_friction(body, "tissue that relaxes")
     step = step3(body.mass, body.damping, k, 1.0, WIDE.multiply(Decimal(k1), Decimal(tau)), tau,
@@ -198,35 +179,12 @@ class ElectricalDamping:
         object.__setattr__(self, "cutoff", number("cutoff", self.cutoff, above=0.0))
 
 
-class Held(NamedTuple):
-    """A hand's grip on a master damped electrically: the fields of `Step3`, then what the grip's force needs."""
-
-    a11: float
-    a12: float
-    a13: float
-    b1: float
-    a21: float
-    a22: float
-    a23: float
-    b2: float
-    a31: float
-    a32: float
-    a33: float
-    b3: float
-    dt: float
-    b: float  # damping of the master alone
-    k: float
-    d: float
-    hand: float  # mass of the hand
-    mass: float  # of both together
-    b_e: float
-
-
 def relaxing_master(body: MassDamper, hand_mass: float, k: float, d: float, dt: float, *, b_e: float, cutoff: float
                     ) -> Plant:
     """Master `body` damped electrically and held by a hand of `hand_mass` through a spring k and damper d.
 
-    `move` is `move_held`, `force` is `held_force`, `c` is `Held`; the inner state is (u,), the velocity (m/s)
+    `move` is `move_held`, `force` is `held_force`, `c` is (*`Step3`, dt, b, k, d, hand, mass, b_e) with b
+    of the master alone, `hand` of the hand alone and `mass` of both. The inner state is (u,), the velocity (m/s)
     for which the capacitor's voltage stands: 0 at the start. Without a hand: `hand_mass = k = d = 0`.
     """
     _no_friction(body, "a master with electrical damping")
@@ -242,7 +200,7 @@ def relaxing_master(body: MassDamper, hand_mass: float, k: float, d: float, dt: 
 
 def move_held(c: Coefficients, x: float, v: float, f_m: float, r0: float, r1: float, z: Inner
               ) -> tuple[float, float, Inner]:
-    """Move the held master over one tick in which the reference runs straight from r0 to r1; c is `Held`.
+    """Move the held master over one tick in which the reference runs straight from r0 to r1; c as there.
 
     With b_e (v - u) the force of the shunt and tau u' = v - u, only differences of velocities count there: as
     a mass behind a damper it is the same in a frame that moves evenly. So with s = (r1 - r0)/dt,
@@ -260,7 +218,7 @@ def move_held(c: Coefficients, x: float, v: float, f_m: float, r0: float, r1: fl
 
 
 def held_force(c: Coefficients, x: float, v: float, f_held: float, r: float, slope: float, z: Inner) -> float:
-    """`f_h`, what passes through the grip, as the left limit at a tick (see `plant.grip_force`); c is `Held`.
+    """`f_h`, what passes through the grip, as the left limit at a tick (see `plant.grip_force`); c as there.
 
     `f_h = k (x_ref - x) + d (v_ref - v) - m_h a`, where `M a` is the muscle's force less that of the dampers
     b v and b_e (v - u) and of the motor.

@@ -105,7 +105,7 @@ def solved(branch: Branch, dt: float, solver: str, rtol: float, atol: float | No
 
 
 def bonded(steps: Steps) -> Callable[..., tuple[float, float, int, tuple[float]]]:
-    """`move_relaxing` by `steps`; its c is `Relaxing`."""
+    """`move_relaxing` by `steps`; its c is (at, k, *`Step3`)."""
 
     def move(c: Any, x: float, v: float, f: float, z: tuple[float]) -> tuple[float, float, int, tuple[float]]:
         at = c[0]

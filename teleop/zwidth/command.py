@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from teleop.zwidth.assess import ZWidth
+
+FIGURES = ("plane.png", "impedance.png", "levers.png")
 
 
 def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, range_b: str | None, seed: int,
@@ -16,10 +21,9 @@ def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, ra
     """Find the Z-width of scene `name` and leave it in a new folder: what was found, and where.
 
     `clock` (s) times the line of progress on `stream`; None: no such line. An interrupt leaves what was done until
-    then. Raises `Refused`.
+    then, and no file by half. Raises `Refused`, and KeyboardInterrupt if nothing was done yet.
     """
     from teleop.console import Progress
-    from teleop.figure import drawable
     from teleop.folder import new_folder, numbered
     from teleop.scene import load_scene
     from teleop.zwidth.assess import assess, span
@@ -30,19 +34,83 @@ def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, ra
     folder = Path(out) if out is not None else numbered(Path("runs"), f"{scene.name}-zwidth")
     line = None if stream is None else Progress(stream, 1.0)
 
-    def show(part: float, text: str) -> None:
-        if line is not None:
-            line.show(part, clock(), text)
+    with _interrupts() as finger, new_folder(folder) as inside:
 
-    with new_folder(folder) as inside:
+        def show(part: float, text: str) -> None:
+            if part >= 1.0:
+                finger.stops = False  # from here on all of it is found, and only has to be kept
+            elif finger.came:
+                raise KeyboardInterrupt  # the one that was raised got lost in a library
+            if line is not None:
+                line.show(part, clock(), text)
+
         try:
             got = assess(scene, span_K=spans[0], span_B=spans[1], seed=seed, show=show)
         finally:
+            finger.stops = False
             if line is not None:
                 line.end()
+        finger.came -= min(finger.came, int(got.interrupted))  # that one has had its effect
         write(got, inside, command)
-        if drawable():
+        left_out = _draw(got, inside, finger)
+        if finger.came:
+            note = [f"interrupted before it was drawn: {', '.join(left_out)}"] if left_out else []
+            got = replace(got, interrupted=True, notes=[*got.notes, *note])
+            write(got, inside, command)
+    return got, folder
+
+
+def _draw(got: ZWidth, folder: Path, finger: _Interrupts) -> list[str]:
+    """Draw the figures, where the extra is there, until an interrupt comes; which of them are missing then."""
+    from teleop.figure import drawable
+
+    if not drawable():
+        return []
+    try:
+        finger.stops = not finger.came
+        if finger.stops:
             from teleop.zwidth.figure import draw
 
-            draw(got, inside)
-    return got, folder
+            draw(got, folder)
+    except KeyboardInterrupt:
+        finger.came = finger.came or 1
+    except Exception:  # what libraries make of an interrupt that hits them while they load
+        if not finger.came:
+            raise
+    finally:
+        finger.stops = False
+    for part in folder.glob(".*.part"):
+        part.unlink()
+    return [figure for figure in FIGURES if not (folder / figure).is_file()]
+
+
+class _Interrupts:
+    """What Ctrl-C does: `came` counts it, and while `stops` the first one stops the work at once."""
+
+    __slots__ = ("came", "stops")
+
+    def __init__(self) -> None:
+        self.stops, self.came = True, 0
+
+    def __call__(self, *_: object) -> None:
+        self.came += 1
+        if self.stops:
+            self.stops = False
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def _interrupts() -> Iterator[_Interrupts]:
+    """Ctrl-C as `_Interrupts` has it; where it is ignored or already means something else, that stays."""
+    finger = _Interrupts()
+    before = signal.getsignal(signal.SIGINT)
+    ours = False
+    if before is signal.default_int_handler:
+        with suppress(ValueError):  # in a thread, which Ctrl-C does not reach
+            signal.signal(signal.SIGINT, finger)
+            ours = True
+    try:
+        yield finger
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, before)

@@ -10,11 +10,14 @@ import pytest
 
 from master.hand import Grip, Hold
 from scenarios import encoder_wall, virtual_coupling, virtual_wall
-from teleop import Scene, run
+from teleop import Refused, Scene, load_scene, run
 from teleop.bodies import exact_bodies
 from teleop.device import Encoder
 from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.laws.virtual_wall import VirtualWall
+from teleop.popc import PassivityController
+from teleop.relaxing import ElectricalDamping
+from teleop.safety import Cap
 
 
 def work_of_the_hand(scene: Scene) -> np.ndarray:
@@ -173,3 +176,52 @@ def test_the_walls_knobs_reach_their_parts() -> None:
     assert device is not None
     assert (device.encoder, device.every, device.delay) == (Encoder(step=1e-5), 3, 2)
     assert (scene.slave, scene.observer) == (None, 50.0)
+
+
+BOTH = pytest.mark.parametrize("name", ["virtual_wall", "virtual_coupling"])
+
+
+@BOTH
+def test_what_a_device_may_have_is_left_out_unless_it_is_asked_for(name: str) -> None:
+    scene = load_scene(name)
+    assert (scene.passivity, scene.cap, scene.electrical) == (None, None, None)
+    scene = load_scene(name, v_min=0.01, cutoff=5.0)  # of what is not there
+    assert (scene.passivity, scene.cap, scene.electrical) == (None, None, None)
+
+
+@BOTH
+def test_controller_saturation_and_electrical_damping_have_knobs(name: str) -> None:
+    scene = load_scene(name, cap="0.7", v_min="0.01", f_max="3", b_e="0.6", cutoff="20")
+    assert scene.passivity == PassivityController(cap=0.7, v_min=0.01)
+    assert scene.cap == Cap(f_max=3.0)
+    assert scene.electrical == ElectricalDamping(b=0.6, cutoff=20.0)
+    assert load_scene(name, b_e=0.6).electrical == ElectricalDamping(b=0.6, cutoff=10.0)
+    assert load_scene(name, cap=0.7).passivity == PassivityController(cap=0.7)
+
+
+@BOTH
+@pytest.mark.parametrize(("knob", "value"), [("cap", -1.0), ("v_min", -1.0), ("f_max", -1.0), ("b_e", -1.0),
+                                             ("cutoff", 0.0)])
+def test_what_they_cannot_be_is_refused_by_the_knobs_name(name: str, knob: str, value: float) -> None:
+    with pytest.raises(Refused, match=rf"^{knob} must be "):
+        load_scene(name, **{"cap": 0.5, "b_e": 0.5, knob: value})
+
+
+@BOTH
+def test_a_saturated_actuator_gives_no_more(name: str) -> None:
+    most = float(np.abs(run(load_scene(name, f_max=2.0)).trace["f_m"]).max())
+    assert most == 2.0 < float(np.abs(run(load_scene(name)).trace["f_m"]).max())
+
+
+@pytest.mark.parametrize("knobs", [{"b_e": 1.6, "cutoff": 1.0}, {"cap": 0.8}])
+def test_a_wall_that_hums_is_calmed(knobs: dict[str, Any]) -> None:
+    law = VirtualWall(K=2200.0, at=0.03)
+    hum, calm = (np.ptp(run(virtual_wall.scene(law=law, d=0.0, **more)).trace["x_m"][-300:]) for more in ({}, knobs))
+    assert calm < 0.2 * hum
+
+
+def test_a_controller_leaves_velocities_below_v_min_alone() -> None:
+    bare, deaf = run(encoder_wall.scene(K=2500.0)).trace, run(encoder_wall.scene(K=2500.0, cap=0.8, v_min=10.0)).trace
+    np.testing.assert_array_equal(bare["x_m"], deaf["x_m"])
+    assert np.ptp(run(encoder_wall.scene(K=2500.0, cap=0.8, v_min=1e-6)).trace["x_m"][-500:]) < 1e-4
+    assert encoder_wall.scene(cap=0.8, v_min=0.02).passivity == PassivityController(cap=0.8, v_min=0.02)

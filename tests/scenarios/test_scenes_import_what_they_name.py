@@ -108,6 +108,14 @@ def test_a_built_in_scene(name: str, tmp_path: Path) -> None:
     assert not loaded & NEVER
 
 
+@pytest.mark.parametrize("name", ["virtual_wall", "virtual_coupling"])
+def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: Path) -> None:
+    knobs = {"duration": "0.02", "cap": "0.8", "f_max": "3", "b_e": "0.8"}
+    loaded = loaded_by(name, knobs, tmp_path)
+    assert {"teleop.popc", "teleop.safety", "teleop.relaxing"} <= loaded
+    assert loaded & OPTIONAL == named_by(load_scene(name, **knobs))
+
+
 @pytest.mark.parametrize(
     ("change", "gained", "lost"),
     [

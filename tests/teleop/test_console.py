@@ -113,6 +113,15 @@ class TestTable:
         assert told["time per tick"] == ["50.0 us master of processor time"]
         assert "late ticks" not in rows(replace(wave, mode="lockstep", extra=extra))
 
+    def test_calls_the_error_of_an_integration_estimated(self, wave: Result) -> None:
+        own = {"error_estimate_max": 4.94e-10, "error_estimate_sum": 1.2e-8, "substeps_max": 3,
+               "ticks_over_tolerance": 0, "tolerance": 1e-9}
+        over = {**own, "ticks_over_tolerance": 2}
+        assert rows(replace(wave, extra={"integration": {"master": own, "slave": over}}))["integration"] == [
+            "master: error estimated at 4.94e-10 m a tick (12.0 nm in all), up to 3 sub-steps",
+            "slave: error estimated at 4.94e-10 m a tick (12.0 nm in all), up to 3 sub-steps; 2 ticks above 1.00 nm",
+        ]
+
     def test_passes_on_the_notes(self, wave: Result) -> None:
         assert rows(replace(wave, notes=("mind this", "and that")))["note"] == ["mind this", "and that"]
 

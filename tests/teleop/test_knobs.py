@@ -13,15 +13,17 @@ from hypothesis import strategies as st
 
 from channel.delay import Delay
 from teleop import Refused, load_scene
+from teleop.device import VelocityEstimator
 from teleop.errors import number
 from teleop.knobs import knobs_of, read, settle
-from teleop.law import Law
+from teleop.law import Law, OnePortLaw
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.playout import Fixed, Hold, Zero
 from teleop.scene import Playout, Vector
+from teleop.velocity.low_pass import LowPass
 
-WAVE = Wave()
+WAVE, ZERO, DELAY, LOW_PASS = Wave(), Zero(), Delay(0.1), LowPass(cutoff=30.0)
 
 
 def scene(*, up: Path, k_e: float = 1.0, law: Law = WAVE, steps: int = 3) -> None: ...
@@ -64,6 +66,45 @@ class TestNames:
     def test_that_cannot_be_named_are_refused(self, function: Any, shown: str) -> None:
         with pytest.raises(Refused, match=rf"`{shown}.*` cannot be one; write for example `def scene\(\*, k_e"):
             knobs_of(function)
+
+
+def bare(law=WAVE, k=1000, m=0.5, energy=True, title="a", up=Path("x"), at=(0.1,), play=ZERO,  # type: ignore[no-untyped-def]
+         left_out=None, velocity=LOW_PASS, other=DELAY, *, given) -> None: ...
+
+
+def ruled(law) -> None: ...  # type: ignore[no-untyped-def]
+
+
+class TestWithoutAnnotation:
+    """A user's scene need not say what its defaults show."""
+
+    def test_a_knob_is_of_its_defaults_type_and_else_a_number(self) -> None:
+        kinds = {name: kind for name, (kind, _) in knobs_of(bare).items()}
+        assert kinds == {
+            "law": Law | OnePortLaw, "k": float, "m": float, "energy": bool, "title": str, "up": Path, "at": Vector,
+            "play": Playout, "left_out": float | None, "velocity": VelocityEstimator, "other": Delay, "given": float,
+        }
+
+    @pytest.mark.parametrize(("name", "text", "value"), [
+        ("law", "pfra", PFRA()), ("k", "0.5", 0.5), ("energy", "no", False), ("title", "b", "b"),
+        ("up", "y", Path("y")), ("at", "1,2", (1.0, 2.0)), ("play", "hold", Hold()),
+        ("left_out", "3", 3.0), ("left_out", "none", None),
+        ("velocity", "low_pass(cutoff=5)", LowPass(cutoff=5.0)),
+    ])
+    def test_it_is_read_as_such(self, name: str, text: str, value: object) -> None:
+        assert settle("s", bare, {"given": "1", name: text})[0] | {"given": 1.0} == {
+            **settle("s", bare, {"given": 1.0})[0], name: value}
+
+    def test_a_law_is_known_by_its_name_alone_and_tuned(self) -> None:
+        assert settle("s", ruled, {"law": "wave", "law.b": "3"})[0] == {"law": Wave(b=3.0)}
+
+    @pytest.mark.parametrize(("name", "text", "words"), [
+        ("law", "directt", "did you mean direct"), ("energy", "2", "energy is true or false"), ("k", "x", "k=1.5"),
+        ("other", "delay", "other cannot be written as text"), ("play", "x", "play is zero, hold"),
+    ])
+    def test_what_is_wrong_is_refused_in_its_terms(self, name: str, text: str, words: str) -> None:
+        with pytest.raises(Refused, match=words):
+            settle("s", bare, {"given": "1", name: text})
 
 
 class TestNumbers:
@@ -159,6 +200,12 @@ class TestOtherKinds:
 
 
 class TestLaws:
+    def test_may_be_a_knob_of_another_name(self) -> None:
+        assert read("remote", "pfra", Law) == PFRA()
+        assert read("remote", WAVE, OnePortLaw | None) is WAVE
+        with pytest.raises(Refused, match=r"remote must be a law or the name of one, not 3; write remote=wave"):
+            read("remote", 3, Law)
+
     def test_are_named_and_tuned(self) -> None:
         assert load_scene("canonical", law="pfra").law == PFRA()
         tuned = load_scene("canonical", **{"law.b": "4", "law": "wave"}).law

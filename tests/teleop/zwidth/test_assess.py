@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import teleop.zwidth.assess
+import teleop.zwidth.figure
 import teleop.zwidth.measured
+import teleop.zwidth.report
 from teleop.errors import Refused
 from teleop.scene import Scene, load_scene
 from teleop.zwidth.assess import ZWidth, assess, span
 from teleop.zwidth.plane import Span
-from teleop.zwidth.report import numbers, ratios, said, summary, table
+from teleop.zwidth.report import numbers, ratios, said, summary, table, write
 
 Typed = Callable[..., Any]
 LEVERS = ["as it is", "damping x2", "encoder", "rate x2", "velocity filter", "virtual coupling",
@@ -194,6 +200,23 @@ class TestJson:
         assert said(value) == text
 
 
+def left_by(typed: Typed, folder: str) -> set[str]:
+    """The files in the folder, and nothing beside it, after an interrupt of the command."""
+    with pytest.raises(SystemExit) as left:
+        typed("zwidth", "virtual_wall", "--out", folder)
+    assert left.value.code == 130
+    assert [path.name for path in Path().iterdir()] == [folder]
+    return {path.name for path in Path(folder).iterdir()}
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Ctrl-C as a process has it that was started at a terminal."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 class TestCommand:
     @pytest.fixture(autouse=True)
     def quick(self, monkeypatch: pytest.MonkeyPatch, found: ZWidth) -> None:
@@ -217,14 +240,158 @@ class TestCommand:
     def test_interrupted_it_leaves_what_is_done_and_says_so(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch, found: ZWidth
     ) -> None:
-        from dataclasses import replace
-
         part = replace(found, rows=found.rows[:1], stable=None, stable_free=None, measured=[], interrupted=True)
         monkeypatch.setattr(teleop.zwidth.assess, "assess", lambda *_, **__: part)
         with pytest.raises(SystemExit) as left:
             typed("zwidth", "virtual_wall", "--out", "part")
         assert left.value.code == 130
         assert json.loads(Path("part/zwidth.json").read_text())["status"] == "interrupted"
+
+
+    def test_raised_while_it_draws_it_leaves_the_numbers_and_whole_figures(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        pytest.importorskip("matplotlib")
+
+        def stop(_: ZWidth, folder: Path) -> None:
+            (folder / "plane.png").write_bytes(b"whole")
+            (folder / ".impedance.png.part").write_bytes(b"half")
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(teleop.zwidth.figure, "draw", stop)
+        assert left_by(typed, "here") == {"plane.png", "zwidth.json"}
+        told = json.loads(Path("here/zwidth.json").read_text())
+        assert told["status"] == "interrupted"
+        assert told["notes"][-1] == "interrupted before it was drawn: impedance.png, levers.png"
+        assert told["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
+
+    @pytest.mark.parametrize("what", ["swallowed", "another error", "twice"])
+    def test_what_libraries_make_of_a_signal_is_an_interrupt_still(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, what: str
+    ) -> None:
+        pytest.importorskip("matplotlib")
+
+        def stop(*_: object) -> None:
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                if what == "twice":
+                    signal.raise_signal(signal.SIGINT)
+                if what != "swallowed":
+                    raise ImportError("half of a library") from None
+
+        monkeypatch.setattr(teleop.zwidth.figure, "draw", stop)
+        assert left_by(typed, "here") == {"zwidth.json"}
+        assert json.loads(Path("here/zwidth.json").read_text())["status"] == "interrupted"
+
+    def test_an_error_without_an_interrupt_stays_one(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        pytest.importorskip("matplotlib")
+
+        def fail(*_: object) -> None:
+            raise ZeroDivisionError
+
+        monkeypatch.setattr(teleop.zwidth.figure, "draw", fail)
+        with pytest.raises(ZeroDivisionError):
+            typed("zwidth", "virtual_wall", "--out", "here")
+        assert not list(Path().iterdir())
+
+    @pytest.mark.parametrize("when", ["all is found", "it is written", "half is found, then again"])
+    def test_a_signal_between_the_parts_waits_until_the_numbers_are_written(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, found: ZWidth, when: str
+    ) -> None:
+        def quick(*_: object, show: Callable[[float, str], None], **__: object) -> ZWidth:
+            if when == "half is found, then again":
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(signal.SIGINT)
+                return replace(found, interrupted=True)
+            show(1.0, "done")
+            if when == "all is found":
+                signal.raise_signal(signal.SIGINT)
+            return found
+
+        def slow(*args: Any) -> None:
+            if when == "it is written":
+                signal.raise_signal(signal.SIGINT)
+            write(*args)
+
+        monkeypatch.setattr(teleop.zwidth.assess, "assess", quick)
+        monkeypatch.setattr(teleop.zwidth.report, "write", slow)
+        assert left_by(typed, "here") == {"zwidth.json"}
+        assert json.loads(Path("here/zwidth.json").read_text())["status"] == "interrupted"
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+    def test_a_signal_that_got_lost_while_it_was_looked_for_is_raised_again(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, found: ZWidth
+    ) -> None:
+        def quick(*_: object, show: Callable[[float, str], None], **__: object) -> ZWidth:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                show(0.5, "further")
+            return replace(found, interrupted=True)
+
+        monkeypatch.setattr(teleop.zwidth.assess, "assess", quick)
+        assert "zwidth.json" in left_by(typed, "here")
+
+    def test_who_ignores_ctrl_c_or_has_a_handler_keeps_it(self, typed: Typed, monkeypatch: pytest.MonkeyPatch,
+                                                          ctrl_c: None, found: ZWidth) -> None:
+        seen: list[object] = []
+
+        def quick(*_: object, **__: object) -> ZWidth:
+            seen.append(signal.getsignal(signal.SIGINT))
+            return found
+
+        monkeypatch.setattr(teleop.zwidth.assess, "assess", quick)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        typed("zwidth", "virtual_wall", "--json", "--out", "here")
+        assert seen == [signal.SIG_IGN] == [signal.getsignal(signal.SIGINT)]
+
+
+CHILD = """
+import signal, sys
+from itertools import islice
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import teleop.zwidth.assess as assess, teleop.zwidth.measured as measured
+every = assess.levers
+assess.levers = lambda scene: islice(every(scene), 1)
+measured.LASTING, measured.TICKS = 0.1, (100, 100)
+from teleop.__main__ import main
+raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here"]))
+"""
+
+
+class TestSignal:
+    """A real Ctrl-C at a process that draws: sent as soon as a file is seen."""
+
+    @pytest.mark.parametrize(("seen", "taps"), [("zwidth.json", 1), ("zwidth.json", 3), ("plane.png", 1),
+                                                ("impedance.png", 2)])
+    def test_it_keeps_what_is_whole_and_says_what_is_not(
+        self, process: Typed, ended: Typed, tmp_path: Path, seen: str, taps: int
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        child = process("-c", CHILD)
+        while child.poll() is None and not list(tmp_path.glob(f".here.*.part/{seen}")):
+            time.sleep(0.001)
+        for _ in range(taps):
+            child.send_signal(signal.SIGINT)
+        answer = ended(child)
+        assert answer.code == 130, answer.err
+        assert "Traceback" not in answer.err
+        assert [path.name for path in tmp_path.iterdir()] == ["here"]
+        told = json.loads((tmp_path / "here/zwidth.json").read_text())
+        assert told["status"] == "interrupted"
+        assert told["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
+        names = {path.name for path in (tmp_path / "here").iterdir()}
+        drawn = names - {"zwidth.json"}
+        assert {seen, "zwidth.json"} <= names
+        assert told["notes"][-1] == "interrupted before it was drawn: " + ", ".join(
+            name for name in ("plane.png", "impedance.png", "levers.png") if name not in drawn)
+        for name in drawn:
+            picture = (tmp_path / "here" / name).read_bytes()
+            assert picture.startswith(b"\x89PNG"), name
+            assert b"IEND" in picture[-12:], name
+        assert "written to here" in answer.out
 
 
 class TestWrongRequests:
@@ -250,8 +417,6 @@ class TestWrongRequests:
 
             def force(self, s: tuple[()], at: Any) -> tuple[float, tuple[()]]:
                 return 0.0, s
-
-        from dataclasses import replace
 
         with pytest.raises(Refused, match=r"no stiffness K and damping B .* --set law=virtual_wall"):
             assess(replace(load_scene("virtual_wall"), law=Nothing()))
