@@ -112,7 +112,7 @@ def _stability(added: ArgumentParser) -> None:
     added.add_argument("--range", metavar="LOW:HIGH", help="where to look for it; left out: a hundredth of the knob's "
                        "own value to a hundred times that")
     added.add_argument("--tol", metavar="X", help="how closely, in the knob's unit; left out: 1e-6 of the value (with "
-                       "--time 1e-3)")
+                       "--time: a step of the search halved 5 times)")
     added.add_argument("--continuous", action="store_true", help="the delay margin in continuous time too")
     added.add_argument("--time", action="store_true",
                        help="judge by a run in virtual time: for scenes that are not linear")

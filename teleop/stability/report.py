@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import log10
+from math import floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.console import si
 from teleop.errors import Refused, number
-from teleop.stability.assess import Critical, Stability, critical, rests, stability
+from teleop.stability.assess import Change, Critical, Stability, critical, lowest, rests, stability
 
 if TYPE_CHECKING:
     from teleop.scene import Scene
     from teleop.stability.continuous import Continuous
-    from teleop.stability.swing import Swing
+    from teleop.stability.rest import Swing
 
-PLACES_IN_TIME = 9  # of a range: each is a run or three
+PLACES_IN_TIME = 21  # of a range: each is a few runs
+TOLD = 4  # further changes in the table
 
 
 class Answer(NamedTuple):
@@ -58,12 +59,25 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     def make(value: float) -> Scene:
         return load_scene(name, **{**knobs, knob: value})
 
+    whole = _whole(name, knob)
     if in_time:
-        edge = critical(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME,
-                        tol=closeness or 1e-3 * max(abs(low), abs(own)), judge=lambda one: rests(one, seed=seed))
+        edge = lowest(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME, tol=closeness, whole=whole,
+                      judge=lambda one: rests(one, seed=seed))
     else:
-        edge = critical(make, knob, low=low, high=high, near=own, tol=closeness)
+        edge = critical(make, knob, low=low, high=high, near=own, tol=closeness, whole=whole)
     return Answer(scene, found, limit, edge)
+
+
+def _whole(name: str, knob: str) -> bool:
+    """Does the scene take whole numbers alone for this knob? A law's own are read as any numbers."""
+    from typing import get_args
+
+    from teleop.knobs import knobs_of
+    from teleop.library import scene_function
+
+    hint = knobs_of(scene_function(name)).get(knob, (float, ...))[0]
+    kinds = get_args(hint) or (hint,)
+    return int in kinds and float not in kinds
 
 
 def own_value(scene: Scene, knob: str) -> float:
@@ -120,9 +134,9 @@ def summary(answer: Answer) -> dict[str, Any]:
         }
     else:
         told |= {"method": "virtual time", "sentence": found.sentence, "amplitude": found.amplitude,
-                 "frequency": found.frequency}
+                 "frequency": found.frequency, "rests": found.rests}
     told["continuous"] = answer.limit and answer.limit._asdict()
-    told["critical"] = answer.edge and answer.edge._asdict()
+    told["critical"] = answer.edge and {**answer.edge._asdict(), "all": [one._asdict() for one in answer.edge.all]}
     return told
 
 
@@ -136,7 +150,7 @@ def table(answer: Answer) -> str:
     if limit is not None:
         rows.append(("continuous", _without_clock(limit)))
     if edge is not None:
-        rows.append(("critical", _edge(edge)))
+        rows.append(("critical", _edge(edge, _steps(answer.scene))))
     width = max(len(label) for label, _ in rows)
     return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
 
@@ -179,6 +193,39 @@ def _without_clock(limit: Continuous) -> str:
     return f"unstable from a round trip of {limit.round_trip * 1e3:.3f} ms on, at {limit.frequency:.3f} Hz"
 
 
-def _edge(edge: Critical) -> str:
-    more = f"; the verdict changes {edge.changes} times in the range" if edge.changes > 1 else ""
-    return f"{edge.knob} = {edge.value:.7g} (within {edge.high - edge.low:.1g}), stable {edge.stable}{more}"
+def _steps(scene: Scene) -> str:
+    """What counts as rest behind an encoder."""
+    from teleop.stability.rest import STEPS
+
+    seen = any(end is not None and end.encoder is not None for end in (scene.device_m, scene.device_s))
+    return f", to {STEPS:g} steps of the encoder" if seen else ""
+
+
+def _edge(edge: Critical, counted: str) -> str:
+    if edge.method == "stepwise":
+        one, next_ = ("does not come", "does") if edge.stable == "below" else ("comes", "does not")
+        text = (f"{edge.knob} = {_digits(edge)} is the lowest of {edge.tried} values tried that {one} to "
+                f"rest{counted}; the next below, {_digits(edge, edge.low)}, {next_}")
+    elif isinstance(edge.high, int):
+        word = "unstable" if edge.stable == "below" else "stable"
+        text = f"{edge.knob} = {edge.high} is the first that is {word}, {edge.low} is not yet"
+    else:
+        text = f"{edge.knob} = {_digits(edge)} (within {edge.high - edge.low:.1g}), stable {edge.stable}"
+    others = [one for one in edge.all if one[:3] != edge[1:4]]
+    if not others:
+        return text
+    if edge.method == "stepwise":
+        said = [f"{one.low:.4g} to {one.high:.4g}" for one in others[:TOLD]]
+    else:
+        said = [f"{_digits(one)} (stable {one.stable})" for one in others[:TOLD]]
+    more = f" and {len(others) - TOLD} more, see --json" if len(others) > TOLD else ""
+    return f"{text}; the verdict changes also {'from' if edge.method == 'stepwise' else 'at'} {', '.join(said)}{more}"
+
+
+def _digits(edge: Critical | Change, value: float | None = None) -> str:
+    """A value with the digits that the distance from low to high leaves it."""
+    value = edge.value if value is None else value
+    width = edge.high - edge.low
+    if isinstance(value, int) or not value or not width:
+        return f"{value:.7g}"
+    return f"{value:.{min(max(2, 2 + floor(log10(abs(value) / width))), 7)}g}"

@@ -1,10 +1,9 @@
 """What comes to rest in virtual time: for what has no eigenvalues, an encoder, friction, a passivity controller.
 
 The experiment: the hand holds still where its reference ends, inside the wall; the device starts at rest `BEFORE` the
-wall and is let go, so the hand's spring pulls it in. Then it runs for `LASTING` s, and it is at rest if in the last
-quarter it moves by at most `STEPS` steps of the encoder peak to peak (without one, `QUIET`). If it moves by more, but
-less than in the quarter before, it is given four times as long; that long, without an encoder it is enough that each of
-the last quarters has less than `FADED` of the one before. What swings on is a limit cycle and not at rest.
+wall and is let go, so the hand's spring pulls it in. It runs for `LASTING` s and on for as long as
+`teleop.stability.rest` needs to say what it comes to: a swing of a few steps of the encoder still counts as rest there,
+a limit cycle beyond them does not.
 
 Behind an encoder what rests and what hums may alternate as K grows. So K is raised from well below in steps of `RATIO`
 to the first that does not rest, and the step before it halved: up to there all that were tried rest. A nonlinear loop
@@ -18,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
+from teleop.stability.rest import settled
 from teleop.zwidth.gains import with_gains
 
 if TYPE_CHECKING:
@@ -25,10 +25,7 @@ if TYPE_CHECKING:
 
 BEFORE = 1e-3  # m
 LASTING = 1.5  # s
-TICKS = (400, 20_000)  # the run has at least and at most so many
-STEPS = 2.0
-QUIET = 1e-6  # m
-FADED = 0.9
+TICKS = (400, 20_000)  # the first run has at least and at most so many
 RATIO, HALVED = 1.25, 5  # 1.25^(1/32) is 1.007
 HIGHER, LOWER = 32, 10  # steps up and halvings down that are tried: a factor of 1000 each
 
@@ -68,26 +65,6 @@ def let_go(scene: Scene) -> Scene:
     )
 
 
-def rests(scene: Scene, *, seed: int = 0, again: bool = True) -> bool:
-    """Does the device of a `let_go` scene come to rest?"""
-    import numpy as np
-
-    from teleop.lockstep import run
-
-    result = run(scene, seed=seed)
-    if result.status != "ok":
-        return False
-    x = result.trace["x_m"].reshape(result.ticks, -1)[:, 0]
-    quarter = len(x) // 4
-    earlier, before, last = (np.ptp(x[len(x) - i * quarter:][:quarter]) for i in (3, 2, 1))
-    encoder = scene.device_m and scene.device_m.encoder
-    if last <= (STEPS * encoder.step if encoder else QUIET):
-        return True
-    if again and last < before:
-        return rests(replace(scene, duration=4.0 * scene.duration), seed=seed, again=False)
-    return not encoder and bool(last < FADED * before and before < FADED * earlier)
-
-
 def stiffest_at_rest(scene: Scene, B: float, *, near: float, low: float = 0.0, high: float | None = None,
                      seed: int = 0, tell: Callable[[], None] = lambda: None) -> float | None:
     """The stiffness (N/m) up to which a `let_go` scene comes to rest, to 1 %; None: it does at none that was tried.
@@ -95,7 +72,7 @@ def stiffest_at_rest(scene: Scene, B: float, *, near: float, low: float = 0.0, h
     Looked for from a tenth of `near` on, within low..high; `tell` is called after each run. inf: at rest up to `high`.
     """
     def good(K: float) -> bool:
-        found = rests(with_gains(scene, K, B), seed=seed)
+        found = settled(with_gains(scene, K, B), seed=seed).rests
         tell()
         return found
 

@@ -25,7 +25,7 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.plant import MassDamper
 from teleop.safety import Cap
-from teleop.stability.assess import critical, is_stable, stability
+from teleop.stability.assess import critical, is_stable, lowest, stability
 from teleop.stability.continuous import Continuous, continuous
 from teleop.stability.swing import swing
 
@@ -298,6 +298,54 @@ class TestACriticalValue:
         assert soft.changes == hard.changes == 2
         assert soft.value < hard.value
 
+    def test_tells_where_each_change_is(self) -> None:
+        def scene(k_e: float) -> Scene:
+            return load_scene("soft_tissue", law="direct", k_e=k_e, delay=0.005)
+
+        found = critical(scene, "k_e", low=10.0, high=1e5, near=1e5, tol=0.1)
+        assert [one.stable for one in found.all] == ["below", "above"]
+        assert (found.value, found.low, found.high, found.stable) == found.all[1]
+        for one in found.all:
+            assert one.high - one.low <= 0.1
+            assert is_stable(scene(one.low)) == (one.stable == "below") != is_stable(scene(one.high))
+
+    def test_of_a_whole_number_is_the_first_beyond_the_change(self) -> None:
+        asked: list[float] = []
+
+        def scene(delay: float) -> Scene:
+            asked.append(delay)
+            return load_scene("virtual_wall", delay=delay)
+
+        found = critical(scene, "delay", low=0.0, high=400.0, whole=True)
+        assert (found.value, found.low, found.high) == (2, 1, 2)
+        assert is_stable(scene(1))
+        assert not is_stable(scene(2))
+        assert all(isinstance(one, int) for one in asked)
+
+    @pytest.mark.parametrize(("low", "high"), [(0.2, 0.7), (0.5, 1.5)])
+    def test_of_a_whole_number_is_not_between_two(self, low: float, high: float) -> None:
+        with pytest.raises(Refused, match="not two"):
+            critical(lambda _: handles(SOFT), "delay", low=low, high=high, whole=True)
+
+    def test_where_verdicts_alternate_is_the_lowest_tried(self) -> None:
+        """Below it all that were tried are alike; a bisection would have come to some change or other."""
+        asked: dict[float, bool] = {}
+
+        def judge(value: Any) -> bool:
+            asked[value] = value < 30.0 or int(value) % 3 == 0
+            return asked[value]
+
+        made: Any = lambda value: value  # noqa: E731  # no scene is needed where the judge needs none
+        found = lowest(made, "K", low=20.0, high=120.0, judge=judge, places=21)
+        assert found.value == found.high == min(value for value, rested in asked.items() if not rested)
+        assert found.low == max(value for value in asked if value < found.value)
+        assert (found.stable, found.method, found.tried) == ("below", "stepwise", len(asked))
+        assert found.high - found.low == pytest.approx(5.0 / 2**5)
+        assert found.changes == len(found.all) > 3
+        assert all(asked[one.low] == (one.stable == "below") != asked[one.high] for one in found.all)
+        close = lowest(made, "K", low=20.0, high=120.0, judge=judge, places=21, tol=1e-3)
+        assert close.high - close.low <= 1e-3
+
     @pytest.mark.parametrize(("low", "high", "side"), [(1.0, 50.0, "stable"), (500.0, 5e3, "unstable")])
     def test_that_is_not_there_is_refused_with_the_side(self, low: float, high: float, side: str) -> None:
         with pytest.raises(Refused, match=f"the scene is {side} at all 33 values tried, and unstable at its own"):
@@ -342,8 +390,9 @@ class TestVirtualTime:
         assert swing(replace(scene, environment=None)).verdict == "stable"
 
     def test_kicks_a_scene_that_stands_still(self) -> None:
+        """Kicked, it bounces for ever; without the delay it comes to rest."""
         still = handles(SOFT, environment=Wall(k=400.0, at=-1e-3), link=Delay(0.02), duration=4.0)
-        assert swing(still).verdict == "unstable" or swing(still).verdict == "limit cycle"
+        assert swing(still).verdict == "limit cycle"
         assert swing(replace(still, link=None)).verdict == "stable"
 
     def test_needs_no_hand(self) -> None:
@@ -384,6 +433,30 @@ class TestTheCommand:
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--time", "--critical", "delay",
                        "--range", "0.005:0.05", "--tol", "1e-3", "--json")
         assert json.loads(answer.out)["critical"]["value"] == pytest.approx(0.0145, abs=1.5e-3)
+
+    def test_bisects_a_whole_number_over_whole_numbers(self, typed: Typed) -> None:
+        answer = typed("stability", "virtual_wall", "--critical", "delay", "--range", "0:10")
+        assert "delay = 2 is the first that is unstable, 1 is not yet" in answer.out
+        told = json.loads(typed("stability", "virtual_wall", "--critical", "every", "--range", "1:9", "--json").out)
+        assert (told["critical"]["value"], told["critical"]["low"], told["critical"]["high"]) == (5, 4, 5)
+
+    def test_lists_every_change(self, typed: Typed) -> None:
+        arguments = ["stability", "soft_tissue", "--set", "law=direct", "--set", "delay=0.005", "--critical", "k_e",
+                     "--range", "10:1e5"]
+        told = json.loads(typed(*arguments, "--json").out)["critical"]
+        assert told["all"][0] == {key: told[key] for key in ("value", "low", "high", "stable")}
+        assert (told["changes"], len(told["all"])) == (2, 2)
+        assert f"the verdict changes also at {told['all'][1]['value']:.7g} (stable above)" in typed(*arguments).out
+
+    @pytest.mark.parametrize("duration", ["1.5", "10"])
+    def test_behind_an_encoder_names_the_lowest_that_hums_however_long_the_runs(
+        self, typed: Typed, duration: str
+    ) -> None:
+        arguments = ["stability", "encoder_wall", "--time", "--critical", "K", "--range", "100:5000", "--set",
+                     f"duration={duration}"]
+        answer = typed(*arguments)
+        assert "K = 1201 is the lowest of 26 values tried that does not come to rest, to 2 steps of the encoder; " \
+            "the next below, 1194, does" in answer.out
 
     @pytest.mark.parametrize(("arguments", "words"), [
         (["canonical"], ["Wall", "--time", "tissue"]),

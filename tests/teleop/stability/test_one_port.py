@@ -176,6 +176,27 @@ class TestInTime:
         assert got.verdict == "limit cycle"
         assert got.frequency == pytest.approx(hertz, abs=1.0)
 
-    @pytest.mark.parametrize("knobs", [{}, {"K": 2500.0, "cap": 0.8}, {"every": 5, "cap": 0.8}])
+    @pytest.mark.parametrize("knobs", [{}, {"every": 5, "cap": 0.8}])
     def test_a_soft_one_or_a_passivity_controller_brings_it_to_rest(self, knobs: dict[str, Any]) -> None:
-        assert swing(encoder_wall(**knobs)).verdict == "stable"
+        got = swing(encoder_wall(**knobs))
+        assert (got.verdict, got.rests) == ("stable", True)
+
+    def test_a_passivity_controller_leaves_a_hum_of_a_step_of_the_encoder(self) -> None:
+        """It is a limit cycle, 33 times less than without the controller, and counts as rest."""
+        got, without = (swing(encoder_wall(K=2500.0, cap=cap)) for cap in (0.8, None))
+        assert (got.verdict, got.rests) == ("limit cycle", True)
+        assert got.amplitude is not None
+        assert without.amplitude is not None
+        assert got.amplitude == pytest.approx(26e-6, abs=1e-6)
+        assert without.amplitude > 30.0 * got.amplitude
+        assert "0.84 steps of the encoder, of which 2 count as rest" in got.sentence
+
+    @pytest.mark.parametrize(("K", "steps"), [(1450.0, 5.4), (1550.0, 12.5), (1600.0, 14.6)])
+    @pytest.mark.parametrize("duration", [1.5, 5.0])
+    def test_a_decay_onto_a_limit_cycle_is_no_rest_however_short_the_run(
+        self, K: float, steps: float, duration: float
+    ) -> None:
+        """After 1.5 s these still fall, and were called stable."""
+        got = swing(encoder_wall(K=K, duration=duration))
+        assert (got.verdict, got.rests) == ("limit cycle", False)
+        assert got.amplitude == pytest.approx(0.5 * steps * 2.0 * np.pi * 0.01 / 1024.0, rel=0.03)

@@ -9,7 +9,8 @@ import pytest
 import teleop.zwidth.measured
 from teleop.errors import Refused
 from teleop.scene import Scene, load_scene
-from teleop.zwidth.measured import let_go, rests, stiffest_at_rest
+from teleop.stability.rest import Swing, settled
+from teleop.zwidth.measured import let_go, stiffest_at_rest
 from teleop.zwidth.plane import boundary, loop
 
 
@@ -28,7 +29,7 @@ def test_the_encoder_wall_of_the_laboratory_hums_or_not(
     K: float, every: int, cap: float | None, still: bool
 ) -> None:
     knobs = {"K": K, "every": every} | ({} if cap is None else {"cap": cap})
-    assert rests(let_go(load_scene("encoder_wall", **knobs))) == still
+    assert settled(let_go(load_scene("encoder_wall", **knobs))).rests == still
 
 
 def test_a_passivity_controller_raises_what_comes_to_rest() -> None:
@@ -43,14 +44,13 @@ def test_up_to_what_is_found_all_that_were_tried_rest() -> None:
     scene = let_go(load_scene("virtual_wall", step=2e-5))
     tried: list[tuple[float, bool]] = []
 
-    def noted(one: Scene, *, seed: int = 0, again: bool = True) -> bool:
-        rested = rests(one, seed=seed, again=again)
-        if again:
-            tried.append((one.law.K, rested))
-        return rested
+    def noted(one: Scene, *, seed: int = 0) -> Swing:
+        found = settled(one, seed=seed)
+        tried.append((one.law.K, found.rests))
+        return found
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(teleop.zwidth.measured, "rests", noted)
+        patch.setattr(teleop.zwidth.measured, "settled", noted)
         K = stiffest_at_rest(scene, 0.2, near=3000.0)
     assert K is not None
     assert max(tried[:10])[0] > 5.0 * tried[0][0]
