@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from inspect import getattr_static
+from types import FunctionType
 from typing import Any
 
 from teleop.law import At, start_at
@@ -34,18 +36,19 @@ def parts(scene: Scene) -> dict[str, Any]:
     """What the texts of a scene name: its law's functions, and those of the stack that it needs."""
     from teleop.plant import grip_force, move_free, move_gripped
 
-    has, law = features(scene), type(scene.law)
+    has, law = features(scene), scene.law
     found: dict[str, Any] = {
         "At": At, "start_at": start_at, "inf": float("inf"), "nan": float("nan"),
         "grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped,
     }
     if scene.slave is None:
-        found |= {"begin_m": law.start, "law_m": law.force}
+        ends = {"begin_m": "start", "law_m": "force"}
     else:
-        found |= {"begin_m": law.master_start, "law_m": law.master, "begin_s": law.slave_start, "law_s": law.slave}
+        ends = {"begin_m": "master_start", "law_m": "master", "begin_s": "slave_start", "law_s": "slave"}
+    found |= {word: _end_of(law, name) for word, name in ends.items()}
     for end in ENDS.values():
         if f"sums_{end.e}" in has:
-            found |= {f"sums_{end.e}": getattr(law, f"{end.end}_sums"),
+            found |= {f"sums_{end.e}": _end_of(law, f"{end.end}_sums"),
                       f"Sums_{end.e}": sums_type(scene.law, end, scene.dt_ns / 1e9)}
         if f"velocity_{end.e}" in has:
             found[f"estimate_{end.e}"] = _device(scene, end.e).velocity.step
@@ -66,6 +69,15 @@ def parts(scene: Scene) -> dict[str, Any]:
 
         found["watch"], found["cap"] = watch, cap
     return found
+
+
+def _end_of(law: Any, name: str) -> Callable[..., Any]:
+    """An end of a law as a function of the law and the rest; of a law that wraps another, whatever it answers with."""
+    own = getattr_static(type(law), name, None)
+    if isinstance(own, FunctionType):
+        return own
+    end: Callable[..., Any] = getattr(law, name)
+    return lambda _, *rest: end(*rest)
 
 
 def beginnings(scene: Scene, places: Mapping[str, Sequence[float]]) -> Any:
