@@ -54,10 +54,10 @@ def work(job: Job) -> Done:
         row: Row = {"row": number, "seed": seed, **knobs}
         try:
             scene = made_by(function, job.scene, {**job.fixed, **knobs})
+            status, ticks, told = _run(scene, seed, job, instead)  # bodies and links have refusals of their own
         except Refused as refused:
             rows.append({**row, "status": "refused", "ticks": 0, "sentence": str(refused)})
             continue
-        status, ticks, told = _run(scene, seed, job, instead)
         rows.append({**row, "status": status, "ticks": ticks, **told})
     return Done(rows, instead)
 

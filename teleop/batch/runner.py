@@ -12,7 +12,7 @@ from time import perf_counter
 from typing import Any
 
 from teleop.batch.chunk import Done, Job, Measure, work
-from teleop.batch.grid import Grid, grid
+from teleop.batch.grid import Grid, grid, listed, plain
 from teleop.batch.kernel import available
 from teleop.batch.store import Store
 from teleop.batch.table import Table, TableBuilder
@@ -47,7 +47,7 @@ class Sweep:
         from teleop import __version__
 
         return {
-            "scene": self.scene, "fixed": {key: str(value) for key, value in self.fixed.items()},
+            "scene": self.scene, "fixed": {key: plain(listed(key, [value])[0]) for key, value in self.fixed.items()},
             "grid": self.grid.definition(), "metrics": [one if isinstance(one, str) else one.__name__ for one in
                                                         self.measures],
             "version": __version__,

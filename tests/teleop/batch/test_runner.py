@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 
+from channel.delay import Delay
 from teleop import Refused, load_scene, run, sweep
 from teleop.batch.runner import prepare
+from teleop.laws.wave import Wave
 from teleop.library import ROOT
 from teleop.result import Result
 
@@ -82,6 +84,13 @@ class TestARow:
         assert bad["status"] == "refused"
         assert "k_e" in bad["sentence"]
 
+    def test_whose_bodies_cannot_be_made_stopped_the_whole_sweep(self) -> None:
+        """Friction and electrical damping are known one by one only, which the bodies say, not the scene."""
+        good, bad = rows(sweep("virtual_wall", {"friction": [0.0, 0.1]}, fixed={"b_e": 1.0, "duration": 0.1}))
+        assert good["status"] == "ok"
+        assert bad["status"] == "refused"
+        assert "leave one of them out" in bad["sentence"]
+
     def test_that_diverges_is_a_row(self) -> None:
         row, = rows(sweep("soft_tissue", {"law": ["direct"]}, fixed={**FIXED, "x_limit": 1e-3}))
         single = run(load_scene("soft_tissue", **FIXED, law="direct", x_limit=1e-3))
@@ -129,6 +138,26 @@ class TestAStop:
         for other in ({"axes": {"delay": [0.1]}}, {"fixed": {**FIXED, "k_e": 3.0}}, {"metrics": ["f_m_max"]}):
             with pytest.raises(Refused):
                 sweep("soft_tissue", **{"axes": {"delay": [0.0]}, "fixed": FIXED, "out": tmp_path / "s", **other})  # type: ignore[arg-type]  # one of them is other
+
+
+class Water:
+    """A link that says nothing of itself but where it lies in memory."""
+
+    def arrivals(self, *given: Any) -> Any:
+        return Delay(0.01).arrivals(*given)
+
+
+def test_a_part_that_reads_differently_at_every_start_is_refused_before_its_folder_is_made(tmp_path: Path) -> None:
+    """Such a folder could never be gone on with."""
+    with pytest.raises(Refused, match="link"):
+        sweep("soft_tissue", {}, fixed={"link": Water(), "duration": 0.1}, out=tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+
+
+def test_what_a_folder_is_held_to_is_the_value_of_every_knob() -> None:
+    plan = prepare("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)})
+    assert plan.definition() == prepare("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)}).definition()
+    assert plan.definition() != prepare("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=4.0)}).definition()
 
 
 class TestAWrongRequest:
