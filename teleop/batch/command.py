@@ -72,11 +72,9 @@ def carry_out(
         raise Refused(f"this is {rows:.3g} rows; write fewer values, or --yes if you mean it")
     folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"
     line = None if stream is None else Progress(stream, float(rows))
-    began, first = clock(), -1
+    began = clock()
 
     def show(done: int, of: int) -> None:
-        nonlocal first
-        first = done if first < 0 else first
         if line is not None:
             line.show(float(done), clock(), f"{done} of {of} rows")
 
@@ -85,6 +83,8 @@ def carry_out(
     try:
         table = run_rows(plan, out=folder, show=show)
     except KeyboardInterrupt:
+        if not (folder / "sweep.json").is_file():
+            raise  # nothing was begun
         interrupted = True
         table = Store.look(folder).table()
     finally:
