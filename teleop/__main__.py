@@ -129,7 +129,7 @@ def _sweep(args: Namespace) -> None:
 
     _check_plot(args)
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
-                      latin=args.latin, random=args.random,
+                      latin=args.latin, random=args.random, cluster=args.cluster,
                       engine=args.engine, out=args.out, yes=args.yes, clock=perf_counter, plot=args.plot,
                       stream=None if args.json else sys.stderr)
     if args.json:

@@ -10,7 +10,7 @@ from teleop.errors import Refused
 from teleop.scene import Environment, Reference, Scene
 
 if TYPE_CHECKING:
-    from teleop.plant import MassDamper, Plant
+    from teleop.plant import Force, MassDamper, Move, Plant
 
 
 class Held(NamedTuple):
@@ -123,14 +123,17 @@ def _integrated(scene: Scene, body: MassDamper, environment: Any) -> Plant:
 
 def with_inner(plant: Plant) -> Plant:
     """A plant without an inner state, called like those that have one."""
+    from teleop.plant import bound
 
-    def move(c: Any, x: float, v: float, f: float, z: Any) -> tuple[Any, ...]:
-        return (*plant.move(c, x, v, f), z)
+    return plant._replace(move=bound(_move_beside, plant.move), force=bound(_force_beside, plant.force), start=())
 
-    def force(c: Any, x: float, v: float, z: Any) -> float:  # noqa: ARG001
-        return plant.force(c, x, v)
 
-    return plant._replace(move=move, force=force, start=())
+def _move_beside(move: Move, c: Any, x: float, v: float, f: float, z: Any) -> tuple[Any, ...]:
+    return (*move(c, x, v, f), z)
+
+
+def _force_beside(force: Force, c: Any, x: float, v: float, z: Any) -> float:  # noqa: ARG001
+    return force(c, x, v)
 
 
 def reference_samples(scene: Scene) -> tuple[list[float], ...] | None:

@@ -9,6 +9,8 @@ so the plant of the still environment moves the body exactly. Only the body's ow
 ground, is left over, as a force b s that is constant within the tick. Coulomb friction sees the ground as
 well: a plant with friction is told s (see `teleop.implicit.implicit_plant`). At a tick s may jump: position
 and velocity of the body do not, and w does by as much as s.
+
+The functions here take that of the still plant first, and a carried plant has them bound to it (`teleop.plant.bound`).
 """
 
 from __future__ import annotations
@@ -21,17 +23,15 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, number
-from teleop.plant import Force, MassDamper, Move, Plant
+from teleop.plant import Force, MassDamper, Move, Plant, bound
 
 
 class Carried(NamedTuple):
     """What `move_carried` and `carried_force` compute with."""
 
-    move: Move  # of the still environment
-    force: Force
-    c: Any
-    path: tuple[float, ...]  # at the ticks 0 .. last, and the last place once more
-    speeds: tuple[float, ...]  # on the left of the ticks 0 .. last, and 0 once more
+    c: Any  # of the still environment
+    path: list[float]  # at the ticks 0 .. last, and the last place once more
+    speeds: list[float]  # on the left of the ticks 0 .. last, and 0 once more
     b: float
     last: int
 
@@ -54,18 +54,32 @@ def carried(plant: Plant, path: Sequence[float], body: MassDamper, dt: float) ->
     if told and len(signature(plant.move).parameters) < 6:
         raise Refused(f"a body with friction={body.friction:g} N is not followed in this environment while it moves: "
                       "friction is with the ground, not with what moves; write friction=0 or let it rest")
-    places = tuple([number(f"the path at tick {k}", place) for k, place in enumerate(path)])
+    places = list(path)
+    if set(map(type, places)) != {float} or not all(map(isfinite, places)):
+        places = [number(f"the path at tick {k}", place) for k, place in enumerate(places)]
     if not places:
         raise Refused("a path needs a place for each tick; write for example path=[0.0] for one that rests")
-    speeds = (0.0, *[(there - here) / dt for here, there in pairwise(places)], 0.0)
+    speeds = [0.0, *[(there - here) / dt for here, there in pairwise(places)], 0.0]
     if not all(map(isfinite, speeds)):
         raise Refused(f"the path moves faster than numbers go in ticks of dt={dt:g} s; check its units: m")
-    c = Carried(plant.move, plant.force, plant.c, (*places, places[-1]), speeds, body.damping, len(places) - 1)
+    c = Carried(plant.c, [*places, places[-1]], speeds, body.damping, len(places) - 1)
     if plant.start is None:
-        return Plant(move_carried, carried_force, tuple(c), (0,))
+        return Plant(bound(move_carried, plant.move), bound(carried_force, plant.force), tuple(c), (0,))
     report = None if plant.report is None else partial(_report, plant.report)
     move = move_carried_sliding if told else move_carried_inner
-    return Plant(move, carried_force_inner, tuple(c), (0, *plant.start), report)
+    return Plant(bound(move, plant.move), bound(carried_force_inner, plant.force), tuple(c), (0, *plant.start), report)
+
+
+def is_carried(plant: Plant) -> bool:
+    """Is it a plant that `carried` gave?"""
+    return getattr(plant.move, "func", None) in (move_carried, move_carried_inner, move_carried_sliding)
+
+
+def at_rest(plant: Plant) -> Plant:
+    """The plant that `carried` was given, but for its report."""
+    move: Any = plant.move
+    force: Any = plant.force
+    return Plant(move.args[0], force.args[0], Carried(*plant.c).c, plant.start[1:] or None)
 
 
 def _report(report: Any, z: tuple[Any, ...]) -> Mapping[str, float]:
@@ -73,47 +87,45 @@ def _report(report: Any, z: tuple[Any, ...]) -> Mapping[str, float]:
     return said
 
 
-def move_carried(c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[int]
+def move_carried(move: Move, c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[int]
                  ) -> tuple[float, float, int, tuple[int]]:
     """Move a body over one tick beside an environment that moves and has no inner state; c is `Carried`."""
-    move, _, inner, path, speeds, b, last = c
+    still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, capped = move(inner, x - path[k], v - s, f - b * s)
+    y, w, capped = move(still, x - path[k], v - s, f - b * s)
     return path[k + 1] + y, s + w, capped, (k + 1,)
 
 
-def carried_force(c: tuple[Any, ...], x: float, v: float, z: tuple[int]) -> float:
+def carried_force(force: Force, c: tuple[Any, ...], x: float, v: float, z: tuple[int]) -> float:
     """`f_env` of an environment that moves and has no inner state, as the left limit; c is `Carried`."""
-    _, force, inner, path, speeds, _, _ = c
+    still, path, speeds, _, _ = c
     k = z[0]
-    f_env: float = force(inner, x - path[k], v - speeds[k])
-    return f_env
+    return force(still, x - path[k], v - speeds[k])
 
 
-def move_carried_inner(c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[Any, ...]
+def move_carried_inner(move: Move, c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[Any, ...]
                        ) -> tuple[float, float, int, tuple[Any, ...]]:
     """`move_carried` for an environment with an inner state, which is z without its first entry."""
-    move, _, inner, path, speeds, b, last = c
+    still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, capped, z = move(inner, x - path[k], v - s, f - b * s, z[1:])
-    return path[k + 1] + y, s + w, capped, (k + 1, *z)
+    y, w, capped, own = move(still, x - path[k], v - s, f - b * s, z[1:])
+    return path[k + 1] + y, s + w, capped, (k + 1, *own)
 
 
-def move_carried_sliding(c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[Any, ...]
+def move_carried_sliding(move: Move, c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[Any, ...]
                          ) -> tuple[float, float, int, tuple[Any, ...]]:
     """`move_carried_inner` for a body with friction, which the plant works out from the speed over the ground."""
-    move, _, inner, path, speeds, b, last = c
+    still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, capped, z = move(inner, x - path[k], v - s, f - b * s, z[1:], s)
-    return path[k + 1] + y, s + w, capped, (k + 1, *z)
+    y, w, capped, own = move(still, x - path[k], v - s, f - b * s, z[1:], s)
+    return path[k + 1] + y, s + w, capped, (k + 1, *own)
 
 
-def carried_force_inner(c: tuple[Any, ...], x: float, v: float, z: tuple[Any, ...]) -> float:
+def carried_force_inner(force: Force, c: tuple[Any, ...], x: float, v: float, z: tuple[Any, ...]) -> float:
     """`carried_force` for an environment with an inner state."""
-    _, force, inner, path, speeds, _, _ = c
+    still, path, speeds, _, _ = c
     k = z[0]
-    f_env: float = force(inner, x - path[k], v - speeds[k], z[1:])
-    return f_env
+    return force(still, x - path[k], v - speeds[k], z[1:])

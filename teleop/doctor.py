@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-EXTRAS = {"matplotlib": "plot", "numba": "batch", "scipy": "test"}  # what to install for each
+EXTRAS = {"distributed": "cluster", "matplotlib": "plot", "numba": "batch", "scipy": "test"}  # what to install for each
 
 
 def kernels() -> Path:

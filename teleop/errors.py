@@ -53,12 +53,15 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
     >>> number("delay", 3, low=0.0)
     3.0
     """
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if type(value) is float:  # nearly always
+        got = value
+    elif isinstance(value, bool) or not isinstance(value, Real):
         raise WrongNumber(name, value, "a number", 1.0)
-    try:
-        got = float(value)
-    except OverflowError:  # a whole number beyond all floats
-        got = inf
+    else:
+        try:
+            got = float(value)
+        except OverflowError:  # a whole number beyond all floats
+            got = inf
     if not isfinite(got):
         raise WrongNumber(name, got, "finite", None)
     if above is not None and got <= above:

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 from teleop.errors import number
 from teleop.plant import MassDamper, Plant, linear
-from teleop.sdirk import BOND, NOTHING, WALL, Core, integrate, resistance_force
+from teleop.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, Core, integrate, resistance_force
 
 TOLERANCE = 1e-9  # m per tick
+NO_PART = (0.0,) * 11  # where `slides` is not asked
 
 
 class Resistance(NamedTuple):
@@ -67,14 +68,15 @@ def _core(body: MassDamper, mass: float, resistance: Resistance, friction: float
     return kind, mass, body.damping, k, d, n, lam, number("friction", friction, low=0.0)
 
 
-def _linear_part(body: MassDamper, mass: float, k: float, d: float, dt: float) -> tuple[Any, ...]:
-    """`Linear` in contact, then total damping and mass, then whether speed and force turn at most once in dt."""
+def _linear_part(body: MassDamper, mass: float, k: float, d: float, dt: float) -> tuple[float, ...]:
+    """`Linear` in contact, k, d, total damping and mass, then 1.0 if speed and force turn at most once in dt."""
     damping = body.damping + d
     sigma, w2 = 0.5 * damping / mass, k / mass
     gap = sigma * sigma - w2
     angle = sqrt(-gap) * dt if gap < 0.0 else 0.0
     decay = sigma if gap < 0.0 else w2 / (sigma + sqrt(gap)) if w2 > 0.0 else 0.0
-    return (*linear(mass, damping, k, dt), k, d, damping, mass, angle < pi and decay * dt < 10.0)
+    calm = 1.0 if angle < pi and decay * dt < 10.0 else 0.0
+    return (*linear(mass, damping, k, dt), k, d, damping, mass, calm)
 
 
 def implicit_plant(body: MassDamper, dt: float, *, resistance: Resistance, friction: float = 0.0,
@@ -86,7 +88,7 @@ def implicit_plant(body: MassDamper, dt: float, *, resistance: Resistance, frict
     """
     free = linear(body.mass, body.damping, 0.0, number("dt", dt, above=0.0))
     kind, k, d, at, side, _, _ = resistance
-    part = _linear_part(body, body.mass, k, d, dt) if kind in (WALL, BOND) else None
+    part = _linear_part(body, body.mass, k, d, dt) if kind in (WALL, BOND) else NO_PART
     core = _core(body, body.mass, resistance, friction)
     c = (side, at, core, (free.a12, free.b1, free.a22, free.b2), part, dt, tol)
     return Plant(move_implicit, implicit_force, c, _start(tol), report)
@@ -123,17 +125,17 @@ def move_implicit(c: Any, x: float, v: float, f: float, z: Any, s: float = 0.0) 
         if (way == 0.0 or way * (v1 + s) >= 0.0) and (
                 kind == NOTHING or (side * (x1 - at) < 0.0 and (side * v <= 0.0 or side * v1 >= 0.0))):
             return x1, v1, 0, z
-    elif part is not None:
-        q = slides(part, kind, p, side * v, side * (f - way), side * way, side * s)
-        if q is not None:
-            return at + side * q[0], side * q[1], 0, z
+    elif kind != HUNT_CROSSLEY:
+        sure, p1, u1 = slides(part, kind, p, side * v, side * (f - way), side * way, side * s)
+        if sure:
+            return at + side * p1, side * u1, 0, z
     kept = integrate(core, p, side * v, side * f, side * s, dt, tol, z[0])
     return at + side * kept.p, side * kept.u + 0.0, 0, _after(z, kept.error, kept.substeps, kept.longest, tol)
 
 
-def slides(part: tuple[Any, ...], kind: int, p: float, u: float, f: float, way: float, s: float
-           ) -> tuple[float, float] | None:
-    """Depth and speed after a tick that provably stays in contact and slides one way (f is less friction), or None.
+def slides(part: tuple[float, ...], kind: int, p: float, u: float, f: float, way: float, s: float
+           ) -> tuple[bool, float, float]:
+    """Is a tick sure to stay in contact and to slide one way (f is less friction)? And depth and speed after it then.
 
     Within a tick in which u' and g' turn at most once, u has its extremum inside only if u' changes sign.
     """
@@ -141,17 +143,17 @@ def slides(part: tuple[Any, ...], kind: int, p: float, u: float, f: float, way: 
     p1 = a11 * p + a12 * u + b1 * f
     u1 = a21 * p + a22 * u + b2 * f
     if way == 0.0 and kind == BOND:
-        return p1, u1
-    if not calm:
-        return None
+        return True, p1, u1
+    if calm == 0.0:
+        return False, p, u
     a = f - damping * u - k * p
     a1 = f - damping * u1 - k * p1
     if way != 0.0 and not (way * (u1 + s) >= 0.0 and (way * a >= 0.0 or way * a1 <= 0.0)):
-        return None
+        return False, p, u
     if kind == WALL and not (p > 0.0 and k * p + d * u > 0.0 and k * p1 + d * u1 > 0.0 and p1 > 0.0
                              and (k * u + d * a / m >= 0.0 or k * u1 + d * a1 / m <= 0.0)):
-        return None
-    return p1, u1
+        return False, p, u
+    return True, p1, u1
 
 
 def _after(z: Any, error: float, substeps: int, longest: float, tol: float) -> tuple[float, ...]:
@@ -192,9 +194,9 @@ def move_held(c: Any, x: float, v: float, f_m: float, r0: float, r1: float, z: A
                 return x, v, z
         way = fc if over > 0.0 else -fc
     y, w = x - r0, v - s
-    q = slides(part, BOND, y, w, f - way, way, s)
-    if q is not None:
-        return r1 + q[0], s + q[1], z
+    sure, y1, w1 = slides(part, BOND, y, w, f - way, way, s)
+    if sure:
+        return r1 + y1, s + w1, z
     kept = integrate(core, y, w, f, s, dt, tol, z[0])
     return r1 + kept.p, s + kept.u, _after(z, kept.error, kept.substeps, kept.longest, tol)
 

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from inspect import getattr_static
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple, Protocol
 
@@ -115,6 +116,28 @@ def messages(law: Law, dt: float = 1e-3) -> tuple[type[Any], type[Any]]:
     """The law's message types `(Forth, Back)`, as its two starts show them."""
     still = start_at(0.0, 0.0, 0.0, dt)
     return type(law.slave_start(still)[1]), type(law.master_start(still)[1])
+
+
+class _Itself:
+    """A law by itself: as a key it is no other, whether it has a hash or not."""
+
+    def __init__(self, law: Any) -> None:
+        self._law = law
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._law, name)
+
+
+def functions_of(law: Any) -> Any:
+    """What stands for the functions of a law: its class, or a thing of its own where it answers with another's."""
+    kind: Any = type(law)
+    return kind if _of_its_class(kind) else _Itself(law)
+
+
+@lru_cache(maxsize=256)
+def _of_its_class(kind: Any) -> bool:
+    ends = ("master", "slave") if hasattr(kind, "master") or not hasattr(kind, "force") else ("force",)
+    return all(isinstance(getattr_static(kind, end, None), FunctionType) for end in ends)
 
 
 def reads(end: Callable[..., Any]) -> frozenset[str]:

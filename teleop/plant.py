@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from math import cos, exp, expm1, isfinite, nan, sin, sqrt
 from typing import Any, NamedTuple
 
@@ -53,6 +54,12 @@ class Plant(NamedTuple):
     c: Any
     start: Any = None
     report: Callable[[Any], Mapping[str, float]] | None = None
+
+
+@lru_cache
+def bound(function: Callable[..., Any], inner: Callable[..., Any]) -> Callable[..., Any]:
+    """`function` with `inner` for its first argument. The same two are one and the same part, also for a compiler."""
+    return partial(function, inner)
 
 
 def response(m: float, c: float, k: float, tau: float) -> tuple[float, float, float]:
@@ -114,6 +121,7 @@ class Linear(NamedTuple):
     b2: float
 
 
+@lru_cache(maxsize=256)  # most rows of a sweep share all bodies but one
 def linear(m: float, c: float, k: float, dt: float) -> Linear:
     """The exact step of `m q'' + c q' + k q = f` over dt; Refused where no finite one exists."""
     s, ds, w = response(m, c, k, dt)

@@ -224,6 +224,8 @@ class Scene:
 
     def vector(self, name: str, value: Vector) -> tuple[float, ...]:
         """`value` for each axis; a number means along the first, the others stay 0."""
+        if self.axes == 1 and type(value) is float:  # nearly always
+            return (number(name, value),)
         values = value if isinstance(value, tuple) else (value, *[0.0] * (self.axes - 1))
         if len(values) != self.axes:
             raise Refused(f"{name} has {len(values)} entries, the scene has {self.axes} axes; "
@@ -305,7 +307,14 @@ def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]
     stem = name.rsplit("/", 1)[-1].removesuffix(".py")
     shown = {key: shown for key, (shown, _) in of_scene.items()}
     parts: dict[str, Any] = {key: part for key, (_, part) in of_scene.items()}
-    return replace(scene, name=stem, knobs={**settled, **shown}, **parts)
+    return _called(replace(scene, **parts) if parts else scene, stem, {**settled, **shown})
+
+
+def _called(scene: Scene, name: str, knobs: Mapping[str, object]) -> Scene:
+    """The same scene by a name; what was checked when it was made is not checked again."""
+    called = object.__new__(Scene)
+    called.__dict__.update(scene.__dict__, name=name, knobs=knobs)
+    return called
 
 
 def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:

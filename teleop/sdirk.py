@@ -237,7 +237,7 @@ def integrate(c: Core, p: float, u: float, f: float, s: float, dt: float, tol: f
         else:
             after, turned = setting_out(c, end[0], end[1], f, s)
             sticks = c[7] > 0.0 and 0 <= turned <= 2
-            jump = max([abs(each - a) for each in (half[2], half[3], end[2], end[3], after)])
+            jump = max(abs(half[2] - a), abs(half[3] - a), abs(end[2] - a), abs(end[3] - a), abs(after - a))
             off = max(off, jump * span * (span if sticks else dt))
             share = 0.0625 * tol
         if (not off <= share or unseen(c, p, u, s, a, mode, end, span)) and h > SHORTEST and used < MOST_SUBSTEPS // 2:

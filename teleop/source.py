@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from inspect import getattr_static
 from types import FunctionType
 from typing import Any
 
 from teleop.law import At, start_at
 from teleop.scene import Scene
-from teleop.tick import END, ENDS, LIVE, LOOP, MASTER, MEASURE, START, SUMS, End, columns, features
+from teleop.tick import BLOCKS, ENDS, LIVE, LOOP, MASTER, End, columns, features
 
 
 def loop_text(scene: Scene) -> str:
@@ -106,7 +107,13 @@ def beginnings(scene: Scene, places: Mapping[str, Sequence[float]]) -> Any:
     for name, part in (("c_pc", scene.passivity), ("c_dog", scene.watchdog), ("c_cap", scene.cap)):
         if part is not None:
             found[name] = part.limits(dt)
-    return namedtuple("Given", found)(**found)
+    return record("Given", tuple(found))(*found.values())
+
+
+@lru_cache
+def record(name: str, names: tuple[str, ...]) -> Any:
+    """A NamedTuple of these fields: one and the same class whenever it is asked for."""
+    return namedtuple(name, names)
 
 
 def _device(scene: Scene, e: str) -> Any:
@@ -120,14 +127,18 @@ def sums_type(law: Any, end: End, dt: float) -> Any:
     return type(getattr(law, f"{end.end}_sums")(state, still, rx))
 
 
-def specialise(text: str, scene: Scene, end: End, more: frozenset[str] = frozenset()) -> str:
-    """A text with the lines that this scene needs, and `more` features, its axes unrolled and its names filled in."""
+def specialise(text: str, scene: Scene, end: End, more: frozenset[str] = frozenset(),
+               blocks: Mapping[str, str] = BLOCKS) -> str:
+    """A text with the lines that this scene needs, its axes unrolled and its names filled in.
+
+    `more`: features beside those of the scene. `blocks`: the texts that stand within this one.
+    """
     has = features(scene) | more
-    lines = list(_unroll(_lines(text, scene, end, has), scene.axes))
+    lines = list(_unroll(_lines(text, scene, end, has, blocks), scene.axes))
     return "\n".join(lines) + "\n"
 
 
-def _lines(text: str, scene: Scene, end: End, has: frozenset[str]) -> Iterator[str]:
+def _lines(text: str, scene: Scene, end: End, has: frozenset[str], blocks: Mapping[str, str]) -> Iterator[str]:
     """The lines that this scene needs, with the ends' texts put in and the ends' names filled in."""
     words = _words(scene, end, has)
     for raw in text.strip("\n").splitlines():
@@ -135,10 +146,10 @@ def _lines(text: str, scene: Scene, end: End, has: frozenset[str]) -> Iterator[s
         line, wanted = line.rstrip(), wanted.replace("{e}", end.e)
         if not line or not all((w[1:] not in has) if w[0] == "!" else (w in has) for w in wanted.split()):
             continue
-        inner = re.fullmatch(r"( *)\[(START|END|SUMS|MEASURE) (\S+)\]", line.replace("{e}", end.e))
+        inner = re.fullmatch(r"( *)\[([A-Z]+)(?: (\S+))?\]", line.replace("{e}", end.e))
         if inner:
-            block = {"START": START, "END": END, "SUMS": SUMS, "MEASURE": MEASURE}[inner[2]]
-            yield from (inner[1] + line for line in _lines(block, scene, ENDS[inner[3]], has))
+            block, whose = blocks[inner[2]], ENDS[inner[3] or end.e]
+            yield from (inner[1] + line for line in _lines(block, scene, whose, has, blocks))
         else:
             yield re.sub(r"\{(\w+)\}", lambda found: words[found[1]], line)
 
@@ -162,6 +173,10 @@ def _words(scene: Scene, end: End, has: frozenset[str]) -> dict[str, str]:
         "over": _over(scene, end, has),
         "row_e": _row(scene, e), "row_m": _row(scene, "m"),
         "row_s": "" if "alone" in has else _row(scene, "s"), "i": "@",
+        "asked": "lag_x, lag_f, out, zero" if "lanes" in has else "lag_x, lag_f",
+        "zero": "zero" if "lanes" in has else "0.0",
+        **{f"r_{name}": f"sample(r@, {at})" if "compiled" in has else f"r@[{at}]"
+           for name, at in (("0", "0"), ("k", "k"), ("next", "k + 1"))},
     }
 
 

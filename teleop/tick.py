@@ -11,23 +11,27 @@ b; the rest is not there to be paid for. A line with `@` is repeated for each ax
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.law import reads
+from teleop.law import functions_of, reads
 from teleop.playout import repeats
 from teleop.scene import Scene
+
+if TYPE_CHECKING:
+    from teleop.device import Device
 
 START = """
 c_enc_{e} = given.c_enc_{e}                                    #? encoder_{e}
 q_{e}@ = encode(c_enc_{e}, x_{e}@)                             #? encoder_{e}
-c_est_{e} = given.c_est_{e}; est_{e}@ = given.est_{e}[{i}]; v_hat_{e}@ = 0.0  #? velocity_{e}
+c_est_{e} = given.c_est_{e}; est_{e}@ = given.est_{e}[{i}]; v_hat_{e}@ = {zero}  #? velocity_{e}
 c_obs = given.c_obs                                            #? observe_{e}
-v_before_{e}@ = {v}; f_h_hat@ = 0.0                            #? observe_{e}
+v_before_{e}@ = {v}; f_h_hat@ = {zero}                            #? observe_{e}
 s_{e}@, rx_{e}@ = begin_{e}(law, start_at({x}, {v}, {touch}, dt))  #? !alone
 s_{e}@ = begin_{e}(law, start_at({x}, {v}, {touch}, dt))       #? alone
-f_{e}@ = 0.0
+f_{e}@ = {zero}
 line_{e}@ = given.line_{e}                                     #? late_{e}
-every_{e} = given.every_{e}; slow_{e}@ = 0.0                   #? slow_{e}
+every_{e} = given.every_{e}; slow_{e}@ = {zero}                #? slow_{e}
 c_pc = given.c_pc; E_po@ = 0.0                                 #? popc_{e}
 newest_{e} = -1                                                #? age_{e}
 heard_{e} = -1; g_{e} = 1.0                                    #? watchdog
@@ -40,7 +44,8 @@ E_port_{e} = 0.0                                               #? energy
 """
 
 END = """
-age_{e} = (k - newest_{e}) * dt if newest_{e} >= 0 else inf    #? age_{e}
+age_{e} = (k - newest_{e}) * dt if newest_{e} >= 0 else inf    #? age_{e} !compiled
+age_{e} = where(came(newest_{e}), (k - newest_{e}) * dt, inf)  #? age_{e} compiled
 q_{e}@ = encode(c_enc_{e}, x_{e}@)                             #? encoder_{e}
 v_hat_{e}@, est_{e}@ = estimate_{e}(c_est_{e}, est_{e}@, {x}, span)  #? velocity_{e}
 dx_{e}@ = {x} - x_before_{e}@; x_before_{e}@ = {x}             #? dx_{e}
@@ -59,7 +64,8 @@ push@, s_{e}@ = law_{e}(law, s_{e}@, at@)                      #? alone
 line_{e}@ = line_{e}@ + (push@,); push@ = line_{e}@[0]; line_{e}@ = line_{e}@[1:]  #? late_{e}
 push@ = slow_{e}@ = slow_{e}@ if k % every_{e} else push@      #? slow_{e}
 push@ = push@ + damp(c_pc, E_po@, {v})                         #? popc_{e}
-heard_{e} = k if got_{e} else heard_{e}                        #? watchdog
+heard_{e} = k if got_{e} else heard_{e}                        #? watchdog !compiled
+heard_{e} = where(got_{e}, k, heard_{e})                       #? watchdog compiled
 g_{e} = watch(c_dog, g_{e}, k - heard_{e})                     #? watchdog
 push@ = g_{e} * push@                                          #? watchdog
 f_{e}@ = cap(c_cap, push@, f_{e}@)                             #? cap
@@ -95,43 +101,36 @@ def live(scene, given, law, dt, x0, v0, touch0):
 
 LOOP = """
 def loop(given, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size, ref, held, rows_m, rows_s):  #? !kernel
-def loop(given, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size, ref, held, size_x, size_f):  #? kernel
+def loop(given, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size, ref, held, {asked}):  #? kernel
     half_dt = 0.5 * dt
     span = dt                                                  #? estimates
     <<x_m@>>, = start_m
     <<x_s@>>, = start_s                                        #? slave
-    v_m@ = 0.0; slope@ = 0.0; capped = 0
-    v_s@ = 0.0                                                 #? slave
+    v_m@ = {zero}; slope@ = {zero}; capped = 0
+    v_s@ = {zero}                                              #? slave
     grip = held.grip
     z_m@ = held.z_m                                            #? inner_m
     c@ = held.c[{i}]                                           #? slave
     z_s@ = held.z_s[{i}]                                       #? inner_s
     r@ = ref[{i}]                                              #? hand
-    f_h@ = 0.0                                                 #? felt_m
-    f_h@ = grip_force(grip, x_m@, v_m@, 0.0, r@[0], slope@)    #? felt_m hand !inner_m
-    f_h@ = held_force(grip, x_m@, v_m@, 0.0, r@[0], slope@, z_m@)  #? hand inner_m
+    f_h@ = {zero}                                              #? felt_m
+    f_h@ = grip_force(grip, x_m@, v_m@, {zero}, {r_0}, slope@)  #? felt_m hand !inner_m
+    f_h@ = held_force(grip, x_m@, v_m@, {zero}, {r_0}, slope@, z_m@)  #? hand inner_m
     f_env@ = force@(c@, x_s@, v_s@)                            #? felt_s !inner_s
     f_env@ = force@(c@, x_s@, v_s@, z_s@)                      #? inner_s
     [START m]
     [START s]                                                  #? slave
-    ring_m = [{first_m}] * size; ring_s = [{first_s}] * size   #? link
+    [RINGS]                                                    #? link
     tx_m@ = rx_s@; tx_s@ = rx_m@                               #? !link slave
-    [SUMS m]                                                   #? kernel
+    [SUMS]                                                     #? kernel
     for k in range(count):
         # 1. read: the left limit at t_k, the force of the last tick still acting
-        f_h@ = grip_force(grip, x_m@, v_m@, f_m@, r@[k], slope@)  #? felt_m hand !inner_m
-        f_h@ = held_force(grip, x_m@, v_m@, f_m@, r@[k], slope@, z_m@)  #? hand inner_m
+        f_h@ = grip_force(grip, x_m@, v_m@, f_m@, {r_k}, slope@)  #? felt_m hand !inner_m
+        f_h@ = held_force(grip, x_m@, v_m@, f_m@, {r_k}, slope@, z_m@)  #? hand inner_m
         f_env@ = force@(c@, x_s@, v_s@)                        #? felt_s !inner_s
         f_env@ = force@(c@, x_s@, v_s@, z_s@)                  #? inner_s
         # 2. what the link delivers at this tick
-        seq = play_m[k]; got_m = seq >= 0                      #? link
-        if got_m:                                              #? link
-            newest_m = seq                                     #? link age_m
-            <<rx_m@>> = ring_s[seq % size]                    #? link
-        seq = play_s[k]; got_s = seq >= 0                      #? link
-        if got_s:                                              #? link
-            newest_s = seq                                     #? link age_s
-            <<rx_s@>> = ring_m[seq % size]                    #? link
+        [DELIVER]                                              #? link
         got_m = got_s = k > 0                                  #? !link slave
         newest_m = k - 1                                       #? !link age_m
         newest_s = k - 1                                       #? !link age_s
@@ -141,59 +140,50 @@ def loop(given, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size,
         rows_m(({row_m},))                                     #? !kernel
         [END s]                                                #? slave
         rows_s(({row_s},))                                     #? slave !kernel
-        [MEASURE m]                                            #? kernel
-        ring_m[k % size] = <<tx_m@>>; ring_s[k % size] = <<tx_s@>>  #? link
+        [MEASURE]                                              #? kernel
+        [SEND]                                                 #? link
         # 4. the forces are held for one tick while the plants move exactly
-        x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, r@[k], r@[k + 1])  #? hand !inner_m
-        x_m@, v_m@, z_m@ = move_held(grip, x_m@, v_m@, f_m@, r@[k], r@[k + 1], z_m@)  #? hand inner_m
-        slope@ = (r@[k + 1] - r@[k]) / dt                      #? hand felt_m
+        x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, {r_k}, {r_next})  #? hand !inner_m
+        x_m@, v_m@, z_m@ = move_held(grip, x_m@, v_m@, f_m@, {r_k}, {r_next}, z_m@)  #? hand inner_m
+        slope@ = ({r_next} - {r_k}) / dt                       #? hand felt_m
         x_m@, v_m@, _ = move_free(grip, x_m@, v_m@, -f_m@)     #? !hand !inner_m
         x_m@, v_m@, z_m@ = move_held(grip, x_m@, v_m@, f_m@, 0.0, 0.0, z_m@)  #? !hand inner_m
-        x_s@, v_s@, more = move@(c@, x_s@, v_s@, f_s@); capped += more        #? slave !inner_s
-        x_s@, v_s@, more, z_s@ = move@(c@, x_s@, v_s@, f_s@, z_s@); capped += more  #? inner_s
-        if not (-x_limit < x_m@ < x_limit and -x_limit < x_s@ < x_limit): break  #? slave
-        if not -x_limit < x_m@ < x_limit: break                #? alone
-    else:
+        x_s@, v_s@, more@ = move@(c@, x_s@, v_s@, f_s@)        #? slave !inner_s
+        x_s@, v_s@, more@, z_s@ = move@(c@, x_s@, v_s@, f_s@, z_s@)  #? inner_s
+        capped += more@                                        #? slave !kernel
+        if not (-x_limit < x_m@ < x_limit and -x_limit < x_s@ < x_limit): break  #? slave !lanes
+        if not -x_limit < x_m@ < x_limit: break                #? alone !lanes
+        [BOUNDS]                                               #? lanes
+    tell(out, alive, count, {measured})                        #? lanes
+    else:                                                      #? !lanes
         return count, capped, None, {inner}                    #? !kernel
-        return count, capped, {measured}                       #? kernel
+        return count, {measured}                               #? kernel !lanes
     return k + 1, capped, {places}, {inner}                    #? !kernel
-    return -(k + 1), capped, {measured}                        #? kernel
+    return -(k + 1), {measured}                                #? kernel !lanes
 """
 
-SUMS = """
-n_x = 0; x_err_sq = 0.0; x_err_max = 0.0                       #? x_err
-old_x@ = [0.0] * size_x                                        #? x_err
-n_f = 0; f_err_sq = 0.0; f_err_max = 0.0                       #? f_err
-old_f@ = [0.0] * size_f                                        #? f_err
-f_m_max = 0.0                                                  #? f_m_max
-f_s_max = 0.0                                                  #? f_s_max
-f_h_max = 0.0                                                  #? f_h_max
-f_env_max = 0.0                                                #? f_env_max
-E_link = 0.0; E_link_min = inf                                 #? waves
-E_port = 0.0; E_port_min = inf                                 #? energy
-g_m_min = 1.0; g_s_min = 1.0                                   #? watchdog
+# The link in a run of plain Python: what compiled code does is in `teleop.batch.text`.
+RINGS = """
+ring_m = [{first_m}] * size; ring_s = [{first_s}] * size
 """
 
-MEASURE = """
-old_x@[k % size_x] = x_m@                                      #? x_err
-if k >= size_x - 1:                                            #? x_err
-    d@ = x_s@ - old_x@[(k + 1) % size_x]                       #? x_err
-    err = magnitude(<<d@>>)                                    #? x_err
-    n_x += 1; x_err_sq = x_err_sq + err * err; x_err_max = most(x_err_max, err)  #? x_err
-old_f@[k % size_f] = f_env@                                    #? f_err
-if k >= size_f - 1:                                            #? f_err
-    d@ = f_m@ - old_f@[(k + 1) % size_f]                       #? f_err
-    err = magnitude(<<d@>>)                                    #? f_err
-    n_f += 1; f_err_sq = f_err_sq + err * err; f_err_max = most(f_err_max, err)  #? f_err
-f_m_max = most(f_m_max, magnitude(<<f_m@>>))                   #? f_m_max
-f_s_max = most(f_s_max, magnitude(<<f_s@>>))                   #? f_s_max
-f_h_max = most(f_h_max, magnitude(<<f_h@>>))                   #? f_h_max
-f_env_max = most(f_env_max, magnitude(<<f_env@>>))             #? f_env_max
-E_link = (E_in_fwd - E_out_fwd) + (E_in_bwd - E_out_bwd); E_link_min = least(E_link_min, E_link)  #? waves
-E_port = E_port_m - E_port_s; E_port_min = least(E_port_min, E_port)  #? energy slave
-E_port = E_port_m; E_port_min = least(E_port_min, E_port)      #? energy alone
-g_m_min = least(g_m_min, g_m); g_s_min = least(g_s_min, g_s)   #? watchdog
+DELIVER = """
+seq = play_m[k]; got_m = seq >= 0
+if got_m:
+    newest_m = seq                                             #? age_m
+    <<rx_m@>> = ring_s[seq % size]
+seq = play_s[k]; got_s = seq >= 0
+if got_s:
+    newest_s = seq                                             #? age_s
+    <<rx_s@>> = ring_m[seq % size]
 """
+
+SEND = """
+ring_m[k % size] = <<tx_m@>>; ring_s[k % size] = <<tx_s@>>
+"""
+
+BLOCKS = {"START": START, "END": END, "RINGS": RINGS, "DELIVER": DELIVER, "SEND": SEND}
+"""The texts that stand within others, as [NAME] or [NAME end]."""
 
 
 class End(NamedTuple):
@@ -217,32 +207,49 @@ ENDS = {"m": MASTER, "s": SLAVE}
 
 
 def features(scene: Scene) -> frozenset[str]:
-    """Which features of the tick's text a scene names."""
-    law: Any = scene.law
-    alone = scene.slave is None
+    """Which features of the tick's text a scene names; kept with the scene, which does not change."""
+    kept: frozenset[str] | None = vars(scene).get("_features")
+    if kept is None:
+        parts = ("link", "hand", "watchdog", "cap", "passivity", "slave", "observer", "electrical")
+        has = frozenset([name for name in parts if getattr(scene, name) is not None])
+        inner_m = scene.master.friction > 0.0 or scene.electrical is not None
+        inner_s = scene.slave is not None and (
+            scene.slave.friction > 0.0 or any(getattr(one, "inner", False) for one in scene.environments))
+        kept = vars(scene)["_features"] = _features(
+            functions_of(scene.law), has, repeats(scene.playout), scene.energy, scene.energy and scene.has_waves,
+            inner_m, inner_s, _stages(scene.device_m), _stages(scene.device_s))
+    return kept
+
+
+def _stages(device: Device | None) -> frozenset[str]:
+    """What a device has of what may stand between it and the law."""
+    if device is None:
+        return frozenset()
+    named = {"encoder": device.encoder is not None, "velocity": device.velocity is not None, "late": device.delay > 0,
+             "slow": device.every > 1}
+    return frozenset([name for name, has in named.items() if has])
+
+
+@lru_cache(maxsize=256)  # the rows of a sweep ask the same again and again
+def _features(law: Any, parts: frozenset[str], hold: bool, energy: bool, waves: bool, inner_m: bool, inner_s: bool,
+              stages_m: frozenset[str], stages_s: frozenset[str]) -> frozenset[str]:
+    alone = "slave" not in parts
     named = {
-        "link": scene.link is not None, "repeats": repeats(scene.playout), "hand": scene.hand is not None,
-        "watchdog": scene.watchdog is not None, "cap": scene.cap is not None, "energy": scene.energy,
-        "waves": scene.energy and scene.has_waves, "alone": alone, "slave": not alone,
-        "popc_m": scene.passivity is not None,
-        "inner_m": scene.master.friction > 0.0 or scene.electrical is not None,
-        "inner_s": scene.slave is not None and (
-            scene.slave.friction > 0.0 or any(getattr(one, "inner", False) for one in scene.environments)),
+        "repeats": hold, "energy": energy, "waves": waves, "alone": alone, "popc_m": "passivity" in parts,
+        "inner_m": inner_m, "inner_s": inner_s,
+        **{name: name in parts for name in ("link", "hand", "watchdog", "cap", "slave")},
     }
-    for end, device in ((MASTER, scene.device_m), (SLAVE, scene.device_s))[: 1 if alone else 2]:
+    for end, stages in ((MASTER, stages_m), (SLAVE, stages_s))[: 1 if alone else 2]:
         wanted = reads(law.force if alone else getattr(law, end.end))
         wanted |= reads(getattr(law, f"{end.end}_sums", None) or len)
         named[f"sums_{end.e}"] = hasattr(law, f"{end.end}_sums")
         named[f"age_{end.e}"] = "age" in wanted and not alone
         named[f"touch_{end.e}"] = "f" in wanted
-        named[f"encoder_{end.e}"] = device is not None and device.encoder is not None
-        named[f"velocity_{end.e}"] = device is not None and device.velocity is not None
-        named[f"late_{end.e}"] = device is not None and device.delay > 0
-        named[f"slow_{end.e}"] = device is not None and device.every > 1
+        named |= {f"{name}_{end.e}": name in stages for name in ("encoder", "velocity", "late", "slow")}
         named[f"dx_{end.e}"] = (
-            "dx" in wanted or (scene.energy and not named[f"encoder_{end.e}"]) or named.get(f"popc_{end.e}", False))
-    named["observe_m"] = named["touch_m"] and scene.observer is not None
-    named["sense_m"] = named["touch_m"] and scene.observer is None
+            "dx" in wanted or (energy and not named[f"encoder_{end.e}"]) or named.get(f"popc_{end.e}", False))
+    named["observe_m"] = named["touch_m"] and "observer" in parts
+    named["sense_m"] = named["touch_m"] and "observer" not in parts
     named["sense_s"] = named.get("touch_s", False)
     for e in ("m", "s"):
         # A body with an inner state cannot tell its touch afterwards, so it is recorded.

@@ -1,21 +1,24 @@
-"""Some rows of a sweep, run one after another in one thread: what an executor is given.
+"""Some rows of a sweep, run in one thread: what an executor is given.
 
 Rows that share a structure share a kernel; rows that share a link, a seed and a clock share a schedule, and those that
-share a hand its path. A row's result depends on its own knobs and seed alone.
+share a hand its path. A row's result depends on its own knobs and seed alone, whatever stands beside it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache, partial
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.batch.kernel import Kernel, Water, available, figures, names_of, numbers, plain
+from teleop.batch.kernel import Inputs, Kernel, Water, available, figures, plain, tree_of
+from teleop.batch.leaves import Leaves, leaves
 from teleop.bodies import Bodies, exact_bodies, reference_samples
 from teleop.errors import Refused
+from teleop.law import functions_of
 from teleop.library import scene_function
 from teleop.lockstep import link_plans, run
-from teleop.metrics import UNITS, of_plan
+from teleop.metrics import of_plan
 from teleop.scene import Scene, made_by
 from teleop.tick import features
 
@@ -47,45 +50,121 @@ class Done(NamedTuple):
 
 def work(job: Job) -> Done:
     """Run every row of a job."""
-    rows: list[Row] = []
+    rows: dict[int, Row] = {}
     instead: dict[str, str] = {}
+    groups: dict[Any, list[Ready]] = {}
     function = scene_function(job.scene)
+    before: Any = None  # knobs, scene and what else rows that differ by their seeds alone share
     for number, knobs, seed in job.rows:
         row: Row = {"row": number, "seed": seed, **knobs}
+        rows[number] = row
         try:
-            scene = made_by(function, job.scene, {**job.fixed, **knobs})
-            status, ticks, told = _run(scene, seed, job, instead)  # bodies and links have refusals of their own
-        except Refused as refused:
-            rows.append({**row, "status": "refused", "ticks": 0, "sentence": str(refused)})
+            if before is None or before[0] != knobs:
+                scene = made_by(function, job.scene, {**job.fixed, **knobs})
+                whole = whole_runs(job.measures, scene)
+                before = knobs, scene, None if whole else _prepared(scene, job, instead)
+            _, scene, prepared = before
+            if prepared is None:
+                _tell(row, *_recorded(scene, seed, job.measures))
+            else:
+                ready = Ready(row, scene, seed, *prepared)
+                groups.setdefault(ready.beside(), []).append(ready)
+        except Refused as refused:  # bodies have refusals of their own
+            _refuse(row, refused)
+    for group in groups.values():
+        for tile in _tiles(group):
+            _run(tile, job.measures)
+    return Done(list(rows.values()), instead)
+
+
+def _tell(row: Row, status: str, ticks: int, told: dict[str, float]) -> None:
+    row.update(status=status, ticks=ticks, **told)
+
+
+def _refuse(row: Row, refused: Refused) -> None:
+    row.update(status="refused", ticks=0, sentence=str(refused))
+
+
+class Ready(NamedTuple):
+    """A row that waits for others to be run with."""
+
+    row: Row
+    scene: Scene
+    seed: int
+    kernel: Kernel
+    tree: Any
+    flat: Leaves | None
+
+    def beside(self) -> Any:
+        """What rows that are run at once have in common."""
+        return id(self.kernel), self.scene.ticks, tuple(self.flat.wholes) if self.flat else ()
+
+    def water(self) -> Any:
+        """What tells its schedules from those of others."""
+        scene = self.scene
+        return ("water", scene.link, scene.link and scene.playout, scene.link and self.seed, scene.ticks, scene.dt_ns,
+                scene.wire_size)
+
+
+def _prepared(scene: Scene, job: Job, instead: dict[str, str]) -> tuple[Kernel, Any, Leaves | None]:
+    """The kernel of a scene, and its numbers as that takes them: as a tree or flat."""
+    bodies, known = exact_bodies(scene), available(scene)
+    wanted = tuple([one for one in job.measures if isinstance(one, str) and one in known])
+    kernel, flat = _kernel(scene, bodies, wanted, job.engine, instead)
+    return kernel, None if flat else tree_of(scene, bodies, compiled=False), flat
+
+
+def _tiles(group: Sequence[Ready]) -> Iterator[Sequence[Ready]]:
+    """Rows to be run at once, those with the same schedule together where there are enough of them."""
+    width = group[0].kernel.width
+    alike: dict[Any, list[Ready]] = {}
+    for ready in group if width > 1 else ():
+        key = ready.water()
+        try:
+            alike.setdefault(key, []).append(ready)
+        except TypeError:  # a link of the user's own that has no hash
+            alike.setdefault(id(ready), []).append(ready)
+    left: list[Ready] = list(group) if width == 1 else []
+    for several in alike.values():
+        whole = len(several) - len(several) % width
+        yield from (several[first:first + width] for first in range(0, whole, width))
+        left += several[whole:]
+    yield from (left[first:first + width] for first in range(0, len(left), width))
+
+
+def _drawn(ready: Ready) -> Water:
+    return Water.of(link_plans(ready.scene, ready.seed))
+
+
+def _run(tile: Sequence[Ready], measures: Sequence[Measure]) -> None:
+    """Run rows at once and write into each what it came to."""
+    rows, drawn = [], []
+    for ready in tile:
+        try:
+            water = _once(ready.water(), partial(_drawn, ready))
+        except Refused as refused:  # a link may have refusals of its own
+            _refuse(ready.row, refused)
             continue
-        rows.append({**row, "status": status, "ticks": ticks, **told})
-    return Done(rows, instead)
+        path = _reference(ready.scene, compiled=ready.flat is not None)
+        rows.append(ready)
+        drawn.append(Inputs(ready.tree, ready.flat, ready.scene.ticks, water, path))
+    if not rows:
+        return
+    for ready, given, (status, ran, told) in zip(rows, drawn, figures(rows[0].kernel, drawn), strict=True):
+        if any(name in OF_PLAN for name in measures):
+            of_water = _of_water(given.water, ran, ready.scene)
+            told |= {name: value for name, value in of_water.items() if name in measures}
+        _tell(ready.row, status, ran, told)
 
 
 def whole_runs(measures: Sequence[Measure], scene: Scene) -> bool:
     """Do these figures need a whole record, so that no kernel gives them."""
-    known = available(scene) | set(OF_PLAN)
-    return any(not isinstance(one, str) or (one in UNITS and one not in known and _has(one, scene)) for one in measures)
+    return _whole_runs(tuple(measures), "waves" in features(scene))
 
 
-def _has(measure: str, scene: Scene) -> bool:
-    """Does a single run of the scene have this figure, though a kernel has not."""
-    return measure in ("E_fwd_min", "E_bwd_min") and scene.has_waves and scene.energy
-
-
-def _run(scene: Scene, seed: int, job: Job, instead: dict[str, str]) -> tuple[str, int, dict[str, float]]:
-    if whole_runs(job.measures, scene):
-        return _recorded(scene, seed, job.measures)
-    key = ("water", scene.link, scene.link and scene.playout, scene.link and seed, scene.ticks, scene.dt_ns,
-           scene.wire_size)
-    water = _once(key, lambda: Water.of(link_plans(scene, seed)))
-    bodies = exact_bodies(scene)
-    wanted = tuple(one for one in job.measures if isinstance(one, str) and one in available(scene))
-    kernel = _kernel(scene, bodies, wanted, job.engine, instead)
-    status, ran, told = figures(kernel, numbers(kernel, scene, bodies, _reference(scene, kernel), water), water)
-    if any(name in OF_PLAN for name in job.measures):
-        told |= {name: value for name, value in _of_water(water, ran, scene).items() if name in job.measures}
-    return status, ran, told
+@lru_cache(maxsize=256)
+def _whole_runs(measures: tuple[Measure, ...], waves: bool) -> bool:
+    return any(not isinstance(one, str) or (waves and one in ("E_fwd_min", "E_bwd_min")) for one in measures)
 
 
 def _recorded(scene: Scene, seed: int, measures: Sequence[Measure]) -> tuple[str, int, dict[str, float]]:
@@ -109,19 +188,18 @@ def _of_water(water: Water, ran: int, scene: Scene) -> dict[str, float]:
     return told
 
 
-def _reference(scene: Scene, kernel: Kernel) -> Any:
+def _reference(scene: Scene, *, compiled: bool) -> Any:
     """The hand's path, as lists for plain Python and as arrays for compiled code."""
     if scene.hand is None:
-        return None if kernel.given is None else ()
-    key = ("path", scene.hand.reference, scene.axes, scene.ticks, scene.dt_ns, kernel.given is None)
+        return () if compiled else None
 
     def make() -> Any:
         import numpy as np
 
         path = reference_samples(scene) or ()
-        return path if kernel.given is None else tuple([np.asarray(axis) for axis in path])
+        return tuple([np.asarray(axis) for axis in path]) if compiled else path
 
-    return _once(key, make)
+    return _once(("path", scene.hand.reference, scene.axes, scene.ticks, scene.dt_ns, compiled), make)
 
 
 _HELD: dict[Any, Any] = {}
@@ -143,11 +221,17 @@ def _once(key: Any, make: Callable[[], Any]) -> Any:
         return made
 
 
-def _kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, instead: dict[str, str]) -> Kernel:
-    """The kernel of a scene's structure, by `engine`, or by plain Python where it is not made for that."""
-    # What the text depends on, and the functions that it names; those of a kernel that is kept live on in it.
-    functions = tuple([(name, id(part)) for name, part in names_of(scene, bodies).items() if type(part) is not float])
-    key = engine, measures, features(scene), scene.axes, type(scene.law), functions
+def _kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, instead: dict[str, str]
+            ) -> tuple[Kernel, Leaves | None]:
+    """The kernel of a scene's structure, by `engine`, or by a plainer one where it is not made for that.
+
+    With it the row's numbers laid out flat, if it is compiled.
+    """
+    flat = None if engine == "plain" else leaves(tree_of(scene, bodies))
+    velocities = [type(device.velocity) for device in (scene.device_m, scene.device_s) if device is not None]
+    # What the text depends on, and the functions that it names.
+    key = (engine, measures, features(scene), scene.axes, functions_of(scene.law), *velocities, flat and flat.shape,
+           *bodies.functions().values())
     kernel = _KERNELS.get(key)
     if kernel is None:
         with _MAKING:
@@ -155,25 +239,32 @@ def _kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str
             while len(_KERNELS) >= KEPT:
                 del _KERNELS[next(iter(_KERNELS))]
             _KERNELS[key] = kernel
-    return kernel
+    return kernel, None if kernel.engine == "plain" else flat
+
+
+PLAINER = {"vector": "scalar", "scalar": "plain"}
 
 
 def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, instead: dict[str, str]) -> Kernel:
     if engine == "plain":
         return plain(scene, bodies, measures)
+    from importlib import import_module
+
     from numba.core.errors import NumbaError
 
-    from teleop.batch.compiled import NotCompiled, scalar
+    from teleop.batch.compiled import NotCompiled
 
     try:
-        kernel = scalar(scene, bodies, measures)
+        kernel: Kernel = getattr(import_module(f"teleop.batch.{engine}"), engine)(scene, bodies, measures)
         first = load_first(scene)
-        water = Water.of(link_plans(first, 0))
-        figures(kernel, numbers(kernel, first, exact_bodies(first), _reference(first, kernel), water), water)
+        given = Inputs(None, leaves(tree_of(first, exact_bodies(first))), first.ticks, Water.of(link_plans(first, 0)),
+                       _reference(first, compiled=True))
+        figures(kernel, [given])
     except (NumbaError, NotCompiled, AttributeError, TypeError) as error:
         why = str(error).strip().splitlines()
-        instead["plain"] = f"{type(error).__name__}: {' '.join(why[-1:])[:200]}" if why else type(error).__name__
-        return plain(scene, bodies, measures)
+        said = " ".join(why[-1:])[:200] if why else type(error).__name__
+        instead[PLAINER[engine]] = said if isinstance(error, NotCompiled) else f"{type(error).__name__}: {said}"
+        return _made(scene, bodies, measures, PLAINER[engine], instead)
     return kernel
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from teleop.errors import Refused
 
 if TYPE_CHECKING:
+    from teleop.batch.cluster import Cluster
     from teleop.batch.grid import Grid
     from teleop.batch.runner import Sweep
     from teleop.batch.table import Table
@@ -25,6 +27,7 @@ class Swept(NamedTuple):
     interrupted: bool
     seconds: float
     ran: int  # rows that were run now
+    cluster: tuple[str, int] | None = None  # its scheduler, and how many workers sent rows; none: this machine
 
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
         """The sweep as JSON can hold it, without its rows."""
@@ -33,6 +36,7 @@ class Swept(NamedTuple):
             "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
             "instead": self.plan.instead, "seconds": self.seconds, "interrupted": self.interrupted,
             "command": list(command), "path": str(self.folder),
+            "cluster": self.cluster and {"address": self.cluster[0], "workers": self.cluster[1]},
         }
 
     def text(self) -> str:
@@ -44,6 +48,8 @@ class Swept(NamedTuple):
                  f"status   {len(self.table)} done: {counts or 'none'}",
                  f"engine   {self.plan.engine}: {self.plan.why}{rate}"]
         lines += [f"         some rows by {engine}: {why}" for engine, why in self.plan.instead.items()]
+        if self.cluster is not None:
+            lines.append(f"cluster  {self.cluster[0]}, rows by {self.cluster[1]} of its workers")
         lines += [str(self.table), f"written to {self.folder}"]
         if self.interrupted:
             lines.append("interrupted: the same command goes on from here")
@@ -53,11 +59,12 @@ class Swept(NamedTuple):
 def carry_out(
     name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
     out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, plot: bool = False,
-    latin: int | None = None, random: int | None = None,
+    latin: int | None = None, random: int | None = None, cluster: str | None = None,
 ) -> Swept:
     """Run the sweep of scene `name` over `axes` (texts, see `teleop.batch.typed`). Raises `Refused`.
 
-    `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it.
+    `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it. `cluster`: the
+    address of a dask scheduler whose workers run the rows.
     """
     from teleop.batch.runner import carry_out as run_rows
     from teleop.batch.runner import prepare
@@ -72,28 +79,48 @@ def carry_out(
         raise Refused(f"this is {rows:.3g} rows; write fewer values, or --yes if you mean it")
     folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"
     line = None if stream is None else Progress(stream, float(rows))
-    began = clock()
 
     def show(done: int, of: int) -> None:
         if line is not None:
             line.show(float(done), clock(), f"{done} of {of} rows")
 
-    interrupted = False
-    before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
-    try:
-        table = run_rows(plan, out=folder, show=show)
-    except KeyboardInterrupt:
-        if not (folder / "sweep.json").is_file():
-            raise  # nothing was begun
-        interrupted = True
-        table = Store.look(folder).table()
-    finally:
-        if line is not None:
+    def tell(sentence: str) -> None:
+        if line is not None and stream is not None:
             line.end()
-    swept = Swept(plan, table, folder, interrupted, clock() - began, len(table) - before)
+            print("teleop:", sentence, file=stream, flush=True)
+
+    interrupted = False
+    with _workers(cluster, tell) as pool:
+        began = clock()
+        before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
+        try:
+            table = run_rows(plan, executor=pool, out=folder, show=show)
+        except KeyboardInterrupt:
+            if not (folder / "sweep.json").is_file():
+                raise  # nothing was begun
+            interrupted = True
+            table = Store.look(folder).table()
+        finally:
+            if line is not None:
+                line.end()
+        seconds = clock() - began
+    where = None if pool is None else (pool.address, len(pool.workers))
+    swept = Swept(plan, table, folder, interrupted, seconds, len(table) - before, where)
     if plot:
         picture(table, folder, name)
     return swept
+
+
+@contextmanager
+def _workers(cluster: str | None, tell: Callable[[str], None]) -> Iterator[Cluster | None]:
+    """Those of the cluster at an address; none: the sweep's own threads."""
+    if cluster is None:
+        yield None
+        return
+    from teleop.batch.cluster import connected
+
+    with connected(cluster, tell) as pool:
+        yield pool
 
 
 def _points(axes: Sequence[str], seeds: int, latin: int | None, random: int | None) -> Grid:

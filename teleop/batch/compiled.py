@@ -1,4 +1,4 @@
-"""Kernels compiled by numba: one module per structure of scene, in the user's cache folder.
+"""Modules of compiled kernels: one for each structure of scene and engine, in the user's cache folder.
 
 A module imports the functions that its text names and compiles them; nothing of theirs is copied into it. Numba notices
 neither an edit in a function that a cached one calls nor a new version of itself, so the module's name is a hash of the
@@ -11,29 +11,39 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
-from inspect import getsource
+from inspect import getsource, signature
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any
+from typing import Any, Protocol
 
-from teleop.batch.kernel import Kernel, kernel_text, names_of
+from teleop.batch.kernel import kernel_text, names_of, tree_of
+from teleop.batch.leaves import expression, leaves
 from teleop.bodies import Bodies
 from teleop.errors import Refused
 from teleop.scene import Scene
-from teleop.source import beginnings
+from teleop.source import record
 
-HEAD = '''"""Generated: the kernel of one structure of scene. Delete it whenever you like."""
-from collections import namedtuple
+TEXT = '''"""Generated: the {engine} kernel of one structure of scene. Delete it whenever you like."""
 from math import inf, nan
 from numba import njit
 from teleop.batch.compiled import compiled_part
+from teleop.batch.{engine} import *
+from teleop.source import record
 
-Given = namedtuple("Given", {given})
-Law = namedtuple("Law", {law})
+{parts}
+
+
+@njit(error_model="numpy", nogil=True)
+{loop}
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def kernel(reals, wholes, arrays, count, play_m, play_s, size, ref, lag_x, lag_f, out):
+    given, law, dt, x_limit, start_m, start_s, held = {tree}
+{call}
 '''
 
 
@@ -47,60 +57,111 @@ def folder() -> Path:
     return (Path(home) if home else Path.home() / ".cache") / "bilateral-teleop" / "kernels"
 
 
-def scalar(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
-    """The kernel compiled for one scene at a time. Raises `NotCompiled` where a part of it is not made for that."""
-    text, name = module_text(scene, bodies, measures)
-    module = _loaded(text, name)
-    return Kernel("scalar", tuple(measures), module.loop, module.Given, module.Law)
+class Engine(Protocol):
+    """What a compiled engine puts into a module of its own: the module `teleop.batch.NAME`."""
+
+    SOURCES: tuple[str, ...]  # the modules of its own that a kernel is made with
+    FEATURES: frozenset[str]  # of the tick's text
+    REAL: str  # how a float is taken from `reals`; {} is its number
+    CALL: str  # the call of `loop`
+
+    @staticmethod
+    def maker(word: str) -> str:
+        """The function that makes the part called `word` of what stands at a place."""
+        ...
 
 
-def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> tuple[str, str]:
+def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str) -> ModuleType:
+    """The loaded module of a kernel. Raises `NotCompiled` or an error of numba's where a part is not made for that."""
+    return _loaded(*module_text(scene, bodies, measures, engine))
+
+
+def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str) -> tuple[str, str]:
     """The module of a kernel, and the name that it goes by."""
     import numba
     import numpy
 
-    starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
-    given = beginnings(scene, starts)._fields
+    own = import_module(f"teleop.batch.{engine}")
     lines, sources = [], []
     for word, part in sorted(names_of(scene, bodies).items()):
         if isinstance(part, float):
             continue  # inf and nan
-        place = _place(word, part)
-        lines.append(f"{word} = compiled_part({place!r})")
-        sources += _sources(part, set())
-    head = HEAD.format(given=given, law=[field.name for field in fields(scene.law)])
-    kernel = kernel_text(scene, measures)
-    text = f"{head}{os.linesep.join(lines)}\n\n\n@njit(cache=True, error_model='numpy', nogil=True)\n{kernel}"
+        places = [_place(word, each) for each in _pieces(part)]
+        lines.append(f"{word} = {own.maker(word)}({', '.join(map(repr, places))})")
+        sources += [source for each in _pieces(part) for source in _sources(each, set())]
+
+    def class_name(kind: Any) -> str:
+        names: tuple[str, ...] = kind._fields
+        word = f"{kind.__name__}_of_{'_'.join(names)}"
+        made = f"record({kind.__name__!r}, {names})" if record(kind.__name__, names) is kind else (
+            f"compiled_part({_place(word, kind)!r})")
+        if (line := f"{word} = {made}") not in lines:
+            lines.append(line)
+        return word
+
+    tree = expression(leaves(tree_of(scene, bodies)).shape, own.REAL, class_name)
+    text = TEXT.format(engine=engine, tree=tree, call=own.CALL, parts=os.linesep.join(lines),
+                       loop=kernel_text(scene, measures, own.FEATURES))
+    stack = [_text_of(name) for name in own.SOURCES]
     versions = (sys.version, numba.__version__, numpy.__version__)
-    return text, hashlib.sha256(repr((text, sources, versions)).encode()).hexdigest()[:20]
+    return text, hashlib.sha256(repr((text, sources, stack, versions)).encode()).hexdigest()[:20]
 
 
-def compiled_part(place: str) -> Any:
-    """What stands at "module:name", compiled if it is a function."""
+@lru_cache
+def _text_of(name: str) -> str:
+    return Path(import_module(name).__file__ or "").read_text()
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """A function compiled as every part of a kernel is: numpy's errors, no lock, no fast-math."""
+    from numba import njit
+
+    compiled: Any = njit(error_model="numpy", nogil=True)
+    return compiled(function)
+
+
+def part_at(place: str) -> Any:
+    """What stands at "module:name"."""
     module, _, names = place.partition(":")
     part: Any = import_module(module)
     for name in names.split("."):
         part = getattr(part, name)
-    return _jit(part)
+    return part
+
+
+def compiled_part(place: str, *inner: str) -> Any:
+    """What stands at "module:name", compiled if it is a function; with `inner`, bound to the function there."""
+    return _bound(part_at(place), compiled_part(*inner)) if inner else jitted(part_at(place))
+
+
+def _pieces(part: Any) -> tuple[Any, ...]:
+    """A part, or the two that `teleop.plant.bound` made it of."""
+    own = isinstance(part, partial) and len(part.args) == 1 and not part.keywords
+    return (part.func, *_pieces(part.args[0])) if own else (part,)
+
+
+def _bound(function: FunctionType, inner: Any) -> Any:
+    """`teleop.plant.bound`, compiled. Its arguments are written out: of `*rest` numba makes an indirect call."""
+    rest = ", ".join(list(signature(function).parameters)[1:])
+    names = {"function": jitted(function), "inner": inner}
+    return jit(eval(f"lambda {rest}: function(inner, {rest})", names))
 
 
 _JITTED: dict[Any, Any] = {}
 
 
-def _jit(part: Any) -> Any:
+def jitted(part: Any) -> Any:
     """A plain function compiled, with the plain functions that it names; anything else as it is."""
     if not isinstance(part, FunctionType):
         return part
     if part not in _JITTED:
-        from numba import njit
-
         own = FunctionType(part.__code__, {"__builtins__": __builtins__}, part.__name__, part.__defaults__)
-        _JITTED[part] = njit(error_model="numpy", nogil=True)(own)
-        own.__globals__.update({name: _jit(thing) for name, thing in _named(part).items()})
+        _JITTED[part] = jit(own)
+        own.__globals__.update({name: jitted(thing) for name, thing in named_in(part).items()})
     return _JITTED[part]
 
 
-def _named(function: FunctionType) -> dict[str, Any]:
+def named_in(function: FunctionType) -> dict[str, Any]:
     """What a function finds by name around it."""
     return {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
 
@@ -125,7 +186,7 @@ def _sources(part: Any, seen: set[Any]) -> list[str]:
     except (OSError, TypeError):
         found = [repr(part)]
     if isinstance(part, FunctionType):
-        for thing in _named(part).values():
+        for thing in named_in(part).values():
             if isinstance(thing, FunctionType | type):
                 found += _sources(thing, seen)
             elif isinstance(thing, int | float | str):

@@ -9,17 +9,37 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from functools import lru_cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.batch.leaves import Leaves
 from teleop.batch.measures import MAGNITUDES, SUMS, least, most, root_mean, sound
-from teleop.bodies import Bodies, Held
+from teleop.batch.text import COMPILED, PLAIN
+from teleop.bodies import Bodies
 from teleop.scene import Scene
-from teleop.source import beginnings, parts, specialise
-from teleop.tick import LOOP, MASTER, features
+from teleop.source import beginnings, parts, record, specialise
+from teleop.tick import BLOCKS, LOOP, MASTER, features
 
 if TYPE_CHECKING:
     from teleop.playout import Plan
+
+
+class Inputs(NamedTuple):
+    """What a row gives its kernel."""
+
+    tree: Any  # its numbers, see `tree_of`
+    flat: Leaves | None  # the same laid out flat, for compiled code
+    ticks: int
+    water: Water
+    path: Any  # of the hand: lists for plain Python, arrays for compiled code
+
+
+class Told(NamedTuple):
+    """What a kernel says of a row."""
+
+    ran: int  # ticks; below zero if it left the bounds in the last of them
+    figures: tuple[float, ...]  # the measures, and 1.0 if all is finite
 
 
 class Kernel(NamedTuple):
@@ -27,32 +47,41 @@ class Kernel(NamedTuple):
 
     engine: str
     measures: tuple[str, ...]  # the figures that it gives, in order
-    loop: Callable[..., tuple[int, int, tuple[float, ...]]]
-    given: Any = None  # the type that its numbers come in; None: as they are
-    law: Any = None  # and that of the law's
+    run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[Told]]  # of rows and their lags
+    width: int = 1  # rows that it runs at once
 
 
 def available(scene: Scene) -> frozenset[str]:
     """The figures that a kernel of this scene can give."""
-    has = features(scene)
+    return _available(features(scene))
+
+
+@lru_cache(maxsize=256)
+def _available(has: frozenset[str]) -> frozenset[str]:
     named = {name for name, (feature, _) in SUMS.items()
              if feature in has or feature not in ("waves", "energy", "watchdog")}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
-    return frozenset(named if scene.slave is not None else named - of_slave)
+    return frozenset(named - of_slave if "alone" in has else named)
 
 
-def kernel_text(scene: Scene, measures: Sequence[str]) -> str:
-    """The source of a scene's loop that works out `measures` as it goes, and at its end whether all is finite."""
+def kernel_text(scene: Scene, measures: Sequence[str], engine: frozenset[str] = frozenset()) -> str:
+    """The source of a scene's loop that works out `measures` as it goes, and at its end whether all is finite.
+
+    `engine`: the features of the text that an engine adds.
+    """
     has = features(scene)
     last = ["<<x_m@>>", "<<v_m@>>", "<<f_m@>>"]
     last += ["<<x_s@>>", "<<v_s@>>", "<<f_s@>>"] * (scene.slave is not None)
     last += ["E_link"] * ("waves" in has) + ["E_port"] * ("energy" in has)
     measured = "".join(f"{SUMS[name][1]}, " for name in measures)
-    text = LOOP.replace("{measured}", f"({measured}sound({', '.join(last)}))")
-    more = {"kernel", *(SUMS[name][0] for name in measures)}
+    own = COMPILED if "compiled" in engine else PLAIN
+    told = f"({measured}sound(({', '.join(last)})))"
+    loop, *texts = [text.replace("{measured}", told) for text in (LOOP, *own.values())]
+    blocks = {**BLOCKS, **dict(zip(own, texts, strict=True))}
+    more = {"kernel", *engine, *(SUMS[name][0] for name in measures)}
     more |= {"felt_s"} if more & {"f_err", "f_env_max"} else set()
     more |= {"felt_m"} if "f_h_max" in more else set()
-    return specialise(text, scene, MASTER, frozenset(more))
+    return specialise(loop, scene, MASTER, frozenset(more), blocks)
 
 
 def names_of(scene: Scene, bodies: Bodies) -> dict[str, Any]:
@@ -67,7 +96,18 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
     """The kernel in plain Python."""
     names = names_of(scene, bodies)
     exec(compile(kernel_text(scene, measures), f"<kernel of scene {scene.name}>", "exec"), names)
-    return Kernel("plain", tuple(measures), names["loop"])
+    loop = names["loop"]
+
+    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
+        told = []
+        for row, lag in zip(rows, lags, strict=True):
+            given, law, dt, x_limit, start_m, start_s, held = row.tree
+            forth, back = [None if plan is None else plan.play for plan in row.water.plans]
+            told.append(Told(*loop(given, law, dt, row.ticks, x_limit, start_m, start_s, back, forth, row.water.size,
+                                   row.path, held, *lag)))
+        return told
+
+    return Kernel("plain", tuple(measures), run)
 
 
 class Water(NamedTuple):
@@ -97,20 +137,15 @@ class Water(NamedTuple):
         return forth, back
 
 
-def numbers(kernel: Kernel, scene: Scene, bodies: Bodies, reference: Any, water: Water) -> tuple[Any, ...]:
-    """The arguments of a row but for the sizes of its rings: plain Python keeps lists, compiled code takes arrays."""
+def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any, ...]:
+    """The numbers of a row, as the text names them."""
     starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
-    begins, law, held = beginnings(scene, starts), scene.law, bodies.held()
-    forth, back = water.plays
-    if kernel.given is None:
-        forth, back = (None if plan is None else plan.play for plan in water.plans)
-    else:
-        begins = kernel.given(*begins)
-        law = kernel.law(*[float(getattr(law, field.name)) for field in fields(law)])
-        held = Held(tuple(held.grip), 0 if held.z_m is None else held.z_m, held.c,
-                    tuple([0 if z is None else z for z in held.z_s]))
-    return (begins, law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"], back, forth,
-            water.size, reference, held)
+    law = scene.law
+    if compiled:
+        names = tuple([field.name for field in fields(law)])
+        law = record("Law", names)(*[float(getattr(law, name)) for name in names])
+    return (beginnings(scene, starts), law, scene.dt_ns / 1e9, scene.x_limit, starts["m"], starts["s"],
+            bodies.held())
 
 
 def lag_of(play: Any) -> int:
@@ -122,13 +157,16 @@ def lag_of(play: Any) -> int:
     return int(ages[len(ages) // 2]) if len(ages) else 0
 
 
-def figures(kernel: Kernel, given: tuple[Any, ...], water: Water) -> tuple[str, int, dict[str, float]]:
-    """Status, ticks and figures of one row; a figure that is not finite is left out, as in a single run."""
-    ran, _, told = kernel.loop(*given, water.lags[0] + 1, water.lags[1] + 1)
-    if ran < 0:
-        own = water.lags_until(-ran)
-        if own != water.lags:  # the lag of a run that ended early is that of the messages which came until then
-            ran, _, told = kernel.loop(*given, own[0] + 1, own[1] + 1)
-    status = "ok" if ran >= 0 and told[-1] == 1.0 else "diverged"
-    named = zip(kernel.measures, told[:-1], strict=True)
-    return status, abs(ran), {name: float(value) for name, value in named if isfinite(value)}
+def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
+    """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run."""
+    lags = [row.water.lags for row in rows]
+    found = []
+    for row, lag, told in zip(rows, lags, kernel.run(rows, lags), strict=True):
+        if told.ran < 0:
+            own = row.water.lags_until(-told.ran)
+            if own != lag:  # the lag of a run that ended early is that of the messages which came until then
+                told, = kernel.run([row], [own])  # noqa: PLW2901
+        status = "ok" if told.ran >= 0 and told.figures[-1] == 1.0 else "diverged"
+        named = zip(kernel.measures, told.figures[:-1], strict=True)
+        found.append((status, abs(told.ran), {name: float(value) for name, value in named if isfinite(value)}))
+    return found

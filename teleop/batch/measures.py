@@ -53,7 +53,7 @@ def magnitude3(a: float, b: float, c: float) -> float:
 MAGNITUDES = {1: magnitude1, 2: magnitude2, 3: magnitude3}
 
 
-def sound(*numbers: float) -> float:
+def sound(numbers: tuple[float, ...]) -> float:
     """1.0 if all are finite, else 0.0."""
     for number in numbers:
         if not isfinite(number):

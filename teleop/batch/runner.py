@@ -20,11 +20,13 @@ from teleop.errors import Refused, nearest
 from teleop.metrics import UNITS
 from teleop.scene import Scene, load_scene
 
-ENGINES = ("plain", "scalar")
+ENGINES = ("plain", "scalar", "vector")
 CHUNK = 0.5  # s of work that a chunk aims at
 LARGEST = 4096  # rows in one
+POLL = 1.0  # s after which an executor is asked again how much it can take
 WORTH = 4.0  # s of plain Python above which compiling is worth its time
 PLAIN = 4e-6  # s a tick, about
+FEW = 16  # rows that are not worth putting side by side
 USUAL = ("x_err_rms", "x_err_max", "f_m_max", "E_link_min", "E_port_min")
 
 Show = Callable[[int, int], None]
@@ -65,7 +67,7 @@ def sweep(
 
     `axes`: knobs and their values as `load_scene` takes them; a tuple of knobs goes with a list of tuples. `fixed`:
     knobs that are the same in every row. `metrics`: names of `teleop.metrics.UNITS`, or functions of a `Result`,
-    which cost a whole record. `engine`: plain or scalar; left out, by the amount of work and what is installed.
+    which cost a whole record. `engine`: plain, scalar or vector; left out, by the amount of work and what is installed.
     `executor`: any of concurrent.futures; left out, threads. `out`: a folder that rows are appended to as they finish;
     the same sweep there goes on where it stopped. `show` is told rows done and rows in all. Raises `Refused`.
     """
@@ -108,7 +110,9 @@ def _engine(asked: str | None, scene: Scene, rows: int) -> tuple[str, str]:
         return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
     if find_spec("numba") is None:
         return "plain", "numba is not installed; with it this would be some 50 times faster (the extra `batch`)"
-    return "scalar", f"about {seconds:.3g} s of plain Python, so it is compiled"
+    if rows < FEW:
+        return "scalar", f"about {seconds:.3g} s of plain Python in {rows} rows, so it is compiled for one at a time"
+    return "vector", f"about {seconds:.3g} s of plain Python, so it is compiled for eight rows at once"
 
 
 def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str | None = None, show: Show | None = None
@@ -139,22 +143,21 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str 
 
 def _chunks(plan: Sweep, waiting: Iterator[int], executor: Executor | None) -> Iterator[Done]:
     """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back."""
-    own = executor is None
-    pool = executor or ThreadPoolExecutor(cpu_count() or 1)
-    workers: int = getattr(pool, "_max_workers", 4)
+    pool, own = _pool(executor)
     each = 0.0  # s a row
     running: dict[Future[Done], tuple[int, float]] = {}
     try:
         while True:
-            while len(running) < 2 * workers:
+            while len(running) < 2 * getattr(pool, "_max_workers", 4):  # of a cluster the number changes
                 size = 1 if each == 0.0 else max(1, min(LARGEST, int(CHUNK / each)))
+                size -= size % 8 if size > 8 else 0  # as many as an engine may run side by side
                 job = _job(plan, list(islice(waiting, size)))
                 if not job.rows:
                     break
                 running[pool.submit(work, job)] = len(job.rows), perf_counter()
             if not running:
                 return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            for future in wait(running, POLL, FIRST_COMPLETED).done:
                 rows, began = running.pop(future)
                 spent = (perf_counter() - began) / rows
                 each = spent if each == 0.0 else min(each, spent)
@@ -164,6 +167,17 @@ def _chunks(plan: Sweep, waiting: Iterator[int], executor: Executor | None) -> I
             future.cancel()
         if own:
             pool.shutdown(cancel_futures=True)
+
+
+def _pool(executor: Executor | None) -> tuple[Executor, bool]:
+    """Whom the jobs are handed to, and whether it is to be shut down after them."""
+    if executor is None:
+        return ThreadPoolExecutor(cpu_count() or 1), True
+    if type(executor).__module__.startswith("distributed."):
+        from teleop.batch.cluster import Cluster
+
+        return Cluster(executor), True  # the client that it is of stays open
+    return executor, False
 
 
 def _job(plan: Sweep, numbers: list[int]) -> Job:

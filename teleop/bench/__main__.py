@@ -1,15 +1,12 @@
-"""`python -m teleop.bench [virtual|sweep|live]`: measure here what the README claims, side by side."""
+"""`python -m teleop.bench [virtual|sweep|rivals|live]`: measure here what the README claims, side by side."""
 
 from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser
+from importlib import import_module
 
-from teleop.bench.live import live
-from teleop.bench.sweep import sweep
-from teleop.bench.virtual import virtual
-
-BENCHES = {"virtual": virtual, "sweep": sweep, "live": live}
+BENCHES = ("virtual", "sweep", "rivals", "live")  # each is a function in a module of its name, loaded when it runs
 
 
 def main() -> int:
@@ -24,7 +21,8 @@ def main() -> int:
         return 2
     for name in args.bench or BENCHES:
         print(f"-- {name}")
-        for what, value, asked in BENCHES[name](args.rounds):
+        bench = getattr(import_module(f"teleop.bench.{name}"), name)
+        for what, value, asked in bench(args.rounds):
             print(f"{what:<58} {value:<22} {asked}")
     return 0
 

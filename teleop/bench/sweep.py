@@ -1,4 +1,4 @@
-"""What a row of a sweep costs a tick: the compiled kernel of the canonical scene beside a C program of the same scene.
+"""What a row of a sweep costs a tick: the compiled kernels of the canonical scene beside a C program of the same scene.
 
 The C program steps the bodies by semi-implicit Euler, one step a tick, and works out the same tracking error; it is
 compiled here with -O3 and called in this process, in turn with ours, on the same packets.
@@ -14,12 +14,12 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
+from teleop.bench.kernels import kernel_of
 from teleop.scene import Scene, load_scene
 
 Row = tuple[str, str, str]
-MEASURES = ("x_err_rms", "x_err_max")
 ROUGH = "delay(0.05) | uniform(0.02) | bernoulli(0.02)"
 PROGRAM = r"""
 #include <math.h>
@@ -74,24 +74,58 @@ def sweep(rounds: int) -> list[Row]:
     rows: list[Row] = []
     with TemporaryDirectory() as name:
         program = _program(Path(name))
-        for what, link, asked in (("constant delay", None, "asked: at most 1.8"),
-                                  ("uniform jitter, 2 % loss", ROUGH, "asked: at most 1.8 of its own scene in C")):
-            scene = load_scene("canonical", **({} if link is None else {"link": link}))
-            ours, first = _ours(scene)
+        for what, link, ways in (("constant delay", None, CONSTANT), ("uniform jitter, 2 % loss", ROUGH, JITTER)):
+            scene = _canonical(link)
+            calls: dict[str, Callable[[], Any]] = {}
+            first: dict[str, float] = {}
+            for way in ways:
+                began = time.perf_counter()
+                calls[way.name] = way.ready(link)
+                calls[way.name]()
+                first[way.engine] = first.get(way.engine, 0.0) + time.perf_counter() - began
+            rows += [(f"{engine}, first call of the structure, or from the cache", f"{took:.2f} s", "asked: 8, or 1")
+                     for engine, took in first.items() if link is None]
             theirs = _theirs(program, scene) if program else None
-            times: dict[str, list[float]] = {"ours": [], "theirs": []}
+            spent: dict[str, list[float]] = {way.name: [] for way in ways}
+            in_c: list[float] = []
             for _ in range(4 * rounds):
-                times["ours"].append(_seconds(ours))
-                if theirs:
-                    times["theirs"].append(_seconds(theirs))
-            each = {one: [t / scene.ticks * 1e9 for t in several] for one, several in times.items()}
-            rows.append((f"canonical, {what}, scalar engine, a tick", f"{median(each['ours']):.1f} ns", ""))
-            rows.append(("  first call of the structure, or from the cache", f"{first:.2f} s", "asked: 8, or 1"))
+                in_c.append(_seconds(theirs) / scene.ticks * 1e9 if theirs else float("nan"))
+                for way in ways:
+                    spent[way.name].append(_seconds(calls[way.name]) / scene.ticks / way.rows * 1e9)
             if theirs:
-                ratio = median(a / b for a, b in zip(each["ours"], each["theirs"], strict=True))
-                beside = f"  over C, semi-implicit Euler ({median(each['theirs']):.1f} ns)"
-                rows.append((beside, f"{ratio:.2f} times", asked))
+                rows.append((f"{what}: C, semi-implicit Euler", f"{median(in_c):.1f} ns a tick", ""))
+            for way in ways:
+                rows.append((f"{what}: {way.name}", f"{median(spent[way.name]):.1f} ns a tick", ""))
+                if theirs:
+                    ratio = median(a / b for a, b in zip(spent[way.name], in_c, strict=True))
+                    rows.append(("  over C", f"{ratio:.2f} times", f"asked: at most {way.asked}"))
     return rows
+
+
+class Way(NamedTuple):
+    """One way to run the rows."""
+
+    name: str
+    engine: str
+    asked: float
+    rows: int
+    energy: bool = False  # the ledgers too, which the C program has not
+    own: bool = False  # a seed for each row
+
+    def ready(self, link: str | None) -> Callable[[], Any]:
+        """The rows of this way, to be run."""
+        scenes = [_canonical(link, energy=self.energy, k_e=5000.0 + 10.0 * n) for n in range(self.rows)]
+        return kernel_of(self.engine, scenes, [1 + n if self.own else 1 for n in range(self.rows)])
+
+
+CONSTANT = (Way("scalar", "scalar", 1.8, 1), Way("scalar with ledgers", "scalar", 1.8, 1, energy=True),
+            Way("vector", "vector", 1.0, 8), Way("vector with ledgers", "vector", 1.0, 8, energy=True))
+JITTER = (Way("scalar", "scalar", 1.8, 1), Way("vector, one schedule for eight rows", "vector", 1.8, 8),
+          Way("vector, a schedule for each row", "vector", 1.8, 8, own=True))
+
+
+def _canonical(link: str | None, *, energy: bool = False, k_e: float = 5000.0) -> Scene:
+    return load_scene("canonical", energy=energy, k_e=k_e, **({} if link is None else {"link": link}))
 
 
 def _seconds(call: Callable[[], Any]) -> float:
@@ -101,26 +135,6 @@ def _seconds(call: Callable[[], Any]) -> float:
         call()
         best = min(best, time.perf_counter() - began)
     return best
-
-
-def _ours(scene: Scene) -> tuple[Callable[[], Any], float]:
-    """One row by the compiled kernel, and how long the first call took."""
-    import numpy as np
-
-    from teleop.batch.compiled import scalar
-    from teleop.batch.kernel import Water, numbers
-    from teleop.bodies import exact_bodies, reference_samples
-    from teleop.lockstep import link_plans
-
-    water, bodies = Water.of(link_plans(scene, 1)), exact_bodies(scene)
-    path = tuple([np.asarray(axis) for axis in reference_samples(scene) or ()])
-    began = time.perf_counter()
-    kernel = scalar(scene, bodies, MEASURES)
-    given = numbers(kernel, scene, bodies, path, water)
-    sizes = [lag + 1 for lag in water.lags]
-    kernel.loop(*given, *sizes)
-    took = time.perf_counter() - began
-    return lambda: kernel.loop(*given, *sizes), took
 
 
 def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:

@@ -53,5 +53,4 @@ class VirtualWall:
 
     def force(self, s: tuple[()], at: At) -> tuple[float, tuple[()]]:
         p = at.x - self.at
-        g = self.K * p + self.B * at.v
-        return 0.0 if p <= 0.0 or g <= 0.0 else g, s
+        return max(self.K * p + self.B * at.v, 0.0) * (p > 0.0), s

@@ -71,25 +71,28 @@ def is_carried(plant: Plant) -> bool:
     """Does the plant's environment move, so that its inner state begins with the tick?"""
     if plant.start is None:
         return False
-    from teleop.carried import move_carried, move_carried_inner, move_carried_sliding
+    from teleop import carried
 
-    return plant.move in (move_carried, move_carried_inner, move_carried_sliding)
+    return carried.is_carried(plant)
 
 
 def _still(plant: Plant, environment: Any) -> tuple[Plant, Any]:
     if not is_carried(plant):
         return plant, environment
-    from teleop.carried import Carried
+    from teleop.carried import at_rest
 
-    c = Carried(*plant.c)
-    return Plant(c.move, c.force, c.c, plant.start[1:] or None), environment.environment
+    return at_rest(plant), environment.environment
 
 
 def _carried_as(whole: Plant, still: Plant) -> Plant:
+    from functools import partial
+
     from teleop.carried import Carried
 
-    c = Carried(*whole.c)._replace(move=still.move, force=still.force, c=still.c)
-    return whole._replace(c=tuple(c), start=(0, *(still.start or ())), report=None)
+    move: Any = whole.move
+    force: Any = whole.force
+    c = tuple(Carried(*whole.c)._replace(c=still.c))
+    return Plant(partial(move.func, still.move), partial(force.func, still.force), c, (0, *(still.start or ())))
 
 
 def core_of(still: Plant) -> tuple[float, float, Core] | None:

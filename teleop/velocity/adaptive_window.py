@@ -37,7 +37,6 @@ TINY = 1e-300  # s: what a span of zero is divided by
 LONGEST = 1000  # readings: one second at 1 kHz
 
 State = tuple[float, ...]  # the last `most` readings (m), newest first; NaN where the window does not reach yet
-Each = tuple[float, ...]  # one number for each window, n = 1..most
 
 
 def _checked(fit: EndFit | BestFit) -> None:
@@ -50,11 +49,9 @@ def _missing(count: int) -> State:
     return (nan,) * count
 
 
-def _common(dt: float, noise: float, most: int) -> tuple[float, float, State, Each, Each]:
-    numbers = tuple(float(n) for n in range(1, most + 1))
+def _coefficients(fit: EndFit | BestFit, dt: float) -> tuple[float, float, float, State]:
     # A line that misses by `noise` exactly, as encoder readings have it, is good whatever rounding makes of it.
-    band = noise * (1.0 + 1e-9)
-    return dt, 1e-6 * dt, _missing(most - 1), numbers, tuple(band / n for n in numbers)
+    return dt, 1e-6 * dt, fit.noise * (1.0 + 1e-9), _missing(fit.most - 1)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,27 +64,29 @@ class EndFit:
     def __post_init__(self) -> None:
         _checked(self)
 
-    def coefficients(self, dt: float) -> tuple[float, float, State, Each, Each]:
-        """The tick (s), how much a span may differ from it, an empty past, and n and noise/n of every window."""
-        return _common(dt, self.noise, self.most)
+    def coefficients(self, dt: float) -> tuple[float, float, float, State]:
+        """The tick (s), how much a span may differ from it, how far the line may miss a reading, and an empty past."""
+        return _coefficients(self, dt)
 
     def start(self, x: float) -> State:
         """One reading at `x` (m)."""
         return (x, *_missing(self.most - 1))
 
     @staticmethod
-    def step(c: tuple[float, float, State, Each, Each], s: State, x: float, span: float) -> tuple[float, State]:
+    def step(c: tuple[float, float, float, State], s: State, x: float, span: float) -> tuple[float, State]:
         """Velocity (m/s) at the reading `x` (m), `span` seconds after the one before, and the next state."""
-        dt, apart, missing, numbers, reaches = c
+        dt, apart, band, missing = c
         slope = x - s[0]  # m a tick
         if abs(span - dt) > apart:
             return slope / max(span, TINY), (x, *missing)
-        low, high = -inf, inf
-        for before, n, reach in zip(s, numbers, reaches, strict=True):
+        low, high, n = -inf, inf, 0.0
+        for before in s:
+            n += 1.0
             tried = (x - before) / n
             if not low <= tried <= high:
                 break
             slope = tried
+            reach = band / n
             if tried - reach > low:  # noqa: PLR1730 - max and min would be half of the time
                 low = tried - reach
             if tried + reach < high:  # noqa: PLR1730
@@ -105,34 +104,34 @@ class BestFit:
     def __post_init__(self) -> None:
         _checked(self)
 
-    def coefficients(self, dt: float) -> tuple[float, float, State, Each, Each, Each]:
-        """As of `EndFit`, and 6/(n (n+1) (n+2)) of every window."""
-        common = _common(dt, self.noise, self.most)
-        return *common, tuple(6.0 / (n * (n + 1.0) * (n + 2.0)) for n in common[3])
+    def coefficients(self, dt: float) -> tuple[float, float, float, State]:
+        """As of `EndFit`."""
+        return _coefficients(self, dt)
 
     def start(self, x: float) -> State:
         """One reading at `x` (m)."""
         return (x, *_missing(self.most - 1))
 
     @staticmethod
-    def step(c: tuple[float, float, State, Each, Each, Each], s: State, x: float, span: float) -> tuple[float, State]:
+    def step(c: tuple[float, float, float, State], s: State, x: float, span: float) -> tuple[float, State]:
         """Velocity (m/s) at the reading `x` (m), `span` seconds after the one before, and the next state."""
-        dt, apart, missing, numbers, reaches, gains = c
+        dt, apart, band, missing = c
         slope = x - s[0]  # m a tick
         if abs(span - dt) > apart:
             return slope / max(span, TINY), (x, *missing)
-        low, high = -inf, inf
+        low, high, n = -inf, inf, 0.0
         total = moment = 0.0  # sum_i (y(k) - y(k-i)), and weighted with 2 i
-        for before, n, reach, gain in zip(s, numbers, reaches, gains, strict=True):
+        for before in s:
+            n += 1.0
             back = x - before
             total += back
             moment += n * (back + back)
-            middle = back / n
+            middle, reach = back / n, band / n
             if middle - reach > low:  # noqa: PLR1730
                 low = middle - reach
             if middle + reach < high:  # noqa: PLR1730
                 high = middle + reach
-            tried = gain * (moment - n * total)
+            tried = 6.0 / (n * (n + 1.0) * (n + 2.0)) * (moment - n * total)
             if not low <= tried <= high:
                 break
             slope = tried

@@ -18,8 +18,10 @@ from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop import At, Scene, load_scene, run
 from teleop.batch import compiled
-from teleop.batch.compiled import NotCompiled, module_text, scalar
-from teleop.batch.kernel import Kernel, Water, available, figures, kernel_text, numbers, plain
+from teleop.batch.compiled import NotCompiled, module_text
+from teleop.batch.kernel import Inputs, Kernel, Water, available, figures, kernel_text, plain, tree_of
+from teleop.batch.leaves import leaves
+from teleop.batch.scalar import scalar
 from teleop.bodies import exact_bodies, reference_samples
 from teleop.device import Device, Encoder
 from teleop.laws.direct import Direct
@@ -42,10 +44,16 @@ def scene(name: str, folder: Path, **knobs: Any) -> Scene:
 
 def row(kernel: Kernel, of: Scene, seed: int) -> tuple[str, int, dict[str, float]]:
     """What one row of a sweep comes to."""
+    return figures(kernel, [inputs(kernel, of, seed)])[0]
+
+
+def inputs(kernel: Kernel, of: Scene, seed: int) -> Inputs:
+    """What the kernel is given for a row."""
     water, bodies, path = Water.of(link_plans(of, seed)), exact_bodies(of), reference_samples(of)
-    if kernel.given is not None:
-        path = tuple(np.asarray(axis) for axis in path or ())  # type: ignore[assignment]  # what compiled code takes
-    return figures(kernel, numbers(kernel, of, bodies, path, water), water)
+    if kernel.engine == "plain":
+        return Inputs(tree_of(of, bodies, compiled=False), None, of.ticks, water, path)
+    arrays = tuple(np.asarray(axis) for axis in path or ())
+    return Inputs(None, leaves(tree_of(of, bodies)), of.ticks, water, arrays)
 
 
 def assert_as_a_run(kernel: Kernel, of: Scene, seed: int = 3) -> None:
@@ -106,9 +114,8 @@ class TestCompiled:
     def test_one_kernel_serves_every_number(self) -> None:
         of = replace(virtual_wall(), duration=SHORT)
         kernel = scalar(of, exact_bodies(of), ("f_m_max",))
-        for K, delay in ((100.0, 0), (5000.0, 0)):
-            other = replace(of, law=replace(of.law, K=K), device_m=replace(of.device_m, delay=delay))
-            assert_as_a_run(kernel, other)
+        for K, dt in ((100.0, 1e-3), (5000.0, 1e-3), (5000.0, 3e-4)):
+            assert_as_a_run(kernel, replace(of, law=replace(of.law, K=K), dt=dt))
 
     def test_what_another_process_cannot_find_is_not_compiled(self) -> None:
         of = replace(load_scene("canonical"), law=Local(), duration=SHORT)
@@ -198,7 +205,7 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
     (tmp_path / "taken").write_text("a file where the folder should be")
     monkeypatch.setattr(compiled, "folder", lambda: tmp_path / "taken" / "kernels")
     of = replace(virtual_wall(b=0.81), duration=0.05)
-    text, name = module_text(of, exact_bodies(of), ("f_m_max", "E_port_end"))
+    text, name = module_text(of, exact_bodies(of), ("f_m_max", "E_port_end"), "scalar")
     sys.modules.pop(f"teleop_kernel_{name}", None)
     assert_as_a_run(scalar(of, exact_bodies(of), ("f_m_max", "E_port_end")), of)
     assert "def loop(" in text

@@ -1,0 +1,163 @@
+"""Lanes: eight floats of eight scenes, side by side, as one number of compiled code.
+
+`Lanes` and `Mask` are types of numba's, lowered to vectors of LLVM. Everything a law may write of floats means on lanes
+what plain Python means in each of them, to the last bit: `min` and `max` keep their first argument where a comparison
+fails, as Python's do, NaN and the sign of a zero included; nothing is contracted or reordered. A comparison gives a
+mask. A mask is no truth, so an `if` on one is refused by the compiler: what branches has no lanes.
+
+A law's function is compiled over lanes as it stands. Floats, whole numbers and truths that meet lanes are put into
+every lane, a mask that is reckoned with is 1.0 and 0.0.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin, lower_cast, models, register_model
+
+WIDTH = 8  # lanes
+
+types: Any = numba.types
+
+_REAL, _BIT = ir.DoubleType(), ir.IntType(1)
+VECTOR, BITS = ir.VectorType(_REAL, WIDTH), ir.VectorType(_BIT, WIDTH)
+
+
+class Lanes(types.Type):  # type: ignore[misc]  # numba has no types
+    """A float in each lane."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"lanes{WIDTH}")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        from numba.core.typeconv import Conversion
+
+        return Conversion.safe if _spreads(other) else None
+
+    def unify(self, typingctx: Any, other: Any) -> Any:
+        return self if _spreads(other) else None
+
+
+class Mask(types.Type):  # type: ignore[misc]
+    """A truth in each lane."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"mask{WIDTH}")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        from numba.core.typeconv import Conversion
+
+        return Conversion.safe if isinstance(other, types.Boolean) else None
+
+    def unify(self, typingctx: Any, other: Any) -> Any:
+        return self if isinstance(other, types.Boolean) else None
+
+
+lanes, mask = Lanes(), Mask()
+
+
+def _spreads(kind: Any) -> bool:
+    return isinstance(kind, types.Float | types.Integer | types.Boolean | Mask)
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, VECTOR)
+
+
+@register_model(Mask)
+class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, BITS)
+
+
+def _everywhere(builder: Any, one: Any, kind: Any) -> Any:
+    """A scalar in every lane."""
+    start = builder.insert_element(ir.Constant(kind, ir.Undefined), one, ir.Constant(ir.IntType(32), 0))
+    order = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+    return builder.shuffle_vector(start, ir.Constant(kind, ir.Undefined), order)
+
+
+def _spread(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:  # noqa: ARG001
+    return _everywhere(builder, context.cast(builder, value, source, types.float64), VECTOR)
+
+
+def _spread_truth(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:  # noqa: ARG001
+    bit = context.cast(builder, value, source, types.boolean)
+    return _everywhere(builder, builder.trunc(bit, _BIT) if bit.type != _BIT else bit, BITS)
+
+
+def _reckon(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:  # noqa: ARG001
+    return builder.uitofp(value, VECTOR)
+
+
+for _kind in (types.Float, types.Integer, types.Boolean):
+    lower_cast(_kind, Lanes)(_spread)
+lower_cast(types.Boolean, Mask)(_spread_truth)
+lower_cast(Mask, Lanes)(_reckon)
+
+
+def _operation(word: Any, arity: int, emit: Callable[..., Any], *, result: Any = lanes, of: Any = lanes) -> None:
+    """Give an operator or a function of Python its meaning on lanes: `emit(builder, *vectors)`."""
+
+    def generic(self: Any, args: Any, kws: Any) -> Any:  # noqa: ARG001
+        own = any(arg is of or (of is lanes and arg is mask) for arg in args)
+        fits = all(arg is of or (_spreads(arg) if of is lanes else isinstance(arg, types.Boolean)) for arg in args)
+        return signature(result, *[of] * len(args)) if own and fits and len(args) == arity else None
+
+    infer_global(word)(type(f"Lanes_{getattr(word, '__name__', word)}", (AbstractTemplate,), {"generic": generic}))
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        return emit(builder, *args)
+
+    lower_builtin(word, *[of] * arity)(lowered)
+
+
+def _choose(sign: str) -> Callable[..., Any]:
+    """`max` or `min`: the next where it is greater or less than what was kept until then."""
+    def emit(builder: Any, kept: Any, *others: Any) -> Any:
+        for other in others:
+            kept = builder.select(builder.fcmp_ordered(sign, other, kept), other, kept)
+        return kept
+
+    return emit
+
+
+def _call(name: str) -> Callable[..., Any]:
+    """An intrinsic of LLVM's on vectors."""
+    kind = ir.FunctionType(VECTOR, [VECTOR])
+    full = f"llvm.{name}.v{WIDTH}f64"
+
+    def emit(builder: Any, x: Any) -> Any:
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, full), [x])
+
+    return emit
+
+
+_operation(operator.add, 2, lambda b, x, y: b.fadd(x, y))
+_operation(operator.sub, 2, lambda b, x, y: b.fsub(x, y))
+_operation(operator.mul, 2, lambda b, x, y: b.fmul(x, y))
+_operation(operator.truediv, 2, lambda b, x, y: b.fdiv(x, y))
+_operation(operator.neg, 1, lambda b, x: b.fneg(x))
+_operation(operator.pos, 1, lambda b, x: x)  # noqa: ARG005
+_operation(abs, 1, _call("fabs"))
+_operation(math.fabs, 1, _call("fabs"))
+_operation(math.sqrt, 1, _call("sqrt"))
+for _count in (2, 3, 4):
+    _operation(max, _count, _choose(">"))
+    _operation(min, _count, _choose("<"))
+for _word, _sign in ((operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
+                     (operator.eq, "==")):
+    _operation(_word, 2, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y), result=mask)
+_operation(operator.ne, 2, lambda b, x, y: b.fcmp_unordered("!=", x, y), result=mask)
+_operation(operator.and_, 2, lambda b, x, y: b.and_(x, y), result=mask, of=mask)
+_operation(operator.or_, 2, lambda b, x, y: b.or_(x, y), result=mask, of=mask)
+_operation(operator.invert, 1, lambda b, x: b.not_(x), result=mask, of=mask)

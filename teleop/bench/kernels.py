@@ -1,0 +1,33 @@
+"""Kernels made ready to be timed: what the sweep engine runs, without the rows around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+from teleop.batch.kernel import Inputs, Water, tree_of
+from teleop.batch.leaves import leaves
+from teleop.bodies import exact_bodies, reference_samples
+from teleop.lockstep import link_plans
+from teleop.scene import Scene
+
+MEASURES = ("x_err_rms", "x_err_max")
+
+
+def kernel_of(engine: str, scenes: Sequence[Scene], seeds: Sequence[int]) -> Callable[[], Any]:
+    """A call that runs these rows by the kernel of the first scene's structure; scenes of one link share a schedule."""
+    import numpy as np
+
+    waters: dict[Any, Water] = {}
+    paths: dict[Any, Any] = {}
+    rows = []
+    for scene, seed in zip(scenes, seeds, strict=True):
+        water = waters.setdefault((scene.link, seed), Water.of(link_plans(scene, seed)))
+        reference = scene.hand and scene.hand.reference
+        path = paths.setdefault(reference, tuple([np.asarray(axis) for axis in reference_samples(scene) or ()]))
+        rows.append(Inputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, water, path))
+    make = getattr(import_module(f"teleop.batch.{engine}"), engine)
+    kernel = make(scenes[0], exact_bodies(scenes[0]), MEASURES)
+    lags = [row.water.lags for row in rows]
+    return lambda: kernel.run(rows, lags)

@@ -1,0 +1,71 @@
+"""How a sweep grows: from a thousand rows to a hundred thousand, from one thread to two, and a million rows in memory.
+
+Whole sweeps, with all that a row costs beside its kernel: scene, coefficients, schedule, its line in the table.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from statistics import median
+
+from teleop.batch.grid import grid
+from teleop.batch.runner import sweep
+from teleop.library import ROOT
+from teleop.scene import load_scene
+
+Row = tuple[str, str, str]
+MEASURES = ("x_err_rms", "x_err_max")
+FEW, MANY = 1_000, 100_000
+SHARED = 8_000  # rows for one thread and for two
+PROGRAM = """
+import resource
+from teleop.bench.scale import million
+rows = million()
+print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def scale(rounds: int) -> list[Row]:
+    """Rows of (what, measured, asked)."""
+    from teleop.batch.compiled import need_numba
+
+    need_numba("vector")
+    ticks = load_scene("canonical").ticks
+    rows: list[Row] = []
+    for engine in ("scalar", "vector"):
+        _swept(engine, 16, 1)  # compiles
+        few, many, ratios, gains = [], [], [], []
+        for _ in range(rounds):
+            few.append(_swept(engine, FEW, 1) / FEW)
+            gains.append(_swept(engine, SHARED, 1) / _swept(engine, SHARED, 2))
+        for _ in range(max(1, rounds // 3)):
+            many.append(_swept(engine, MANY, 1) / MANY)
+            ratios.append(many[-1] / median(few))
+        rows += [
+            *[(f"{engine}, canonical, a row of {count:,}", f"{median(each) * 1e6:.0f} us",
+               f"{median(each) / ticks * 1e9:.1f} ns a tick") for count, each in ((FEW, few), (MANY, many))],
+            ("  over that of few", f"{median(ratios):.2f} times", "asked: within 15 %"),
+            (f"{engine}, two threads over one", f"{median(gains):.2f} times", "asked: at least 1.8"),
+        ]
+    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=ROOT, capture_output=True, text=True, check=True)
+    count, memory = map(int, done.stdout.split())
+    rows.append((f"{count:,} rows of 20 ticks", f"{memory / 1e6:.2f} GB", "asked: at most 1"))
+    return rows
+
+
+def _swept(engine: str, rows: int, threads: int) -> float:
+    """Seconds for a sweep of the canonical scene over the wall's stiffness."""
+    points = grid({"k_e": [2500.0 + 5000.0 * n / rows for n in range(rows)]})
+    began = time.perf_counter()
+    with ThreadPoolExecutor(threads) as pool:
+        sweep("canonical", points, metrics=MEASURES, engine=engine, executor=pool)
+    return time.perf_counter() - began
+
+
+def million() -> int:
+    """A sweep of a million short rows over two knobs and seeds."""
+    points = grid({"k_e": [1000.0 + n for n in range(1000)], "d_e": [0.1 * n for n in range(100)]}, 10)
+    return len(sweep("canonical", points, metrics=MEASURES, engine="vector", fixed={"duration": 0.02}))

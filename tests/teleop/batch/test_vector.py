@@ -1,0 +1,138 @@
+"""Eight scenes side by side give what each gives by itself: the same bits in every engine, whatever stands beside."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from scenarios.virtual_coupling import scene as virtual_coupling
+from slave.tissue import Tissue
+from slave.wall import Wall
+from teleop import Scene, load_scene
+from teleop.batch.chunk import Job, work
+from teleop.batch.kernel import Kernel, available, figures, plain
+from teleop.batch.lane_parts import NotVectorised, branches
+from teleop.batch.measures import most
+from teleop.batch.vector import vector
+from teleop.bodies import exact_bodies
+from teleop.device import Device, Encoder
+from teleop.laws.pfra import PFRA
+from teleop.popc import PassivityController
+from teleop.safety import Cap, Watchdog
+from teleop.velocity.backward_difference import BackwardDifference
+from tests.teleop.batch.test_kernel import inputs
+
+ROUGH = "delay(0.01) | uniform(0.01) | bernoulli(0.1) ; delay(0.02)"
+MEASURES = ("x_err_rms", "x_err_max", "f_err_rms", "f_m_max", "f_env_max", "E_link_min", "E_port_end", "T_fwd_max")
+ENGINES = ("plain", "scalar", "vector")
+
+
+def assert_same_bits(scenes: list[Scene], seeds: list[int]) -> None:
+    """A vector kernel of the first scene's structure gives each what plain Python gives it."""
+    first = scenes[0]
+    measures = sorted(available(first))
+    lanes, alone = vector(first, exact_bodies(first), measures), plain(first, exact_bodies(first), measures)
+
+    def rows(kernel: Kernel) -> list[Any]:
+        return figures(kernel, [inputs(kernel, of, seed) for of, seed in zip(scenes, seeds, strict=True)])
+
+    assert list(map(repr, rows(lanes))) == list(map(repr, rows(alone)))
+
+
+def knobs_of(law: str, dice: random.Random, *, wild: bool) -> dict[str, object]:
+    """Random knobs of the canonical scene; wild ones diverge now and then, early and late."""
+    own = {"wave": {"law.b": dice.uniform(0.5, 20.0)},
+           "direct": {"law.kf": dice.choice([0.2, 1.0, 40.0 if wild else 0.5])},
+           "pfra": {"law.alpha": dice.random(), "law.kf": dice.choice([0.5, 1.0, 60.0 if wild else 1.0])}}[law]
+    return {"law": law, **own, "law.K": dice.uniform(100.0, 5000.0), "law.B": dice.uniform(1.0, 40.0),
+            "k_e": 10.0 ** dice.uniform(2.0, 6.0), "d_e": dice.choice([0.0, 1.0, 30.0]),
+            "wall": dice.uniform(0.0, 0.04), "amplitude": dice.uniform(0.01, 0.1),
+            "delay": dice.choice([0.0, 0.01, 0.03]), "x_limit": 0.5 if wild else 1e6}
+
+
+@pytest.mark.parametrize("law", ["wave", "direct", "pfra"])
+@pytest.mark.parametrize("link", [None, ROUGH], ids=["constant delays", "a link of random delays and losses"])
+def test_engines_agree_on_random_scenes_of_every_law(law: str, link: str | None) -> None:
+    """Among them runs that diverge at ticks of their own; with shared and with own schedules, paths and lags."""
+    dice = random.Random(f"{law}{link}")
+    rows = [(n, {**knobs_of(law, dice, wild=n % 2 == 0), **({} if link is None else {"link": link})}, n % 5)
+            for n in range(27)]
+    done = {engine: work(Job("canonical", {"duration": 0.7}, rows, MEASURES, engine)) for engine in ENGINES}
+    assert not done["vector"].instead, done["vector"].instead
+    assert repr(done["plain"].rows) == repr(done["scalar"].rows) == repr(done["vector"].rows)
+    if law != "wave":
+        assert {row["status"] for row in done["vector"].rows} == {"ok", "diverged"}
+
+
+HARD = Wall(k=2e4, d=10.0, at=0.004)
+SCENES = {
+    "one-port law": ("virtual_wall", {}),
+    "encoder, low-pass, late and slow force, cap, watchdog": ("canonical", {
+        "law": PFRA(alpha=0.2), "cap": Cap(f_max=3.0, slew=500.0), "watchdog": Watchdog(timeout=0.02),
+        "device_m": Device(encoder=Encoder(step=1e-4), velocity=BackwardDifference(), every=3, delay=2)}),
+    "passivity controller": ("virtual_wall", {"passivity": PassivityController(cap=1.0)}),
+    "three axes, walls and tissue, no link": ("canonical", {
+        "law": PFRA(alpha=0.3), "axes": 3, "environment": (HARD, None, Tissue(k=200.0, d=1.0)), "link": None}),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_else_a_scene_may_name_has_lanes(name: str) -> None:
+    scene, parts = SCENES[name]
+    of = replace(load_scene(scene), duration=0.3, **parts)
+    scenes = [replace(of, master=replace(of.master, mass=0.05 + 0.02 * n)) for n in range(11)]
+    assert_same_bits(scenes, [1] * 11)
+
+
+def test_lanes_whose_playout_and_hand_differ_stand_beside_each_other() -> None:
+    of = replace(load_scene("jittery_wan"), duration=0.4)
+    assert of.hand is not None
+    paths = [load_scene("canonical", amplitude=0.01 * n).hand.reference for n in range(1, 4)]  # type: ignore[union-attr]
+    scenes = [replace(of, hand=replace(of.hand, reference=paths[n % 3])) for n in range(9)]
+    assert_same_bits(scenes, list(range(9)))
+
+
+def called(x: float) -> float:
+    return most(x, 1.0)
+
+
+class TestWhatHasNoLanes:
+    def test_a_law_with_an_if_runs_one_scene_at_a_time_and_the_sweep_says_why(self) -> None:
+        rows = [(n, {"law.K": 200.0 + 10.0 * n}, 0) for n in range(9)]
+        done = {engine: work(Job("virtual_coupling", {"duration": 0.1}, rows, ("f_m_max",), engine))
+                for engine in ("plain", "vector")}
+        assert list(done["vector"].instead) == ["scalar"]
+        assert "VirtualCoupling.force chooses its way by an `if`" in done["vector"].instead["scalar"]
+        assert repr(done["plain"].rows) == repr(done["vector"].rows)
+
+    def test_so_does_a_body_with_an_inner_state(self) -> None:
+        of = replace(load_scene("relaxing_tissue"), duration=0.1)
+        with pytest.raises(NotVectorised, match="inner state"):
+            vector(of, exact_bodies(of), ("x_err_rms",))
+
+    def test_a_branch_is_seen_in_what_a_function_calls_too(self) -> None:
+        assert branches(type(virtual_coupling().law).force)
+        assert branches(called)
+        assert not branches(PFRA.master)
+
+
+def test_the_engine_of_a_few_rows_is_another_than_that_of_many() -> None:
+    from teleop.batch.runner import prepare
+
+    def chosen(rows: int, seconds: float) -> str:
+        return prepare("canonical", {"k_e": [1e3 + n for n in range(rows)]}, fixed={"duration": seconds}).engine
+
+    assert [chosen(8, 600.0), chosen(400, 10.0), chosen(400, 0.1)] == ["scalar", "vector", "plain"]
+
+
+def test_a_kernel_of_lanes_holds_only_what_the_scene_names() -> None:
+    from teleop.batch.compiled import module_text
+
+    of = replace(load_scene("free_motion", link="none"), energy=False)
+    text, _ = module_text(of, exact_bodies(of), ("x_err_rms",), "vector")
+    assert "move_free" in text
+    for line in ("move_wall", "E_port", "packet(", "watch(", "f_err", "newest"):
+        assert line not in text.partition("def loop")[2]
