@@ -49,27 +49,32 @@ class Dice:
 
     def words(self, packet: Ints, draw: int = 0) -> Words:
         """The four words of each packet, (n, 4); packet (n,) from 0 to 2^63-1."""
-        if not len(packet):
-            return np.empty((0, 4), np.uint64)
-        low, high = int(packet.min()), int(packet.max())
-        if low // BLOCK == high // BLOCK:
-            few: Words = self._block(low // BLOCK, draw)[packet % BLOCK]
-            return few
-        blocks = np.unique(packet // BLOCK)
-        if len(blocks) == high // BLOCK - low // BLOCK + 1:  # dense: in one go, and not to be kept
-            run = self._draw(low, high - low + 1, draw)
-            return run if len(run) == len(packet) and np.all(np.diff(packet) == 1) else run[packet - low]
-        words = np.concatenate([self._block(block, draw) for block in blocks.tolist()])
-        found: Words = words[np.searchsorted(blocks, packet // BLOCK) * BLOCK + packet % BLOCK]
+        drawn, places = self._table(packet, draw)
+        found: Words = drawn if places is None else drawn[places]
         return found
 
     def uniform(self, packet: Ints, draw: int = 0, word: int = 0) -> Floats:
         """Uniform in [0, 1) from one word of each packet, (n,)."""
-        return unit(self.words(packet, draw)[:, word])
+        drawn, places = self._table(packet, draw)
+        return unit(drawn[:, word] if places is None else drawn[:, word][places])
 
     def normal(self, packet: Ints, draw: int = 0) -> Floats:
         """Standard normal from words 0 and 1, (n,)."""
         return normal(self.words(packet, draw))
+
+    def _table(self, packet: Ints, draw: int) -> tuple[Words, Ints | None]:
+        """Words (m, 4), and which row each packet has; None: the rows are the packets'."""
+        if not len(packet):
+            return np.empty((0, 4), np.uint64), None
+        low, high = int(packet.min()), int(packet.max())
+        if low // BLOCK == high // BLOCK:
+            return self._block(low // BLOCK, draw), packet % BLOCK
+        if high - low < 2 * len(packet):  # dense: in one go, and not to be kept
+            run = self._draw(low, high - low + 1, draw)
+            return run, None if len(run) == len(packet) and np.all(packet[1:] > packet[:-1]) else packet - low
+        blocks = np.unique(packet // BLOCK)
+        words = np.concatenate([self._block(block, draw) for block in blocks.tolist()])
+        return words, np.searchsorted(blocks, packet // BLOCK) * BLOCK + packet % BLOCK
 
     def _block(self, block: int, draw: int) -> Words:
         kept = self._blocks.get((block, draw))

@@ -81,7 +81,7 @@ def _sweep(added: ArgumentParser) -> None:
     added.add_argument("--random", metavar="N", type=whole, help="the same, each point by itself")
     added.add_argument("--metrics", metavar="NAMES", help="which figures, joined by commas; left out: the tracking "
                        "error, the largest force, the energies")
-    added.add_argument("--engine", metavar="NAME", help="plain, scalar or vector (compiled; need the extra `batch`); left "
+    added.add_argument("--engine", metavar="NAME", help="plain, or compiled: scalar, vector (extra `batch`); left "
                        "out: by the amount of work")
     added.add_argument("--cluster", metavar="ADDRESS", help="HOST:PORT of a dask scheduler whose workers run the rows "
                        "(needs the extra `cluster`); left out: this machine")

@@ -67,7 +67,7 @@ class Plan(NamedTuple):
     `sent = received + lost + in_flight` and `received = played + overtaken + late + waiting`.
     """
 
-    play: list[int]  # for each tick the packet played, or -1
+    played_at: NDArray[np.int64]  # for each tick the packet played, or -1
     lag: int  # the greatest tick - play[tick]: messages to keep, less one
     sent: int
     received: int  # packets that came within the run, each counted once
@@ -78,6 +78,12 @@ class Plan(NamedTuple):
     overtaken: int  # a newer one was played before, or at the same tick
     late: int  # fixed: came after its tick
     waiting: int  # fixed: came, and its tick is after the end
+
+    @property
+    def play(self) -> list[int]:
+        """The packets played, as a list."""
+        played: list[int] = self.played_at.tolist()
+        return played
 
 
 def plan(
@@ -119,7 +125,7 @@ def plan(
     lost = int(np.count_nonzero(first == never))
     plays = int(np.count_nonzero(played))
     return Plan(
-        play=play.tolist(), lag=int((numbers - play)[played].max(initial=0)),
+        played_at=play, lag=int((numbers - play)[played].max(initial=0)),
         sent=count, received=received, lost=lost, in_flight=count - received - lost,
         duplicates=int(np.count_nonzero(tick < count)) - received,
         played=plays, overtaken=received - plays - late - waiting, late=late, waiting=waiting,

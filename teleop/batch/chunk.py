@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from threading import Lock
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.batch.kernel import Inputs, Kernel, Water, available, figures, plain, tree_of
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 Measure = str | Callable[["Result"], float]
-KEPT = 64  # schedules and paths in one process
+KEPT = 64  # kernels in one process
+TICKS = 4_000_000  # of schedules and paths in one process, about: 64 MB
 OF_PLAN = ("fresh_fwd", "fresh_bwd", "T_fwd_mean", "T_fwd_max", "T_bwd_mean", "T_bwd_max")
 
 
@@ -42,14 +44,16 @@ class Job(NamedTuple):
 
 
 class Done(NamedTuple):
-    """What a job came to: its rows, and why some of them were not run by the engine that was asked for."""
+    """What a job came to: its rows, why some of them were not run by the engine that was asked for, and the time."""
 
     rows: list[Row]
     instead: dict[str, str]
+    seconds: float
 
 
 def work(job: Job) -> Done:
     """Run every row of a job."""
+    began = perf_counter()
     rows: dict[int, Row] = {}
     instead: dict[str, str] = {}
     groups: dict[Any, list[Ready]] = {}
@@ -67,14 +71,15 @@ def work(job: Job) -> Done:
             if prepared is None:
                 _tell(row, *_recorded(scene, seed, job.measures))
             else:
-                ready = Ready(row, scene, seed, *prepared)
+                ticks, kernel, tree, flat = prepared
+                ready = Ready(row, scene, seed, ticks, kernel, tree, flat, _schedules(scene, seed))
                 groups.setdefault(ready.beside(), []).append(ready)
         except Refused as refused:  # bodies have refusals of their own
             _refuse(row, refused)
     for group in groups.values():
-        for tile in _tiles(group):
-            _run(tile, job.measures)
-    return Done(list(rows.values()), instead)
+        for batch in _batches(group):
+            _run(batch, job.measures)
+    return Done(list(rows.values()), instead, perf_counter() - began)
 
 
 def _tell(row: Row, status: str, ticks: int, told: dict[str, float]) -> None:
@@ -91,63 +96,76 @@ class Ready(NamedTuple):
     row: Row
     scene: Scene
     seed: int
+    ticks: int
     kernel: Kernel
     tree: Any
     flat: Leaves | None
+    water: Any  # what tells its schedules from those of others
 
     def beside(self) -> Any:
         """What rows that are run at once have in common."""
-        return id(self.kernel), self.scene.ticks, tuple(self.flat.wholes) if self.flat else ()
-
-    def water(self) -> Any:
-        """What tells its schedules from those of others."""
-        scene = self.scene
-        return ("water", scene.link, scene.link and scene.playout, scene.link and self.seed, scene.ticks, scene.dt_ns,
-                scene.wire_size)
+        return id(self.kernel), self.ticks, tuple(self.flat.wholes) if self.flat else ()
 
 
-def _prepared(scene: Scene, job: Job, instead: dict[str, str]) -> tuple[Kernel, Any, Leaves | None]:
-    """The kernel of a scene, and its numbers as that takes them: as a tree or flat."""
+def _schedules(scene: Scene, seed: int) -> Any:
+    if scene.link is None:
+        return "no link", scene.ticks
+    return scene.link, scene.playout, seed, scene.ticks, scene.dt_ns, scene.wire_size
+
+
+def _prepared(scene: Scene, job: Job, instead: dict[str, str]) -> tuple[int, Kernel, Any, Leaves | None]:
+    """The ticks of a scene, its kernel, and its numbers as that takes them: as a tree or flat."""
     bodies, known = exact_bodies(scene), available(scene)
     wanted = tuple([one for one in job.measures if isinstance(one, str) and one in known])
     kernel, flat = _kernel(scene, bodies, wanted, job.engine, instead)
-    return kernel, None if flat else tree_of(scene, bodies, compiled=False), flat
+    return scene.ticks, kernel, None if flat else tree_of(scene, bodies, compiled=False), flat
 
 
-def _tiles(group: Sequence[Ready]) -> Iterator[Sequence[Ready]]:
-    """Rows to be run at once, those with the same schedule together where there are enough of them."""
+def _batches(group: Sequence[Ready]) -> Iterator[Sequence[Ready]]:
+    """Rows to be handed to their kernel at one call, those with the same schedule together.
+
+    Where a kernel runs rows side by side, those that fill its lanes go first. No more rows at a call than have
+    schedules of `TICKS` ticks in all.
+    """
     width = group[0].kernel.width
     alike: dict[Any, list[Ready]] = {}
-    for ready in group if width > 1 else ():
-        key = ready.water()
+    for ready in group:
         try:
-            alike.setdefault(key, []).append(ready)
+            alike.setdefault(ready.water, []).append(ready)
         except TypeError:  # a link of the user's own that has no hash
             alike.setdefault(id(ready), []).append(ready)
-    left: list[Ready] = list(group) if width == 1 else []
+    left: list[Ready] = []
+    batch: list[Ready] = []
+    drawn, most = 0, max(width, TICKS // group[0].ticks)
     for several in alike.values():
         whole = len(several) - len(several) % width
-        yield from (several[first:first + width] for first in range(0, whole, width))
         left += several[whole:]
-    yield from (left[first:first + width] for first in range(0, len(left), width))
+        batch += several[:whole]
+        drawn += 1
+        if drawn >= most:
+            yield batch
+            batch, drawn = [], 0
+    if batch:
+        yield batch
+    yield from (left[first:first + most] for first in range(0, len(left), most))
 
 
 def _drawn(ready: Ready) -> Water:
     return Water.of(link_plans(ready.scene, ready.seed))
 
 
-def _run(tile: Sequence[Ready], measures: Sequence[Measure]) -> None:
+def _run(batch: Sequence[Ready], measures: Sequence[Measure]) -> None:
     """Run rows at once and write into each what it came to."""
     rows, drawn = [], []
-    for ready in tile:
+    for ready in batch:
         try:
-            water = _once(ready.water(), partial(_drawn, ready))
-        except Refused as refused:  # a link may have refusals of its own
+            water = _once(ready.water, ready.ticks, partial(_drawn, ready))
+            path = _reference(ready.scene, compiled=ready.flat is not None)
+        except Refused as refused:  # a link or a path may have refusals of its own
             _refuse(ready.row, refused)
             continue
-        path = _reference(ready.scene, compiled=ready.flat is not None)
         rows.append(ready)
-        drawn.append(Inputs(ready.tree, ready.flat, ready.scene.ticks, water, path))
+        drawn.append(Inputs(ready.tree, ready.flat, ready.ticks, water, path))
     if not rows:
         return
     for ready, given, (status, ran, told) in zip(rows, drawn, figures(rows[0].kernel, drawn), strict=True):
@@ -197,28 +215,33 @@ def _reference(scene: Scene, *, compiled: bool) -> Any:
         import numpy as np
 
         path = reference_samples(scene) or ()
-        return tuple([np.asarray(axis) for axis in path]) if compiled else path
+        if len(path) != scene.axes or any(len(axis) <= scene.ticks for axis in path):
+            raise Refused(f"the hand's path has not the {scene.ticks + 1} samples for each of {scene.axes} axes that "
+                          "it was asked for; see its samples(axes, count, dt_ns)")
+        return tuple([np.ascontiguousarray(axis, dtype=np.float64) for axis in path]) if compiled else path
 
-    return _once(("path", scene.hand.reference, scene.axes, scene.ticks, scene.dt_ns, compiled), make)
+    return _once(("path", scene.hand.reference, scene.axes, scene.ticks, scene.dt_ns, compiled), scene.ticks, make)
 
 
-_HELD: dict[Any, Any] = {}
+_HELD: dict[Any, tuple[Any, int]] = {}  # what was made, and for how many ticks
 _KERNELS: dict[Any, Kernel] = {}
-_MAKING = Lock()
+_MAKING, _KEEPING = Lock(), Lock()
 
 
-def _once(key: Any, make: Callable[[], Any]) -> Any:
+def _once(key: Any, ticks: int, make: Callable[[], Any]) -> Any:
     """What `make` gives, kept for the next rows; the oldest is dropped. A key that cannot be kept is made anew."""
     try:
-        return _HELD[key]
+        if (held := _HELD.get(key)) is not None:
+            return held[0]
     except TypeError:  # a link or a path of the user's own that has no hash
         return make()
-    except KeyError:
-        made = make()
-        while len(_HELD) >= KEPT:
-            _HELD.pop(next(iter(_HELD)), None)
-        _HELD[key] = made
-        return made
+    made = make()
+    with _KEEPING:
+        _HELD[key] = made, ticks
+        total = sum(each for _, each in _HELD.values()) if len(_HELD) * ticks > TICKS else 0
+        while total > TICKS and len(_HELD) > 1:
+            total -= _HELD.pop(next(iter(_HELD)))[1]
+    return made
 
 
 def _kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, instead: dict[str, str]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -40,9 +40,13 @@ from teleop.source import record
 @njit(error_model="numpy", nogil=True)
 {loop}
 
+{kernels}'''
+KERNEL = '''
 @njit(cache=True, error_model="numpy", nogil=True)
-def kernel(reals, wholes, arrays, count, play_m, play_s, size, ref, lag_x, lag_f, out):
-    given, law, dt, x_limit, start_m, start_s, held = {tree}
+def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, out):
+    for t in range(tiles):
+        base = t * {reals}
+        given, law, dt, x_limit, start_m, start_s, held = {tree}
 {call}
 '''
 
@@ -62,8 +66,9 @@ class Engine(Protocol):
 
     SOURCES: tuple[str, ...]  # the modules of its own that a kernel is made with
     FEATURES: frozenset[str]  # of the tick's text
-    REAL: str  # how a float is taken from `reals`; {} is its number
-    CALL: str  # the call of `loop`
+    REAL: str  # how a float is taken from `reals` at `base`; {} is its number
+    WIDTH: int  # scenes side by side
+    CALLS: Mapping[str, str]  # the kernels of a module by name: how each calls `loop` for tile t
 
     @staticmethod
     def maker(word: str) -> str:
@@ -99,8 +104,17 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
             lines.append(line)
         return word
 
-    tree = expression(leaves(tree_of(scene, bodies)).shape, own.REAL, class_name)
-    text = TEXT.format(engine=engine, tree=tree, call=own.CALL, parts=os.linesep.join(lines),
+    flat, width = leaves(tree_of(scene, bodies)), own.WIDTH
+    tree = expression(flat.shape, own.REAL, class_name)
+    axes = range(scene.axes if scene.hand is not None else 0)
+    words = {
+        "row": (len(measures) + 2) * width, "width": width,
+        "one_path": f"({''.join(f'paths[(t * {len(axes)} + {i}) * {width}], ' for i in axes)})",
+        "own_paths": f"({''.join(f'each(paths, t * {len(axes)} + {i}), ' for i in axes)})",
+    }
+    kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
+                      for name, call in own.CALLS.items())
+    text = TEXT.format(engine=engine, kernels=kernels, parts=os.linesep.join(lines),
                        loop=kernel_text(scene, measures, own.FEATURES))
     stack = [_text_of(name) for name in own.SOURCES]
     versions = (sys.version, numba.__version__, numpy.__version__)

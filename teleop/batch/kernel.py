@@ -123,7 +123,7 @@ class Water(NamedTuple):
         """That of two plans."""
         import numpy as np
 
-        plays = tuple([np.asarray([] if plan is None else plan.play, dtype=np.int64) for plan in plans])
+        plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
         lags = tuple([1 if plan is None else lag_of(play) for plan, play in zip(plans, plays, strict=True)])
         size = max((plan.lag for plan in plans if plan is not None), default=0) + 1
         return cls(plans, plays, lags, size)  # type: ignore[arg-type]  # there are two
@@ -160,12 +160,16 @@ def lag_of(play: Any) -> int:
 def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
     """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run."""
     lags = [row.water.lags for row in rows]
+    all_told = kernel.run(rows, lags)
+    # The lag of a run that ended early is that of the messages which came until then.
+    own = {i: rows[i].water.lags_until(-told.ran) for i, told in enumerate(all_told) if told.ran < 0}
+    again = [i for i, lag in own.items() if lag != lags[i]]
+    if again:
+        anew = kernel.run([rows[i] for i in again], [own[i] for i in again])
+        for i, told in zip(again, anew, strict=True):
+            all_told[i] = told
     found = []
-    for row, lag, told in zip(rows, lags, kernel.run(rows, lags), strict=True):
-        if told.ran < 0:
-            own = row.water.lags_until(-told.ran)
-            if own != lag:  # the lag of a run that ended early is that of the messages which came until then
-                told, = kernel.run([row], [own])  # noqa: PLW2901
+    for told in all_told:
         status = "ok" if told.ran >= 0 and told.figures[-1] == 1.0 else "diverged"
         named = zip(kernel.measures, told.figures[:-1], strict=True)
         found.append((status, abs(told.ran), {name: float(value) for name, value in named if isfinite(value)}))

@@ -1,8 +1,8 @@
 """What a compiled kernel remembers between ticks: messages on their way, and positions of some ticks ago.
 
 A ring is a flat array of rows, as many as a power of two; a row holds the numbers of one message, each with all of its
-lanes. The schedule of a link is an array of packet numbers, or, where the scenes side by side have links of their own,
-a tuple of such arrays; a lag likewise is one number or a tuple.
+lanes. The schedule of a link stands at an address, or, where the scenes side by side have links of their own, at a
+tuple of addresses; a lag likewise is one number or a tuple.
 """
 
 from __future__ import annotations
@@ -125,27 +125,41 @@ def _of_each(builder: Any, sig: Any, of: Any, one: Any) -> Any:
 
 
 @intrinsic_of
-def packet(typingctx: Any, play: Any, k: Any) -> Any:  # noqa: ARG001
-    """The packet that is played at tick k, or -1; for each lane, where each has its own schedule."""
-    own_links = isinstance(play, types.BaseTuple)
+def each(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
+    """Eight whole numbers of a flat array, from place 8 t on, as a tuple."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        found = _of_each(builder, play, args[0],
-                         lambda kind, array: builder.load(_cell(context, builder, kind, array, args[1])))
-        return context.make_tuple(builder, sig.return_type, found) if own_links else found
+        first = builder.mul(args[1], ir.Constant(WHOLE, WIDTH))
+        return context.make_tuple(builder, sig.return_type, [
+            builder.load(_cell(context, builder, sig.args[0], args[0], builder.add(first, ir.Constant(WHOLE, i))))
+            for i in range(WIDTH)])
 
-    kind = types.UniTuple(types.int64, WIDTH) if own_links else types.int64
-    return kind(play, types.int64), make
+    return types.UniTuple(types.int64, WIDTH)(numbers, types.int64), make
+
+
+def _at(builder: Any, place: Any, k: Any, kind: Any) -> Any:
+    """The k-th of the numbers that stand at an address."""
+    return builder.load(builder.gep(builder.inttoptr(place, kind.as_pointer()), [k]))
+
+
+@intrinsic_of
+def packet(typingctx: Any, play: Any, k: Any) -> Any:  # noqa: ARG001
+    """The packet that the schedule at an address plays at tick k, or -1; for each lane, where each has its own."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        found = _of_each(builder, play, args[0], lambda _, place: _at(builder, place, args[1], WHOLE))
+        return context.make_tuple(builder, sig.return_type, found) if isinstance(play, types.BaseTuple) else found
+
+    return play(play, types.int64), make
 
 
 @intrinsic_of
 def sample(typingctx: Any, path: Any, k: Any) -> Any:  # noqa: ARG001
-    """Where a path is at tick k."""
+    """Where the path at an address is at tick k; for each lane, where each has its own."""
     own_paths = isinstance(path, types.BaseTuple)
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        found = _of_each(builder, path, args[0],
-                         lambda kind, array: builder.load(_cell(context, builder, kind, array, args[1])))
+        found = _of_each(builder, path, args[0], lambda _, place: _at(builder, place, args[1], ir.DoubleType()))
         if not own_paths:
             return found
         vector = ir.Constant(VECTOR, ir.Undefined)
@@ -182,8 +196,3 @@ def tell(typingctx: Any, out: Any, which: Any, ran: Any, told: Any) -> Any:  # n
         return context.get_dummy_value()
 
     return types.none(out, which, lanes, told), make
-
-
-def power_of_two(above: int) -> int:
-    """The least power of two above a number."""
-    return 1 << above.bit_length()

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from itertools import chain, islice
 from os import cpu_count
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from teleop.batch.chunk import Done, Job, Measure, work
@@ -125,7 +124,7 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str 
     try:
         count = 0 if store is None else len(store.done)
         waiting = iter(range(total)) if store is None else chain.from_iterable(store.done.gaps(total))
-        for finished in _chunks(plan, waiting, executor):
+        for finished in _chunks(plan, waiting, total - count, executor):
             plan.instead.update(finished.instead)
             if store is not None:
                 store.append(finished.rows)
@@ -141,27 +140,32 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str 
             store.close()
 
 
-def _chunks(plan: Sweep, waiting: Iterator[int], executor: Executor | None) -> Iterator[Done]:
-    """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back."""
+def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None) -> Iterator[Done]:
+    """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back.
+
+    Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together.
+    """
     pool, own = _pool(executor)
     each = 0.0  # s a row
-    running: dict[Future[Done], tuple[int, float]] = {}
+    running: set[Future[Done]] = set()
     try:
         while True:
-            while len(running) < 2 * getattr(pool, "_max_workers", 4):  # of a cluster the number changes
-                size = 1 if each == 0.0 else max(1, min(LARGEST, int(CHUNK / each)))
+            while len(running) < 2 * (workers := getattr(pool, "_max_workers", 4)):  # of a cluster the number changes
+                size = 1 if each == 0.0 else max(1, min(LARGEST, int(CHUNK / each), left // (2 * workers)))
                 size -= size % 8 if size > 8 else 0  # as many as an engine may run side by side
                 job = _job(plan, list(islice(waiting, size)))
                 if not job.rows:
                     break
-                running[pool.submit(work, job)] = len(job.rows), perf_counter()
+                left -= len(job.rows)
+                running.add(pool.submit(work, job))
             if not running:
                 return
             for future in wait(running, POLL, FIRST_COMPLETED).done:
-                rows, began = running.pop(future)
-                spent = (perf_counter() - began) / rows
+                running.remove(future)
+                done = future.result()
+                spent = done.seconds / len(done.rows)
                 each = spent if each == 0.0 else min(each, spent)
-                yield future.result()
+                yield done
     finally:
         for future in running:
             future.cancel()

@@ -41,6 +41,11 @@ def planned(playout: Playout, arrivals: Arrivals, count: int, dt_ns: int = DT) -
     return plan(playout, table[:, 0], table[:, 1], count, dt_ns)
 
 
+def entries(of: Plan) -> tuple[object, ...]:
+    """A plan as what can be compared."""
+    return of.play, *of[1:]
+
+
 def tick_of(packet: int, time_ns: int, dt_ns: int = DT) -> int:
     return max(packet + 1, ceil(Fraction(time_ns, dt_ns)))
 
@@ -66,8 +71,8 @@ def told_tick_by_tick(playout: Playout, arrivals: Arrivals, count: int) -> Plan:
         else:
             waiting += 1
     return Plan(
-        play=play, lag=max((k - p for k, p in enumerate(play) if p >= 0), default=0), sent=count,
-        received=len(come), lost=count - len(first), in_flight=len(first) - len(come),
+        played_at=np.array(play, dtype=np.int64), lag=max((k - p for k, p in enumerate(play) if p >= 0), default=0),
+        sent=count, received=len(come), lost=count - len(first), in_flight=len(first) - len(come),
         duplicates=sum(t < count for _, t in ticks) - len(come), played=sum(p >= 0 for p in play),
         overtaken=overtaken, late=late, waiting=waiting,
     )
@@ -80,7 +85,7 @@ def told_tick_by_tick(playout: Playout, arrivals: Arrivals, count: int) -> Plan:
 @given(playouts, schedules())
 def test_plan_is_the_definition(playout: Playout, schedule: tuple[int, Arrivals]) -> None:
     count, arrivals = schedule
-    assert planned(playout, arrivals, count) == told_tick_by_tick(playout, arrivals, count)
+    assert entries(planned(playout, arrivals, count)) == entries(told_tick_by_tick(playout, arrivals, count))
 
 
 @settings(max_examples=200)
@@ -122,7 +127,7 @@ def test_copies_change_nothing_but_their_count(
     copies = [(packet, time + after) for packet, time in arrivals]
     once = planned(playout, arrivals, count)
     twice = planned(playout, sorted(arrivals + copies, key=lambda arrival: arrival[1]), count)
-    assert twice._replace(duplicates=0) == once._replace(duplicates=0)
+    assert entries(twice._replace(duplicates=0)) == entries(once._replace(duplicates=0))
     assert twice.duplicates >= once.duplicates
 
 
