@@ -24,7 +24,7 @@ def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> l
         return [told for tile in tiles for told in called(kernel, [tile], figures)]
     width, first = len(tiles[0]), rows[0]
     flats = [row.flat for row in rows if row.flat is not None]
-    reals = np.array([flat.reals for flat in flats]).reshape(len(tiles), width, -1)
+    reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
     waters = {id(row.water): row.water for row in rows}
     drawn = {key: (here(water.plays[1]), here(water.plays[0])) for key, water in waters.items()}
     hands = {id(row.path): row.path for row in rows}

@@ -6,31 +6,34 @@ the tree's *shape* is what rows of one kernel share, and the text of the kernel 
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator
 from itertools import count
 from typing import Any, NamedTuple
 
 FLOATS = {float}
+_SHAPES: dict[Any, Any] = {}  # one of each, however many rows have it
 
 
 class Leaves(NamedTuple):
     """A tree taken apart."""
 
     shape: tuple[Any, ...]  # "(", ")", "i", "a", so many floats, and the class of each NamedTuple in place of its "("
-    reals: list[float]
+    reals: array[float]
     wholes: list[int]
     arrays: list[Any]
 
 
 def leaves(tree: Any) -> Leaves:
     """A tree taken apart. A list is an array; None the whole number 0: what a kernel is given and does not name."""
-    found = Leaves((), [], [], [])
+    found = Leaves((), array("d"), [], [])
     shape: list[Any] = []
     _take(tree, shape, *found[1:])
-    return found._replace(shape=tuple(shape))
+    kind = tuple(shape)
+    return Leaves(_SHAPES.setdefault(kind, kind), *found[1:])
 
 
-def _take(tree: Any, shape: list[Any], reals: list[float], wholes: list[int], arrays: list[Any]) -> None:
+def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], arrays: list[Any]) -> None:
     if isinstance(tree, tuple):
         shape.append(type(tree) if hasattr(tree, "_fields") else "(")
         if set(map(type, tree)) == FLOATS:  # nearly always

@@ -1,4 +1,4 @@
-"""`python -m teleop.bench [virtual|sweep|rivals|live]`: measure here what the README claims, side by side."""
+"""`python -m teleop.bench [virtual|sweep|scale|rivals|live]`: measures what the README claims, side by side."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from argparse import ArgumentParser
 from importlib import import_module
 
-BENCHES = ("virtual", "sweep", "rivals", "live")  # each is a function in a module of its name, loaded when it runs
+BENCHES = ("virtual", "sweep", "scale", "rivals", "live")  # functions in modules of their names, loaded when they run
 
 
 def main() -> int:

@@ -28,7 +28,7 @@ def scene(*, K: float = 100.0, delay: int = 0, near: float = 100.0, duration: fl
 '''
 
 
-@pytest.mark.parametrize("engine", ["plain", "scalar"])
+@pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
 @pytest.mark.parametrize(("delay", "computed"), [(0, 1605.35), (1, 536.28), (5, 148.08), (10, 78.745)])
 def test_the_critical_stiffness_of_a_sampled_wall(engine: str, delay: int, computed: float, tmp_path: Path) -> None:
     """m = 0.04 kg, b = 0.8 N s/m, 1 kHz: eigenvalues of the exact model say where; runs say the same to 1 %."""
@@ -60,7 +60,7 @@ def scene(*, forth: int = 1, back: int = 1, k: float = 400.0, duration: float = 
 '''
 
 
-@pytest.mark.parametrize("engine", ["plain", "scalar"])
+@pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
 @pytest.mark.parametrize(("k", "trips", "first"), [(400.0, (7, 8, 9, 10), 9), (2000.0, (2, 3), 2)])
 def test_the_delay_margin_of_two_handles(
     engine: str, k: float, trips: tuple[int, ...], first: int, tmp_path: Path

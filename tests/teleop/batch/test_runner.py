@@ -54,7 +54,7 @@ class Backwards(Executor):
 
 
 class TestARow:
-    @pytest.mark.parametrize("engine", ["plain", "scalar"])
+    @pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
     def test_is_the_run_of_its_knobs_and_seed(self, engine: str) -> None:
         table = sweep("soft_tissue", AXES, seeds=2, fixed=FIXED, engine=engine,
                       metrics=["x_err_rms", "f_m_max", "E_link_min", "E_port_end", "fresh_fwd", "T_bwd_mean"])
