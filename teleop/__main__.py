@@ -132,6 +132,7 @@ def _sweep(args: Namespace) -> None:
                       latin=args.latin, random=args.random, cluster=args.cluster,
                       engine=args.engine, out=args.out, yes=args.yes, clock=perf_counter, plot=args.plot,
                       stream=None if args.json else sys.stderr)
+    swept.write(args.typed)
     if args.json:
         _say_object(swept.summary(args.typed))
     else:

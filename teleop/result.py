@@ -17,6 +17,15 @@ if TYPE_CHECKING:
     from teleop.playout import Plan
 
 
+def versions() -> dict[str, str]:
+    """What a summary says it was made by."""
+    import numpy
+
+    from teleop import __version__
+
+    return {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Packets:
     """Counts of one direction. `rejected` names the cause of each refusal; it happens live only."""
@@ -77,14 +86,10 @@ class Result:
 
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
         """What goes into summary.json."""
-        import numpy
-
-        from teleop import __version__
-
         return {
             "status": self.status, "sentence": self.sentence, "scene": self.scene, "mode": self.mode,
             "parameters": dict(self.parameters), "seed": self.seed,
-            "versions": {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__},
+            "versions": versions(),
             "command": list(command), "dt": self.dt, "ticks": self.ticks, "run_time": self.run_time,
             "metrics": {k: {"value": v, "unit": UNITS[k]} for k, v in self.metrics.items()},
             "packets": {way: asdict(counts) for way, counts in self.packets.items()},

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from teleop.errors import Refused
+from teleop.result import versions
 
 if TYPE_CHECKING:
     from teleop.batch.cluster import Cluster
@@ -30,14 +32,24 @@ class Swept(NamedTuple):
     cluster: tuple[str, int] | None = None  # its scheduler, and how many workers sent rows; none: this machine
 
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
-        """The sweep as JSON can hold it, without its rows."""
+        """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
         return {
-            **self.plan.definition(), "rows": len(self.plan.grid), "done": len(self.table), "ran": self.ran,
+            **self.plan.definition(), "versions": versions(), "rows": len(self.plan.grid), "done": len(self.table), "ran": self.ran,
             "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
             "instead": self.plan.instead, "seconds": self.seconds, "interrupted": self.interrupted,
             "command": list(command), "path": str(self.folder),
             "cluster": self.cluster and {"address": self.cluster[0], "workers": self.cluster[1]},
         }
+
+    def write(self, command: Sequence[str]) -> None:
+        """Write summary.json, which says how far the sweep has come and how, into its folder."""
+        part = self.folder / ".summary.json.part"
+        try:
+            part.write_text(json.dumps(self.summary(command), indent=2, default=str) + "\n")
+            part.replace(self.folder / "summary.json")
+        except OSError as error:
+            raise Refused(f"cannot write to {self.folder} ({error.strerror or error}); the rows are kept, and the same "
+                          "command goes on") from error
 
     def text(self) -> str:
         """The sweep in a few lines."""

@@ -19,7 +19,7 @@ from teleop.scene import load_scene
 Row = tuple[str, str, str]
 MEASURES = ("x_err_rms", "x_err_max")
 FEW, MANY = 1_000, 100_000
-SHARED = 8_000  # rows for one thread and for two
+SHARED = 30_000  # rows for one thread and for two
 PROGRAM = """
 import resource
 from teleop.bench.scale import million

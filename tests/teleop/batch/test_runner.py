@@ -196,6 +196,10 @@ class TestTheCommand:
         assert (told["done"], told["ran"]) == (12, 0)
         assert told["counts"] == {"ok": 12}
         assert len((folder / "rows.jsonl").read_text().splitlines()) == 12
+        left = json.loads((folder / "summary.json").read_text())
+        assert {name: left[name] for name in ("engine", "why", "counts", "rows", "versions")} == {
+            name: told[name] for name in ("engine", "why", "counts", "rows", "versions")}
+        assert left["engine"] == "plain"
         other = self.typed(tmp_path, *words[:-1], "duration=0.3")
         assert other.returncode == 2
         assert other.stderr.count("\n") == 1
