@@ -34,7 +34,8 @@ class Swept(NamedTuple):
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
         """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
         return {
-            **self.plan.definition(), "versions": versions(), "rows": len(self.plan.grid), "done": len(self.table), "ran": self.ran,
+            **self.plan.definition(), "versions": versions(), "rows": len(self.plan.grid), "done": len(self.table),
+            "ran": self.ran,
             "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
             "instead": self.plan.instead, "seconds": self.seconds, "interrupted": self.interrupted,
             "command": list(command), "path": str(self.folder),
