@@ -23,6 +23,7 @@ AGAIN = 0.02  # s: a stepped end sends its last packets again after this silence
 SILENT = 250  # such silences in a row, and a stepped end gives the other up
 HEED = 15  # arrivals or silences, and a stepped end heeds a farewell: last packets may come behind it
 LINGER = 50  # such pauses at most for the farewell of the other
+OPEN_NS = 1_000_000_000  # of silence, after which a peer is listened for from anywhere
 EARLY_NS = 10_000_000  # so long before tick 0 the first exchange is over at the latest
 
 
@@ -62,6 +63,8 @@ class Shell:
         self._recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
         self._arrived: asyncio.Event | None = None
         self._said_ns = 0
+        self._heard_ns = 0  # when the last message came
+        self._listening = False  # to everybody, for it was silent
 
     async def run(self) -> None:
         """The whole run: first exchange, ticks, farewell. An interrupt ends it cleanly; what is a bug raises."""
@@ -99,6 +102,8 @@ class Shell:
         third of the processor time, and a flood cannot take more than `DRAIN` datagrams' worth of a tick.
         """
         loop.remove_reader(self.wire.sock)
+        self.wire.keep_to_peer()
+        self._heard_ns = time.monotonic_ns()
         start = self.endpoint.session.start_ns
         assert start is not None
         alarm = Alarm(loop, lambda: self._guarded(self._wake))
@@ -201,13 +206,28 @@ class Shell:
             if got is None:
                 break
             data, address, came = got
-            meeting = session.start_ns is None
+            meeting, before = session.start_ns is None, self.endpoint.way.count
             replies = self.endpoint.receive(data, came)
             if replies and meeting:  # it has shown that it belongs to this session
                 self.wire.peer = address  # later, a stranger's copy of a packet must not draw ours to it
+            elif self._deaf_again(before):
+                self.wire.peer = address
+                self.wire.keep_to_peer()
             self._send(replies)
         if self._arrived is not None:
             self._arrived.set()
+
+    def _deaf_again(self, before: int) -> bool:
+        """Has a new message of this session come, after a silence in which anybody was listened to?"""
+        return self._listening and self.endpoint.way.count > before
+
+    def _listen(self, now: int, before: int) -> None:
+        """After a silence listen to everybody: the peer, or the channel, may come back from another port."""
+        if self.endpoint.way.count > before:
+            self._heard_ns, self._listening = now, False
+        elif now - self._heard_ns > OPEN_NS and not self._listening:
+            self._listening = True
+            self.wire.listen_to_all()
 
     def _wake(self) -> None:
         now = time.monotonic_ns()
@@ -216,7 +236,9 @@ class Shell:
         k = (now - session.start_ns) // scene.dt_ns
         if k <= self._last or self._over.is_set():
             return
+        before = self.endpoint.way.count  # of new messages: a copy of an old one proves nothing
         self._drain()
+        self._listen(now, before)
         if session.farewell not in (None, HUSH):
             self.stop(f"the other end left: {session.farewell}")
             return

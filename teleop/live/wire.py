@@ -26,14 +26,41 @@ class Wire:
         with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
         self.sock, self.peer = sock, peer
+        self.kept = False  # is it deaf to everybody but the peer
         self.unsent = 0  # datagrams that the system did not take
+
+    def keep_to_peer(self) -> None:
+        """Take in nothing from elsewhere: the system itself drops it, so a flood of strangers costs no tick.
+
+        The socket is connected, which for UDP says no more than that.
+        """
+        if self.peer is not None:
+            with suppress(OSError):
+                self.sock.connect(self.peer)
+                self.kept = True
+
+    def listen_to_all(self) -> None:
+        """Take in what comes from anywhere again, for a peer that may come back from another port."""
+        if self.kept:
+            import ctypes
+
+            here = self.sock.getsockname()
+            # Python has no word for it: connected to an address of no family, a socket is connected no more.
+            ctypes.CDLL(None).connect(self.sock.fileno(), bytes(16), 16)
+            self.kept = False
+            with suppress(OSError):  # and a port that the system chose is given back with it
+                if self.sock.getsockname() != here:
+                    self.sock.bind(here)
 
     def send(self, data: bytes) -> None:
         """To the peer, if there is one yet. What the system does not take now is lost, as on any network."""
         if self.peer is None:
             return
         try:
-            self.sock.sendto(data, self.peer)
+            if self.kept:
+                self.sock.send(data)
+            else:
+                self.sock.sendto(data, self.peer)
         except OSError:
             self.unsent += 1
 
@@ -42,10 +69,14 @@ class Wire:
 
         Reading late does not make it late: the time is the kernel's, where it tells.
         """
-        try:
-            data, notes, _, address = self.sock.recvmsg(LONGEST, 64)
-        except OSError:  # nothing there, or the peer's port is not open (yet)
-            return None
+        while True:
+            try:
+                data, notes, _, address = self.sock.recvmsg(LONGEST, 64)
+                break
+            except ConnectionRefusedError:  # the peer's port is not open; said once for what was sent there
+                continue
+            except OSError:  # nothing there
+                return None
         now = time.monotonic_ns()
         for level, kind, note in notes:
             if level == socket.SOL_SOCKET and kind == STAMP and len(note) == _TIMESPEC.size:
