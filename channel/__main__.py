@@ -15,6 +15,7 @@ from typing import Any
 
 from channel.link import describe
 from channel.relay import Relay
+from teleop.live import realtime
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.ticker import Alarm
@@ -140,6 +141,7 @@ def _run(argv: list[str]) -> int:
     scene_options(parser)
     parser.add_argument("--listen", metavar="HOST:PORT", required=True, help="where the master sends to")
     parser.add_argument("--peer", metavar="HOST:PORT", required=True, help="where the slave listens")
+    realtime.option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     args = parser.parse_args(argv)
     scene = both_ends(load_scene(args.scene, **knobs_from(args)))
@@ -147,6 +149,7 @@ def _run(argv: list[str]) -> int:
     with bound(address(args.listen, "--listen"), "--listen") as near, towards(peer) as far, Interrupt() as interrupt:
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer))
         at = near.getsockname()[:2]
+        realtime.asked(args, "channel")
         if args.json:
             _event("listening", address=shown(at), port=at[1])
         else:

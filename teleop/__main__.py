@@ -159,7 +159,7 @@ def _demo(args: Namespace) -> None:
 
     _check_plot(args)
     result = demo(args.scene, knobs_from(args), seed=args.seed, out=_out(args), json=args.json,
-                  lockstep=args.lockstep, command=args.typed)
+                  lockstep=args.lockstep, command=args.typed, realtime=args.realtime)
     _tell(args, result)
     if result.path is not None:  # a live run takes its time anyway
         _draw_if_possible(args, result, result.path)

@@ -68,6 +68,8 @@ def _demo(added: ArgumentParser) -> None:
     _plot(added, "figure.png")
     added.add_argument("--lockstep", action="store_true",
                        help="step both ends together over UDP: bit for bit what `teleop run` gives")
+    added.add_argument("--realtime", action="store_true",
+                       help="ask the system for SCHED_FIFO, locked memory and no garbage collection in all three")
 
 
 def _sweep(added: ArgumentParser) -> None:

@@ -101,7 +101,8 @@ def _die_with_parent() -> None:
 
 
 def demo(
-    scene_name: str, knobs: dict[str, str], *, seed: int, out: Path, json: bool, lockstep: bool, command: list[str]
+    scene_name: str, knobs: dict[str, str], *, seed: int, out: Path, json: bool, lockstep: bool, command: list[str],
+    realtime: bool = False,
 ) -> Result:
     """Run a scene live on loopback and write its folder. Raises `Refused`.
 
@@ -111,6 +112,7 @@ def demo(
     options = [scene_name, "--seed", str(seed)]
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
+    options += ["--realtime"] * realtime
     with Interrupt() as interrupt, fresh_folder(out) as keep:
         try:
             channel = asyncio.run(_conduct(scene, options, out, interrupt, show=not json, lockstep=lockstep))

@@ -16,6 +16,7 @@ from typing import Any
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
 from teleop.folder import numbered
+from teleop.live import realtime
 from teleop.live.address import address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.record import Recorder, fresh_folder
@@ -49,6 +50,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                      "mode": "lockstep" if args.lockstep else "live"}
             recorder = Recorder(scene, e, folder, about)
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
+            shell.realtime = realtime.asked(args, NAMES[e])
             _greet(e, args, wire)
             try:
                 asyncio.run(shell.run())
@@ -102,6 +104,7 @@ def _parser(e: str) -> ArgumentParser:
     parser.add_argument("--lockstep", action="store_true",
                         help="tick by packets instead of by the clock: both ends step together, and the run equals the "
                         "one in virtual time bit for bit (both ends need it, and the same --seed)")
+    realtime.option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     parser.add_argument("--quiet", action="store_true", help="no live line")
     return parser

@@ -51,6 +51,7 @@ class Shell:
         self.status, self.sentence = "stopped", "did not start"
         self.ticks = self.skipped = 0
         self.data_sent = 0
+        self.realtime: dict[str, str] | None = None  # what the system gave of it, if it was asked
         self.cpu: float | None = None  # share of a core while it ran
         self.run_time: float | None = None  # s, of that
         self._late_most = 0  # ns, since the last live line

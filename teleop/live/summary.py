@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import Times
 from teleop.errors import Refused
+from teleop.live.realtime import sentence
 from teleop.live.record import FILE, read_record
 from teleop.result import Packets, Result
 
@@ -55,12 +56,14 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
                   "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
         "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "run_time": shell.run_time,
         "unsent": shell.wire.unsent, "refused": getattr(inbox, "refused", 0),
+        **({} if shell.realtime is None else {"realtime": shell.realtime}),
     }
     return end_result(
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
         status=shell.status, sentence=shell.sentence, told=told,
         packets={sends: Packets(sent=shell.data_sent), hears: heard},
-        notes=[shell.recorder.trouble] if shell.recorder.trouble else [],
+        notes=[*([shell.recorder.trouble] if shell.recorder.trouble else []),
+               *([sentence(shell.realtime)] if shell.realtime else [])],
     )
 
 
