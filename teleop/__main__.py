@@ -176,6 +176,17 @@ def _doctor(args: Namespace) -> None:
         _say(f"{removed} kernels removed\n{text(found)}" if args.clear else text(found))
 
 
+def _keygen(args: Namespace) -> None:
+    from teleop.secure.keys import keygen
+
+    path, printed = keygen(args.name)
+    if args.json:
+        _say_object({"path": str(path), "fingerprint": printed})
+    else:
+        _say(f"{path} written: it stays at this end, started with\n  --key {path}\n"
+             f"and the other end is told whom to expect with\n  --peer-fingerprint {printed}")
+
+
 def _list(args: Namespace) -> None:
     from teleop.catalogue import details, overview
 
@@ -297,6 +308,7 @@ def _plot(args: Namespace, result: Result, folder: Path) -> None:
 DO = {
     "run": _run, "demo": _demo, "sweep": _sweep, "matrix": _matrix, "precision": _precision, "stability": _stability,
     "passivity": _passivity, "zwidth": _zwidth, "list": _list, "doctor": _doctor, "report": _report,
+    "keygen": _keygen,
 }
 
 

@@ -158,6 +158,11 @@ def _doctor(added: ArgumentParser) -> None:
     _json(added)
 
 
+def _keygen(added: ArgumentParser) -> None:
+    added.add_argument("name", metavar="NAME", help="the file to write, NAME.key; or a folder, for a teleop.key in it")
+    _json(added)
+
+
 COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "run": ("Run a scene in virtual time: the same seed gives the same bits.", _run),
     "demo": ("Run a scene live, slave, channel and master as three processes.", _demo),
@@ -172,6 +177,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
                "what widens it. Ctrl-C keeps what is done.", _zwidth),
     "list": ("List scenes, laws, effects and velocity estimators, or the knobs of one of them.", _list),
     "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
+    "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
     "report": ("Show a stored run again, and draw it if the extra `plot` is there.", _report),
 }
 

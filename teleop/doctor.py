@@ -7,7 +7,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-EXTRAS = {"distributed": "cluster", "matplotlib": "plot", "numba": "batch", "scipy": "test"}  # what to install for each
+EXTRAS = {  # what to install for each
+    "cryptography": "secure", "distributed": "cluster", "matplotlib": "plot", "numba": "batch", "pyOpenSSL": "secure",
+    "scipy": "test",
+}
 
 
 def kernels() -> Path:

@@ -1,4 +1,4 @@
-"""`python -m teleop.bench [virtual|sweep|scale|rivals|live]`: measures what the README claims, side by side."""
+"""`python -m teleop.bench [virtual|sweep|scale|rivals|live|secure]`: measures what the README claims, side by side."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import sys
 from argparse import ArgumentParser
 from importlib import import_module
 
-BENCHES = ("virtual", "sweep", "scale", "rivals", "live")  # functions in modules of their names, loaded when they run
+BENCHES = ("virtual", "sweep", "scale", "rivals", "live", "secure")
+"""Functions in modules of their names, loaded when they run."""
 
 
 def main() -> int:
