@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import isfinite
+from zlib import crc32
 
 from teleop.errors import Refused, number
 
@@ -25,11 +26,15 @@ class Recording:
 
     path: str
     scale: float = 1.0
+    crc: int = field(init=False, repr=False)
+    """Of what was recorded: other contents under the same path are another motion."""
     _rows: tuple[Row, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         number("scale", self.scale)
-        object.__setattr__(self, "_rows", read(self.path))
+        rows = read(self.path)
+        object.__setattr__(self, "_rows", rows)
+        object.__setattr__(self, "crc", crc32(repr(rows).encode()))
 
     def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""

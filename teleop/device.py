@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from teleop.errors import Refused, number, whole_number
 
+MOST_COUNTED = 2.0**53  # steps that compiled code and Python count alike
 MOST_DELAY = 100_000  # ticks: the line is kept as a tuple
 
 
@@ -37,7 +38,9 @@ def encode(c: tuple[float, float], x: float) -> float:
     """The encoder's reading of x; c is (step, phase). What is not finite, or beyond counting, stays as it is."""
     step, phase = c
     count = x / step + phase
-    return step * floor(count) if isfinite(count) else x
+    if abs(count) < MOST_COUNTED:
+        return step * floor(count)
+    return step * count if isfinite(count) else x  # every float is whole from there on
 
 
 class VelocityEstimator(Protocol):

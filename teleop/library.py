@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from hashlib import sha256
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -79,14 +80,20 @@ def _from_path(path: Path) -> Any:
     if not path.is_file():
         named = ", ".join(built_in_scenes())
         raise Refused(f"there is no file {path}; a scene is named ({named}) or a path to a .py file")
-    spec = spec_from_file_location(f"teleop_scene_{path.stem}", path)
+    # One module for each content of each file: all that ask have the same law, and an edited file is another.
+    content = f"{path.resolve()}\0".encode() + path.read_bytes()
+    name = f"teleop_scene_{path.stem}_{sha256(content).hexdigest()[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise Refused(f"{path} cannot be loaded as Python")
-    module = module_from_spec(spec)
+    module = sys.modules[name] = module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Refused:
-        raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        del sys.modules[name]
+        if isinstance(error, Refused) or not isinstance(error, Exception | SystemExit):
+            raise
         raise Refused(f"{path} stopped with {type(error).__name__}: {error}; mend it and run again") from error
     return module

@@ -26,14 +26,13 @@ def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> l
     flats = [row.flat for row in rows if row.flat is not None]
     reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
     waters = {id(row.water): row.water for row in rows}
-    drawn = {key: (here(water.plays[1]), here(water.plays[0])) for key, water in waters.items()}
+    drawn = {key: (address_of(water.plays[1]), address_of(water.plays[0])) for key, water in waters.items()}
     hands = {id(row.path): row.path for row in rows}
-    led = {key: [here(axis) for axis in path] for key, path in hands.items()}
+    ways = {key: [address_of(axis) for axis in path] for key, path in hands.items()}
     played = np.array([drawn[id(row.water)] for row in rows], dtype=np.int64)
-    paths = np.array([led[id(row.path)] for row in rows], dtype=np.int64)
+    paths = np.array([ways[id(row.path)] for row in rows], dtype=np.int64)
     lags = np.array([lag for tile in tiles for _, lag in tile], dtype=np.int64)
-    sizes = [max([row.water.size, *lag]) for tile in tiles for row, lag in tile[:1]] if width == 1 else [
-        max(max(row.water.size, *lag) for row, lag in tile) for tile in tiles]
+    sizes = [max(max(row.water.size, *lag) for row, lag in tile) for tile in tiles]
     out = np.empty(len(tiles) * (figures + 2) * width)
     kernel(len(tiles), by_lane(reals), np.array(flats[0].wholes, dtype=np.int64), tuple(flats[0].arrays), first.ticks,
            by_lane(played.reshape(len(tiles), width, 2)), by_lane(paths.reshape(len(tiles), width, -1)),
@@ -50,7 +49,7 @@ def by_lane(numbers: Any) -> Any:
     return np.ascontiguousarray(numbers.transpose(0, 2, 1)).ravel()
 
 
-def here(array: Any) -> int:
+def address_of(array: Any) -> int:
     """Where the numbers of an array are, in memory."""
-    where: int = array.ctypes.data
-    return where
+    address: int = array.ctypes.data
+    return address

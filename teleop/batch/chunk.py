@@ -6,16 +6,18 @@ of their structure, their schedules and the path of their hand, is made once (`t
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.batch.kernel import Inputs, Kernel, available, figures, tree_of
+from teleop.batch.digest import constants
+from teleop.batch.kernel import Inputs, Kernel, NotCompiled, available, figures, names_of, tree_of
 from teleop.batch.leaves import Leaves
 from teleop.batch.shared import Schedules, kernel_of, path_of, schedules_key
-from teleop.bodies import exact_bodies
+from teleop.bodies import Bodies, exact_bodies
 from teleop.errors import Refused
 from teleop.library import scene_function
 from teleop.lockstep import run
@@ -30,6 +32,7 @@ Row = dict[str, Any]
 Measure = str | Callable[["Result"], float]
 TICKS = 4_000_000  # of schedules that are drawn for one call: 64 MB
 OF_PLAN = frozenset(("fresh_fwd", "fresh_bwd", "T_fwd_mean", "T_fwd_max", "T_bwd_mean", "T_bwd_max"))
+WHOLE = "a figure needs the whole record of a run"
 _READYING = Lock()
 
 
@@ -44,42 +47,60 @@ class Job(NamedTuple):
 
 
 class Done(NamedTuple):
-    """What a job came to: its rows, why some of them were not run by the engine that was asked for, and the time."""
+    """What a job came to: its rows, how many which engine ran, and the time that took."""
 
     rows: list[Row]
-    instead: dict[str, str]
+    ran: Counter[tuple[str, str]]  # by engine, and why it was not the one that was asked for
     seconds: float
 
 
-def work(job: Job) -> Done:
-    """Run every row of a job."""
+class Stopped(Exception):
+    """A job was given up, and its rows with it."""
+
+
+def work(job: Job, stopped: Callable[[], bool] | None = None) -> Done:
+    """Run every row of a job. Raises `Stopped` soon after `stopped` says so."""
     began = perf_counter()
     rows: dict[int, Row] = {number: {"row": number, "seed": seed, **knobs} for number, knobs, seed in job.rows}
-    instead: dict[str, str] = {}
+    ran: Counter[tuple[str, str]] = Counter()
     with _READYING:  # one thread at a time has use for Python; the others run what they made ready
-        groups = _readied(job, rows, instead)
+        groups = _readied(job, rows, ran, stopped)
     for group in groups:
         for batch in _batches(group):
-            _run(batch, job.measures)
-    return Done(list(rows.values()), instead, perf_counter() - began)
+            if stopped is not None and stopped():
+                raise Stopped
+            try:
+                kernel = _run(batch, job.measures)
+                ran[kernel.engine, kernel.why] += len(batch)
+            except NotCompiled as why:
+                again = frozenset(ready.row["row"] for ready in batch)
+                plainly = [one for one in job.rows if one[0] in again]
+                rows |= {row["row"]: row for row in work(job._replace(rows=plainly, engine="plain"), stopped).rows}
+                ran["plain", str(why)] += len(batch)
+    return Done(list(rows.values()), ran, perf_counter() - began)
 
 
-def _readied(job: Job, rows: dict[int, Row], instead: dict[str, str]) -> list[list[Ready]]:
+def _readied(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], stopped: Callable[[], bool] | None
+             ) -> list[list[Ready]]:
     """The rows of a job, those of one kernel together; what is refused or needs a record is told already."""
     groups: dict[Any, list[Ready]] = {}
     waters: dict[Any, Schedules] = {}
+    stamps: dict[Any, object] = {}
     function = scene_function(job.scene)
     before: Any = None  # knobs, scene and what else rows that differ by their seeds alone share
     for number, knobs, seed in job.rows:
         row = rows[number]
+        if stopped is not None and stopped():
+            raise Stopped
         try:
             if before is None or not _same(before[0], knobs):
                 scene = made_by(function, job.scene, {**job.fixed, **knobs})
                 whole = whole_runs(job.measures, scene)
-                before = knobs, scene, None if whole else _prepared(scene, job, instead)
+                before = knobs, scene, None if whole else _prepared(scene, job, stamps)
             _, scene, prepared = before
             if prepared is None:
-                _tell(row, *_recorded(scene, seed, job.measures))
+                _tell(row, *_recorded(scene, seed, job.measures, row))
+                ran["plain", WHOLE if job.engine != "plain" else ""] += 1
                 continue
             kernel, given = prepared
             key = schedules_key(scene, seed)
@@ -123,12 +144,23 @@ class Given(NamedTuple):
     path: Any
 
 
-def _prepared(scene: Scene, job: Job, instead: dict[str, str]) -> tuple[Kernel, Given]:
+def _prepared(scene: Scene, job: Job, stamps: dict[Any, object]) -> tuple[Kernel, Given]:
     bodies, known = exact_bodies(scene), available(scene)
     wanted = tuple([one for one in job.measures if isinstance(one, str) and one in known])
-    kernel, flat = kernel_of(scene, bodies, wanted, job.engine, instead)
+    kernel, flat = kernel_of(scene, bodies, wanted, job.engine, _stamp(scene, bodies, job.engine, stamps))
     tree = None if flat else tree_of(scene, bodies, compiled=False)
     return kernel, Given(tree, flat, scene.ticks, path_of(scene, compiled=flat is not None))
+
+
+def _stamp(scene: Scene, bodies: Bodies, engine: str, stamps: dict[Any, object]) -> object:
+    """The constants that a kernel is compiled with as they are now; looked at once in a job."""
+    if engine == "plain":
+        return None
+    functions = bodies.functions()
+    key = type(scene.law), *functions.values()
+    if key not in stamps:
+        stamps[key] = tuple(constants([*names_of(scene, bodies).values()]))
+    return stamps[key]
 
 
 def _batches(group: Sequence[Ready]) -> Iterator[Sequence[Ready]]:
@@ -138,6 +170,9 @@ def _batches(group: Sequence[Ready]) -> Iterator[Sequence[Ready]]:
     schedules of `TICKS` ticks in all.
     """
     width = group[0].kernel.width
+    if group[0].kernel.engine == "plain":  # row by row, to be stopped in between
+        yield from ([ready] for ready in group)
+        return
     alike: dict[int, list[Ready]] = {}
     for ready in group:
         alike.setdefault(id(ready.schedules), []).append(ready)
@@ -152,12 +187,14 @@ def _batches(group: Sequence[Ready]) -> Iterator[Sequence[Ready]]:
         if drawn >= most:
             yield batch
             batch, drawn = [], 0
-    yield batch
+    if batch:
+        yield batch
     yield from (left[first:first + most] for first in range(0, len(left), most))
 
 
-def _run(batch: Sequence[Ready], measures: Sequence[Measure]) -> None:
-    """Run rows at once and write into each what it came to."""
+def _run(batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
+    """Run rows at once and write into each what it came to; the kernel that ran them."""
+    kernel = batch[0].kernel
     rows, given = [], []
     for ready in batch:
         try:
@@ -168,13 +205,25 @@ def _run(batch: Sequence[Ready], measures: Sequence[Measure]) -> None:
         rows.append(ready)
         given.append(Inputs(ready.given.tree, ready.given.flat, ready.given.ticks, water, ready.given.path))
     if not rows:
-        return
+        return kernel
+    try:
+        found = figures(kernel, given)
+    except NotCompiled as why:
+        kernel = kernel if kernel.plainer is None else kernel.plainer(str(why))
+        if kernel.engine in ("plain", batch[0].kernel.engine):
+            raise
+        found = figures(kernel, given)
+    except ArithmeticError as error:  # plain Python alone raises it, and runs one row at a time
+        _refuse(rows[0].row, Refused(f"the law stopped with {type(error).__name__}: {error}; guard the denominator, "
+                                     "for example with max(.., 1e-12)"))
+        return kernel
     of_plan_too = [name for name in measures if name in OF_PLAN]
-    for ready, (status, ran, told) in zip(rows, figures(rows[0].kernel, given), strict=True):
+    for ready, (status, ran, told) in zip(rows, found, strict=True):
         if of_plan_too:
             drawn = _of_schedules(ready.schedules, ran)
             told |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
         _tell(ready.row, status, ran, told)
+    return kernel
 
 
 def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
@@ -196,8 +245,8 @@ def _whole_runs(measures: tuple[Measure, ...], waves: bool) -> bool:
     return any(not isinstance(one, str) or (waves and one in ("E_fwd_min", "E_bwd_min")) for one in measures)
 
 
-def _recorded(scene: Scene, seed: int, measures: Sequence[Measure]) -> tuple[str, int, dict[str, float]]:
-    """A whole run, for figures that need its record."""
+def _recorded(scene: Scene, seed: int, measures: Sequence[Measure], row: Row) -> tuple[str, int, dict[str, float]]:
+    """A whole run, for figures that need its record; of a figure that fails `row` has the sentence."""
     result = run(scene, seed=seed)
     told = {}
     for one in measures:
@@ -205,5 +254,8 @@ def _recorded(scene: Scene, seed: int, measures: Sequence[Measure]) -> tuple[str
             if one in result.metrics:
                 told[one] = result.metrics[one]
         else:
-            told[one.__name__] = float(one(result))
+            try:
+                told[one.__name__] = float(one(result))
+            except Exception as error:  # the user's own code: one row's failure is no reason to lose the others
+                row["sentence"] = f"metric {one.__name__} stopped with {type(error).__name__}: {error}"
     return result.status, result.ticks, told

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
+from teleop.batch.report import Wish, joined, limits_of, status_lines, summary_of, write
 from teleop.errors import Refused
 from teleop.result import versions
 
@@ -29,6 +29,7 @@ class Swept(NamedTuple):
     interrupted: bool
     seconds: float
     ran: int  # rows that were run now
+    limits: Mapping[str, float]  # what rows run for and may not pass, where that is the same for all
     cluster: tuple[str, int] | None = None  # its scheduler, and how many workers sent rows; none: this machine
 
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
@@ -37,30 +38,29 @@ class Swept(NamedTuple):
             **self.plan.definition(), "versions": versions(), "rows": len(self.plan.grid), "done": len(self.table),
             "ran": self.ran,
             "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
-            "instead": self.plan.instead, "seconds": self.seconds, "interrupted": self.interrupted,
-            "command": list(command), "path": str(self.folder),
+            "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in self.plan.ran.items()],
+            "seconds": self.seconds, "interrupted": self.interrupted,
+            "command": list(command), "path": str(self.folder), "limits": dict(self.limits),
             "cluster": self.cluster and {"address": self.cluster[0], "workers": self.cluster[1]},
         }
 
-    def write(self, command: Sequence[str]) -> None:
-        """Write summary.json, which says how far the sweep has come and how, into its folder."""
-        part = self.folder / ".summary.json.part"
-        try:
-            part.write_text(json.dumps(self.summary(command), indent=2, default=str) + "\n")
-            part.replace(self.folder / "summary.json")
-        except OSError as error:
-            raise Refused(f"cannot write to {self.folder} ({error.strerror or error}); the rows are kept, and the same "
-                          "command goes on") from error
+    def write(self, command: Sequence[str]) -> dict[str, Any]:
+        """Write summary.json, which says how far the sweep has come and how, into its folder; what it holds now."""
+        told = joined(self.summary(command), summary_of(self.folder))
+        write(told, self.folder)
+        return told
 
     def text(self) -> str:
         """The sweep in a few lines."""
-        counts = ", ".join(f"{count} {status}" for status, count in sorted(self.table.counts().items()))
+        from teleop.console import whole
+
         rate = f", {self.ran / self.seconds:.3g} rows a second" if self.seconds > 0.0 and self.ran else ""
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
-        lines = [f"sweep    {self.plan.scene}, {len(self.plan.grid)} rows of {turned}",
-                 f"status   {len(self.table)} done: {counts or 'none'}",
-                 f"engine   {self.plan.engine}: {self.plan.why}{rate}"]
-        lines += [f"         some rows by {engine}: {why}" for engine, why in self.plan.instead.items()]
+        lines = [f"sweep    {self.plan.scene}, {whole(len(self.plan.grid))} rows of {turned}",
+                 *status_lines(self.table)]
+        lines.append(f"engine   {self.plan.engine}: {self.plan.why}{rate}" if self.ran else
+                     "engine   none, for no row was left to run: summary.json says which ran them")
+        lines += [f"         {rows} rows by {engine}: {why}" for (engine, why), rows in self.plan.ran.items() if why]
         if self.cluster is not None:
             lines.append(f"cluster  {self.cluster[0]}, rows by {self.cluster[1]} of its workers")
         lines += [str(self.table), f"written to {self.folder}"]
@@ -71,31 +71,34 @@ class Swept(NamedTuple):
 
 def carry_out(
     name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
-    out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, plot: bool = False,
+    out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, wish: Wish | None = None,
     latin: int | None = None, random: int | None = None, cluster: str | None = None,
 ) -> Swept:
     """Run the sweep of scene `name` over `axes` (texts, see `teleop.batch.typed`). Raises `Refused`.
 
+    `wish`: the picture that will be drawn of it, refused here if no row could make it possible.
     `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it. `cluster`: the
     address of a dask scheduler whose workers run the rows.
     """
     from teleop.batch.runner import carry_out as run_rows
     from teleop.batch.runner import prepare
     from teleop.batch.store import Store
-    from teleop.console import Progress
+    from teleop.console import RowsProgress, whole
 
     wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
     points = _points(axes, seeds, latin, random)
     plan = prepare(name, points, metrics=wanted, fixed=knobs, engine=engine)
     rows = len(plan.grid)
     if rows > MANY and not yes:
-        raise Refused(f"this is {rows:.3g} rows; write fewer values, or --yes if you mean it")
+        raise Refused(f"this is {whole(rows)} rows; write fewer values, or --yes if you mean it")
+    if wish is not None:
+        _check_picture(plan, wish)
     folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"
-    line = None if stream is None else Progress(stream, float(rows))
+    line = None if stream is None else RowsProgress(stream)
 
     def show(done: int, of: int) -> None:
         if line is not None:
-            line.show(float(done), clock(), f"{done} of {of} rows")
+            line.show(done, of, clock())
 
     def tell(sentence: str) -> None:
         if line is not None and stream is not None:
@@ -106,6 +109,7 @@ def carry_out(
     with _workers(cluster, tell) as pool:
         began = clock()
         before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
+        show(before, rows)
         try:
             table = run_rows(plan, executor=pool, out=folder, show=show)
         except KeyboardInterrupt:
@@ -118,10 +122,20 @@ def carry_out(
                 line.end()
         seconds = clock() - began
     where = None if pool is None else (pool.address, len(pool.workers))
-    swept = Swept(plan, table, folder, interrupted, seconds, len(table) - before, where)
-    if plot:
-        picture(table, folder, name)
-    return swept
+    limits = limits_of(plan.scene, {**plan.fixed, **plan.grid.point(0)[0]}, plan.grid.knobs)
+    return Swept(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
+
+
+def _check_picture(plan: Sweep, wish: Wish) -> None:
+    """Refuse the picture of a sweep whose grid cannot give one, before anything is run."""
+    from teleop.batch.picture import check
+
+    several = {name: [point[i] for point in points] for names, points in plan.grid.axes for i, name in enumerate(names)
+               if any(point[i] != points[0][i] for point in points)}
+    numeric = [name for name, values in several.items()
+               if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)]
+    metrics = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
+    check([*several], numeric, wish.kind, wish.metric, metrics)
 
 
 @contextmanager
@@ -146,18 +160,3 @@ def _points(axes: Sequence[str], seeds: int, latin: int | None, random: int | No
     if count is None:
         return grid(parse_axes(axes), seeds)
     return sampled(parse_ranges(axes), count, latin=latin is not None, seeds=seeds)
-
-
-def picture(table: Table, folder: Path, name: str) -> None:
-    """Draw sweep.png into a sweep's folder. Raises `Refused` where the extra is not there, or nothing varies."""
-    from teleop.batch.picture import draw
-
-    draw(table, folder / "sweep.png", title=Path(name).stem)
-
-
-def shown(folder: Path) -> tuple[dict[str, Any], Table]:
-    """What a sweep's folder holds: its definition and the rows that are there."""
-    from teleop.batch.store import Store
-
-    store = Store.look(folder)
-    return dict(store.definition), store.table()

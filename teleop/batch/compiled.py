@@ -8,19 +8,20 @@ whole, by a rename, so several processes may do so at once. Where the folder can
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
-from inspect import getsource, signature
+from inspect import signature
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, Protocol
 
-from teleop.batch.kernel import kernel_text, names_of, tree_of
+from teleop.batch.bytecode import unlike_python
+from teleop.batch.digest import constants, digest, named_in, sources
+from teleop.batch.kernel import NotCompiled, kernel_text, names_of, tree_of
 from teleop.batch.leaves import expression, leaves
 from teleop.bodies import Bodies
 from teleop.errors import Refused
@@ -51,14 +52,13 @@ def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, out):
 '''
 
 
-class NotCompiled(Exception):
-    """Why a structure of scene has no compiled kernel."""
-
-
 def folder() -> Path:
     """Where the modules are kept."""
     home = os.environ.get("XDG_CACHE_HOME")
     return (Path(home) if home else Path.home() / ".cache") / "bilateral-teleop" / "kernels"
+
+
+MOST_NUMBERS = 500  # of a row
 
 
 class Engine(Protocol):
@@ -76,9 +76,13 @@ class Engine(Protocol):
         ...
 
 
-def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str) -> ModuleType:
-    """The loaded module of a kernel. Raises `NotCompiled` or an error of numba's where a part is not made for that."""
-    return _loaded(*module_text(scene, bodies, measures, engine))
+def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str, *, keep: bool = True) -> ModuleType:
+    """The loaded module of a kernel. Raises `NotCompiled` or an error of numba's where a part is not made for that.
+
+    `keep`: in the cache folder, else in memory alone.
+    """
+    text, name = module_text(scene, bodies, measures, engine)
+    return _loaded(text, name) if keep else _in_memory(text, f"teleop_kernel_{name}")
 
 
 def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str) -> tuple[str, str]:
@@ -87,13 +91,17 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     import numpy
 
     own = import_module(f"teleop.batch.{engine}")
-    lines, sources = [], []
+    lines: list[str] = []
+    pieces: list[Any] = []
     for word, part in sorted(names_of(scene, bodies).items()):
         if isinstance(part, float):
             continue  # inf and nan
+        for each in _pieces(part):
+            if isinstance(each, FunctionType) and (odd := unlike_python(each)):
+                raise NotCompiled(f"{each.__qualname__} has {odd}")
         places = [_place(word, each) for each in _pieces(part)]
         lines.append(f"{word} = {own.maker(word)}({', '.join(map(repr, places))})")
-        sources += [source for each in _pieces(part) for source in _sources(each, set())]
+        pieces += _pieces(part)
 
     def class_name(kind: Any) -> str:
         names: tuple[str, ...] = kind._fields
@@ -105,6 +113,8 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
         return word
 
     flat, width = leaves(tree_of(scene, bodies)), own.WIDTH
+    if len(flat.reals) > MOST_NUMBERS:  # a long line of late forces, say: compiling takes minutes
+        raise NotCompiled(f"it has {len(flat.reals)} numbers, above {MOST_NUMBERS}, which are too many to be laid out")
     tree = expression(flat.shape, own.REAL, class_name)
     axes = range(scene.axes if scene.hand is not None else 0)
     words = {
@@ -117,8 +127,8 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     text = TEXT.format(engine=engine, kernels=kernels, parts=os.linesep.join(lines),
                        loop=kernel_text(scene, measures, own.FEATURES))
     stack = [_text_of(name) for name in own.SOURCES]
-    versions = (sys.version, numba.__version__, numpy.__version__)
-    return text, hashlib.sha256(repr((text, sources, stack, versions)).encode()).hexdigest()[:20]
+    versions = [sys.version, numba.__version__, numpy.__version__]
+    return text, digest([text, *sources(pieces), *stack, *versions])
 
 
 @lru_cache
@@ -168,16 +178,12 @@ def jitted(part: Any) -> Any:
     """A plain function compiled, with the plain functions that it names; anything else as it is."""
     if not isinstance(part, FunctionType):
         return part
-    if part not in _JITTED:
+    key = part, digest(constants([part]))  # numba takes what a function names as it is now, and for ever
+    if key not in _JITTED:
         own = FunctionType(part.__code__, {"__builtins__": __builtins__}, part.__name__, part.__defaults__)
-        _JITTED[part] = jit(own)
+        _JITTED[key] = jit(own)
         own.__globals__.update({name: jitted(thing) for name, thing in named_in(part).items()})
-    return _JITTED[part]
-
-
-def named_in(function: FunctionType) -> dict[str, Any]:
-    """What a function finds by name around it."""
-    return {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
+    return _JITTED[key]
 
 
 def _place(word: str, part: Any) -> str:
@@ -185,27 +191,9 @@ def _place(word: str, part: Any) -> str:
     place = f"{part.__module__}:{part.__qualname__}"
     if "<" in place:
         raise NotCompiled(f"{word} is made during the run, not found in a module")
-    if part.__module__ == "__main__" or getattr(part, "__closure__", None):
-        raise NotCompiled(f"{word} of {part.__module__} cannot be found by another process")
+    if getattr(part, "__closure__", None):
+        raise NotCompiled(f"{word} of {part.__module__} holds what it was made with, which no other process finds")
     return place
-
-
-def _sources(part: Any, seen: set[Any]) -> list[str]:
-    """The source of a part and of every plain function or class that it names."""
-    if part in seen or not isinstance(part, FunctionType | type) or part.__module__ in ("builtins", "math"):
-        return []
-    seen.add(part)
-    try:
-        found = [getsource(part)]
-    except (OSError, TypeError):
-        found = [repr(part)]
-    if isinstance(part, FunctionType):
-        for thing in named_in(part).values():
-            if isinstance(thing, FunctionType | type):
-                found += _sources(thing, seen)
-            elif isinstance(thing, int | float | str):
-                found.append(repr(thing))
-    return found
 
 
 def _loaded(text: str, name: str) -> ModuleType:
@@ -248,3 +236,14 @@ def need_numba(engine: str) -> None:
 
     if find_spec("numba") is None:
         raise Refused(f"engine {engine} needs numba: pip install 'bilateral-teleop[batch]', or take --engine plain")
+
+
+def cause(error: Exception) -> str:
+    """Why something is not compiled, in one line: of numba's many the one that names the cause."""
+    if isinstance(error, NotCompiled):
+        return str(error)
+    lines = [line.strip() for line in str(error).splitlines()]
+    noise = ("Failed in", "During:", "File", "- Resolution", "<")
+    told = [line for line in lines if line and not line.startswith(noise)]
+    said = " ".join(told[:2]) if told and told[0].endswith(":") else "".join(told[:1])
+    return f"{type(error).__name__}: {said[:200]}"

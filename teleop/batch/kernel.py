@@ -14,15 +14,24 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.batch.leaves import Leaves
-from teleop.batch.measures import MAGNITUDES, SUMS, least, most, root_mean, sound
+from teleop.batch.measures import MAGNITUDES, SUMS, known, least, most, root_mean, sound
 from teleop.batch.text import COMPILED, PLAIN
 from teleop.bodies import Bodies
+from teleop.law import law_name
 from teleop.scene import Scene
 from teleop.source import beginnings, parts, record, specialise
 from teleop.tick import BLOCKS, LOOP, MASTER, features
 
 if TYPE_CHECKING:
     from teleop.playout import Plan
+
+
+class NotCompiled(Exception):
+    """Why a structure of scene has no compiled kernel."""
+
+
+class NotVectorised(NotCompiled):
+    """Why a structure of scene has no kernel over lanes."""
 
 
 class Inputs(NamedTuple):
@@ -49,6 +58,8 @@ class Kernel(NamedTuple):
     measures: tuple[str, ...]  # the figures that it gives, in order
     run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[Told]]  # of rows and their lags
     width: int = 1  # rows that it runs at once
+    why: str = ""  # it runs them, where another engine was asked for
+    plainer: Callable[[str], Kernel] | None = None  # what to run rows by, and why, that it turns out not to be made for
 
 
 def available(scene: Scene) -> frozenset[str]:
@@ -75,7 +86,7 @@ def kernel_text(scene: Scene, measures: Sequence[str], engine: frozenset[str] = 
     last += ["E_link"] * ("waves" in has) + ["E_port"] * ("energy" in has)
     measured = "".join(f"{SUMS[name][1]}, " for name in measures)
     own = COMPILED if "compiled" in engine else PLAIN
-    told = f"({measured}sound(({', '.join(last)})))"
+    told = f"({measured}sound(({', '.join(last)})),)"
     loop, *texts = [text.replace("{measured}", told) for text in (LOOP, *own.values())]
     blocks = {**BLOCKS, **dict(zip(own, texts, strict=True))}
     more = {"kernel", *engine, *(SUMS[name][0] for name in measures)}
@@ -87,8 +98,8 @@ def kernel_text(scene: Scene, measures: Sequence[str], engine: frozenset[str] = 
 def names_of(scene: Scene, bodies: Bodies) -> dict[str, Any]:
     """What the kernel's text names."""
     return {
-        **parts(scene), **bodies.functions(), "most": most, "least": least, "root_mean": root_mean, "sound": sound,
-        "magnitude": MAGNITUDES[scene.axes],
+        **parts(scene), **bodies.functions(), "most": most, "least": least, "root_mean": root_mean, "known": known,
+        "sound": sound, "magnitude": MAGNITUDES[scene.axes],
     }
 
 
@@ -143,7 +154,11 @@ def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any
     law = scene.law
     if compiled:
         names = tuple([field.name for field in fields(law)])
-        law = record("Law", names)(*[float(getattr(law, name)) for name in names])
+        try:
+            law = record("Law", names)(*[float(getattr(law, name)) for name in names])
+        except (TypeError, ValueError):
+            odd = next(name for name in names if type(getattr(law, name)) not in (float, int, bool))
+            raise NotCompiled(f"law {law_name(law)} has {odd}={getattr(law, odd)!r}, which is no number") from None
     return (beginnings(scene, starts), law, scene.dt_ns / 1e9, scene.x_limit, starts["m"], starts["s"],
             bodies.held())
 

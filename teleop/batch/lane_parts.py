@@ -8,7 +8,6 @@ mode, and lanes in which the mode changes go to the wall itself. A law that bran
 
 from __future__ import annotations
 
-import dis
 from collections.abc import Callable
 from inspect import signature
 from math import inf, nan
@@ -17,25 +16,13 @@ from typing import Any
 
 from llvmlite import ir
 
-from teleop.batch.compiled import NotCompiled, jit, jitted, named_in, part_at
+from teleop.batch.bytecode import without_lanes
+from teleop.batch.compiled import jit, jitted, part_at
+from teleop.batch.kernel import NotVectorised
 from teleop.batch.lanes import BITS, VECTOR, WIDTH, lanes
 from teleop.batch.lanewise import intrinsic_of, lane, put, some, spread, where
 from teleop.batch.measures import least, most, sound
 from teleop.contact import move_wall, wall_force
-
-
-class NotVectorised(NotCompiled):
-    """Why a structure of scene has no kernel over lanes."""
-
-
-def branches(function: FunctionType, seen: set[Any] | None = None) -> bool:
-    """Does a function, or a plain one that it calls, choose its way by its numbers."""
-    seen = set() if seen is None else seen
-    if function in seen:
-        return False
-    seen.add(function)
-    jumps = any("_IF_" in each.opname or each.opname == "FOR_ITER" for each in dis.get_instructions(function))
-    return jumps or any(branches(each, seen) for each in named_in(function).values() if isinstance(each, FunctionType))
 
 
 def lane_part(place: str) -> Any:
@@ -45,15 +32,14 @@ def lane_part(place: str) -> Any:
         return part
     if part in WITHOUT_BRANCHES:
         return WITHOUT_BRANCHES[part]
-    return _lane_by_lane(part) if branches(part) else jitted(part)
+    return _lane_by_lane(part) if without_lanes(part) else jitted(part)
 
 
 def lane_end(place: str) -> Any:
     """An end of a law at "module:name", for lanes: all that it answers with has lanes."""
     end = part_at(place)
-    if branches(end):
-        raise NotVectorised(f"{end.__qualname__} chooses its way by an `if`, which eight scenes side by side cannot; "
-                            "written with min and max it could")
+    if why := without_lanes(end):
+        raise NotVectorised(f"{end.__qualname__} {why}, so it runs one scene at a time")
     return _made("def call({0}): return spread(function({0}))", end)
 
 

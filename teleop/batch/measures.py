@@ -7,8 +7,8 @@ from math import isfinite, sqrt
 from teleop.metrics import TINY
 
 SUMS = {  # metric -> the feature of the text, and the expression of it at the end
-    "x_err_rms": ("x_err", "root_mean(x_err_sq, n_x)"), "x_err_max": ("x_err", "x_err_max"),
-    "f_err_rms": ("f_err", "root_mean(f_err_sq, n_f)"), "f_err_max": ("f_err", "f_err_max"),
+    "x_err_rms": ("x_err", "root_mean(x_err_sq, n_x)"), "x_err_max": ("x_err", "known(x_err_max, n_x)"),
+    "f_err_rms": ("f_err", "root_mean(f_err_sq, n_f)"), "f_err_max": ("f_err", "known(f_err_max, n_f)"),
     "f_m_max": ("f_m_max", "f_m_max"), "f_s_max": ("f_s_max", "f_s_max"), "f_h_max": ("f_h_max", "f_h_max"),
     "f_env_max": ("f_env_max", "f_env_max"), "E_link_min": ("waves", "E_link_min"), "E_link_end": ("waves", "E_link"),
     "E_port_min": ("energy", "E_port_min"), "E_port_end": ("energy", "E_port"), "g_m_min": ("watchdog", "g_m_min"),
@@ -29,6 +29,11 @@ def least(low: float, size: float) -> float:
 def root_mean(total: float, count: int) -> float:
     """Root of a mean square; NaN of nothing."""
     return sqrt(total / count) if count > 0 else float("nan")
+
+
+def known(value: float, count: int) -> float:
+    """A figure of so many values; NaN of none."""
+    return value if count > 0 else float("nan")
 
 
 def magnitude1(a: float) -> float:

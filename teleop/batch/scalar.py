@@ -30,9 +30,9 @@ def maker(word: str) -> str:  # noqa: ARG001 - every part is made alike
     return "compiled_part"
 
 
-def scalar(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
+def scalar(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
     """The kernel of a scene's structure. Raises `NotCompiled` where a part of it is not made for that."""
-    kernel = module(scene, bodies, measures, "scalar").kernel
+    kernel = module(scene, bodies, measures, "scalar", keep=keep).kernel
 
     def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
         return [told for told, in called(kernel, [[each] for each in zip(rows, lags, strict=True)], len(measures))]

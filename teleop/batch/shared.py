@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from pickle import UnpicklingError
 from threading import Lock
 from typing import Any
 
-from teleop.batch.kernel import Inputs, Kernel, Water, figures, plain, tree_of
+from teleop.batch.kernel import Inputs, Kernel, NotCompiled, Water, figures, plain, tree_of
 from teleop.batch.leaves import Leaves, leaves
 from teleop.bodies import Bodies, exact_bodies, reference_samples
 from teleop.errors import Refused
@@ -87,52 +89,50 @@ def _once(key: Any, ticks: int, make: Callable[[], Any]) -> Any:
     return made
 
 
-def kernel_of(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, instead: dict[str, str]
+def kernel_of(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, stamp: object = None
               ) -> tuple[Kernel, Leaves | None]:
     """The kernel of a scene's structure, by `engine`, or by a plainer one where it is not made for that.
 
-    With it the row's numbers laid out flat, if it is compiled.
+    With it the row's numbers laid out flat, if it is compiled. `stamp`: what else tells it from others.
     """
-    flat = None if engine == "plain" else leaves(tree_of(scene, bodies))
+    flat, why = None, ""
+    if engine != "plain":
+        try:
+            flat = leaves(tree_of(scene, bodies))
+        except NotCompiled as reason:
+            engine, why = "plain", str(reason)
     velocities = [type(device.velocity) for device in (scene.device_m, scene.device_s) if device is not None]
     # What the text depends on, and the functions that it names.
-    key = (engine, measures, features(scene), scene.axes, functions_of(scene.law), *velocities, flat and flat.shape,
-           *bodies.functions().values())
+    key = (engine, why, measures, features(scene), scene.axes, functions_of(scene.law), stamp, *velocities,
+           flat and flat.shape, *bodies.functions().values())
     kernel = _KERNELS.get(key)
     if kernel is None:
         with _MAKING:
-            kernel = _KERNELS.get(key) or _made(scene, bodies, measures, engine, instead)
+            kernel = _KERNELS.get(key) or _made(scene, bodies, measures, engine, why)
             while len(_KERNELS) >= KEPT:
                 del _KERNELS[next(iter(_KERNELS))]
             _KERNELS[key] = kernel
     return kernel, None if kernel.engine == "plain" else flat
 
 
-def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, instead: dict[str, str]) -> Kernel:
+def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
     if engine == "plain":
-        return plain(scene, bodies, measures)
+        return plain(scene, bodies, measures)._replace(why=why)
     from importlib import import_module
 
-    from numba.core.errors import NumbaError
+    from teleop.batch.compiled import cause
 
-    from teleop.batch.compiled import NotCompiled
-
+    make = getattr(import_module(f"teleop.batch.{engine}"), engine)
+    two = replace(scene, duration=min(scene.ticks, 2) * scene.dt)  # ticks, enough to have it compiled
+    given = Inputs(None, leaves(tree_of(two, exact_bodies(two))), two.ticks, Water.of(link_plans(two, 0)),
+                   path_of(two, compiled=True))
     try:
-        kernel: Kernel = getattr(import_module(f"teleop.batch.{engine}"), engine)(scene, bodies, measures)
-        first = load_first(scene)
-        given = Inputs(None, leaves(tree_of(first, exact_bodies(first))), first.ticks, Water.of(link_plans(first, 0)),
-                       path_of(first, compiled=True))
-        figures(kernel, [given])
-    except (NumbaError, NotCompiled, AttributeError, TypeError) as error:
-        why = str(error).strip().splitlines()
-        said = " ".join(why[-1:])[:200] if why else type(error).__name__
-        instead[PLAINER[engine]] = said if isinstance(error, NotCompiled) else f"{type(error).__name__}: {said}"
-        return _made(scene, bodies, measures, PLAINER[engine], instead)
-    return kernel
-
-
-def load_first(scene: Scene) -> Scene:
-    """The scene for two ticks: enough to compile its kernel."""
-    from dataclasses import replace
-
-    return replace(scene, duration=min(scene.ticks, 2) * scene.dt)
+        try:
+            kernel: Kernel = make(scene, bodies, measures)
+            figures(kernel, [given])
+        except (OSError, EOFError, UnpicklingError, UnicodeDecodeError):  # the cache is full, or damaged
+            kernel = make(scene, bodies, measures, keep=False)
+            figures(kernel, [given])
+    except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
+        return _made(scene, bodies, measures, PLAINER[engine], cause(error))
+    return kernel._replace(why=why, plainer=lambda reason: _made(scene, bodies, measures, PLAINER[engine], reason))

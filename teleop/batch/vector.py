@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from teleop.batch.calls import Tile, called
-from teleop.batch.compiled import module
-from teleop.batch.kernel import Inputs, Kernel, Told
-from teleop.batch.lane_parts import NotVectorised, lane_end, lane_part
+from teleop.batch.compiled import cause, module
+from teleop.batch.kernel import Inputs, Kernel, NotVectorised, Told, tree_of
+from teleop.batch.lane_parts import lane_end, lane_part
 from teleop.batch.lanes import WIDTH
 from teleop.batch.lanewise import came, load, some, spread, where, whole, within
+from teleop.batch.leaves import leaves
 from teleop.batch.rings import ago, each, packet, received, ring, sample, sent, tell
 from teleop.bodies import Bodies
 from teleop.scene import Scene
@@ -45,11 +46,15 @@ def maker(word: str) -> str:
     return "lane_end" if word.startswith(OF_THE_LAW) else "lane_part"
 
 
-def vector(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
+def vector(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
     """The kernel of a scene's structure. Raises `NotVectorised` where that has no lanes, `NotCompiled` as `scalar`."""
+    from numba.core.errors import NumbaError
+
     if features(scene) & {"inner_m", "inner_s"}:
         raise NotVectorised("a body with an inner state is moved one scene at a time")
-    kernels = module(scene, bodies, measures, "vector")
+    if leaves(tree_of(scene, bodies)).arrays:
+        raise NotVectorised("a part with a list among its numbers runs one scene at a time")
+    kernels = module(scene, bodies, measures, "vector", keep=keep)
 
     def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
         tiles: dict[str, list[tuple[int, Tile]]] = {"alike": [], "apart": []}
@@ -62,7 +67,10 @@ def vector(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
         found: dict[int, Told] = {}
         for name, several in tiles.items():
             if several:
-                told = called(getattr(kernels, name), [tile for _, tile in several], len(measures))
+                try:
+                    told = called(getattr(kernels, name), [tile for _, tile in several], len(measures))
+                except NumbaError as error:  # compiled at the first call of its name
+                    raise NotVectorised(f"rows of schedules of their own have no lanes: {cause(error)}") from error
                 for (first, _), ones in zip(several, told, strict=True):
                     found |= enumerate(ones, first)
         return [found[i] for i in range(len(rows))]

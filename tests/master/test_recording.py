@@ -76,7 +76,7 @@ def test_the_file_is_read_once_and_only_named_in_the_text(write: Write) -> None:
     write("0, 0.7")
     assert recording.samples(1, 1, MS) == ([1.0],)
     assert repr(recording) == f"Recording(path={path!r}, scale=2.0)"
-    assert recording == Recording(path=path, scale=2.0)
+    assert recording != Recording(path=path, scale=2.0)  # other contents: another motion
     assert recording != Recording(path=path)
 
 

@@ -141,3 +141,11 @@ class TestADevice:
     def test_that_cannot_be_is_refused(self, wrong: dict[str, Any], word: str) -> None:
         with pytest.raises(Refused, match=re.escape(word)):
             Device(**wrong)
+
+
+def test_beyond_what_can_be_counted_a_reading_is_the_same_wherever_it_is_worked_out() -> None:
+    """Compiled code counts to 2^63; from 2^53 on every float is a whole number anyway."""
+    for x in (1e14, -3.3e20, 1e300):
+        assert encode((1e-5, 0.5), x) == pytest.approx(x, rel=1e-15)
+    for count in (2.0**53 - 1.0, 2.0**53, 2.0**60):
+        assert encode((1.0, 0.0), count) == count

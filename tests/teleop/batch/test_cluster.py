@@ -28,9 +28,9 @@ from teleop.result import Result
 
 pytestmark = pytest.mark.live
 
-AXES: dict[Any, Any] = {"law": ["wave", "direct", "pfra"], "delay": [0.0, 0.02]}
+AXES: dict[Any, Any] = {"law": ["wave", "direct", "pfra"], "k_e": [100.0, 400.0]}
 FIXED = {"duration": 0.3, "link": "delay(0.01) | uniform(0.02) | bernoulli(0.1)"}
-LONG: dict[Any, Any] = {"delay": [0.01, 0.02]}  # with 60 seeds long enough to kill something meanwhile
+LONG: dict[Any, Any] = {"k_e": [100.0, 400.0]}  # with 60 seeds long enough to kill something meanwhile
 ENV = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"}
 OWN = """
 from scenarios.soft_tissue import scene as tissue

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -89,7 +90,7 @@ def by(engine: str, case: str) -> Done:
 @pytest.mark.parametrize("case", [*BODIES, *PORTS])
 def test_each_is_compiled_and_gives_the_bits_of_plain_python(case: str) -> None:
     fast = by("scalar", case)
-    assert not fast.instead
+    assert list(fast.ran) == [("scalar", "")]
     assert repr(fast.rows) == repr(by("plain", case).rows)  # repr: every digit, and the sign of a zero
     assert "ok" in {row["status"] for row in fast.rows}
 
@@ -109,3 +110,62 @@ def test_a_carried_plant_knows_the_one_that_it_carries() -> None:
         moving = carried(still, [0.0, 0.1, 0.0], body, 1e-3)
         assert is_carried(moving)
         assert at_rest(moving) == still
+
+
+OWN = """
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+from teleop import Scene, load_scene
+from teleop.plant import Plant
+
+class Word(NamedTuple):
+    x: float
+
+@dataclass(frozen=True, kw_only=True)
+class Mine:
+    K: float = 100.0
+    claims: ClassVar[frozenset] = frozenset()
+    def master_start(self, at): return (), Word(at.x)
+    def slave_start(self, at): return (), Word(at.x)
+    def master(self, s, at, rx): return self.K * (at.x - rx.x), Word(at.x), s
+    def slave(self, s, at, rx): return self.K * (rx.x - at.x) - 4.0 * at.v, Word(at.x), s
+
+def move(c, x, v, f):
+    k, table = c
+    return x + 1e-3 * v, v + 1e-3 * (f - k * table[1] * x - 2.0 * v), 0
+
+def force(c, x, v):
+    return c[0] * c[1][1] * x
+
+@dataclass(frozen=True, kw_only=True)
+class Springs:
+    k: float
+    def plant(self, body, dt): return Plant(move, force, (1.0, [0.0, self.k]))
+    def resistance(self): raise NotImplementedError
+
+def scene(*, k: float = 10.0, law: object = Mine()) -> Scene:
+    return replace(load_scene("canonical", duration=0.2), law=Mine(), environment=Springs(k=k))
+"""
+
+
+@pytest.mark.parametrize("engine", ["scalar", "vector"])
+def test_a_law_and_a_body_of_a_scene_file_are_compiled_and_each_row_has_its_own_lists(
+    engine: str, tmp_path: Path
+) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    rows = [(n, {"k": 5.0 * n}, 0) for n in range(9)]
+    own = str(tmp_path / "own.py")
+    done = {one: work(Job(own, {}, rows, ("x_err_rms", "f_s_max"), one)) for one in (engine, "plain")}
+    assert repr(done[engine].rows) == repr(done["plain"].rows)
+    assert len({row["f_s_max"] for row in done[engine].rows}) == 9
+    ((ran, _), _), = done[engine].ran.items()
+    assert ran == "scalar"
+
+
+def test_a_recorded_hand_that_was_recorded_anew_moves_anew(tmp_path: Path) -> None:
+    told = []
+    for x in (0.01, 0.05):
+        (tmp_path / "hand.csv").write_text(f"t,x\n0,0\n1,{x}\n")
+        rows = [(0, {"motion": str(tmp_path / "hand.csv"), "duration": 0.5}, 0)]
+        told.append(work(Job("recorded_reach", {}, rows, ("x_err_max",), "plain")).rows[0])
+    assert told[0]["x_err_max"] != told[1]["x_err_max"]

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,13 @@ import pytest
 
 from channel.delay import Delay
 from teleop import Refused, load_scene, run, sweep
-from teleop.batch.runner import prepare
+from teleop.batch.runner import carry_out, prepare
+from teleop.laws.direct import Direct, Forth
 from teleop.laws.wave import Wave
 from teleop.library import ROOT
 from teleop.result import Result
 
-AXES = {"law": ["wave", "direct", "pfra"], "delay": [0.0, 0.02]}
+AXES = {"law": ["wave", "direct", "pfra"], "k_e": [100.0, 400.0]}
 FIXED = {"duration": 0.3, "link": "delay(0.01) | uniform(0.02) | bernoulli(0.1)"}
 
 
@@ -60,15 +63,15 @@ class TestARow:
                       metrics=["x_err_rms", "f_m_max", "E_link_min", "E_port_end", "fresh_fwd", "T_bwd_mean"])
         assert len(table) == 12
         for row in rows(table):
-            single = run(load_scene("soft_tissue", **FIXED, law=row["law"], delay=row["delay"]), seed=row["seed"])
+            single = run(load_scene("soft_tissue", **FIXED, law=row["law"], k_e=row["k_e"]), seed=row["seed"])
             assert (row["status"], row["ticks"]) == (single.status, single.ticks)
             for name in ("x_err_rms", "f_m_max", "E_link_min", "E_port_end", "fresh_fwd", "T_bwd_mean"):
                 assert row.get(name) == single.metrics.get(name)
 
     def test_depends_on_no_other_row(self) -> None:
-        few = rows(sweep("soft_tissue", {"delay": [0.02], "k_e": [100.0]}, seeds=[5], fixed=FIXED))
-        many = rows(sweep("soft_tissue", {"delay": [0.0, 0.02, 0.05], "k_e": [50.0, 100.0]}, seeds=[3, 5], fixed=FIXED))
-        same = [row for row in many if (row["delay"], row["k_e"], row["seed"]) == (0.02, 100.0, 5)]
+        few = rows(sweep("soft_tissue", {"d_e": [2.0], "k_e": [100.0]}, seeds=[5], fixed=FIXED))
+        many = rows(sweep("soft_tissue", {"d_e": [1.0, 2.0, 5.0], "k_e": [50.0, 100.0]}, seeds=[3, 5], fixed=FIXED))
+        same = [row for row in many if (row["d_e"], row["k_e"], row["seed"]) == (2.0, 100.0, 5)]
         assert [{**row, "row": 0} for row in same] == few
 
     def test_has_a_users_own_figure_and_those_that_need_a_record(self) -> None:
@@ -134,10 +137,10 @@ class TestAStop:
         assert sorted(written) == list(range(24))
 
     def test_of_another_sweep_is_not_gone_on_with(self, tmp_path: Path) -> None:
-        sweep("soft_tissue", {"delay": [0.0]}, fixed=FIXED, out=tmp_path / "s")
-        for other in ({"axes": {"delay": [0.1]}}, {"fixed": {**FIXED, "k_e": 3.0}}, {"metrics": ["f_m_max"]}):
+        sweep("soft_tissue", {"d_e": [0.0]}, fixed=FIXED, out=tmp_path / "s")
+        for other in ({"axes": {"d_e": [0.1]}}, {"fixed": {**FIXED, "k_e": 3.0}}, {"metrics": ["f_m_max"]}):
             with pytest.raises(Refused):
-                sweep("soft_tissue", **{"axes": {"delay": [0.0]}, "fixed": FIXED, "out": tmp_path / "s", **other})  # type: ignore[arg-type]  # one of them is other
+                sweep("soft_tissue", **{"axes": {"d_e": [0.0]}, "fixed": FIXED, "out": tmp_path / "s", **other})  # type: ignore[arg-type]  # one of them is other
 
 
 class Water:
@@ -152,6 +155,110 @@ def test_a_part_that_reads_differently_at_every_start_is_refused_before_its_fold
     with pytest.raises(Refused, match="link"):
         sweep("soft_tissue", {}, fixed={"link": Water(), "duration": 0.1}, out=tmp_path / "s")
     assert not (tmp_path / "s").exists()
+
+
+OWN = """
+from teleop import load_scene
+
+def scene(*, k_e: float = 100.0):
+    return load_scene("soft_tissue", duration={duration}, k_e=k_e)
+"""
+
+
+def test_rows_of_an_edited_scene_file_do_not_join_those_of_before(tmp_path: Path) -> None:
+    own, axes = tmp_path / "own.py", {"k_e": [50.0, 100.0]}
+    own.write_text(OWN.replace("{duration}", "0.1"))
+    sweep(own, axes, out=tmp_path / "s")
+    sweep(own, axes, out=tmp_path / "s")
+    own.write_text(OWN.replace("{duration}", "0.2"))
+    with pytest.raises(Refused, match="sources"):
+        sweep(own, axes, out=tmp_path / "s")
+
+
+def test_a_number_typed_otherwise_is_the_same_sweep(tmp_path: Path) -> None:
+    for typed in ("0.1", "0.10", 0.1):
+        assert len(sweep("soft_tissue", {}, fixed={"duration": typed}, out=tmp_path / "s")) == 1
+
+
+@pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
+@pytest.mark.parametrize("metrics", [[], ["fresh_fwd"], ["g_m_min"], ["E_link_min"]])
+def test_a_kernel_that_is_asked_for_no_figure_of_its_own_runs_all_the_same(engine: str, metrics: list[str]) -> None:
+    fixed = {"duration": 0.1, "law": "direct"}
+    row, = rows(sweep("soft_tissue", {}, fixed=fixed, metrics=metrics, engine=engine))
+    single = run(load_scene("soft_tissue", **fixed))
+    assert (row["status"], row["ticks"]) == (single.status, single.ticks)
+    assert {name: row[name] for name in metrics if name in row} == {
+        name: single.metrics[name] for name in metrics if name in single.metrics}
+
+
+def test_a_law_with_a_field_that_is_no_number_runs_in_plain_python_and_the_sweep_says_so() -> None:
+    plan = prepare("soft_tissue", {}, fixed={"law": Moody(), "duration": 0.05}, engine="vector")
+    carry_out(plan)
+    ((engine, why), count), = plan.ran.items()
+    assert (engine, count) == ("plain", 1)
+    assert "mode='calm'" in why
+
+
+def test_what_numba_cannot_take_is_said_in_its_own_words() -> None:
+    plan = prepare("soft_tissue", {}, fixed={"law": Rooted(), "duration": 0.05}, engine="scalar")
+    carry_out(plan)
+    ((engine, why), _), = plan.ran.items()
+    assert engine == "plain"
+    assert why.startswith("UnsupportedBytecodeError: Use of unsupported opcode")
+    assert "During" not in why
+
+
+def test_figures_that_need_a_record_are_said_to_be_run_in_plain_python() -> None:
+    plan = prepare("canonical", {"k_e": [1e3 + n for n in range(400)]}, metrics=["x_err_rms", "E_fwd_min"])
+    assert (plan.engine, plan.why) == ("plain", "a figure needs the whole record of a run")
+
+
+def test_a_metric_that_fails_in_one_row_loses_no_other() -> None:
+    table = rows(sweep("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED, metrics=["x_err_rms", touchy]))
+    assert [row["status"] for row in table] == ["ok", "ok"]
+    assert "touchy" not in table[0]
+    assert "metric touchy stopped with ValueError: too soft" in table[0]["sentence"]
+    assert table[1]["touchy"] == 1.0
+
+
+def touchy(result: Any) -> float:
+    if result.parameters["k_e"] < 80.0:
+        raise ValueError("too soft")
+    return 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moody(Direct):
+    mode: str = "calm"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rooted(Direct):
+    def master(self, s: Any, at: Any, rx: Any) -> Any:
+        return rx.f_env * hypot3(1.0, **{}), Forth(at.x, at.v), s
+
+
+def hypot3(x: float, **_: float) -> float:
+    return x
+
+
+def test_the_usual_figures_are_those_that_any_law_of_the_grid_has() -> None:
+    for laws in (["direct", "wave"], ["wave", "direct"]):
+        assert "E_link_min" in prepare("canonical", {"law": laws}).definition()["metrics"]
+
+
+def test_rows_that_grow_dear_are_not_handed_out_by_the_thousand() -> None:
+    """The first half of the rows takes nothing, for they are refused at once."""
+    sizes: list[int] = []
+
+    class Watched(Backwards):
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
+            sizes.append(len(args[0].rows))
+            return super().submit(fn, *args, **kwargs)
+
+    ranges = {"duration": [0.01] + [-1.0] * 300 + [3.0] * 60}
+    sweep("soft_tissue", ranges, metrics=["x_err_rms"], engine="plain", executor=Watched())
+    assert max(b / a for a, b in pairwise(sizes)) <= 4.0
 
 
 def test_what_a_folder_is_held_to_is_the_value_of_every_knob() -> None:

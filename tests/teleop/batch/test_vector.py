@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -11,14 +11,15 @@ import pytest
 from scenarios.virtual_coupling import scene as virtual_coupling
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop import Scene, load_scene
+from teleop import At, Scene, load_scene
+from teleop.batch.bytecode import branches
 from teleop.batch.chunk import Job, work
-from teleop.batch.kernel import Kernel, available, figures, plain
-from teleop.batch.lane_parts import NotVectorised, branches
+from teleop.batch.kernel import Kernel, NotVectorised, available, figures, plain
 from teleop.batch.measures import most
 from teleop.batch.vector import vector
 from teleop.bodies import exact_bodies
 from teleop.device import Device, Encoder
+from teleop.laws.direct import Back, Direct, Forth
 from teleop.laws.pfra import PFRA
 from teleop.popc import PassivityController
 from teleop.safety import Cap, Watchdog
@@ -58,10 +59,15 @@ def knobs_of(law: str, dice: random.Random, *, wild: bool) -> dict[str, object]:
 def test_engines_agree_on_random_scenes_of_every_law(law: str, link: str | None) -> None:
     """Among them runs that diverge at ticks of their own; with shared and with own schedules, paths and lags."""
     dice = random.Random(f"{law}{link}")
-    rows = [(n, {**knobs_of(law, dice, wild=n % 2 == 0), **({} if link is None else {"link": link})}, n % 5)
-            for n in range(27)]
+    rows = []
+    for n in range(27):
+        knobs = knobs_of(law, dice, wild=n % 2 == 0)
+        if link is not None:
+            del knobs["delay"]
+            knobs["link"] = link
+        rows.append((n, knobs, n % 5))
     done = {engine: work(Job("canonical", {"duration": 0.7}, rows, MEASURES, engine)) for engine in ENGINES}
-    assert not done["vector"].instead, done["vector"].instead
+    assert done["vector"].ran == {("vector", ""): 27}
     assert repr(done["plain"].rows) == repr(done["scalar"].rows) == repr(done["vector"].rows)
     if law != "wave":
         assert {row["status"] for row in done["vector"].rows} == {"ok", "diverged"}
@@ -95,6 +101,52 @@ def test_lanes_whose_playout_and_hand_differ_stand_beside_each_other() -> None:
     assert_same_bits(scenes, list(range(9)))
 
 
+GAINS = (1.0, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lists(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return sum([gain * rx.x for gain in GAINS]) - self.K * at.x - self.B * at.v, Back(at.f), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Powers(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return self.K * (rx.x - at.x)**3 - self.B * at.v, Back(at.f), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waits(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return self.K * (rx.x - at.x) * (not at.fresh) - self.B * at.v, Back(at.f), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counts(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return self.K * (rx.x - at.x) - self.B * at.v, Back(at.v > 0.0), s
+
+
+@pytest.mark.parametrize(("law", "engine", "why"), [
+    (Lists(), "scalar", "a comprehension"), (Powers(), "plain", "`**` with a whole number"),
+    (Waits(), "scalar", ""), (Counts(), "plain", ""),
+])
+@pytest.mark.parametrize("own_links", [False, True])
+def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(
+    law: Any, engine: str, why: str, own_links: bool
+) -> None:
+    link = {"link": "delay(0.005) | bernoulli(0.3)"} if own_links else {"delay": 0.005}
+    rows = [(n, {"k_e": 100.0 + n}, n * own_links) for n in range(9)]
+    fixed = {"law": law, "duration": 0.1, **link}
+    done = {one: work(Job("canonical", fixed, rows, MEASURES, one)) for one in ("plain", "vector")}
+    assert repr(done["plain"].rows) == repr(done["vector"].rows)
+    ((ran, reason), count), = done["vector"].ran.items()
+    assert count == 9
+    assert why in reason
+    assert ran in (engine, "vector", "scalar") if not why else ran == engine
+
+
 def called(x: float) -> float:
     return most(x, 1.0)
 
@@ -103,9 +155,10 @@ class TestWhatHasNoLanes:
     def test_a_law_with_an_if_runs_one_scene_at_a_time_and_the_sweep_says_why(self) -> None:
         rows = [(n, {"law.K": 200.0 + 10.0 * n}, 0) for n in range(9)]
         done = {engine: work(Job("virtual_coupling", {"duration": 0.1}, rows, ("f_m_max",), engine))
-                for engine in ("plain", "vector")}
-        assert list(done["vector"].instead) == ["scalar"]
-        assert "VirtualCoupling.force chooses its way by an `if`" in done["vector"].instead["scalar"]
+                for engine in ("plain", "vector", "vector")}  # the second finds the kernel made
+        ((engine, why), rows_so), = done["vector"].ran.items()
+        assert (engine, rows_so) == ("scalar", 9)
+        assert "VirtualCoupling.force chooses its way by an `if`" in why
         assert repr(done["plain"].rows) == repr(done["vector"].rows)
 
     def test_so_does_a_body_with_an_inner_state(self) -> None:
