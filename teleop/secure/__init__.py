@@ -1,0 +1,6 @@
+"""DTLS between the two ends: who is let in, and how what they say is sealed. Needs the extra `secure`.
+
+`keys` makes and reads the files that say who an end is; `line` is what an end holds: its line to the one peer, over as
+many associations as it takes. Below it, `tunnel` is one association, `gate` lets a stranger begin one without cost to
+the end that listens, `context` is what OpenSSL is asked for, `record` takes datagrams apart.
+"""

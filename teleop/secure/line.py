@@ -1,0 +1,162 @@
+"""One end's line to its peer, over as many associations as it takes. Sans-IO.
+
+    line = Line.calling(key, peer, address)     # the end that begins
+    line = Line.listening(key, peer, secret)    # the end that waits
+    plain, back = line.receive(datagram, address, now)
+    datagram = line.send(plain)                 # to line.address; None: not now
+    back = line.due(now)                        # every few ms; `back`: (datagram, address) to send
+
+Three associations at most: the one in use, the one that is coming, and the one before, which still opens what was
+under way when the keys changed. The one in use goes on until the coming one is authenticated, so that nobody without
+the pinned certificate can end it; a peer that was killed and restarted, at either end, is met again by itself.
+
+The peer's address is where its newest authenticated packet came from: who moves to another network is followed, a
+copy of a packet sent on from elsewhere draws nothing to itself.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from teleop.secure.gate import Gate, Where, is_for_gate
+from teleop.secure.keys import Key
+from teleop.secure.record import Dropped
+from teleop.secure.tunnel import LIMIT_NS, Tunnel
+
+SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
+APART_NS = 1_000_000_000  # between two that it begins
+Out = tuple[bytes, Where]
+
+
+class Line:
+    """One end's line to the end whose certificate is pinned. Nothing that comes in raises.
+
+    `address`: where the peer is, None before a listening end knows. `trouble`: what went wrong last, a sentence.
+    `associations`: how many there were, all authenticated.
+    """
+
+    def __init__(self, key: Key, peer: str, address: Where | None, gate: Gate | None) -> None:
+        self.address, self.associations = address, 0
+        self.trouble: str | None = None
+        self._key, self._peer, self._gate = key, peer, gate
+        self._use: Tunnel | None = None
+        self._coming: Tunnel | None = None
+        self._coming_at: Where | None = address
+        self._old: Tunnel | None = None
+        self._retired: Counter[str] = Counter()  # what was dropped by those that are gone
+        self._changed = 0  # when the one in use came into use
+        self._heard = 0  # when something was last opened
+        self._began: int | None = None  # when this end last began one
+
+    @classmethod
+    def calling(cls, key: Key, peer: str, address: Where) -> Line:
+        """The end that begins; the first `due` does."""
+        return cls(key, peer, address, None)
+
+    @classmethod
+    def listening(cls, key: Key, peer: str, secret: bytes) -> Line:
+        """The end that waits. `secret`: 32 random bytes of this process."""
+        return cls(key, peer, None, Gate(key, peer, secret))
+
+    @property
+    def ready(self) -> bool:
+        """Is there an association in use?"""
+        return self._use is not None and self._use.failure is None
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """What was not taken, by cause."""
+        gate = Counter() if self._gate is None else self._gate.dropped
+        there = [tunnel.dropped for tunnel in (self._use, self._coming, self._old) if tunnel is not None]
+        return sum([gate, *there], self._retired)
+
+    def send(self, plain: bytes) -> bytes | None:
+        """`plain` sealed, to go to `address`."""
+        return None if self._use is None else self._use.send(plain)
+
+    def receive(self, datagram: bytes, address: Where, now: int) -> tuple[list[bytes], list[Out]]:
+        """What a datagram carries, and what to send at once."""
+        if is_for_gate(datagram):
+            return [], self._meet(datagram, address, now)
+        there = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None]
+        before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
+        for i, tunnel in enumerate(there):
+            newest = tunnel.newest
+            plain = tunnel.receive(datagram, now)[0]
+            if plain:
+                for missed, dropped in zip(there[:i], before, strict=False):
+                    missed.dropped = dropped  # it was only meant for another one
+                if tunnel is self._coming:
+                    self._change(now)
+                if tunnel is self._use and tunnel.newest > newest:
+                    self.address = address
+                self._heard = now
+                return plain, []
+            if tunnel.failure is not None:
+                self._ended(tunnel)
+        for tunnel, dropped in zip(there[1:], before[1:], strict=False):
+            tunnel.dropped = dropped  # one datagram counts once
+        return [], []
+
+    def due(self, now: int) -> list[Out]:
+        """What is to be sent by now: handshakes, and what was not answered of them."""
+        out: list[Out] = []
+        if self._old is not None and now - self._changed > LIMIT_NS:
+            self._retired += self._old.dropped
+            self._old = None
+        for tunnel, at in ((self._use, self.address), (self._coming, self._coming_at)):
+            if tunnel is not None and at is not None:
+                out += [(data, at) for data in tunnel.due(now)]
+        if self._coming is not None and self._coming.failure is not None:
+            self._ended(self._coming)
+        quiet = not self.ready or now - max(self._heard, self._changed) > SILENT_NS
+        rested = self._began is None or now - self._began > APART_NS
+        return out + self.renew(now) if quiet and rested else out
+
+    def renew(self, now: int) -> list[Out]:
+        """Begin another association beside the one in use, for new keys; only the end that calls can."""
+        if self._gate is not None or self._coming is not None or self.address is None:
+            return []
+        self._began, self._coming_at = now, self.address
+        self._coming = Tunnel.towards(self._key, self._peer, now)
+        return [(data, self.address) for data in self._coming.begin(now)]
+
+    def close(self) -> list[Out]:
+        """End all there is; what tells the peer."""
+        at = self.address
+        return [(data, at) for one in (self._use, self._coming) if one is not None and at for data in one.close()]
+
+    def _meet(self, datagram: bytes, address: Where, now: int) -> list[Out]:
+        if self._gate is not None:
+            let_in, back = self._gate.receive(datagram, address, now)
+            self.trouble = self._gate.refused or self.trouble
+            if let_in is not None:
+                self._coming, self._coming_at = let_in, address
+                if not self.ready:
+                    self._change(now)
+            return [(data, address) for data in back]
+        coming = self._coming
+        if coming is None or address != self._coming_at:
+            self._retired[Dropped.EPOCH] += 1
+            return []
+        back = coming.receive(datagram, now)[1]
+        if coming.failure is not None:
+            self._ended(coming)
+        elif coming.ready:
+            self._change(now)
+        return [(data, address) for data in back]
+
+    def _change(self, now: int) -> None:
+        """The coming association is the one in use from now on."""
+        if self._old is not None:
+            self._retired += self._old.dropped
+        self._old, self._use, self._coming = self._use, self._coming, None
+        self._changed = self._heard = now
+        self.address = self._coming_at
+        self.associations += 1
+
+    def _ended(self, tunnel: Tunnel) -> None:
+        self.trouble = tunnel.failure
+        if tunnel is self._coming:
+            self._retired += tunnel.dropped
+            self._coming = None

@@ -1,0 +1,87 @@
+"""DTLS records as they lie in datagrams (RFC 6347, 4.1), told apart without a key.
+
+    type 1 | version 2 | epoch 2 | number 6 | length 2 | length bytes
+
+Epoch 0 is the handshake, in the clear and without any proof of who said it; from epoch 1 on everything is sealed.
+The number of a record in the clear belongs to no proof either, so that it may be written anew when the record is sent
+again: otherwise a copy of one that came too early, and was passed over, would pass for a replay for ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+from struct import Struct
+from typing import NamedTuple
+
+MTU = 1200  # bytes of a datagram of the handshake: below that of every network in use
+OVERHEAD = 37  # bytes that a sealed record is longer than what it carries: head 13, nonce 8, tag 16 (AES-GCM)
+CHANGE, ALERT, HANDSHAKE, DATA = 20, 21, 22, 23  # types
+CLIENT_HELLO = 1  # the first byte of a handshake message
+HEAD = Struct("!BHHHIH")  # type, version, epoch, number (its upper 16 bits, its lower 32), length
+WINDOW = 64  # records: one that so many newer ones overtook is not taken (RFC 6347, 4.1.2.6)
+_NUMBER = slice(5, 11)
+_LEAST = OVERHEAD - HEAD.size + 1  # bytes of a sealed record behind its head
+_VERSIONS = (0xFEFF, 0xFEFD)  # the first hello says 1.0 for the sake of old middle boxes
+
+
+class Dropped(StrEnum):
+    """Why a record, or what should have been one, was passed over."""
+
+    NO_RECORD = "no record"  # nothing of DTLS 1.2, or cut short
+    EPOCH = "epoch"  # of the handshake after it, or of an epoch that there is not
+    EARLY = "early"  # data before the handshake is over
+    REPLAYED = "replayed"
+    LATE = "late"  # overtaken by 64 and more: too old to say whether it is a replay
+    FORGED = "forged"  # does not open: changed, of another association, or of somebody without its keys
+    OVER = "over"  # came when the association had ended
+
+
+class Record(NamedTuple):
+    """One record, its head read."""
+
+    type: int
+    epoch: int
+    number: int
+    data: bytes  # with the head
+
+    @property
+    def is_hello(self) -> bool:
+        """Does it begin a handshake, in the clear?"""
+        return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == CLIENT_HELLO
+
+
+def records(datagram: bytes) -> list[Record] | None:
+    """The records of a datagram in their order; None if any of it is none. Zero bytes at its end are padding."""
+    found: list[Record] = []
+    at, size = 0, len(datagram)
+    while at < size:
+        if size - at <= HEAD.size:
+            return found if found and not datagram[at:].strip(b"\0") else None
+        kind, version, epoch, upper, lower, length = HEAD.unpack_from(datagram, at)
+        end = at + HEAD.size + length
+        # Some releases of OpenSSL (3.5.2) break an association over a sealed record that is too short to be one.
+        short = length < (_LEAST if epoch else 1)
+        if not CHANGE <= kind <= DATA or version not in _VERSIONS or short or end > size:
+            return found if found and not datagram[at:].strip(b"\0") else None
+        found.append(Record(kind, epoch, upper << 32 | lower, datagram[at:end]))
+        at = end
+    return found or None
+
+
+def packed(flight: Iterable[Record], first: int, *, padded: bool = False) -> tuple[list[bytes], int]:
+    """Datagrams of at most `MTU` bytes, records of epoch 0 numbered from `first` on; and the next number.
+
+    `padded`: the datagrams are made `MTU` long.
+    """
+    datagrams: list[bytes] = []
+    for record in flight:
+        data = record.data
+        if record.epoch == 0:
+            data = data[:_NUMBER.start] + first.to_bytes(6, "big") + data[_NUMBER.stop:]
+            first += 1
+        if datagrams and len(datagrams[-1]) + len(data) <= MTU:
+            datagrams[-1] += data
+        else:
+            datagrams.append(data)
+    return [data.ljust(MTU, b"\0") for data in datagrams] if padded else datagrams, first

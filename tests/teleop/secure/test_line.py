@@ -1,0 +1,217 @@
+"""Two ends that talk all the time, killed, restarted, moved and shot at, in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from channel.link import parse_link
+from channel.schedule import Stream
+from teleop.secure.keys import Key
+from teleop.secure.line import SILENT_NS, Line
+from teleop.secure.record import OVERHEAD, Dropped
+
+MS = 1_000_000
+HOME, AWAY, SLAVE = ("192.0.2.1", 4000), ("198.51.100.7", 5000), ("192.0.2.2", 9001)
+STEP = 2  # ms between two packets of an end
+
+
+class World:
+    """A master and a slave with water between them; every packet is the number of its step."""
+
+    def __init__(self, keys: list[Key], link: str, seed: int = 0) -> None:
+        self.keys, self.now = keys, 0
+        self.ways = [Stream(parse_link(link), way, seed, 100) for way in (0, 1)]
+        self.from_, self.to = HOME, dict[int, list[tuple[int, bytes]]]()
+        self.came: list[list[tuple[int, int]]] = [[], []]  # (when in ms, number) at master and slave
+        self.sent: list[list[int]] = [[], []]
+        self.start_master()
+        self.start_slave()
+
+    def start_master(self) -> None:
+        self.master = Line.calling(self.keys[0], self.keys[1].fingerprint, SLAVE)
+
+    def start_slave(self) -> None:
+        self.slave = Line.listening(self.keys[1], self.keys[0].fingerprint, bytes(32))
+
+    def run(self, ms: int, *, dead: str = "") -> None:
+        """Go on for a time; the end that is `dead` neither sends nor hears."""
+        for _ in range(ms // STEP):
+            for way, line, name in ((0, self.master, "master"), (1, self.slave, "slave")):
+                if name != dead:
+                    self._go(way, [*line.due(self.now), *self._packet(way, line)])
+            for way, line, name in ((0, self.slave, "slave"), (1, self.master, "master")):
+                for arrived in self.ways[way].deliver(self.now):
+                    if name != dead:
+                        plain, back = line.receive(arrived.load, SLAVE if way else self.from_, self.now)
+                        self.came[1 - way] += [(self.now // MS, int.from_bytes(one[:4], "big")) for one in plain]
+                        self._go(1 - way, back)
+            self.now += STEP * MS
+
+    def _packet(self, way: int, line: Line) -> list[Any]:
+        number = self.now // MS
+        data = line.send(number.to_bytes(4, "big") + bytes(96))
+        self.sent[way] += [] if data is None else [number]
+        return [] if data is None else [(data, line.address)]
+
+    def _go(self, way: int, out: list[Any]) -> None:
+        for data, at in out:
+            if at == (self.from_ if way else SLAVE):
+                self.ways[way].send(self.ways[way].sent, self.now, data)
+
+    def quiet_until(self, end: int, since: int) -> int:
+        """When something next came at an end, ms."""
+        return next((when for when, _ in self.came[end] if when >= since), 10**9)
+
+
+@pytest.fixture
+def world(keys: list[Key]) -> Callable[..., World]:
+    return lambda link="delay(0.02) | uniform(0.02)", seed=0: World(keys, link, seed)
+
+
+def test_two_ends_meet_and_talk(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(1000)
+    assert two.master.ready
+    assert two.slave.ready
+    assert two.slave.address == HOME
+    for end in (0, 1):
+        assert two.quiet_until(end, 0) < 300
+        assert len(two.came[end]) == len({number for _, number in two.came[end]})
+    assert two.master.associations == two.slave.associations == 1
+    assert two.master.trouble is two.slave.trouble is None
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_new_keys_cost_not_a_packet(world: Callable[..., World], seed: int) -> None:
+    two = world(seed=seed)
+    two.run(600)
+    two._go(0, two.master.renew(two.now))
+    two.run(1000)
+    assert two.master.associations == two.slave.associations == 2
+    for end in (0, 1):
+        sent = [number for number in two.sent[1 - end] if 300 <= number < 1500]
+        assert set(sent) <= {number for _, number in two.came[end]}
+    for line in (two.master, two.slave):  # flights that came again, and at first data that overtook the last one
+        assert set(line.dropped) <= {Dropped.EPOCH, Dropped.EARLY}
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("who", ["master", "slave"])
+def test_an_end_that_was_killed_is_met_again_by_itself(world: Callable[..., World], who: str, seed: int) -> None:
+    two = world("delay(0.02) | uniform(0.04) | bernoulli(0.3) | duplicate(0.1, after=0.01)", seed)
+    two.run(3000)
+    two.run(1500, dead=who)
+    two.start_master() if who == "master" else two.start_slave()
+    back = two.now // MS
+    two.run(6000)
+    for end in (0, 1):
+        assert two.quiet_until(end, back + 100) < back + 5500
+    late = [when for when, _ in two.came[0]][-1]
+    assert late > back + 5800
+
+
+def test_who_waits_long_for_the_other_end_meets_it_all_the_same(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(12_000, dead="slave")
+    assert two.master.trouble == "no association came about in 5 s"
+    two.run(6000)
+    assert two.master.ready
+    assert two.slave.ready
+
+
+def test_a_handshake_is_heard_from_the_peers_address_only(world: Callable[..., World]) -> None:
+    two = world()
+    ((hello, _),) = two.master.due(two.now)
+    assert two.master.receive(hello, AWAY, two.now) == ([], [])
+    assert two.master.trouble is None
+    assert two.master.dropped == {Dropped.EPOCH: 1}
+    two.master.receive(hello, SLAVE, two.now)
+    assert "unexpected message" in (two.master.trouble or "")
+
+
+def test_a_long_silence_is_no_end(world: Callable[..., World]) -> None:
+    two = world("delay(0.02) | blackout(2.0, 3.0)")
+    two.run(7000)
+    for end in (0, 1):
+        assert two.quiet_until(end, 5000) < 5200
+    assert SILENT_NS < 3_000 * MS
+
+
+def test_an_address_that_changes_is_followed_when_authenticated(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(1000)
+    stray = two.master.send(b"x" * 100) or b""
+    assert two.slave.receive(stray[:-1] + bytes((stray[-1] ^ 1,)), AWAY, two.now) == ([], [])
+    assert two.slave.address == HOME
+    two.from_ = AWAY
+    two.run(1000)
+    assert two.slave.address == AWAY
+    assert two.came[0][-1][0] > 1900
+    assert two.master.associations == 1
+
+
+def test_a_copy_from_elsewhere_draws_nothing_to_itself(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(1000)
+    kept = [two.master.send(bytes((i,)) * 100) or b"" for i in range(3)]
+    for data in (kept[1], kept[2]):
+        two.slave.receive(data, HOME, two.now)
+    assert two.slave.receive(kept[1], AWAY, two.now) == ([], [])  # a replay
+    assert two.slave.receive(kept[0], AWAY, two.now)[0] != []  # one that was held back is taken
+    assert two.slave.address == HOME
+
+
+def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], keys: list[Key]) -> None:
+    two = world()
+    two.run(1000)
+    stranger = Line.calling(keys[2], keys[1].fingerprint, SLAVE)
+    now = two.now
+    for i in range(3000):
+        flying = [(data, AWAY) for data, _ in stranger.due(now + i * MS)]
+        while flying:
+            _, back = two.slave.receive(flying[0][0], AWAY, now + i * MS)
+            flying = flying[1:] + [(more, AWAY) for data, _ in back
+                                   for more, _ in stranger.receive(data, SLAVE, now + i * MS)[1]]
+    assert keys[2].fingerprint in (two.slave.trouble or "")
+    assert not stranger.ready
+    assert two.slave.address == HOME
+    assert two.slave.associations == 1
+    before = len(two.came[1])
+    two.run(500)
+    assert len(two.came[1]) > before + 200
+
+
+def test_each_datagram_that_is_not_taken_counts_once(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(600)
+    two._go(0, two.master.renew(two.now))
+    two.run(400)
+    before = two.slave.dropped.total()
+    data = two.master.send(b"x") or b""
+    for _ in range(5):
+        two.slave.receive(data, HOME, two.now)
+    two.slave.receive(data[:-1] + bytes((data[-1] ^ 1,)), HOME, two.now)
+    assert two.slave.dropped.total() == before + 5
+    assert two.slave.dropped[Dropped.REPLAYED] >= 4
+
+
+def test_a_farewell_ends_it_and_the_caller_begins_anew(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(600)
+    two._go(1, two.slave.close())
+    two.start_slave()
+    two.run(3000)
+    assert two.master.trouble == "the other end has ended the association"
+    assert two.master.associations == 2
+    assert two.came[0][-1][0] > 3500
+
+
+def test_before_anybody_came_there_is_nobody_to_send_to(keys: list[Key]) -> None:
+    line = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    assert line.address is None
+    assert line.send(b"x") is None
+    assert line.due(0) == line.close() == line.renew(0) == []
+    assert line.receive(b"\x17" + bytes(OVERHEAD), HOME, 0) == ([], [])
