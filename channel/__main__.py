@@ -25,6 +25,7 @@ from teleop.packet import Kind, Packet, decode, manifest_difference, peek
 from teleop.scene import Scene, both_ends, load_scene
 
 QUIET_NS = 1_000_000_000  # a session that has sent no message for so long gives way to another one's HELLO
+SEALED = range(20, 26)  # first bytes of DTLS records (RFC 9147)
 
 
 class RelayShell:
@@ -47,6 +48,7 @@ class RelayShell:
         self._busy_ns = 0  # when the session's last message came
         self._alarm: Alarm | None = None
         self._set_to: int | None = None
+        self._carried = [0, 0]  # sealed datagrams in each direction
         self._broken: Exception | None = None
 
     async def run(self, interrupt: Interrupt) -> None:
@@ -79,7 +81,13 @@ class RelayShell:
             self._take(direction, *got)
         self._deliver()
 
-    def _take(self, direction: int, data: bytes, sender: Address, now: int) -> None:
+    def _take(self, direction: int, data: bytes | None, sender: Address, now: int) -> None:
+        if not data:
+            self.foreign += 1
+            return
+        if data[0] in SEALED:
+            self._carry(direction, data, sender, now)
+            return
         kind, seq = peek(data)
         if kind in (Kind.HELLO, Kind.WELCOME):
             self._introduce(direction, data, sender, now)
@@ -93,6 +101,21 @@ class RelayShell:
                 self._origin = now - seq * self._dt_ns
         at = 0 if self._origin is None else now - self._origin
         self.relay.receive(direction, seq if kind is Kind.DATA else None, data, at)
+
+    def _carry(self, direction: int, data: bytes, sender: Address, now: int) -> None:
+        """Pass on what only the ends can read. Its number is that of its coming, and the link is for all of it."""
+        from teleop.secure.record import records
+
+        wire, quiet = self.wires[direction], now - self._busy_ns > QUIET_NS
+        if direction == 0 and (wire.peer is None or quiet) and any(one.is_hello for one in records(data) or []):
+            wire.peer = sender
+            self.relay, self._origin, self._carried = Relay(*self._water), now, [0, 0]
+        if sender != wire.peer or self._origin is None:
+            self.foreign += 1
+            return
+        self._busy_ns = now
+        self.relay.receive(direction, self._carried[direction], data, now - self._origin)
+        self._carried[direction] += 1
 
     def _introduce(self, direction: int, data: bytes, sender: Address, now: int) -> None:
         """Learn from a HELLO or WELCOME which session this is and where its ends are."""

@@ -99,7 +99,7 @@ def test_the_readme_names_only_commands_and_scenes_that_exist() -> None:
     assert {command for command, _ in typed} >= {"run", "sweep", "precision", "stability", "passivity", "zwidth"}
     for command, scene in typed:
         assert command in COMMANDS
-        if command not in ("list", "report", "matrix", "doctor") and scene:
+        if command not in ("list", "report", "matrix", "doctor", "keygen") and scene:
             assert scene in built_in_scenes()
     for picture in re.findall(r"!\[.*?\]\((.*?)\)", text):
         assert (ROOT / picture).is_file()

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from secrets import randbits
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
 from teleop.folder import numbered
-from teleop.live import realtime
+from teleop.live import realtime, security
 from teleop.live.address import address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.record import Recorder, fresh_folder
@@ -26,6 +26,9 @@ from teleop.live.wire import Wire
 from teleop.options import guarded, knobs_from, scene_options
 from teleop.scene import Scene, both_ends, load_scene
 from teleop.session import Session
+
+if TYPE_CHECKING:
+    from teleop.secure.line import Line
 
 
 def end_main(e: str, device: Callable[[Scene], Device], argv: Sequence[str] | None = None) -> int:
@@ -40,7 +43,8 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     scene = both_ends(load_scene(args.scene, **knobs_from(args)))
     endpoint = _endpoint(scene, e, args)
     stand = device(scene)
-    with _wire(e, args) as wire, Interrupt() as interrupt:
+    sealed, insecure = security.line(e, args)
+    with _wire(e, args, sealed) as wire, Interrupt() as interrupt:
         folder = Path(args.out) if args.out else numbered(Path("runs"), f"{scene.name}-{NAMES[e]}")
         with fresh_folder(folder) as keep:
             line = _Line(scene)
@@ -50,7 +54,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                      "mode": "lockstep" if args.lockstep else "live"}
             recorder = Recorder(scene, e, folder, about)
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
-            shell.realtime = realtime.asked(args, NAMES[e])
+            shell.realtime, shell.insecure = realtime.asked(args, NAMES[e]), insecure
             _greet(e, args, wire)
             try:
                 asyncio.run(shell.run())
@@ -104,6 +108,7 @@ def _parser(e: str) -> ArgumentParser:
     parser.add_argument("--lockstep", action="store_true",
                         help="tick by packets instead of by the clock: both ends step together, and the run equals the "
                         "one in virtual time bit for bit (both ends need it, and the same --seed)")
+    security.options(parser)
     realtime.option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     parser.add_argument("--quiet", action="store_true", help="no live line")
@@ -111,12 +116,12 @@ def _parser(e: str) -> ArgumentParser:
 
 
 @contextmanager
-def _wire(e: str, args: Namespace) -> Iterator[Wire]:
+def _wire(e: str, args: Namespace, line: Line | None) -> Iterator[Wire]:
     if e == "m":
         peer = peer_address(args.peer)
-        wire = Wire(towards(peer), peer)
+        wire = Wire(towards(peer), peer, line)
     else:
-        wire = Wire(bound(address(args.listen, "--listen"), "--listen"), None)
+        wire = Wire(bound(address(args.listen, "--listen"), "--listen"), None, line)
     try:
         yield wire
     finally:

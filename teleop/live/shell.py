@@ -51,6 +51,7 @@ class Shell:
         self.status, self.sentence = "stopped", "did not start"
         self.ticks = self.skipped = 0
         self.data_sent = 0
+        self.insecure = False  # in the open beyond loopback, as somebody asked
         self.realtime: dict[str, str] | None = None  # what the system gave of it, if it was asked
         self.cpu: float | None = None  # share of a core while it ran
         self.run_time: float | None = None  # s, of that
@@ -95,6 +96,7 @@ class Shell:
             for _ in range(3):  # a farewell may be lost too
                 self._send(self._bye())
                 await asyncio.sleep(0.002)
+            self.wire.end()
 
     async def _by_clock(self, loop: asyncio.AbstractEventLoop) -> None:
         """Tick when the timer rings.
@@ -149,6 +151,7 @@ class Shell:
                 quiet = quiet + 1 if left else 0
             except TimeoutError:
                 quiet += 1
+                self.wire.due(time.monotonic_ns())
                 self._send([*self._recent, *self.endpoint.session.due(time.monotonic_ns())])
         return False
 
@@ -179,11 +182,14 @@ class Shell:
             elif self._patience is not None and now - began > self._patience * 1e9:
                 self._end("refused", self._nobody(self._patience))
             self._send(session.due(now))
+            self.wire.due(now)
             await asyncio.sleep(0.005)
         return False
 
     def _nobody(self, patience: float) -> str:
-        peer = self.wire.peer
+        peer, line = self.wire.peer, self.wire.line
+        if line is not None and line.trouble is not None:
+            return f"no peer was let in in {patience:g} s: {line.trouble}"
         if peer is None:
             return f"no master came in {patience:g} s; start one that has this address as its --peer, or --wait longer"
         return f"no answer from {shown(peer)} in {patience:g} s; start the other end first, and check address and port"
@@ -207,6 +213,8 @@ class Shell:
             if got is None:
                 break
             data, address, came = got
+            if data is None:
+                continue
             meeting, before = session.start_ns is None, self.endpoint.way.count
             replies = self.endpoint.receive(data, came)
             if replies and meeting:  # it has shown that it belongs to this session
@@ -214,6 +222,7 @@ class Shell:
             elif self._deaf_again(before):
                 self.wire.peer = address
                 self.wire.keep_to_peer()
+            self.wire.follow()
             self._send(replies)
         if self._arrived is not None:
             self._arrived.set()
@@ -254,6 +263,7 @@ class Shell:
             return
         self.tick(k, now, late)
         self._send(session.due(now))
+        self.wire.due(now)
         self._announce(now)
 
     def _announce(self, now: int) -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from teleop.scene import Scene
     from teleop.trace import EndRecord
 
+INSECURE = "the link was neither authenticated nor encrypted, beyond loopback, as --insecure asked"
 NAMES = {"m": "master", "s": "slave"}
 WAYS = {"m": ("forth", "back"), "s": ("back", "forth")}  # the direction an end sends in, and the other
 
@@ -56,13 +57,13 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
                   "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
         "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "run_time": shell.run_time,
         "unsent": shell.wire.unsent, "refused": getattr(inbox, "refused", 0),
-        **({} if shell.realtime is None else {"realtime": shell.realtime}),
+        **_security(shell), **({} if shell.realtime is None else {"realtime": shell.realtime}),
     }
     return end_result(
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
         status=shell.status, sentence=shell.sentence, told=told,
         packets={sends: Packets(sent=shell.data_sent), hears: heard},
-        notes=[*([shell.recorder.trouble] if shell.recorder.trouble else []),
+        notes=[*([INSECURE] if shell.insecure else []), *([shell.recorder.trouble] if shell.recorder.trouble else []),
                *([sentence(shell.realtime)] if shell.realtime else [])],
     )
 
@@ -100,6 +101,15 @@ def lateness(ticks: Sequence[int], late: Sequence[float], dt_ns: int) -> list[fl
     for before, k, own in zip((-1, *ticks), ticks, late, strict=False):
         out += [own + missed * dt_ns for missed in range(k - before)]
     return out
+
+
+def _security(shell: Shell) -> dict[str, Any]:
+    """How the link was kept: sealed, and what of it was dropped; or open, on loopback or because it was asked for."""
+    line = shell.wire.line
+    if line is None:
+        return {"sealed": False}
+    return {"sealed": True, "associations": line.associations,
+            "dropped": {str(cause): count for cause, count in line.dropped.items()}}
 
 
 def _seconds(times: Times) -> dict[str, float] | None:

@@ -6,11 +6,15 @@ import socket
 import time
 from contextlib import suppress
 from struct import Struct
+from typing import TYPE_CHECKING
 
 from teleop.live.address import Address
 
+if TYPE_CHECKING:
+    from teleop.secure.line import Line, Out
+
 DRAIN = 16  # datagrams taken at one tick or wake-up: more would let a flood starve the tick
-LONGEST = 8193  # bytes: one more than any packet has, so that a longer datagram shows as such
+LONGEST = 8240  # bytes: more than any packet has, sealed or not, so that a longer datagram shows as such
 STAMP = 35  # SO_TIMESTAMPNS of Linux, which Python does not name: the kernel says when a datagram came
 OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells of a wall clock that was set
 ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
@@ -18,14 +22,17 @@ _TIMESPEC = Struct("@ll")
 
 
 class Wire:
-    """A non-blocking UDP socket with one peer. Nothing that happens on it raises into the loop."""
+    """A non-blocking UDP socket with one peer. Nothing that happens on it raises into the loop.
 
-    def __init__(self, sock: socket.socket, peer: Address | None) -> None:
+    With a `line` all that is sent is sealed, and only what its peer has sealed comes out.
+    """
+
+    def __init__(self, sock: socket.socket, peer: Address | None, line: Line | None = None) -> None:
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
         with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
-        self.sock, self.peer = sock, peer
+        self.sock, self.peer, self.line = sock, peer, line
         self.kept = False  # is it deaf to everybody but the peer
         self.unsent = 0  # datagrams that the system did not take
 
@@ -54,6 +61,11 @@ class Wire:
 
     def send(self, data: bytes) -> None:
         """To the peer, if there is one yet. What the system does not take now is lost, as on any network."""
+        if self.line is not None:
+            sealed, self.peer = self.line.send(data), self.line.address
+            if sealed is None:
+                return  # there is no association yet: whatever matters is said again
+            data = sealed
         if self.peer is None:
             return
         try:
@@ -64,8 +76,32 @@ class Wire:
         except OSError:
             self.unsent += 1
 
-    def receive(self) -> tuple[bytes, Address, int] | None:
+    def due(self, now: int) -> None:
+        """Send what the line has to say for itself: handshakes, and what was not answered of them."""
+        if self.line is not None:
+            self._say(self.line.due(now))
+
+    def end(self) -> None:
+        """Tell the peer's line that there is no more."""
+        if self.line is not None:
+            self._say(self.line.close())
+
+    def follow(self) -> None:
+        """Go with the peer to where its newest authenticated packet came from."""
+        if self.line is not None and self.line.address is not None and self.peer != self.line.address:
+            self.peer = self.line.address
+            if self.kept:
+                self.keep_to_peer()
+
+    def _say(self, out: list[Out]) -> None:
+        for data, address in out:
+            with suppress(OSError):
+                self.sock.sendto(data, address)
+
+    def receive(self) -> tuple[bytes | None, Address, int] | None:
         """A datagram, where it came from and when (monotonic clock, ns), or None if there is none now.
+
+        Of one that was the line's own business, or that nobody but a stranger can have sent, there are no bytes.
 
         Reading late does not make it late: the time is the kernel's, where it tells.
         """
@@ -84,4 +120,9 @@ class Wire:
                 age = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
                 if 0 <= age < OLDEST_NS:
                     now -= age
-        return data, address[:2], now
+        at: Address = address[:2]
+        if self.line is None:
+            return data, at, now
+        plain, out = self.line.receive(data, at, now)
+        self._say(out)
+        return plain[0] if plain else None, at, now

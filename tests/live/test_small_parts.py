@@ -105,6 +105,11 @@ def test_a_peer_whose_port_is_closed_raises_nothing() -> None:
 # Addresses
 
 
+def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
+    with pytest.raises(Refused, match=r"cannot listen on 203\.0\.113\.1:9001 .* another with --listen"):
+        bound(("203.0.113.1", 9001), "--listen")
+
+
 @pytest.mark.parametrize(("text", "meant"), [
     ("127.0.0.1:9001", ("127.0.0.1", 9001)), (":9001", ("127.0.0.1", 9001)), ("localhost:1", ("127.0.0.1", 1)),
     ("0.0.0.0:0", ("0.0.0.0", 0)),

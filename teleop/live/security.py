@@ -1,0 +1,59 @@
+"""What keeps a live link: keys where it leaves this machine, or a loud word that it has none."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING
+
+from teleop.errors import Refused
+from teleop.live.address import Address, address, peer_address, shown
+
+if TYPE_CHECKING:
+    from teleop.secure.line import Line
+
+
+def options(parser: ArgumentParser) -> None:
+    """Let a live end take its keys."""
+    parser.add_argument("--key", metavar="FILE", help="this end's key, as `teleop keygen` made it; what is sent is "
+                        "then encrypted, and needs --peer-fingerprint too")
+    parser.add_argument("--peer-fingerprint", metavar="TEXT", help="the fingerprint of the other end's key: no other "
+                        "end is let in")
+    parser.add_argument("--insecure", action="store_true",
+                        help="go beyond this machine without keys: whoever is on the way can read and change all of it")
+
+
+def line(e: str, args: Namespace) -> tuple[Line | None, bool]:
+    """The line of an end with keys, None of one without; and whether that is in the open. Raises `Refused`."""
+    at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
+    if args.key is None and args.peer_fingerprint is None:
+        return None, _open(at, args)
+    if args.insecure:
+        raise Refused("--insecure and --key do not go together; leave one of them out")
+    if args.key is None or args.peer_fingerprint is None:
+        raise Refused("--key and --peer-fingerprint go together: this end's key, and the fingerprint that `teleop "
+                      "keygen` printed where the other end's was made")
+    if args.lockstep:
+        raise Refused("--lockstep runs the same to the bit every time, and encryption has dice of its own; leave out "
+                      "--lockstep, or the keys")
+    from secrets import token_bytes
+
+    from teleop.secure.keys import load_key, need_secure, parse_fingerprint
+    from teleop.secure.line import Line
+
+    need_secure()
+    own, peer = load_key(args.key), parse_fingerprint(args.peer_fingerprint)
+    return (Line.calling(own, peer, at) if e == "m" else Line.listening(own, peer, token_bytes(32))), False
+
+
+def _open(at: Address, args: Namespace) -> bool:
+    """Is a link without keys in the open? Refused unless that was asked for, and then said loudly."""
+    if at[0].startswith("127."):
+        return False
+    if not args.insecure:
+        raise Refused(f"{shown(at)} is not on this machine, and a link without keys can be read, changed and taken "
+                      "over; make a key at each end with `teleop keygen NAME` and give --key and --peer-fingerprint, "
+                      "or write --insecure in a network you trust")
+    said = f"teleop: INSECURE: the link to {shown(at)} is neither authenticated nor encrypted"
+    print(said, file=sys.stderr, flush=True)
+    return True

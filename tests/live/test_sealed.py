@@ -1,0 +1,113 @@
+"""Two ends with keys: sealed, each letting in the other and nobody else; and without keys not beyond this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.live.conftest import summary
+
+pytest.importorskip("OpenSSL")
+from teleop.secure.keys import keygen  # (with the extra alone)
+
+pytestmark = pytest.mark.live
+SCENE = ["hard_wall", "--set", "duration=1", "--json"]
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> dict[str, tuple[str, str]]:
+    """Of three ends: the file and the fingerprint."""
+    made = {name: keygen(tmp_path / name) for name in ("master", "slave", "stranger")}
+    return {name: (str(path), fingerprint) for name, (path, fingerprint) in made.items()}
+
+
+def has(keys: dict[str, tuple[str, str]], own: str, peer: str) -> list[str]:
+    return ["--key", keys[own][0], "--peer-fingerprint", keys[peer][1]]
+
+
+def test_two_ends_with_keys_run_sealed(
+    command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
+) -> None:
+    slave = command("slave", *SCENE, "--link", "none", "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
+                    "--out", str(tmp_path / "s"))
+    master = command("master", *SCENE, "--link", "none", "--peer", f"127.0.0.1:{slave.port()}",
+                     *has(keys, "master", "slave"), "--out", str(tmp_path / "m"))
+    for end in (master, slave):
+        code, out, err = end.end()
+        assert code == 0, (out, err)
+    for name, folder in (("master", "m"), ("slave", "s")):
+        told = summary(tmp_path / folder)
+        assert told["status"] == "ok"
+        assert told[name]["sealed"] is True
+        assert told[name]["associations"] == 1
+        way = told["packets"]["back" if name == "master" else "forth"]
+        assert way["received"] > 900
+        assert not way["rejected"]
+        assert keys[name][0] in " ".join(told["command"])  # the file's name, and nothing of what is in it
+        assert "PRIVATE" not in (tmp_path / folder / "summary.json").read_text()
+
+
+def test_they_meet_through_a_channel_that_loses_doubles_and_reorders(
+    command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
+) -> None:
+    scene = [*SCENE, "--link", "delay(0.005) | uniform(0.01) | bernoulli(0.3) | duplicate(0.1, after=0.002)"]
+    slave = command("slave", *scene, "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
+                    "--out", str(tmp_path / "s"))
+    channel = command("channel", *scene, "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{slave.port()}")
+    master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", *has(keys, "master", "slave"),
+                     "--out", str(tmp_path / "m"), "--wait", "25")
+    for end in (master, slave):
+        code, out, err = end.end()
+        assert code == 0, (out, err)
+    received = summary(tmp_path / "s")["packets"]["forth"]["received"]
+    assert 400 < received < 900
+    assert summary(tmp_path / "m")["master"]["sealed"] is True
+
+
+@pytest.mark.parametrize("wrong", ["master", "slave"])
+def test_an_end_with_another_key_is_not_let_in(
+    wrong: str, command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
+) -> None:
+    """The stranger knows the fingerprint that it should have, and has not the key to it."""
+    own = {name: "stranger" if name == wrong else name for name in ("master", "slave")}
+    slave = command("slave", *SCENE, "--listen", "127.0.0.1:0", *has(keys, own["slave"], "master"), "--wait", "4",
+                    "--out", str(tmp_path / "s"))
+    master = command("master", *SCENE, "--peer", f"127.0.0.1:{slave.port()}", *has(keys, own["master"], "slave"),
+                     "--wait", "4", "--out", str(tmp_path / "m"))
+    for end in (master, slave):
+        end.refused("in 4 s")
+    assert not (tmp_path / "s").exists()
+    assert not (tmp_path / "m").exists()
+
+
+@pytest.mark.parametrize(("name", "words"), [
+    ("slave", ["--listen", "0.0.0.0:0"]), ("master", ["--peer", "192.0.2.1:9001"]),
+])
+def test_beyond_this_machine_nothing_goes_without_keys(
+    name: str, words: list[str], command: Callable[..., Any]
+) -> None:
+    command(name, *SCENE, *words).refused("not on this machine", "teleop keygen", "--insecure")
+
+
+def test_what_goes_in_the_open_all_the_same_says_so_loudly(command: Callable[..., Any], tmp_path: Path) -> None:
+    slave = command("slave", *SCENE, "--link", "none", "--listen", "0.0.0.0:0", "--insecure",
+                    "--out", str(tmp_path / "s"))
+    master = command("master", *SCENE, "--link", "none", "--peer", f"127.0.0.1:{slave.port()}",
+                     "--out", str(tmp_path / "m"))
+    assert master.end()[0] == 0
+    code, _, err = slave.end()
+    assert code == 0
+    assert "INSECURE" in err
+    assert any("--insecure" in note for note in summary(tmp_path / "s")["notes"])
+    assert not any("--insecure" in note for note in summary(tmp_path / "m")["notes"])
+
+
+def test_half_of_the_keys_is_refused(command: Callable[..., Any], keys: dict[str, tuple[str, str]]) -> None:
+    words = ["master", *SCENE, "--peer", "127.0.0.1:9"]
+    command(*words, "--key", keys["master"][0]).refused("go together")
+    command(*words, "--peer-fingerprint", keys["slave"][1]).refused("go together")
+    command(*words, *has(keys, "master", "slave"), "--lockstep").refused("--lockstep")
+    command(*words, *has(keys, "master", "slave"), "--insecure").refused("leave one of them out")
