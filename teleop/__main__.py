@@ -14,6 +14,7 @@ from teleop.options import DONE, INTERRUPTED, guarded, knobs_from
 if TYPE_CHECKING:
     from teleop.result import Result
 
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Do what `argv` (left out: the command line) asks for; returns the exit code, 0 or that of `guarded`."""
     typed = sys.argv[1:] if argv is None else list(argv)
@@ -126,17 +127,22 @@ def _sweep(args: Namespace) -> None:
     from time import perf_counter
 
     from teleop.batch.command import carry_out
+    from teleop.batch.report import Wish, drawn
+    from teleop.figure import need_plot
 
-    _check_plot(args)
+    wish = Wish(args.picture, args.metric) if args.plot or args.picture or args.metric else None
+    if wish is not None:
+        need_plot()
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
                       latin=args.latin, random=args.random, cluster=args.cluster,
-                      engine=args.engine, out=args.out, yes=args.yes, clock=perf_counter, plot=args.plot,
+                      engine=args.engine, out=args.out, yes=args.yes, clock=perf_counter, wish=wish,
                       stream=None if args.json else sys.stderr)
-    swept.write(args.typed)
+    told = swept.write(args.typed)
+    where = "" if wish is None else "\n" + drawn(swept.table, swept.folder, told, wish)
     if args.json:
-        _say_object(swept.summary(args.typed))
+        _say_object({**swept.summary(args.typed), "runs": told["runs"]})
     else:
-        _say(swept.text())
+        _say(swept.text() + where)
     if swept.interrupted:
         raise SystemExit(INTERRUPTED)
 
@@ -194,6 +200,7 @@ def _list(args: Namespace) -> None:
 
 
 def _report(args: Namespace) -> None:
+    from teleop.batch.report import Wish, check_run
     from teleop.result import load_result
 
     if args.slave is not None:
@@ -202,6 +209,7 @@ def _report(args: Namespace) -> None:
     if (Path(args.run) / "sweep.json").is_file():
         _report_sweep(args)
         return
+    check_run(Path(args.run), Wish(args.picture, args.metric))
     result = load_result(args.run)
     if args.json:
         from json import loads
@@ -213,20 +221,13 @@ def _report(args: Namespace) -> None:
 
 
 def _report_sweep(args: Namespace) -> None:
-    from teleop.batch.command import picture, shown
-    from teleop.errors import Refused
-    from teleop.figure import drawable
+    from teleop.batch.report import Wish, report
 
-    definition, table = shown(Path(args.run))
+    told, text = report(Path(args.run), Wish(args.picture, args.metric), quiet=args.json)
     if args.json:
-        _say_object({**definition, "done": len(table), "counts": table.counts(), "path": args.run})
-        return
-    _say(f"sweep    {definition['scene']}\n{table}")
-    if drawable() and len(table):
-        try:
-            picture(table, Path(args.run), definition["scene"])
-        except Refused as refused:
-            _say(f"no figure: {refused}")
+        _say_object(told)
+    else:
+        _say(text)
 
 
 def _put_together(args: Namespace) -> None:

@@ -54,6 +54,12 @@ def _plot(added: ArgumentParser, what: str) -> None:
     added.add_argument("--plot", action="store_true", help=f"draw {what} too (needs the extra `plot`)")
 
 
+def _picture(added: ArgumentParser, then: str) -> None:
+    added.add_argument("--picture", metavar="KIND", help="stability (how rows ended, over two knobs), metric (one over "
+                       f"two knobs) or curves (one over one knob); left out: by what varies and how rows ended{then}")
+    added.add_argument("--metric", metavar="NAME", help=f"the metric that it shows; left out: the first{then}")
+
+
 def _run(added: ArgumentParser) -> None:
     scene_options(added)
     _out(added, "SCENE")
@@ -74,8 +80,9 @@ def _demo(added: ArgumentParser) -> None:
 
 def _sweep(added: ArgumentParser) -> None:
     scene_options(added, seed=False)
-    added.add_argument("--grid", metavar="KNOB=VALUES", nargs="+", default=[],
-                       help="axes of the grid: delay=0:0.5:51, k_e=1e2:1e6:9:log, law=wave,pfra; several are crossed")
+    added.add_argument("--grid", metavar="KNOB=VALUES", nargs="+", action="extend", default=[],
+                       help="axes of the grid: delay=0:0.5:51, k_e=1e2:1e6:9:log, law=wave,pfra; several are "
+                       "crossed, in one --grid or in several")
     added.add_argument("--seeds", metavar="N", type=whole, default=1,
                        help="every point with the seeds 0 .. N-1; left out: 1")
     added.add_argument("--latin", metavar="N", type=whole, help="N points drawn from the ranges of --grid "
@@ -92,6 +99,7 @@ def _sweep(added: ArgumentParser) -> None:
     added.add_argument("--yes", action="store_true", help="more than 1e9 rows are meant")
     _json(added)
     _plot(added, "sweep.png")
+    _picture(added, "; draws sweep.png, as --plot does")
 
 
 def _matrix(added: ArgumentParser) -> None:
@@ -146,10 +154,12 @@ def _list(added: ArgumentParser) -> None:
 
 
 def _report(added: ArgumentParser) -> None:
-    added.add_argument("run", metavar="RUN", help="the folder that a run wrote; or that of a master that ran by hand")
+    added.add_argument("run", metavar="FOLDER",
+                       help="the folder that a run or a sweep wrote; or that of a master that ran by hand")
     added.add_argument("slave", metavar="SLAVE", nargs="?",
                        help="the folder of the slave of that master: puts the two ends together, as a new run")
     added.add_argument("--out", metavar="DIR", help="with SLAVE: the new folder to write; default runs/SCENE-NUMBER")
+    _picture(added, " (of a sweep)")
     _json(added, "print the stored summary and nothing else")
 
 
@@ -178,7 +188,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "list": ("List scenes, laws, effects and velocity estimators, or the knobs of one of them.", _list),
     "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
-    "report": ("Show a stored run again, and draw it if the extra `plot` is there.", _report),
+    "report": ("Show a stored run or sweep again, and draw it if the extra `plot` is there.", _report),
 }
 
 

@@ -65,7 +65,11 @@ def _kind(name: str, default: Any) -> Any:
 def settle(
     name: str, function: Callable[..., Any], given: Mapping[str, object]
 ) -> tuple[dict[str, object], dict[str, tuple[object, Any]]]:
-    """All knobs of a scene with their values; of what every scene has, what was given, to be shown and to be set."""
+    """All knobs of a scene with their values; of what every scene has, what was given, to be shown and to be set.
+
+    Raises `Refused` for what is not known, for what is no value, and for a knob that only the scene's own link would
+    have read where that link is replaced: it would be turned, shown, and change nothing.
+    """
     known = knobs_of(function)
     values: dict[str, Any] = {key: default for key, (_, default) in known.items() if default is not ...}
     of_scene: dict[str, tuple[object, Any]] = {}
@@ -86,7 +90,43 @@ def settle(
         raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
     if of_law:
         values["law"] = _tuned(values["law"], of_law)
+    if "link" in of_scene:
+        for key in given:
+            if key in known and _only_in_link(function, key, values, known[key][1]):
+                text = f"delay({values[key]})" if key == "delay" else "delay(0.04) | uniform(0.02) | bernoulli(0.02)"
+                raise Refused(f"{key} sets nothing but the link of scene {name}, and link={of_scene['link'][0]} takes "
+                              f"that link's place; leave {key} out and write the whole link, for example "
+                              f"link='{text}'")
     return values, of_scene
+
+
+@lru_cache(maxsize=64)
+def _found_in_link(_: Callable[..., Any]) -> dict[str, bool]:
+    """What is known of a scene function's knobs by now, for `_only_in_link`; to be added to."""
+    return {}
+
+
+def _only_in_link(function: Callable[..., Any], key: str, values: Mapping[str, Any], default: Any) -> bool:
+    """Does a knob change the link of a scene and nothing else of it? Found by turning it, once for each function."""
+    known = _found_in_link(function)
+    if key not in known:
+        known[key] = _turned(function, key, values, default)
+    return known[key]
+
+
+def _turned(function: Callable[..., Any], key: str, values: Mapping[str, Any], default: Any) -> bool:
+    now = values[key]
+    others = [default] if default is not ... else []
+    if type(now) in (int, float):
+        others += [now / 2.0, 2.0 * now, now + 1.0] if type(now) is float else [now + 1, now - 1]
+    for other in others:
+        with suppress(Exception):  # a value that the scene does not take; what is wrong with its own, it says itself
+            if other == now:
+                continue
+            one, two = (dict(vars(function(**{**values, key: value}))) for value in (now, other))
+            if one.pop("link") != two.pop("link"):  # and where both are equal, it may be by chance
+                return bool(one == two)
+    return False
 
 
 def read(key: str, value: object, hint: Any) -> object:

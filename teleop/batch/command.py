@@ -58,7 +58,8 @@ class Swept(NamedTuple):
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
         lines = [f"sweep    {self.plan.scene}, {whole(len(self.plan.grid))} rows of {turned}",
                  *status_lines(self.table)]
-        lines.append(f"engine   {self.plan.engine}: {self.plan.why}{rate}" if self.ran else
+        found = not self.ran and len(self.table) == len(self.plan.grid)
+        lines.append(f"engine   {self.plan.engine}: {self.plan.why}{rate}" if not found else
                      "engine   none, for no row was left to run: summary.json says which ran them")
         lines += [f"         {rows} rows by {engine}: {why}" for (engine, why), rows in self.plan.ran.items() if why]
         if self.cluster is not None:
@@ -109,7 +110,6 @@ def carry_out(
     with _workers(cluster, tell) as pool:
         began = clock()
         before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
-        show(before, rows)
         try:
             table = run_rows(plan, executor=pool, out=folder, show=show)
         except KeyboardInterrupt:

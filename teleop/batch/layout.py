@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 from teleop.metrics import UNITS
@@ -113,26 +115,51 @@ def panels_of(table: Table, knobs: list[Knob]) -> tuple[list[Panel], str]:
     """A panel for each combination of values that has rows, up to `PANELS`, and what was left out."""
     import numpy as np
 
-    code = np.zeros(len(table), np.int64)
-    for knob in knobs:
+    code, keep = np.zeros(len(table), np.int64), np.ones(len(table), bool)
+    kept = thinned([len(knob.values) for knob in knobs], PANELS, [knob.numeric for knob in knobs])
+    left = []
+    for knob, count in zip(knobs, kept, strict=True):
         code = code * len(knob.values) + knob.place
-    keys = np.unique(code)
-    kept = spread(len(keys), PANELS)
+        if count < len(knob.values):
+            shown = spread(len(knob.values), count)
+            keep &= np.isin(knob.place, shown)
+            left.append(f"{count} of {len(knob.values)} values of {knob.name}" if count > 1 else
+                        f"{knob.name} {text_of(knob.values[shown[0]])} alone, of {len(knob.values)} values")
     panels = []
-    for key in keys[kept].tolist():
+    for key in np.unique(code[keep]).tolist():
         said: list[str] = []
         rest = key
         for knob in reversed(knobs):
             rest, place = divmod(rest, len(knob.values))
-            said.insert(0, f"{knob.name} {text_of(knob.values[place])}")
+            said.insert(0, f"{knob.name} {text_of(knob.values[place])} {knob.unit}".rstrip())
         narrow = sum(map(len, said)) > 30  # more would run into the next panel's
         panels.append(Panel(title=("\n" if narrow else ", ").join(said), rows=np.flatnonzero(code == key)))
-    left = f"{len(kept)} of {len(keys)} values of {', '.join(knob.name for knob in knobs)}"
-    return panels, left if len(kept) < len(keys) else ""
+    return panels, ", ".join(left)
+
+
+def thinned(counts: list[int], most: int, numeric: list[bool]) -> list[int]:
+    """How many values of each knob to show, so that their combinations are at most `most`.
+
+    As few knobs as possible lose any, rather numbers than texts, as few as possible are down to one, and then as many
+    combinations as possible are shown.
+
+    >>> thinned([3, 4], 6, [True, True]), thinned([3, 3], 6, [False, True]), thinned([2, 2, 4], 6, [True, True, False])
+    ([3, 2], [3, 2], [2, 2, 1])
+    """
+    def lost(way: tuple[int, ...]) -> tuple[int, ...]:
+        less = [n < count for n, count in zip(way, counts, strict=True)]
+        texts = sum(gone and not number for gone, number in zip(less, numeric, strict=True))
+        return sum(less), texts, sum(n == 1 for n in way), -prod(way)
+
+    ways = product(*(range(1, min(count, most) + 1) for count in counts))
+    best = min((way for way in ways if prod(way) <= most), key=lost)
+    return [*best]
 
 
 def spread(count: int, most: int) -> list[int]:
-    """At most `most` of `count` places, both ends among them."""
+    """At most `most` of `count` places, both ends among them; one is that in the middle."""
+    if most == 1:
+        return [count // 2] if count > 1 else [0]
     return [*range(count)] if count <= most else [round(i * (count - 1) / (most - 1)) for i in range(most)]
 
 
@@ -156,6 +183,22 @@ def scale(axes: Axes, which: str, values: tuple[Any, ...]) -> None:
         getattr(axes, f"set_{which}scale")("log")
     elif log:
         getattr(axes, f"set_{which}scale")("symlog", linthresh=above[0], linscale=0.5)
+
+
+def spacing(values: NDArray[Any]) -> tuple[str, float]:
+    """The scale on which all of these finite values can be told apart: linear, log or symlog, and up to where linear.
+
+    One run that grows until it is stopped would leave all others in a flat line at the bottom.
+    """
+    import numpy as np
+
+    sizes = np.abs(values[values != 0.0])
+    if not len(sizes):
+        return "linear", 0.0
+    if values.min() > 0.0:
+        return ("log" if DECADES * sizes.min() < sizes.max() else "linear"), 0.0
+    usual = float(np.median(sizes))
+    return ("symlog", 10.0 ** np.floor(np.log10(usual))) if DECADES * usual < sizes.max() else ("linear", 0.0)
 
 
 def groups_of(values: NDArray[Any], where: NDArray[Any], ok: NDArray[Any], count: int) -> list[NDArray[Any]]:

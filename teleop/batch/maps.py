@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from teleop.batch.layout import (
     BLACK,
-    DECADES,
     OTHER,
     RED,
     SKY,
@@ -18,6 +18,7 @@ from teleop.batch.layout import (
     gradient_map,
     groups_of,
     scale,
+    spacing,
     unit_of,
 )
 
@@ -67,12 +68,16 @@ def _found(table: Table, rows: NDArray[Any], x: Knob, y: Knob, metric: str | Non
 
 
 def draw_maps(
-    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[Knob], metric: str | None
+    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[Knob], metric: str | None,
+    words: Mapping[str, str],
 ) -> str:
-    """Coloured cells by status, by share of runs that end ok, or by a metric; the boundary. Leaves nothing out."""
+    """Coloured cells by status, by share of runs that end ok, or by a metric; the boundary. Leaves nothing out.
+
+    `words` are what the legend says of a status.
+    """
     import numpy as np
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, to_rgba
+    from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
     from matplotlib.lines import Line2D
 
     x, y = knobs
@@ -82,42 +87,49 @@ def draw_maps(
     norm, colours = Normalize(0.0, 1.0), LinearSegmentedColormap.from_list("share", (RED, "#F5EFE6", SKY))
     if metric is not None:
         values = np.concatenate([one.value for one in found])
-        norm, colours = _norm(values[np.isfinite(values)], LogNorm, Normalize), gradient_map()
+        norm, colours = _norm(values[np.isfinite(values)]), gradient_map()
     drawn: set[str] = set()
     edged = False
     for (axes, panel), one in zip(shown, found, strict=True):
         scale(axes, "x", x.values)
         scale(axes, "y", y.values)
         known = np.isfinite(one.value)
-        words = one.status if by_status else np.select(
+        said = one.status if by_status else np.select(
             [known, np.isnan(one.share), one.share == 0.0], ["", *WITHOUT[:2]], WITHOUT[2])
         paint = np.array(colours(norm(np.ma.masked_invalid(one.value))))
-        for word in {*words.tolist()} - {""}:
+        for word in {*said.tolist()} - {""}:
             drawn.add(word)
-            paint[words == word] = to_rgba(STATUS.get(word, OTHER))
+            paint[said == word] = to_rgba(STATUS.get(word, OTHER))
         edged |= _place(axes, x, y, one, paint, sampled)
         ended = float((table["status"][panel.rows] == "ok").mean())
         between = "" if not panel.title else "\n" if "\n" in panel.title else ": "
         axes.set_title(f"{panel.title}{between}{100.0 * ended:.3g} % ok", fontsize=10)
     handles = [Line2D([], [], marker="s", markersize=9, linestyle="none", color=STATUS.get(word, OTHER),
-                      label=word) for word in sorted(drawn, key=[*STATUS, *sorted(drawn)].index)]
+                      label=words.get(word, word)) for word in sorted(drawn, key=[*STATUS, *sorted(drawn)].index)]
     if edged:
         half = "boundary" if by_status else "half of the runs end ok"
         handles.append(Line2D([], [], color=BLACK, linewidth=1.4, label=half))
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
     if not by_status:
-        label = "share of runs that end ok" if metric is None else f"{metric}{unit_of(metric)}, median of the runs ok"
+        label = f"share of runs that end {words.get('ok', 'ok')}"
+        if metric is not None:
+            label = f"{metric}{unit_of(metric)}, median of the runs ok"
         figure.colorbar(ScalarMappable(norm, colours), ax=[axes for axes, _ in shown], label=label)
     return ""
 
 
-def _norm(values: NDArray[Any], log: Any, linear: Any) -> Any:
+def _norm(values: NDArray[Any]) -> Any:
     """From the least to the greatest value, by ratios where they are far apart."""
+    from matplotlib.colors import LogNorm, Normalize, SymLogNorm
+
     if not len(values):
-        return linear(0.0, 1.0)
+        return Normalize(0.0, 1.0)
     low, high = float(values.min()), float(values.max())
-    return log(low, high) if low > 0.0 and DECADES * low < high else linear(low, high)
+    scaled, linear = spacing(values)
+    if scaled == "symlog":
+        return SymLogNorm(linear, linscale=0.5, vmin=low, vmax=high)
+    return (LogNorm if scaled == "log" else Normalize)(low, high)
 
 
 def _place(axes: Axes, x: Knob, y: Knob, found: _Found, paint: NDArray[Any], sampled: bool) -> bool:

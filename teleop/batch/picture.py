@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from teleop.batch.layout import (
-    DECADES,
     GREY,
     TEXTS,
     Knob,
@@ -18,6 +17,7 @@ from teleop.batch.layout import (
     pairs_of,
     panels_of,
     scale,
+    spacing,
     spread,
     text_of,
     unit_of,
@@ -39,32 +39,29 @@ LINES = 7  # at most, in one panel
 
 def draw(
     table: Table, path: Path, kind: str | None = None, *, metric: str | None = None, title: str = "",
-    units: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None, words: Mapping[str, str] | None = None,
 ) -> None:
     """Draw `table` into the PNG file `path`, whole or not at all.
 
     `kind`: "stability" (two knobs as axes, cells coloured by status, or by the share of seeds that end ok, and the
     boundary between them), "metric" (the median over the seeds that end ok), "curves" (a metric over one knob, with
-    its quartiles and extremes over the seeds; a line for each value of another). Left out: stability if two
-    knobs with numbers vary, curves otherwise. Knobs left over have a panel for each value. `metric` is one of
-    `table.metrics`, left out the first. `units` are those of knobs. Points without a grid (a random sample) are drawn
-    as such. Raises `Refused` if the extra is missing, nothing varies, or the file cannot be written.
+    its quartiles and extremes over the seeds; a line for each value of another). Left out: of two knobs with numbers
+    a map, of the metric if that is given or every row ended ok, else of stability; of one curves. Knobs left over have
+    a panel for each value. `metric` is one of `table.metrics`, left out the first. `units` are those of knobs, `words`
+    what the legend says of a status. Points without a grid (a random sample) are drawn as such. Raises `Refused` if
+    the extra is missing, nothing varies, or the file cannot be written.
     """
     need_plot()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    if kind is not None and kind not in KINDS:
-        raise Refused(f"there is no picture {kind!r}; {nearest(kind, KINDS)}")
     knobs, notes = varying(table, units or {})
-    numeric = [knob for knob in knobs if knob.numeric]
-    kind = kind or ("stability" if len(numeric) >= 2 else "curves")
-    if not knobs or (kind != "curves" and len(numeric) < 2):
-        need = "a knob" if kind == "curves" else "two knobs with numbers"
-        raise Refused(f"a picture of this kind needs {need} with several values each, and the {len(table)} rows have "
-                      f"{', '.join(knob.name for knob in knobs) or 'none'}; widen the grid, for example delay=0:0.5:51")
-    if kind != "stability":
-        metric = _metric(table, metric)
+    numeric = [knob.name for knob in knobs if knob.numeric]
+    check([knob.name for knob in knobs], numeric, kind, metric, table.metrics)
+    if kind is None:
+        plain = metric is None and ({*table.counts()} != {"ok"} or not table.metrics)
+        kind = "curves" if len(numeric) < 2 else "stability" if plain else "metric"
+    metric = metric or next(iter(table.metrics), None)
     axes_knobs = axes_knobs_of(knobs, kind)
     others = [knob for knob in knobs if knob not in axes_knobs]
     sampled = [knob for knob in others if pairs_of(knob, axes_knobs[0]) is not None]  # of no value has it two rows
@@ -82,7 +79,7 @@ def draw(
     if kind == "curves":
         left = _curves(figure, shown, table, axes_knobs, str(metric))
     else:
-        left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None)
+        left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words or {})
     for at, (axes, _) in enumerate(shown):
         if at % columns == 0:
             axes.set_ylabel(axes_knobs[1].label if kind != "curves" else f"{metric}{unit_of(str(metric))}")
@@ -95,12 +92,23 @@ def draw(
     save(figure, path)
 
 
-def _metric(table: Table, metric: str | None) -> str:
-    if not table.metrics:
-        raise Refused("the rows have no metric to draw; sweep with one, for example metrics=[\"x_err_rms\"]")
-    if metric is not None and metric not in table.metrics:
-        raise Refused(f"the rows have no metric {metric!r}; {nearest(metric, table.metrics)}")
-    return metric or table.metrics[0]
+def check(knobs: Sequence[str], numeric: Sequence[str], kind: str | None, metric: str | None, metrics: Sequence[str]
+          ) -> None:
+    """Refuse a picture that cannot be: `knobs` have several values, `numeric` of them are numbers."""
+    if kind is not None and kind not in KINDS:
+        raise Refused(f"there is no picture {kind!r}; {nearest(kind, KINDS)}")
+    if not knobs or (kind not in (None, "curves") and len(numeric) < 2):
+        need = "a knob" if kind in (None, "curves") else "two knobs with numbers"
+        raise Refused(f"a picture of this kind needs {need} with several values each, and the grid has "
+                      f"{', '.join(knobs) or 'none'}; widen the grid, for example delay=0:0.5:51")
+    if metric is not None and metric not in metrics:
+        raise Refused(f"the rows have no metric {metric!r}; {nearest(metric, metrics)}" if metrics else
+                      f"the rows have no metric, and so no {metric}; sweep with it, --metrics {metric}")
+    if metric is not None and kind == "stability":
+        raise Refused(f"a stability map shows how rows ended, and no metric; leave {metric} out, or write "
+                      "--picture metric")
+    if not metrics and (kind in ("metric", "curves") or len(numeric) < 2):
+        raise Refused("the rows have no metric to draw; sweep with one, for example --metrics x_err_rms")
 
 
 def _curves(
@@ -152,8 +160,9 @@ def _curves(
             axes.set_xticks(where_x, texts, rotation=20.0 if long else 0.0, ha="right" if long else "center")
         axes.set_title(panel.title, fontsize=10)
         axes.grid(visible=True, linewidth=0.4, alpha=0.5)
-    if every and min(every) > 0.0 and DECADES * min(every) < max(every):
-        shown[0][0].set_yscale("log")  # the panels share it
+    scaled, linear = spacing(np.array(every))
+    if scaled != "linear":  # the panels share it
+        shown[0][0].set_yscale(scaled, **({"linthresh": linear} if scaled == "symlog" else {}))
     _explain(figure, shown, table)
     left = by is not None and len(places) < len(by.values)
     return f"{len(places)} of {len(by.values)} values of {by.name}" if by is not None and left else ""

@@ -184,7 +184,8 @@ class TestDemo:
         assert "live in lockstep" in answer.out
         assert answer.out.endswith("written to runs/hard_wall-1\n")
         command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep"]
-        rest = {"seed": 3, "out": Path("runs/hard_wall-1"), "json": False, "lockstep": True, "command": command}
+        rest = {"seed": 3, "out": Path("runs/hard_wall-1"), "json": False, "lockstep": True, "command": command,
+                "realtime": False}
         if find_spec("matplotlib"):
             assert Path("runs/hard_wall-1/figure.png").is_file()
         assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import Result, load_scene, run
-from teleop.console import PREFIX, Progress, si, table
+from teleop.console import PREFIX, Progress, RowsProgress, duration, si, table, whole
 from teleop.result import Packets
 
 
@@ -188,6 +188,118 @@ class TestProgressOnATerminal:
         stream = Terminal()
         Progress(stream, 10).end()
         assert stream.getvalue() == ""
+
+
+    def test_drops_the_bar_where_it_leaves_no_room_for_the_rest(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        stream = narrow(monkeypatch, 40)
+        progress = Progress(stream, 10)
+        progress.show(0, 0.0)
+        progress.show(5, 1.0, "critical k_e, 3 of 7")
+        assert stream.lines() == [" 50%  1.0 s left  critical k_e, 3 of 7"]
+
+
+def narrow(monkeypatch: pytest.MonkeyPatch, columns: int) -> Terminal:
+    """A terminal so many columns wide."""
+    stream = Terminal()
+    monkeypatch.setattr(stream, "fileno", lambda: 1)
+    monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((columns, 24)))
+    return stream
+
+
+class TestRowsOnATerminal:
+    def test_are_shown_before_the_first_of_them(self) -> None:
+        stream = Terminal()
+        RowsProgress(stream).show(0, 4800, 10.0)
+        assert stream.lines() == ["[....................]  0 of 4800 rows  starting"]
+
+    def test_have_a_rate_without_what_it_took_until_the_first_came(self) -> None:
+        stream = Terminal()
+        progress = RowsProgress(stream)
+        for done, now in ((0, 0.0), (1, 20.0), (4, 20.4)):  # 20 s of compiling
+            progress.show(done, 4800, now)
+        assert stream.lines() == ["[....................]  4 of 4800 rows          "]  # a bunch: no rate yet
+        progress.show(1201, 4800, 22.0)
+        assert stream.lines()[0].rstrip() == "[#####...............]  1201 of 4800 rows  600 rows/s  6 s left"
+        progress.show(4800, 4800, 28.0)
+        assert stream.lines()[0].rstrip() == "[####################]  4800 of 4800 rows  600 rows/s"
+
+    def test_that_were_there_before_count_for_no_rate(self) -> None:
+        stream = Terminal()
+        progress = RowsProgress(stream)
+        progress.show(4000, 4800, 0.0)
+        assert stream.lines() == ["[#################...]  4000 of 4800 rows  starting"]
+        for done, now in ((4010, 3.0), (4110, 4.0)):
+            progress.show(done, 4800, now)
+        assert stream.lines()[0].rstrip() == "[#################...]  4110 of 4800 rows  100 rows/s  7 s left"
+
+    def test_have_the_rate_of_the_last_seconds(self) -> None:
+        stream = Terminal()
+        progress = RowsProgress(stream)
+        for second in range(60):  # 1 row a second, and 100 from the 30th on
+            progress.show(second + 99 * max(0, second - 30), 10_000, float(second))
+        assert "  100 rows/s  " in stream.lines()[0]
+
+    def test_that_take_longer_than_that_have_a_rate_too(self) -> None:
+        stream = Terminal()
+        progress = RowsProgress(stream)
+        for done in range(4):
+            progress.show(done, 10, 60.0 * done)
+        assert "  0.017 rows/s  7 min left" in stream.lines()[0]
+
+    def test_that_are_all_there_are_not_starting(self) -> None:
+        stream = Terminal()
+        RowsProgress(stream).show(4800, 4800, 0.0)
+        assert stream.lines() == ["[####################]  4800 of 4800 rows"]
+
+    @pytest.mark.parametrize(("columns", "line"), [
+        (80, "[####################]  999 000 of 1 000 000 rows  100 rows/s  10 s left"),
+        (60, "999 000 of 1 000 000 rows  100 rows/s  10 s left"),
+        (40, "999 000 of 1 000 000 rows  10 s left"), (36, "999 000 of 1 000 000  10 s left"),
+        (59, "999 000 of 1 000 000 rows  100 rows/s  10 s left"), (24, "999 000 of 1 000 000"), (12, "999 000 of "),
+    ])
+    def test_leave_out_what_matters_least_where_it_is_narrow(
+        self, monkeypatch: pytest.MonkeyPatch, columns: int, line: str
+    ) -> None:
+        stream = narrow(monkeypatch, columns)
+        progress = RowsProgress(stream)
+        for done, now in ((0, 0.0), (998_000, 5.0), (999_000, 15.0)):
+            progress.show(done, 1_000_000, now)
+        assert stream.lines()[0].rstrip() == line.rstrip()
+        assert max(map(len, stream.lines())) < columns
+
+    def test_have_no_bar_that_would_come_and_go_where_it_is_narrow(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        stream = narrow(monkeypatch, 40)
+        progress = RowsProgress(stream)
+        progress.show(0, 10, 0.0)
+        assert stream.lines() == ["0 of 10 rows  starting"]
+        progress.show(1, 10, 1.0)
+        assert stream.lines()[0].rstrip() == "1 of 10 rows"
+
+    def test_elsewhere_are_a_plain_line_now_and_then(self) -> None:
+        stream = io.StringIO()
+        progress = RowsProgress(stream)
+        for second in range(13):
+            progress.show(10 * second, 1000, float(second))
+        progress.end()
+        assert stream.getvalue().splitlines() == [
+            "50 of 1000 rows  10 rows/s  95 s left", "100 of 1000 rows  10 rows/s  90 s left",
+        ]
+
+
+@given(st.floats(min_value=0.0, max_value=1e9))
+def test_a_duration_reads_back_in_a_unit_that_suits_it(seconds: float) -> None:
+    text, unit = duration(seconds).split(" ")
+    read = float(text) * {"s": 1.0, "min": 60.0, "h": 3600.0}[unit]
+    assert read == pytest.approx(seconds, rel=0.0502, abs=1.0 if unit == "s" else 0.0)
+    assert "e" not in text
+    assert text != "0"
+    assert (unit == "s") == (seconds < 99.5)
+
+
+@given(st.integers(0, 10**20))
+def test_a_count_reads_back_from_groups_of_three(count: int) -> None:
+    assert int(whole(count).replace(" ", "")) == count
+    assert all(len(group) == 3 for group in whole(count).split(" ")[1:])
 
 
 class TestProgressElsewhere:

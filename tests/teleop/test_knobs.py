@@ -15,7 +15,7 @@ from channel.delay import Delay
 from teleop import Refused, load_scene
 from teleop.device import VelocityEstimator
 from teleop.errors import number
-from teleop.knobs import knobs_of, read, settle
+from teleop.knobs import _found_in_link, knobs_of, read, settle
 from teleop.law import Law, OnePortLaw
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
@@ -66,6 +66,38 @@ class TestNames:
     def test_that_cannot_be_named_are_refused(self, function: Any, shown: str) -> None:
         with pytest.raises(Refused, match=rf"`{shown}.*` cannot be one; write for example `def scene\(\*, k_e"):
             knobs_of(function)
+
+
+class TestOfALinkThatIsReplaced:
+    """A knob that only the scene's own link reads would be swept, and shown, and change nothing."""
+
+    @pytest.mark.parametrize(("of", "key", "value"), [
+        ("soft_tissue", "delay", "0.1"), ("soft_tissue", "delay", 0.05), ("jittery_wan", "jitter", 0.01),
+        ("jittery_wan", "loss", "0"), ("burst_loss", "to_bad", 0.1), ("blackout", "dark_from", 1.0),
+    ])
+    @pytest.mark.parametrize("link", ["delay(0.02)", "none", DELAY])
+    def test_are_refused_beside_it_also_at_their_defaults(self, of: str, key: str, value: Any, link: Any) -> None:
+        _found_in_link.cache_clear()  # what an earlier test found
+        with pytest.raises(Refused, match=rf"^{key} sets nothing but the link.*; leave {key} out and write"):
+            load_scene(of, link=link, **{key: value})
+
+    def test_are_taken_without_it(self) -> None:
+        assert load_scene("soft_tissue", delay=0.1).link == Delay(0.1)
+
+    def test_all_others_are_taken_beside_it(self) -> None:
+        made = load_scene("jittery_wan", link="delay(0.1)", k_e=3.0, playout="fixed:0.1", law="wave", dt=2e-3)
+        assert (made.link, made.playout, made.dt) == (DELAY, Fixed(0.1), 2e-3)
+
+    def test_that_feed_more_than_the_link_are_taken(self, tmp_path: Path) -> None:
+        (tmp_path / "mine.py").write_text(
+            "from teleop import load_scene\nfrom dataclasses import replace\nfrom channel.delay import Delay\n"
+            "from teleop.playout import Fixed\n"
+            "def scene(*, delay: float = 0.1, other: float = 1.0):\n"
+            "    made = load_scene('free_motion')\n"
+            "    return replace(made, link=Delay(delay), playout=Fixed(2 * delay))\n")
+        at = str(tmp_path / "mine.py")
+        assert load_scene(at, delay=0.2, link="delay(0.1)").playout == Fixed(0.4)
+        assert load_scene(at, other=0.2, link="delay(0.1)").link == DELAY  # dead anyway: that is for its author to mend
 
 
 def bare(law=WAVE, k=1000, m=0.5, energy=True, title="a", up=Path("x"), at=(0.1,), play=ZERO,  # type: ignore[no-untyped-def]

@@ -140,6 +140,19 @@ class TestAStabilityMap:
         (axes,) = panels(drawn(Table(whole[:7], ("delay", "k_e"), ("x_err_rms",))))
         np.testing.assert_array_equal(mesh(axes)[1, 2], np.ones(4))
 
+    def test_says_what_a_status_is_held_to(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)),
+                       words={"diverged": "diverged: beyond 0.3 m"})
+        assert legend(figure) == ["ok", "diverged: beyond 0.3 m", "boundary"]
+
+    def test_of_rows_that_all_ended_ok_would_be_of_one_colour_so_a_metric_is_drawn(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, delay, **__: delay))
+        assert figure.axes[-1].get_ylabel().startswith("x_err_rms")
+        bare = Table([{"row": i, "seed": 0, "a": i % 3, "b": i // 3, "ticks": 1, "status": "ok"} for i in range(9)],
+                     ("a", "b"), ())
+        assert legend(drawn(bare)) == ["ok"]
+        assert legend(drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(1e9)), "stability")) == ["ok"]
+
     def test_shows_a_status_of_another_kind_as_its_own(self, drawn: Any) -> None:
         figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, delay, **__:
                             "stopped" if delay > 0.25 else "ok"))
@@ -197,6 +210,24 @@ class TestTheAxes:
         assert titles[-1].startswith("law law19:")
         assert "6 of 20 values of law" in figure.get_suptitle()
 
+    def test_of_two_knobs_one_loses_values_and_rather_one_with_numbers(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": ("a", "b", "c"), "n": (1, 2, 3), "delay": DELAYS, "k_e": (1.0, 2.0, 3.0, 4.0)},
+                            below(1e9)))
+        assert [axes.get_title().split(":")[0] for axes in panels(figure)] == [
+            f"law {law}, n {n}" for law in "abc" for n in (1, 3)]
+        assert figure.get_suptitle().endswith("2 of 3 values of n")
+
+    def test_of_several_knobs_as_few_as_possible_lose_values(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": "abcd", "n": (1, 2), "m": (1, 2), "delay": DELAYS, "k_e": STIFFNESSES}, below(1e9)))
+        assert [axes.get_title().split(":")[0] for axes in panels(figure)] == [
+            f"law c, n {n}, m {m}" for n in (1, 2) for m in (1, 2)]
+
+    def test_of_a_knob_that_is_down_to_one_value_the_title_says_which(self, drawn: Any) -> None:
+        knobs = {"n": (1, 2, 3), "law": "abcd", "other": "def", "delay": DELAYS, "k_e": (1.0, 2.0, 3.0, 4.0)}
+        figure = drawn(rows(knobs, below(1e9)))
+        assert len(panels(figure)) == 6
+        assert figure.get_suptitle().endswith("n 2 alone, of 3 values, 2 of 4 values of law")
+
     def test_every_column_of_panels_has_its_label(self, drawn: Any) -> None:
         for count in (1, 2, 5):
             got = panels(drawn(rows({"law": [f"law{i}" for i in range(count)], "delay": DELAYS, "k_e": STIFFNESSES},
@@ -223,6 +254,16 @@ class TestAMetricMap:
                                        atol=0.01)
         np.testing.assert_allclose(mesh(axes)[0, 3], colour("diverged"))
         assert legend(figure) == ["none ended ok", "half of the runs end ok"]
+
+    def test_is_drawn_for_a_metric_that_is_named(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)), metric="x_err_rms")
+        assert figure.axes[-1].get_ylabel().startswith("x_err_rms")
+
+    def test_tells_small_values_apart_beside_one_that_ran_away(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, delay, k_e:
+                            -1e9 if (delay, k_e) == (0.3, 1000.0) else -delay * k_e), "metric")
+        shown = mesh(panels(figure)[0])
+        assert np.abs(shown[2, 2] - shown[0, 1]).max() > 0.05  # -200 and -1
 
     def test_goes_by_ratios_where_the_values_are_far_apart(self, drawn: Any) -> None:
         figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, k_e, **__: k_e**2), "metric")
@@ -263,6 +304,21 @@ class TestCurves:
         assert crosses.get_color() == direct.get_color() != wave.get_color()
         assert legend(figure) == ["law direct", "law wave", "quartiles of the seeds", "extremes", "not every run ok"]
 
+    @pytest.mark.parametrize(("sign", "zero", "scale"), [
+        (1.0, 0.0, "log"), (-1.0, 0.0, "symlog"), (1.0, 1.0, "symlog"),
+    ])
+    def test_of_a_run_that_grows_leave_the_others_apart(
+        self, drawn: Any, sign: float, zero: float, scale: str
+    ) -> None:
+        def of(_: int, law: str, delay: float) -> float:
+            return sign * (1e9 if law == "a" and delay > 0.25 else (1.0 + (law == "a")) * (1.0 + delay - zero))
+
+        (axes,) = panels(drawn(rows({"law": ("a", "b"), "delay": DELAYS}, of)))
+        assert axes.get_yscale() == scale
+        one, two = (axes.transData.transform((0.1, sign * k * (1.1 - zero)))[1] for k in (1.0, 2.0))
+        height = axes.bbox.height
+        assert abs(one - two) > 0.01 * height  # on a linear scale 1e-9 of it
+
     def test_have_gaps_where_no_run_ended_ok(self, drawn: Any) -> None:
         (axes,) = panels(drawn(rows({"delay": DELAYS}, lambda _, delay: "diverged" if delay == 0.1 else 1.0)))
         np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), [1.0, np.nan, 1.0, 1.0])
@@ -296,14 +352,20 @@ class TestRequests:
 
     @pytest.mark.parametrize(("kind", "metric", "said"), [
         ("heat", None, "there is no picture 'heat'"), ("curves", "x_err", "did you mean x_err_rms"),
-        ("stability", None, "two knobs with numbers"), ("metric", None, "have delay, law"),
+        ("stability", None, "two knobs with numbers"), (None, "x_err", "did you mean x_err_rms"),
+        ("stability", "x_err_rms", "two knobs with numbers"), ("metric", None, "has delay, law;"),
     ])
     def test_that_cannot_be_drawn_are_refused(
-        self, tmp_path: Path, kind: str, metric: str | None, said: str
+        self, tmp_path: Path, kind: str | None, metric: str | None, said: str
     ) -> None:
         with pytest.raises(Refused, match=said):
             draw(self.table(), tmp_path / "p.png", kind, metric=metric)
         assert not list(tmp_path.iterdir())
+
+    def test_of_a_stability_map_name_no_metric(self, tmp_path: Path) -> None:
+        table = rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(1.0))
+        with pytest.raises(Refused, match="--picture metric"):
+            draw(table, tmp_path / "p", "stability", metric="x_err_rms")
 
     def test_need_something_that_varies_and_a_metric_for_curves(self, tmp_path: Path) -> None:
         for table in (Table([], ("delay",), ()), rows({"delay": (0.1,)}, lambda *_, **__: 1.0, seeds=9)):
