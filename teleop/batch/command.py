@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
@@ -35,7 +36,8 @@ class Swept(NamedTuple):
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
         """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
         return {
-            **self.plan.definition(), "versions": versions(), "rows": len(self.plan.grid), "done": len(self.table),
+            **self.plan.definition(), "versions": {**versions(), **_compilers(self.plan)},
+            "rows": len(self.plan.grid), "done": len(self.table),
             "ran": self.ran,
             "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
             "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in self.plan.ran.items()],
@@ -136,6 +138,13 @@ def _check_picture(plan: Sweep, wish: Wish) -> None:
                if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)]
     metrics = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
     check([*several], numeric, wish.kind, wish.metric, metrics)
+
+
+def _compilers(plan: Sweep) -> dict[str, str]:
+    """The versions of what compiled rows, if anything did."""
+    if all(engine == "plain" for engine, _ in plan.ran):
+        return {}
+    return {name: version(name) for name in ("numba", "llvmlite")}
 
 
 @contextmanager
