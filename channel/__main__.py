@@ -92,6 +92,8 @@ class RelayShell:
         if kind in (Kind.HELLO, Kind.WELCOME):
             self._introduce(direction, data, sender, now)
         wire = self.wires[direction]
+        if kind is Kind.DATA and direction == 0 and wire.peer is None:
+            wire.peer = sender  # of a session that began before this channel was started anew
         if kind is None or sender != wire.peer or (kind is Kind.DATA and seq >= self._ticks):
             self.foreign += 1
             return

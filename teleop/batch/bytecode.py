@@ -38,7 +38,7 @@ def branches(function: FunctionType) -> bool:
 def without_lanes(function: FunctionType) -> str | None:
     """What of a function eight scenes side by side cannot do, if it has it."""
     if branches(function):
-        return "chooses its way by an `if` or a loop; written with min and max it could"
+        return "chooses its way by an `if` or a loop (min and max would have lanes)"
     for each in _all(function):
         if any(isinstance(part, CodeType) for part in each.__code__.co_consts):
             return "makes a function of its own or a comprehension"
