@@ -82,7 +82,7 @@ def sweep(rounds: int) -> list[Row]:
                 began = time.perf_counter()
                 calls[way.name] = way.ready(link)
                 calls[way.name]()
-                first[way.engine] = first.get(way.engine, 0.0) + time.perf_counter() - began
+                first.setdefault(way.engine, time.perf_counter() - began)
             rows += [(f"{engine}, first call of the structure, or from the cache", f"{took:.2f} s", "asked: 8, or 1")
                      for engine, took in first.items() if link is None]
             theirs = _theirs(program, scene) if program else None

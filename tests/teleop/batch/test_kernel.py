@@ -215,3 +215,20 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
     sys.modules.pop(f"teleop_kernel_{name}", None)
     assert_as_a_run(scalar(of, exact_bodies(of), ("f_m_max", "E_port_end")), of)
     assert "def loop(" in text
+
+
+SCRIPT = LAW.replace("import gains", "").replace("* PARTS[0] * gains.G", "").replace("{factor}", "50.0").replace(
+    "{tuple}", "1.0") + """
+from teleop.batch.runner import carry_out, prepare
+plan = prepare("canonical", {"k_e": [1e3, 2e3]}, fixed={"law": Mine(), "duration": 0.1}, engine="scalar")
+print(carry_out(plan).counts(), dict(plan.ran))
+"""
+
+
+def test_a_law_in_the_users_own_script_is_compiled_too(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")},
+    )
+    assert done.stdout == "{'ok': 2} {('scalar', ''): 2}\n"
