@@ -232,3 +232,14 @@ def test_a_law_in_the_users_own_script_is_compiled_too(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")},
     )
     assert done.stdout == "{'ok': 2} {('scalar', ''): 2}\n"
+
+
+def test_processes_that_make_the_same_kernel_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    at_once = [subprocess.Popen([sys.executable, "script.py"], cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True)
+               for _ in range(3)]
+    assert {one.communicate()[0] for one in at_once} == {"{'ok': 2} {('scalar', ''): 2}\n"}
+    left = sorted(path.name for path in (tmp_path / "cache/bilateral-teleop/kernels").iterdir())
+    assert sum(name.endswith(".py") for name in left) == 1
+    assert not any(name.endswith(".part") for name in left)
