@@ -17,7 +17,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from inspect import signature
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from teleop.batch.bytecode import unlike_python
 from teleop.batch.digest import constants, digest, named_in, sources
@@ -90,7 +90,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     import numba
     import numpy
 
-    own = import_module(f"teleop.batch.{engine}")
+    own = cast("Engine", import_module(f"teleop.batch.{engine}"))
     lines: list[str] = []
     pieces: list[Any] = []
     for word, part in sorted(names_of(scene, bodies).items()):

@@ -221,6 +221,22 @@ def test_a_metric_that_fails_in_one_row_loses_no_other() -> None:
     assert table[1]["touchy"] == 1.0
 
 
+@pytest.mark.parametrize("metrics", [["x_err_rms"], ["E_fwd_min", "x_err_rms"]])
+def test_a_law_that_divides_by_zero_in_one_row_loses_no_other(metrics: list[str]) -> None:
+    laws = [Divides(K=0.0), Divides(K=300.0)]
+    bad, good = rows(sweep("canonical", {"law": laws}, fixed={"duration": 0.1}, metrics=metrics, engine="plain"))
+    assert bad["status"] == "refused"
+    assert "ZeroDivisionError" in bad["sentence"]
+    assert "max(.., 1e-12)" in bad["sentence"]
+    assert good["status"] == "ok"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Divides(Wave):
+    def slave(self, s: Any, at: Any, rx: Any) -> Any:
+        return super().slave(s, at._replace(x=at.x + 0.0 / self.K), rx)
+
+
 def touchy(result: Any) -> float:
     if result.parameters["k_e"] < 80.0:
         raise ValueError("too soft")
