@@ -199,5 +199,5 @@ class Endpoint:
         if session is None or not all(map(isfinite, payload)):
             return None
         echo = None if self._newest is None else Echo(self._newest[0], max(0, now - self._newest[1]))
-        stamp = None if self._E_in is None else row[self._E_in]
+        stamp = None if self._E_in is None or not isfinite(row[self._E_in]) else row[self._E_in]
         return encode(Packet(Kind.DATA, session, k, now, echo, payload, stamp), self._size)

@@ -23,6 +23,8 @@ from teleop.packet import Echo, Kind, Packet, encode, manifest_difference
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken
 LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
+MOST_RTT_NS = 60_000_000_000  # of a WELCOME that is believed
+MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
 HOLD_NS = 1_000_000_000  # a master that fell silent before START keeps others out for this long
 
 
@@ -117,7 +119,9 @@ class Session:
         if welcome.echo is None:
             return []
         rtt = now - welcome.echo.sent_ns - welcome.echo.held_ns
-        if rtt >= 0 and (self.rtt_ns is None or rtt < self.rtt_ns):
+        if not 0 <= rtt <= MOST_RTT_NS or abs(welcome.sent_ns) > MOST_CLOCK_NS:
+            return []  # forged, or of a clock that nobody has
+        if self.rtt_ns is None or rtt < self.rtt_ns:
             self.rtt_ns = rtt
             self.offset_ns = welcome.sent_ns - (now - rtt // 2)
         self._rounds += 1
