@@ -132,13 +132,10 @@ class Counts(Direct):
     (Lists(), "scalar", "a comprehension"), (Powers(), "plain", "`**` with a whole number"),
     (Waits(), "scalar", ""), (Counts(), "plain", ""),
 ])
-@pytest.mark.parametrize("own_links", [False, True])
-def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(
-    law: Any, engine: str, why: str, own_links: bool
-) -> None:
-    link = {"link": "delay(0.005) | bernoulli(0.3)"} if own_links else {"delay": 0.005}
-    rows = [(n, {"k_e": 100.0 + n}, n * own_links) for n in range(9)]
-    fixed = {"law": law, "duration": 0.1, **link}
+def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(law: Any, engine: str, why: str) -> None:
+    """Each row with a schedule of its own: another kernel over lanes, compiled when it is needed."""
+    rows = [(n, {"k_e": 100.0 + n}, n) for n in range(9)]
+    fixed = {"law": law, "duration": 0.1, "link": "delay(0.005) | bernoulli(0.3)"}
     done = {one: work(Job("canonical", fixed, rows, MEASURES, one)) for one in ("plain", "vector")}
     assert repr(done["plain"].rows) == repr(done["vector"].rows)
     ((ran, reason), count), = done["vector"].ran.items()
