@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.batch.digest import constants
 from teleop.batch.kernel import Inputs, Kernel, NotCompiled, available, figures, names_of, tree_of
 from teleop.batch.leaves import Leaves
-from teleop.batch.shared import Schedules, kernel_of, path_of, schedules_key
+from teleop.batch.shared import TICKS, Schedules, kernel_of, path_of, schedules_key
 from teleop.bodies import Bodies, exact_bodies
 from teleop.errors import Refused
 from teleop.library import scene_function
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 Measure = str | Callable[["Result"], float]
-TICKS = 4_000_000  # of schedules that are drawn for one call: 64 MB
 OF_PLAN = frozenset(("fresh_fwd", "fresh_bwd", "T_fwd_mean", "T_fwd_max", "T_bwd_mean", "T_bwd_max"))
 WHOLE = "a figure needs the whole record of a run"
 _READYING = Lock()

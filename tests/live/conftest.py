@@ -161,3 +161,13 @@ def summary(folder: Path) -> dict[str, Any]:
     """The summary.json in a folder."""
     found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
     return found
+
+
+def pair_of_keys(folder: Path) -> dict[str, list[str]]:
+    """What a master and a slave are started with to let in each other."""
+    pytest.importorskip("OpenSSL")
+    from teleop.secure.keys import keygen
+
+    made = {name: keygen(folder / name) for name in ("master", "slave")}
+    return {own: ["--key", str(made[own][0]), "--peer-fingerprint", made[peer][1]]
+            for own, peer in (("master", "slave"), ("slave", "master"))}

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.live.conftest import summary
+from tests.live.conftest import pair_of_keys, summary
 
 pytestmark = pytest.mark.live
 
@@ -28,12 +28,18 @@ print(sent)
 """
 
 
-def test_a_flood_from_a_wrong_address_costs_no_good_packet(command: Callable[..., Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize("sealed", [False, True], ids=["in the open", "sealed"])
+def test_a_flood_from_a_wrong_address_costs_no_good_packet(
+    sealed: bool, command: Callable[..., Any], tmp_path: Path
+) -> None:
     """Tens of thousands a second. Strangers' datagrams are dropped by the system once the two have met."""
     scene = ["hard_wall", "--set", "duration=3", "--set", "link=none"]
-    slave = command("slave", *scene, "--listen", "127.0.0.1:0", "--json", "--out", str(tmp_path / "s"))
+    keys = pair_of_keys(tmp_path) if sealed else {"master": [], "slave": []}
+    slave = command("slave", *scene, *keys["slave"], "--listen", "127.0.0.1:0", "--json",
+                    "--out", str(tmp_path / "s"))
     port = slave.port()
-    master = command("master", *scene, "--peer", f"127.0.0.1:{port}", "--json", "--out", str(tmp_path / "m"))
+    master = command("master", *scene, *keys["master"], "--peer", f"127.0.0.1:{port}", "--json",
+                     "--out", str(tmp_path / "m"))
     slave.event("live")
     flood = subprocess.run([sys.executable, "-c", FLOOD, str(port), "1.5"], check=True, capture_output=True, text=True)
     assert master.end()[0] == slave.end()[0] == 0

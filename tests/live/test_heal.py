@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.live.conftest import summary
+from tests.live.conftest import pair_of_keys, summary
 
 pytestmark = pytest.mark.live
 SECONDS = 6
@@ -21,14 +21,7 @@ SECONDS = 6
 def test_a_channel_that_is_killed_and_started_again_carries_the_session_on(
     sealed: bool, command: Callable[..., Any], tmp_path: Path
 ) -> None:
-    keys: dict[str, list[str]] = {"master": [], "slave": []}
-    if sealed:
-        pytest.importorskip("OpenSSL")
-        from teleop.secure.keys import keygen
-
-        made = {name: keygen(tmp_path / name) for name in keys}
-        keys = {own: ["--key", str(made[own][0]), "--peer-fingerprint", made[peer][1]]
-                for own, peer in (("master", "slave"), ("slave", "master"))}
+    keys = pair_of_keys(tmp_path) if sealed else {"master": [], "slave": []}
     scene = ["hard_wall", "--set", f"duration={SECONDS}", "--link", "delay(0.01)", "--json"]
     slave = command("slave", *scene, "--listen", "127.0.0.1:0", *keys["slave"], "--out", str(tmp_path / "s"))
     far = ["--peer", f"127.0.0.1:{slave.port()}"]
