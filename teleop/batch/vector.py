@@ -37,7 +37,7 @@ CALLS = {
              out[t * {row}:(t + 1) * {row}], spread(0.0))""",
 }
 SOURCES = ("teleop.batch.lanes", "teleop.batch.lanewise", "teleop.batch.rings", "teleop.batch.lane_parts",
-           "teleop.batch.vector")
+           "teleop.batch.bytecode", "teleop.batch.vector")
 OF_THE_LAW = ("begin_", "law_", "sums_")
 
 
