@@ -6,26 +6,33 @@ scene's link (or the one of --link) lets through, when it lets it through; and b
 
 from __future__ import annotations
 
-import asyncio
+import gc
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from selectors import EVENT_READ, DefaultSelector
 from typing import Any
 
 from channel.link import describe
 from channel.relay import Relay
 from teleop.live import realtime
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
+from teleop.live.bulk import Bulk
 from teleop.live.interrupt import Interrupt
-from teleop.live.ticker import Alarm
-from teleop.live.wire import DRAIN, Wire
+from teleop.live.ticker import Timer
+from teleop.live.wire import Wire
 from teleop.options import Parser, guarded, knobs_from, scene_options
 from teleop.packet import Kind, Packet, decode, manifest_difference, peek
 from teleop.scene import Scene, both_ends, load_scene
 
+MOST_SAID = 5  # strangers can say HELLO too, and nobody may be reading
 QUIET_NS = 1_000_000_000  # a session that has sent no message for so long gives way to another one's HELLO
 SEALED = range(20, 26)  # first bytes of DTLS records (RFC 9147)
+LEAD_NS = 45_000  # the relay is called so long before a datagram is due, for it takes time to wake up and come to it
+SOON_NS = 30_000  # what is due so soon after another is waited for too, before anything is taken in
+LOOK_S = 0.05  # between two looks at whether it is to end
+_FORTH, _BACK = Kind.FORTH, Kind.BACK
 
 
 class RelayShell:
@@ -44,44 +51,64 @@ class RelayShell:
         self.relay = Relay(*self._water)
         self._manifest = {key: text for key, text in scene.manifest().items() if key not in ("link", "delay")}
         self._session: int | None = None
+        self._differed = 0  # masters that were said to run another scene
         self._origin: int | None = None  # our clock at tick 0
         self._busy_ns = 0  # when the session's last message came
-        self._alarm: Alarm | None = None
-        self._set_to: int | None = None
+        self._bulks = (Bulk(near), Bulk(far))
+        self._set_to: int | None = None  # what the timer is set for
         self._carried = [0, 0]  # sealed datagrams in each direction
-        self._broken: Exception | None = None
 
-    async def run(self, interrupt: Interrupt) -> None:
+    def run(self, interrupt: Interrupt) -> None:
         """Relay until Ctrl-C or SIGTERM."""
-        loop = asyncio.get_running_loop()
-        self._alarm = Alarm(loop, lambda: self._guarded(self._rang))
-        for direction, wire in enumerate(self.wires):
-            loop.add_reader(wire.sock, self._guarded, self._drain, direction)
-        while interrupt.name is None and self._broken is None:
-            await asyncio.sleep(0.05)
-        self._deliver()
-        for wire in self.wires:
-            loop.remove_reader(wire.sock)
-        self._alarm.close()
-        if self._broken is not None:
-            raise self._broken
+        timer = Timer()
+        gc.collect()
+        gc.freeze()
+        with DefaultSelector() as selector:
+            for wire in self.wires:
+                selector.register(wire.sock, EVENT_READ)
+            if timer.fd >= 0:
+                selector.register(timer.fd, EVENT_READ)
+            try:
+                while interrupt.name is None:
+                    self._sleep(selector, timer)
+                    self._deliver()
+                    for direction, bulk in enumerate(self._bulks):
+                        for data, sender, came in bulk.receive():
+                            self._take(direction, data, sender, came)
+                    self._pass_on()  # the session's own do not wait
+            finally:
+                if timer.fd >= 0:
+                    timer.close()
 
-    def _guarded(self, callback: Callable[..., None], *arguments: int) -> None:
-        """Call `callback`; what it raises ends the relay. The event loop itself would only log it and go on."""
-        try:
-            callback(*arguments)
-        except Exception as error:
-            self._broken = self._broken or error
+    def _sleep(self, selector: DefaultSelector, timer: Timer) -> None:
+        """Until something comes, or is about to be due."""
+        due = self._due()
+        if due is None:
+            selector.select(LOOK_S)
+            return
+        left = due - LEAD_NS - time.monotonic_ns()
+        if left <= 0:
+            return
+        if timer.fd < 0:
+            selector.select(min(LOOK_S, left / 1e9))
+            return
+        if due != self._set_to:
+            timer.set(due - LEAD_NS)
+            self._set_to = due
+        if any(key.fd == timer.fd for key, _ in selector.select(LOOK_S)):
+            timer.rang()
 
-    def _drain(self, direction: int) -> None:
-        for _ in range(DRAIN):
-            got = self.wires[direction].receive()
-            if got is None:
-                break
-            self._take(direction, *got)
-        self._deliver()
+    def _deliver(self) -> None:
+        """Wait awake for what is about to be due, and send it. Datagrams can wait meanwhile: they are stamped."""
+        until = time.monotonic_ns() + LEAD_NS
+        due = self._due()
+        while due is not None and due <= until:
+            while (now := time.monotonic_ns()) < due:
+                pass
+            self._pass_on()
+            until, due = min(until, now + SOON_NS), self._due()
 
-    def _take(self, direction: int, data: bytes | None, sender: Address, now: int) -> None:
+    def _take(self, direction: int, data: bytes, sender: Address, now: int) -> None:
         if not data:
             self.foreign += 1
             return
@@ -89,20 +116,22 @@ class RelayShell:
             self._carry(direction, data, sender, now)
             return
         kind, seq = peek(data)
-        if kind in (Kind.HELLO, Kind.WELCOME):
+        message = kind is _FORTH or kind is _BACK  # whose it is, the ends look at
+        if not message and kind in (Kind.HELLO, Kind.WELCOME):
             self._introduce(direction, data, sender, now)
         wire = self.wires[direction]
-        if kind is Kind.DATA and direction == 0 and wire.peer is None:
+        if message and direction == 0 and wire.peer is None:
             wire.peer = sender  # of a session that began before this channel was started anew
-        if kind is None or sender != wire.peer or (kind is Kind.DATA and seq >= self._ticks):
+        if kind is None or sender != wire.peer or (message and seq >= self._ticks):
             self.foreign += 1
             return
-        if kind is Kind.DATA:
-            self._busy_ns = now
+        if message:
+            if direction == 0:  # a slave goes on sending for a while to a master that is no more
+                self._busy_ns = now
             if self._origin is None:
                 self._origin = now - seq * self._dt_ns
         at = 0 if self._origin is None else now - self._origin
-        self.relay.receive(direction, seq if kind is Kind.DATA else None, data, at)
+        self.relay.receive(direction, seq if message else None, data, at)
 
     def _carry(self, direction: int, data: bytes, sender: Address, now: int) -> None:
         """Pass on what only the ends can read. Its number is that of its coming, and the link is for all of it."""
@@ -115,7 +144,8 @@ class RelayShell:
         if sender != wire.peer or self._origin is None:
             self.foreign += 1
             return
-        self._busy_ns = now
+        if direction == 0:
+            self._busy_ns = now
         self.relay.receive(direction, self._carried[direction], data, now - self._origin)
         self._carried[direction] += 1
 
@@ -125,7 +155,8 @@ class RelayShell:
         if not isinstance(packet, Packet):
             return
         running = self._origin is not None and now - self._busy_ns < QUIET_NS
-        if packet.kind is Kind.HELLO and packet.session != self._session and not running:
+        free = not running or sender == self.wires[0].peer  # its own master may ask anew at any time
+        if packet.kind is Kind.HELLO and packet.session != self._session and free:
             self._compare(packet)
             self._session, self._origin, self._set_to = packet.session, None, None
             self.relay = Relay(*self._water)
@@ -137,23 +168,25 @@ class RelayShell:
         assert isinstance(hello.payload, dict)
         theirs = {key: text for key, text in hello.payload.items() if key in self._manifest}
         difference = manifest_difference(self._manifest, theirs)
-        if difference is not None:
+        if difference is not None and self._differed < MOST_SAID:
+            self._differed += 1
             told = f"channel: the master runs another scene than this channel: {difference}"
             print(told, file=sys.stderr, flush=True)
 
-    def _rang(self) -> None:
-        self._set_to = None
-        self._deliver()
+    def _due(self) -> int | None:
+        """When something has to go out, on our clock."""
+        soon = self.relay.next_ns()
+        return None if soon is None or self._origin is None else self._origin + soon
 
-    def _deliver(self) -> None:
+    def _pass_on(self) -> None:
         origin = self._origin
         now = 0 if origin is None else time.monotonic_ns() - origin
+        out: tuple[list[bytes], list[bytes]] = ([], [])
         for direction, data in self.relay.due(now):
-            self.wires[1 - direction].send(data)
-        due = self.relay.next_ns()
-        if due is not None and origin is not None and due != self._set_to and self._alarm is not None:
-            self._alarm.set(origin + due)
-            self._set_to = due
+            out[direction].append(data)
+        for direction, datagrams in enumerate(out):
+            if datagrams:
+                self._bulks[1 - direction].send(datagrams)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -182,7 +215,7 @@ def _run(argv: list[str]) -> int:
             water = "no link" if link is None else describe(link)
             print(f"channel: {water}; {shown(at)} <-> {shown(peer)}; start the master with: "
                   f"python -m master {args.scene} --peer {shown(at)}", flush=True)
-        asyncio.run(shell.run(interrupt))
+        shell.run(interrupt)
     counts = {way: shell.relay.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
     if args.json:
         _event("done", summary={"counts": counts, "foreign": shell.foreign})

@@ -29,8 +29,10 @@ class Counts(NamedTuple):
 class Relay:
     """Both directions of a link (None: a perfect one) for one session.
 
-    `now_ns` counts from the session's start; a clock that goes back, or a datagram from before the start, is
-    taken as the latest time seen. Direction 0 is from master to slave, 1 from slave to master.
+    `now_ns` counts from the session's start; a clock that goes back, or a datagram from before the start, is taken
+    as the latest time at which one came. A datagram may have come before `due` was asked last: it is due by when it
+    came, not by when it was read, unless the link has a queue, which has moved on. Direction 0 is from master to
+    slave, 1 from slave to master.
 
     A datagram without a packet number belongs to the session itself, to its start, stop and farewell. It is
     passed on at once and whole, because a scene's link describes what happens to the law's messages; ends
@@ -42,6 +44,7 @@ class Relay:
         self._control: list[tuple[int, int, bytes]] = []  # time, direction, data
         self._controls = [0, 0]  # how many of them in each direction
         self._now = 0
+        self._came = [0, 0]  # the latest in each direction
         self._received = [0, 0]
         self._passed = [0, 0]  # control datagrams delivered
         self._overflowed = [0, 0]
@@ -50,36 +53,48 @@ class Relay:
 
     def receive(self, direction: int, packet_number: int | None, data: bytes, now_ns: int) -> None:
         """A datagram came in from the end where `direction` begins."""
-        self._now = max(self._now, now_ns)
+        stream = self._streams[direction]
+        came = self._came[direction] = max(now_ns, self._now if stream.queues else self._came[direction])
+        self._now = max(self._now, came)
         self._received[direction] += 1
-        if sum(stream.under_way for stream in self._streams) + len(self._control) >= MOST:
+        one, other = self._streams
+        if one.under_way + other.under_way + len(self._control) >= MOST:
             self._overflowed[direction] += 1
         elif packet_number is None:
-            self._control.append((self._now, direction, data))
+            self._control.append((came, direction, data))
             self._controls[direction] += 1
         elif 0 <= packet_number < _NUMBERS:
-            self._streams[direction].send(packet_number, self._now, data)
+            stream.send(packet_number, came, data)
         else:
             self._rejected[direction] += 1
-        self._most[direction] = max(self._most[direction], self._under_way(direction))
+        under_way = self._under_way(direction)
+        self._most[direction] = max(self._most[direction], under_way)
 
     def due(self, now_ns: int) -> list[tuple[int, bytes]]:
         """(direction, data) of all that has to go out by now, in order of time; the session's own first."""
         self._now = max(self._now, now_ns)
-        out = [(direction, data) for _, direction, data in self._control]
-        self._passed = [passed + more for passed, more in zip(self._passed, self._controls, strict=True)]
-        self._control, self._controls = [], [0, 0]
-        arrived = [(load.time_ns, direction, load.load)
-                   for direction, stream in enumerate(self._streams) for load in stream.deliver(self._now)]
-        arrived.sort(key=lambda one: one[:2])
-        return out + [(direction, data) for _, direction, data in arrived]
+        out: list[tuple[int, bytes]] = []
+        if self._control:
+            out = [(direction, data) for _, direction, data in self._control]
+            self._passed = [passed + more for passed, more in zip(self._passed, self._controls, strict=True)]
+            self._control, self._controls = [], [0, 0]
+        forth, back = [stream.deliver(self._now) for stream in self._streams]
+        if forth and back:
+            arrived = [(load.time_ns, direction, load.load)
+                       for direction, loads in enumerate((forth, back)) for load in loads]
+            arrived.sort(key=lambda one: one[:2])
+            return out + [(direction, data) for _, direction, data in arrived]
+        return out + [(0, load.load) for load in forth] + [(1, load.load) for load in back]
 
     def next_ns(self) -> int | None:
         """When to ask `due` again, None if nothing is under way."""
-        times = [time for stream in self._streams if (time := stream.next_ns()) is not None]
-        if self._control:
-            times.append(self._control[0][0])
-        return min(times, default=None)
+        one, other = self._streams
+        soon, then = one.next_ns(), other.next_ns()
+        if soon is None or (then is not None and then < soon):
+            soon = then
+        if self._control and (soon is None or self._control[0][0] < soon):
+            soon = self._control[0][0]
+        return soon
 
     def counts(self, direction: int) -> Counts:
         """What became of one direction's datagrams so far, the session's own included."""

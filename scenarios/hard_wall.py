@@ -23,6 +23,8 @@ def scene(
     timeout: float = 0.2,  # s of silence after which the watchdogs let go
     f_max: float = 20.0,  # N, most force of either end
     slew: float = 2000.0,  # N/s, most change of either force
+    v_max: float | None = None,  # m/s, speed from which on an end only brakes; none: it drives at any
+    power: float | None = None,  # W, what either end may give out, and hold for a second; none: no budget
     observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
     energy: bool = True,  # record the energy ledgers
     dt: float = 1e-3,  # s, the tick
@@ -37,7 +39,7 @@ def scene(
         slave=MassDamper(mass=0.5, damping=1.0),
         environment=Wall(k=k_e, d=d_e, at=wall),
         watchdog=Watchdog(timeout=timeout),
-        cap=Cap(f_max=f_max, slew=slew),
+        cap=Cap(f_max=f_max, slew=slew, v_max=v_max, power=power),
         observer=observer,
         energy=energy,
         dt=dt,

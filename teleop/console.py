@@ -117,6 +117,26 @@ def _watchdog(result: Result) -> Iterator[str]:
         yield "let go: smallest gain " + ", ".join(f"{gain:.0%} at the {end}" for end, gain in fell)
 
 
+def _link(result: Result) -> Iterator[str]:
+    for end, own in _live_ends(result):
+        rtt, clock = own.get("rtt"), own.get("peer_clock") or {}
+        if not rtt:
+            continue
+        text = f"{end}: round trip {si(rtt['mean'], 's')}, jitter {si(own['jitter'], 's')}, {own['lost']} lost, "
+        text += f"{own['reordered']} out of order"
+        drift = clock.get("drift")
+        yield text + ("" if drift is None else f"; the peer's clock goes {drift * 1e6:+.0f} ppm")
+
+
+def _safe(result: Result) -> Iterator[str]:
+    for end, own in _live_ends(result):
+        told = [event for event in own.get("events") or () if event.get("what") in ("safe", "joined")]
+        for event in told[:_MOST_EVENTS]:
+            yield f"{end}: {event['what']} at t = {event['k'] * result.dt:.3f} s, {event['why']}"
+        if len(told) > _MOST_EVENTS:
+            yield f"{end}: and {len(told) - _MOST_EVENTS} times more, see its events.jsonl"
+
+
 def _late_ticks(result: Result) -> Iterator[str]:
     for end, own in _live_ends(result):
         late = own.get("late_us") or {}
@@ -149,11 +169,15 @@ def _live_ends(result: Result) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield end, own
 
 
+_MOST_EVENTS = 5  # shown of each end
+
 _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("tracking error", _error("x_err", "m")),
     ("force error", _error("f_err", "N")),
     ("delay seen", _delay),
     ("packets", _packets),
+    ("link seen", _link),
+    ("safe state", _safe),
     ("watchdog", _watchdog),
     ("late ticks", _late_ticks),
     ("link energy", _energy("E_link")),

@@ -1,22 +1,33 @@
 """One live end without its sockets: bytes and `now` come in, forces and bytes go out. Sans-IO.
 
-The tick itself is the text of `teleop.tick`, the same as in virtual time.
+The tick itself is the text of `teleop.tick`, the same as in virtual time. Around it: the guard, which decides how
+much of the law's force may be held; and the sessions, with each of which the law begins anew. A session after the
+first begins where the end is: its law sees positions from there (a clutch), the record goes on in the device's own.
+
+An end may tick at every n-th tick of the grid only, its peer at every m-th: see `teleop.rates`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from math import isfinite
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-from teleop.packet import Echo, Kind, Packet, Rejection, Window, check_size, decode, encode
+from teleop.estimates import LinkEstimates
+from teleop.guard import Guard
+from teleop.packet import DATA, MOST_SEQ, Echo, Kind, Packet, Rejection, Window, check_size, decode, encode, unwrapped
 from teleop.playout import Inbox, Plan
+from teleop.rates import Heard, Messages, Resampling
 from teleop.scene import Scene
-from teleop.session import Session
+from teleop.session import RENEW_NS, Session
 from teleop.source import beginnings, compiled, live_text
-from teleop.tick import columns
+from teleop.tick import ENDS, columns
 
 Axes = tuple[float, ...]
+EARLY_NS = 1_000_000_000  # a message from further ahead than this is not believed: the two share one grid
+SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
+COUNTED = ("received", "late", "overtaken", "duplicates", "refused", "played")  # of an inbox
 
 
 class Reading(NamedTuple):
@@ -25,36 +36,6 @@ class Reading(NamedTuple):
     x: Axes
     v: Axes
     f: Axes | None  # force sensor: f_h at the master, f_env at the slave; None: it has none
-
-
-class Heard(NamedTuple):
-    """One message as it came: the law's, per axis, and the sender's energy stamp."""
-
-    rx: tuple[Any, ...]
-    E_in: float | None
-
-
-class Times:
-    """Mean, least and most of times in ns, taken one by one."""
-
-    def __init__(self) -> None:
-        self.count, self.total, self.least, self.most = 0, 0, 0, 0
-        self.recent = 0.0  # mean over about the last 200
-
-    def add(self, ns: int) -> None:
-        """One more."""
-        self.least = ns if not self.count else min(self.least, ns)
-        self.most = ns if not self.count else max(self.most, ns)
-        self.count += 1
-        self.total += ns
-        self.recent += (ns - self.recent) / min(self.count, 200)
-
-
-class Messages(Protocol):
-    """Where messages wait until a tick plays them."""
-
-    def put(self, packet: int, tick: int, entry: Heard) -> None: ...
-    def take(self, tick: int) -> tuple[int, Heard] | None: ...
 
 
 class Stepped:
@@ -97,32 +78,42 @@ class Endpoint:
     `now` is the end's own monotonic clock in ns. `force_failed` names a force that was not finite: nothing may
     be held then, the run has diverged.
 
-    `way` are the one-way delays as they are seen, from the tick a packet was sent at to the tick that took it
-    in: they carry the uncertainty of the clock offset, half the fastest round trip of the first exchange.
-    `rtt` are the round trips that the packets' echoes tell, which need no common clock.
+    `link` tells what the packets say of the way and of the peer's clock. One-way delays are as they are seen, from
+    the tick a packet was sent at to its coming: they carry the uncertainty of the clock offset, half the fastest round
+    trip of the first exchange. `guard` holds the safe state and the events of the run.
     """
 
     def __init__(self, scene: Scene, e: str, session: Session, messages: Messages | None = None) -> None:
         self.scene, self.e, self.session = scene, e, session
+        self.stepped = messages is not None
         self.inbox: Messages = messages if messages is not None else Inbox(scene.playout, scene.dt_ns)
-        self.stepped = isinstance(self.inbox, Stepped)
         self.rejected: Counter[str] = Counter()
         self.received = 0  # DATA packets of this session, copies included
+        self.counted: Counter[str] = Counter()  # by the inboxes of earlier sessions
         self.force_failed: str | None = None
         self.stamp_margin: float | None = None  # smallest of (sender's stamp) - (energy received here), J
-        self.way, self.rtt = Times(), Times()
+        self.every = session.every
+        self.own = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
+        dt = self.own.dt_ns / 1e9
+        self.guard = Guard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
+        session.renew_ns = max(session.renew_ns, self.guard.lets_go_ns + RENEW_NS // 10)
+        self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self._window = Window()  # so that a copy or a replay is no second measurement
         self._tick = -1
-        self._newest: tuple[int, int] | None = None  # peer's newest send time, and when it came here
-        self._live = compiled(scene, live_text(scene, e), "live")  # now: at tick 0 there is no time for it
+        self._met = 1  # the session that the law was begun for
+        self._index: Axes | None = None  # where the law's positions count from, if not from the device's zero
+        self._held: Axes = (0.0,) * scene.axes
+        self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
+        self._shifted = 0  # ns that the grid was moved by
+        self._live = compiled(self.own, live_text(self.own, e), "live")  # now: at tick 0 there is no time for it
         self._started: Any = None
         law: Any = scene.law
         self._axes = range(scene.axes)
-        dt = scene.dt_ns / 1e9
         from teleop.law import messages as message_types
 
         forth, back = message_types(law, dt)
         self._rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
+        self.hears, self._sends = (Kind.BACK, Kind.FORTH) if e == "m" else (Kind.FORTH, Kind.BACK)
         self._rx_width, tx_width = len(self._rx_type._fields), len(tx_type._fields)
         self._width = self._rx_width * scene.axes
         most = max(self._rx_width, tx_width) * scene.axes
@@ -131,8 +122,15 @@ class Endpoint:
         stamps = [f"E_in_{'fwd' if e == 'm' else 'bwd'}", f"E_out_{'bwd' if e == 'm' else 'fwd'}"]
         flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
         self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
-        self._g = flat.index(f"g_{e}") if f"g_{e}" in flat else None
+        self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
+        wave = ENDS[e].rx_wave if scene.has_waves else None
+        self._rates = Resampling(self._rx_type, wave, mine=self.every)
         self._dt = dt
+
+    @property
+    def way(self) -> Any:
+        """One-way delays towards this end, ns."""
+        return self.link.way
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
@@ -143,51 +141,127 @@ class Endpoint:
         if isinstance(packet, Rejection):
             self.rejected[packet.value] += 1
             return []
-        if packet.kind is not Kind.DATA:
-            if not self.session.belongs(packet, now):
+        session = self.session
+        if packet.kind not in DATA:
+            if not session.belongs(packet, now):
                 self.rejected["session"] += 1
                 return []
-            return self.session.receive(packet, now)
-        if packet.session != self.session.number or self.session.start_ns is None:
+            return session.receive(packet, now, len(data))
+        if packet.session != session.number or session.start_ns is None or session.meeting:
             self.rejected["session"] += 1
             return []
-        self.session.data_came()
+        if packet.kind is not self.hears:
+            self.rejected["direction"] += 1
+            return []
+        if session.met != self._met and not self.stepped:
+            session.data_came(now)
+            return []  # its law begins with the next tick, and nothing of it counts as of the session before
+        came = -((session.start_ns - now) // self.scene.dt_ns)  # the tick, rounded up
+        near = self._tick if self.stepped else max(came, self._tick)
+        seq = unwrapped(packet.seq, near)
+        if seq > (self._tick + 1 if self.stepped else near + EARLY_NS // self.scene.dt_ns + 1):
+            self.rejected["early"] += 1
+            session.astray = True
+            return []
+        if seq < 0 or seq < near - (1 << 30):
+            self.rejected["old"] += 1
+            return []
         self.received += 1
-        if not self.stepped and self._window.judge(packet.seq, self._tick) == "new":
-            self.way.add(now - self.session.start_ns - packet.seq * self.scene.dt_ns)
-            if packet.echo is not None:
-                self.rtt.add(now - packet.echo.sent_ns - packet.echo.held_ns)
-        if self._newest is None or packet.sent_ns > self._newest[0]:
-            self._newest = (packet.sent_ns, now)
-        tick = -((self.session.start_ns - now) // self.scene.dt_ns)  # rounded up
-        self.inbox.put(packet.seq, max(tick, self._tick + 1), Heard(self._message(packet.payload), packet.E_in))
+        if self._window.judge(seq, near) == "new":
+            session.data_came(now)
+            if not self.stepped:
+                way = now - session.start_ns - seq * self.scene.dt_ns
+                self.link.heard(seq, packet.sent_ns, packet.echo, way, now)
+            if self._newest is None or seq > self._newest[0]:
+                self._newest = (seq, packet.sent_ns, now)
+        self.inbox.put(seq, max(came, self._tick + 1), Heard(self._message(packet.payload), packet.E_in))
         return []
 
-    def tick(self, k: int, now: int, reading: Reading) -> Tick:
-        """Run tick k. The force is in N per axis, capped and watched as the scene says."""
-        if self._started is None:
-            self._begin(reading)
-        got = self.inbox.take(k)
-        self._tick = k
+    def tick(self, k: int, now: int, reading: Reading, trouble: str | None = None) -> Tick:
+        """Run tick k of the grid. The force is in N per axis, capped and watched as the scene says.
+
+        `trouble`: why this end may hold no force, if something of which the link knows nothing has gone wrong.
+        """
+        if self._started is None or self._met != self.session.met:
+            self._begin(k, reading)
+        got = self._rates.take(self.inbox, self._tick, k)
+        gain = self.guard.step(k, got is not None, trouble)
         seq, rx = (-1, None) if got is None else (got[0], got[1].rx)
-        force, tx, row = self._started.send((k, reading.x, reading.v, reading.f, got is not None, seq, rx))
+        x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
+        own, newest = k // self.every, seq if self.every == 1 else seq / self.every
+        told = own, x, reading.v, reading.f, got is not None, newest, rx, gain, self._held
+        force, tx, row = self._started.send(told)
         if got is not None and self._E_out is not None and got[1].E_in is not None:
             margin = got[1].E_in - row[self._E_out]
             if self.stamp_margin is None or margin < self.stamp_margin:
                 self.stamp_margin = margin
+        if self._index is not None:
+            row = self._physical(row)
+        self._tick = k
+        self._held = force
         if not all(map(isfinite, force)):
             self.force_failed = f"f_{self.e}"
+        self._follow()
         return Tick(force, self._datagram(k, now, tx, row), row, seq)
 
-    def gain(self, row: tuple[float, ...]) -> float | None:
-        """The watchdog's gain in a row of this end, None if the scene has no watchdog."""
-        return None if self._g is None else row[self._g]
+    def left_out(self, k: int, trouble: str) -> None:
+        """Tick k cannot be run, for there is no reading: the device holds no force from now on."""
+        self.guard.step(k, False, trouble)
+        self.guard.gain = 0.0
+        self._held = (0.0,) * self.scene.axes
 
-    def _begin(self, reading: Reading) -> None:
-        scene = self.scene
-        begins = beginnings(scene, {self.e: reading.x})
-        self._started = self._live(scene, begins, scene.law, self._dt, reading.x, reading.v, reading.f)
+    def join(self, k: int) -> None:
+        """The first tick of this end will be k: the run has been going on without it."""
+        if not self.stepped:
+            self._tick = k - 1
+            self.inbox = Inbox(self.scene.playout, self.scene.dt_ns, tick=k - 1)
+            self.guard.tell(k, "joined", "the other end was running already")
+            self._met = 0
+
+    def _begin(self, k: int, reading: Reading) -> None:
+        """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
+        first, self._met = self._met == 1 and self._started is None, self.session.met
+        x = reading.x
+        if not first:
+            self._index = self._counted_from(x)
+            x = tuple([a - b for a, b in zip(x, self._index, strict=True)])
+            if not self.stepped:
+                inbox: Any = self.inbox
+                self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
+                self.inbox, self._tick = Inbox(self.scene.playout, self.scene.dt_ns, tick=k - 1), k - 1
+                self._window, self._newest, self._shifted = Window(), None, 0
+                self.link.begin(self._rates.theirs)
+            self.guard.begin(k, "the law begins from rest, and its positions from here")
+        self._rates.begin(self.session.peer_every)
+        begins = beginnings(self.own, {self.e: x})
+        self._started = self._live(self.own, begins, self.scene.law, self._dt, x, reading.v, reading.f)
         self._started.send(None)
+
+    def _counted_from(self, x: Axes) -> Axes:
+        """Where the law's positions count from: here, to a whole step of the encoder if there is one."""
+        device: Any = getattr(self.scene, f"device_{self.e}")
+        if device is None or device.encoder is None:
+            return x
+        from teleop.device import encode
+
+        return tuple([encode((device.encoder.step, 0.5), each) for each in x])
+
+    def _follow(self) -> None:
+        """Let a slave's grid follow the master's, whose clock may go at another rate."""
+        wanted = -self.link.clock.shift_ns
+        if self.e == "s" and self.session.start_ns is not None and wanted != self._shifted and not self.stepped:
+            most = self.own.dt_ns // SLEW
+            step = max(-most, min(most, wanted - self._shifted))
+            self._shifted += step
+            self.session.start_ns += step
+
+    def _physical(self, row: tuple[float, ...]) -> tuple[float, ...]:
+        """A row of the record with its positions as the device reads them."""
+        assert self._index is not None
+        out = list(row)
+        for n, i in enumerate(self._places):
+            out[i] += self._index[n % self.scene.axes]
+        return tuple(out)
 
     def _message(self, payload: Any) -> tuple[Any, ...]:
         n, kind = self._rx_width, self._rx_type
@@ -195,9 +269,10 @@ class Endpoint:
 
     def _datagram(self, k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
         payload = tuple(tx[0]) if len(tx) == 1 else tuple([number for message in tx for number in message])
-        session = self.session.number
-        if session is None or not all(map(isfinite, payload)):
+        session = self.session
+        if session.number is None or session.mute(now) or not all(map(isfinite, payload)):
             return None
-        echo = None if self._newest is None else Echo(self._newest[0], max(0, now - self._newest[1]))
+        newest = self._newest
+        echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))
         stamp = None if self._E_in is None or not isfinite(row[self._E_in]) else row[self._E_in]
-        return encode(Packet(Kind.DATA, session, k, now, echo, payload, stamp), self._size)
+        return encode(Packet(self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp), self._size)

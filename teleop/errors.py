@@ -16,6 +16,10 @@ class Refused(ValueError):
     """A request that cannot be carried out as it stands; the text is the whole answer."""
 
 
+class DeviceError(Exception):
+    """What a device or robot raises that cannot be read or moved now: its end is safe until it can again."""
+
+
 class WrongNumber(Refused):
     """A refused number: what it is called, what it is, what it must be, and an example of one that would do."""
 

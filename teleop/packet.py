@@ -24,7 +24,7 @@ from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
 
-VERSION = 1
+VERSION = 2
 MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments
 MOST_CONTROL = 8192
 MOST_SENTENCE = 1000  # characters of a REFUSE or BYE
@@ -41,12 +41,13 @@ _pack = Packer().pack
 class Kind(IntEnum):
     """What a packet is for, which fixes what its payload is."""
 
-    DATA = 0  # the law's message: a flat tuple of finite floats
-    HELLO = 1  # master to slave: the manifest
-    WELCOME = 2  # slave to master: the manifest
-    REFUSE = 3  # a sentence
-    START = 4  # the time of tick 0, ns
-    BYE = 5  # a sentence
+    FORTH = 0  # the law's message, master to slave: a flat tuple of finite floats
+    BACK = 1  # slave to master, so that a packet thrown back at its sender is of no use
+    HELLO = 2  # master to slave: the manifest
+    WELCOME = 3  # slave to master: the manifest
+    REFUSE = 4  # a sentence
+    START = 5  # the time of tick 0, ns
+    BYE = 6  # a sentence
 
 
 class Rejection(StrEnum):
@@ -79,15 +80,18 @@ class Packet(NamedTuple):
 
     kind: Kind
     session: int  # 0 .. 2**64 - 1
-    seq: int  # 0 .. 2**32 - 1; for DATA the tick it was sent at. It does not wrap: 49 days at 1 kHz
+    seq: int  # 0 .. 2**32 - 1; for DATA the tick it was sent at, modulo 2**32: see `unwrapped`
     sent_ns: int
     echo: Echo | None  # None: nothing heard yet
     payload: Payload  # of the type that the kind says
     E_in: float | None = None  # the sender's cumulative energy; None: the scene has no ledger
 
 
+DATA = frozenset((Kind.FORTH, Kind.BACK))
+"""The kinds that carry the law's messages."""
+
 _KINDS = tuple(Kind)
-_DATA = int(Kind.DATA)
+_LAST_DATA = int(Kind.BACK)
 
 
 def encode(packet: Packet, size: int | None = None) -> bytes:
@@ -103,9 +107,10 @@ def encode(packet: Packet, size: int | None = None) -> bytes:
     elif isinstance(payload, dict) and not _is_manifest(payload):
         raise Refused(f"knobs are sent as printable text; write them without control characters: {payload!r}")
     body = _pack(packet[1:])
-    most = size or (MOST_CONTROL if kind else MOST_DATA)
+    control = kind > _LAST_DATA
+    most = size or (MOST_CONTROL if control else MOST_DATA)
     if len(body) + _LEAST > most:
-        cure = "shorten the scene's knobs" if kind else "send fewer numbers or write a larger packet_size"
+        cure = "shorten the scene's knobs" if control else "send fewer numbers or write a larger packet_size"
         raise Refused(f"a {Kind(kind).name} packet of {len(body) + _LEAST} bytes is above {most}; {cure}")
     data: bytes = _HEAD.pack(_MAGIC, VERSION, kind, len(body)) + body
     if size:
@@ -128,7 +133,7 @@ def decode(data: bytes, width: int) -> Packet | Rejection:
         return Rejection.MAGIC
     if version != VERSION:
         return Rejection.VERSION
-    if kind == _DATA and size > MOST_DATA:
+    if kind <= _LAST_DATA and size > MOST_DATA:
         return Rejection.OVERSIZE
     if length + _LEAST > size:
         return Rejection.TRUNCATED
@@ -159,10 +164,10 @@ def _checked(kind: Kind, fields: Any, width: int) -> Packet | Rejection:
         and _is_time(sent_ns)
         and (echo is None or _is_echo(echo))
         and (E_in is None or type(E_in) is float)
-        and (_is_message(payload, width) if kind == _DATA else _is_control(kind, payload))
+        and (_is_message(payload, width) if kind <= _LAST_DATA else _is_control(kind, payload))
     ):
         return Rejection.MALFORMED
-    if not ((kind != _DATA or all(map(isfinite, payload))) and (E_in is None or isfinite(E_in))):
+    if not ((kind > _LAST_DATA or all(map(isfinite, payload))) and (E_in is None or isfinite(E_in))):
         return Rejection.NON_FINITE
     return Packet(kind, session, seq, sent_ns, None if echo is None else Echo(*echo), payload, E_in)
 
@@ -191,6 +196,11 @@ def _is_manifest(entries: Mapping[str, str]) -> bool:
     # A peer's texts are shown to people: an escape sequence in one would reach their terminal.
     texts = [*entries, *entries.values()]
     return {str}.issuperset(map(type, texts)) and "".join(texts).isprintable()
+
+
+def unwrapped(seq: int, near: int) -> int:
+    """The packet number that is `seq` modulo 2**32 and nearest to `near`."""
+    return near + (seq - near + 2**31) % 2**32 - 2**31
 
 
 def one_line(text: str) -> str:

@@ -143,11 +143,11 @@ class Inbox(Generic[Entry]):
     """
 
     __slots__ = (
-        "_coming", "_delay", "_kept", "_queued", "_room", "_tick", "_window",
+        "_coming", "_copies", "_delay", "_kept", "_queued", "_room", "_tick", "_waits", "_window",
         "duplicates", "late", "overtaken", "played", "received", "refused",
     )
 
-    def __init__(self, playout: Playout, dt_ns: int, *, room: int = 4096) -> None:
+    def __init__(self, playout: Playout, dt_ns: int, *, room: int = 4096, tick: int = -1) -> None:
         from teleop.packet import Window  # with msgpack, which a run in virtual time does without
 
         if room < 1:
@@ -158,8 +158,10 @@ class Inbox(Generic[Entry]):
         self._window = Window(ahead=span, size=span)
         self._coming: dict[int, list[tuple[int, Entry]]] = {}  # by the tick of arrival
         self._queued = 0  # packets in there
+        self._copies: dict[int, int] = {}  # further copies of them, by the tick of arrival
+        self._waits: dict[int, int] = {}  # for each of them, the earliest tick that a copy of it waits for
         self._kept: dict[int, Entry] = {}  # fixed: those that arrived, by number, until their tick
-        self._tick = -1  # the last one taken
+        self._tick = tick  # the last one taken; an end that joins a run begins behind its first ticks
         self.received = self.duplicates = self.played = self.overtaken = self.late = self.refused = 0
 
     @property
@@ -173,6 +175,11 @@ class Inbox(Generic[Entry]):
         if self._queued + len(self._kept) >= self._room or tick > self._tick + self._room:
             self.refused += 1
             return
+        if self._waits.get(packet, tick + 1) <= tick:
+            # It cannot come first, so it takes no room: it is only counted.
+            self._copies[tick] = self._copies.get(tick, 0) + 1
+            return
+        self._waits[packet] = tick
         self._queued += 1
         self._coming.setdefault(tick, []).append((packet, entry))
 
@@ -181,7 +188,7 @@ class Inbox(Generic[Entry]):
         last, self._tick = self._tick, max(self._tick, tick)
         if tick <= last:
             raise Refused(f"tick {tick} was taken already; take a tick after {last}")
-        arrived = self._arrived(tick, skipped=tick != last + 1) if self._queued else []
+        arrived = self._arrived(tick, skipped=tick != last + 1) if self._queued or self._copies else []
         if self._delay is not None:
             return self._exactly(tick - self._delay, arrived, skipped=tick != last + 1)
         return self._newest(arrived) if arrived else None
@@ -190,6 +197,11 @@ class Inbox(Generic[Entry]):
         due = sorted(k for k in self._coming if k <= tick) if skipped else [tick]
         arrived = [item for k in due for item in self._coming.pop(k, ())]
         self._queued -= len(arrived)
+        for packet, _ in arrived:
+            self._waits.pop(packet, None)
+        if self._copies:
+            for k in [k for k in self._copies if k <= tick]:
+                self.duplicates += self._copies.pop(k)
         return arrived
 
     def _is_first(self, packet: int) -> bool:

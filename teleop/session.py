@@ -1,136 +1,266 @@
-"""How two ends agree to run: the first exchange, the common tick grid, the farewell. Sans-IO.
+"""How two ends agree to run, and to go on after one of them was away: the exchange, the common tick grid, the farewell.
 
     master                      slave
       HELLO  manifest   ->
                         <-   WELCOME manifest      (or REFUSE and a sentence, and both stop)
       START  time of tick 0  ->
                         <-   START                 (the same, to say it has come)
-      DATA ...          <->  DATA ...
+      FORTH ...         <->  BACK ...
       BYE    a reason   <->  BYE
 
 The master repeats what is not answered. Each WELCOME echoes its HELLO, which bounds the slave's clock
 against the master's: the offset is taken from the fastest round trip and is uncertain by half of that.
 The master places tick 0 a little ahead on its own clock and sends it as a time on the slave's, so that
 both ends count the same ticks: a packet's number is the tick it was sent at.
+
+A session that has been silent for `RENEW_NS` is over, the run is not: the master asks anew under the next number, and
+a slave takes up a HELLO again, of this master or of one that was started anew. Whoever was running already has the
+grid: a master that joins a running slave takes tick 0 from its WELCOME, a slave that joins a running master is told a
+tick 0 that has passed. `met` counts the sessions; with each of them both ends begin their law from rest.
+Runs that go by packets have no silence to heal: they are made with `heals=False`.
+
+A HELLO is as long as its answer at least, so that nobody can have a third party flooded with answers. A START echoes
+the send time of a WELCOME, and counts only if this very slave has sent it: who has not seen that cannot start a
+session, and one that was recorded cannot be played to a slave that was started anew.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from teleop.packet import Echo, Kind, Packet, encode, manifest_difference
+from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, encode, manifest_difference
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
-ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken
+ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster
+FASTER_NS = 1_000_000  # by so much: what waited at a process that stood still is answered faster from one to the next
 LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
 MOST_RTT_NS = 60_000_000_000  # of a WELCOME that is believed
 MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
-HOLD_NS = 1_000_000_000  # a master that fell silent before START keeps others out for this long
+RENEW_NS = 1_000_000_000  # of silence, and a session is over
+FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
+ROOM = 96  # bytes: what a WELCOME says beyond its HELLO
+SHORTEST = 1200  # bytes of a HELLO: the sentence of a REFUSE fits
+MOST_WELCOMED = 1024  # answers that a slave remembers, to know a START by
+MOST_EVERY = 1000  # ticks of the grid to one of an end
+EVERY, TICK_0 = "@every", "@tick 0"  # entries of a manifest that tell and are not compared
 
 
 class Session:
-    """One end's side of the first exchange. `now` is the end's own monotonic clock in ns.
+    """One end's side of the exchange. `now` is the end's own monotonic clock in ns.
 
     `start_ns` becomes the time of tick 0 on that clock; `failure` the sentence with which this end must
-    stop; `farewell` the reason the peer gave for leaving.
+    stop; `farewell` the reason the peer gave for leaving. `every`: this end ticks at every so many ticks of the grid.
     """
 
-    def __init__(self, *, master: bool, manifest: Mapping[str, str], number: int | None = None) -> None:
+    def __init__(
+        self, *, master: bool, manifest: Mapping[str, str], number: int | None = None, every: int = 1,
+        heals: bool = True,
+    ) -> None:
         self.master = master
         self.manifest = dict(manifest)
-        self.number = number  # of the session; a slave takes that of the master it welcomes
+        self.number = number  # of the session; a slave takes that of the master that starts it
+        self.every, self.peer_every = every, 1
         self.start_ns: int | None = None
         self.failure: str | None = None
         self.farewell: str | None = None
         self.offset_ns = 0  # the peer's clock less ours (known to the master)
         self.rtt_ns: int | None = None  # of the fastest first exchange
-        self._rounds = 0
+        self.met = 0  # sessions that this end has begun
+        self.joined = False  # was the other end running already when this one came
+        self.meeting = True  # is the exchange still to be done
+        self.astray = False  # are the peer's messages of ticks that are far ahead of ours
+        self._rounds, self._since_ns = 0, 0  # of the exchange, and when the first of them was over
         self._acknowledged = not master
         self._next_ns: int | None = None
-        self._heard_ns = 0  # when the master last spoke (known to the slave)
+        self._asking: int | None = None  # the session of the HELLO that this slave has answered last
+        self._welcomed: dict[tuple[int, int], int] = {}  # by session and send time of a WELCOME: the master's `every`
+        self._welcome_ns = 0  # send time of the last that this master has had
+        self._heard_ns = 0  # when the peer last spoke in the session
+        self._heals = heals
+        self._patience_ns = self._first_ns = FIRST_NS
+        self.renew_ns = RENEW_NS  # longer for an end that takes longer to let go
 
-    def receive(self, packet: Packet, now: int) -> list[bytes]:
-        """Take a control packet; the datagrams to send back at once."""
+    def receive(self, packet: Packet, now: int, room: int = MOST_CONTROL) -> list[bytes]:
+        """Take a control packet of `room` bytes; the datagrams to send back at once."""
         if not self.belongs(packet, now):
             return []
-        self._heard_ns = now
-        if packet.kind is Kind.HELLO and not self.master:
-            return self._welcome(packet, now)
-        if packet.kind is Kind.WELCOME and self.master and self.start_ns is None:
+        if packet.kind is Kind.HELLO:
+            return self._welcome(packet, now, room)
+        if packet.kind is Kind.START and isinstance(packet.payload, int) and not self.master:
+            return self._start(packet, packet.payload, now, room)
+        if self.master:
+            self._heard_ns = now
+        if packet.kind is Kind.WELCOME and self.master and self.meeting:
             return self._measure(packet, now)
-        if packet.kind is Kind.START and isinstance(packet.payload, int):
-            if self.master:
-                self._acknowledged = True
-                return []
-            if self.start_ns is None:
-                self.start_ns = packet.payload
-            return [self._packet(Kind.START, now, packet.payload)]
-        if packet.kind is Kind.REFUSE and self.start_ns is None:
+        if packet.kind is Kind.START:
+            self._acknowledged = True
+        if packet.kind is Kind.REFUSE and not self.met:
             self.failure = str(packet.payload)
         if packet.kind is Kind.BYE:
             self.farewell = str(packet.payload)
         return []
 
     def belongs(self, packet: Packet, now: int) -> bool:
-        """Is this packet of our session, or the HELLO of one that this slave may take up?
+        """Is this packet of our session, or of one that this slave may take up?
 
-        One session at a time: a running one is not taken over, nor one whose master has just been heard.
+        One session at a time: one that is heard is not taken over.
         """
-        if packet.session == self.number:
-            return True
-        free = self.number is None or (self.start_ns is None and now - self._heard_ns > HOLD_NS)
-        return free and packet.kind is Kind.HELLO and not self.master
+        if self.master or packet.kind not in (Kind.HELLO, Kind.START, Kind.BYE):
+            return packet.session == self.number and packet.kind is not Kind.HELLO
+        if packet.kind is Kind.BYE and self.met:
+            return packet.session == self.number
+        free = self.number is None or self.silent(now)
+        if packet.kind is Kind.HELLO:
+            return free
+        if packet.kind is Kind.BYE:
+            return packet.session == self._asking
+        answers = packet.echo is not None and (packet.session, packet.echo.sent_ns) in self._welcomed
+        return packet.session == self.number or (free and answers)
 
-    def data_came(self) -> None:
-        """The peer sends DATA: it has had START."""
-        self._acknowledged = True
+    def silent(self, now: int) -> bool:
+        """Has the peer said nothing for so long that the session is over?"""
+        patience = max(self._patience_ns, self.renew_ns) if self.master else self.renew_ns
+        return self._heals and now - self._heard_ns > patience
+
+    def mute(self, now: int) -> bool:
+        """Is nothing of the law's to be sent? Nor to a peer that alone finds the grid shared: it has to notice."""
+        return self.meeting or (self.astray and self.silent(now))
+
+    def data_came(self, now: int) -> None:
+        """A new message of the peer: it has had START, and it is there."""
+        self._acknowledged, self._heard_ns, self.astray = True, now, False
+        self._patience_ns, self._first_ns = RENEW_NS, FIRST_NS
+
+    def begin(self, start_ns: int, now: int) -> None:
+        """The two have met: the session begins, on the grid whose tick 0 is at `start_ns`."""
+        self.start_ns, self.meeting, self.astray, self._heard_ns = start_ns, False, False, now
+        self.met += 1
 
     def due(self, now: int) -> list[bytes]:
         """What is to be sent now because it was not answered."""
-        if not self.master or self.failure or (self.start_ns is not None and self._acknowledged):
+        if not self.master or self.failure:
+            return []
+        if not self.meeting and self.silent(now):
+            self._renew(now)
+        if not self.meeting and self._acknowledged:
             return []
         if self._next_ns is not None and now < self._next_ns:
             return []
         self._next_ns = now + AGAIN_NS
-        if self.start_ns is None:
-            return [self._packet(Kind.HELLO, now, self.manifest)]
-        return [self._packet(Kind.START, now, self.start_ns + self.offset_ns)]
+        if self.meeting:
+            return [self._hello(now)]
+        assert self.start_ns is not None
+        return [self._packet(Kind.START, now, self.start_ns + self.offset_ns, Echo(self._welcome_ns, 0))]
 
     def bye(self, reason: str, now: int) -> list[bytes]:
         """The farewell to send when this end leaves; nothing if it never met anybody."""
-        return [] if self.number is None else [self._packet(Kind.BYE, now, reason)]
+        number = self._asking if self.number is None else self.number
+        return [] if number is None else [self._packet(Kind.BYE, now, reason, number=number)]
 
-    def _welcome(self, hello: Packet, now: int) -> list[bytes]:
-        assert isinstance(hello.payload, dict)
-        self.number = hello.session
-        difference = manifest_difference(self.manifest, hello.payload)
+    def _renew(self, now: int) -> None:
+        assert self.number is not None
+        self.number = (self.number + 1) % 2**64
+        self.meeting, self.rtt_ns, self._rounds, self._acknowledged = True, None, 0, False
+        self._heard_ns = now
+        if self._patience_ns != RENEW_NS:
+            self._first_ns = min(2 * self._first_ns, MOST_RTT_NS)
+        self._patience_ns = self._first_ns
+
+    def _hello(self, now: int) -> bytes:
+        hello = self._packet(Kind.HELLO, now, self._told())
+        size = max(SHORTEST, len(hello) + ROOM)
+        if size > MOST_CONTROL:
+            size = MOST_CONTROL - ROOM  # its answer would not fit: it is refused where it is written
+        return self._packet(Kind.HELLO, now, self._told(), size=size)
+
+    def _told(self) -> dict[str, str]:
+        own = {EVERY: str(self.every)} if self.every != 1 else {}
+        if not self.master and self.start_ns is not None:
+            own[TICK_0] = str(self.start_ns)
+        return {**self.manifest, **own}
+
+    def _welcome(self, hello: Packet, now: int, room: int) -> list[bytes]:
+        theirs, told = _parted(hello.payload)
+        difference = manifest_difference(self.manifest, theirs)
         if difference is None:
-            return [self._packet(Kind.WELCOME, now, self.manifest, Echo(hello.sent_ns, 0))]
-        self.failure = f"the master asks for another run: {difference}"
-        theirs = manifest_difference(hello.payload, self.manifest)
-        return [self._packet(Kind.REFUSE, now, f"the slave is set up for another run: {theirs}")]
+            self._asking = hello.session
+            self._welcomed[hello.session, now] = told.get(EVERY, 1)
+            if len(self._welcomed) > MOST_WELCOMED:
+                del self._welcomed[next(iter(self._welcomed))]
+            reply = self._packet(Kind.WELCOME, now, self._told(), Echo(hello.sent_ns, 0), number=hello.session)
+        else:
+            if not self.met:
+                self._asking = hello.session
+                self.failure = f"the master asks for another run: {difference}"
+            why = manifest_difference(theirs, self.manifest)
+            reply = self._packet(Kind.REFUSE, now, f"the slave is set up for another run: {why}", number=hello.session)
+        return [reply] if len(reply) <= room else []
+
+    def _start(self, start: Packet, tick_0: int, now: int, room: int) -> list[bytes]:
+        if abs(tick_0) > MOST_CLOCK_NS:
+            return []  # of a clock that nobody has
+        if start.session != self.number or self.meeting:
+            self.joined = self.joined or (not self.met and tick_0 < now)
+            self.number = start.session
+            assert start.echo is not None  # it would not belong
+            self.peer_every = self._welcomed[start.session, start.echo.sent_ns]
+            self.begin(tick_0, now)
+        reply = self._packet(Kind.START, now, tick_0)
+        return [reply] if len(reply) <= room else []
 
     def _measure(self, welcome: Packet, now: int) -> list[bytes]:
-        assert isinstance(welcome.payload, dict)
-        difference = manifest_difference(self.manifest, welcome.payload)
+        theirs, told = _parted(welcome.payload)
+        difference = manifest_difference(self.manifest, theirs)
         if difference is not None:
-            self.failure = f"the slave is set up for another run: {difference}"
+            if not self.met:
+                self.failure = f"the slave is set up for another run: {difference}"
             return self.bye("the master refused", now)
         if welcome.echo is None:
             return []
         rtt = now - welcome.echo.sent_ns - welcome.echo.held_ns
         if not 0 <= rtt <= MOST_RTT_NS or abs(welcome.sent_ns) > MOST_CLOCK_NS:
             return []  # forged, or of a clock that nobody has
+        if self.rtt_ns is None or rtt < self.rtt_ns - FASTER_NS:
+            self._rounds, self._since_ns = 1, now  # what was asked before may have waited just as long
+        elif welcome.echo.sent_ns >= self._since_ns:
+            self._rounds += 1
         if self.rtt_ns is None or rtt < self.rtt_ns:
             self.rtt_ns = rtt
             self.offset_ns = welcome.sent_ns - (now - rtt // 2)
-        self._rounds += 1
+        self.peer_every = told.get(EVERY, 1)
+        self._welcome_ns = welcome.sent_ns
         self._next_ns = now + AGAIN_NS
-        if self._rounds < ROUNDS or self.rtt_ns is None:
-            return [self._packet(Kind.HELLO, now, self.manifest)]
-        self.start_ns = now + LEAD_NS + 2 * self.rtt_ns
-        return [self._packet(Kind.START, now, self.start_ns + self.offset_ns)]
+        if self._rounds < ROUNDS:
+            return [self._hello(now)]
+        grids = [] if self.start_ns is None else [self.start_ns]
+        if TICK_0 in told:
+            self.joined = self.joined or not grids
+            grids.append(told[TICK_0] - self.offset_ns)
+        # Of two grids that came apart the one that is further on: ticks cannot be taken back, only left out.
+        tick_0 = min(grids) if grids else now + LEAD_NS + 2 * self.rtt_ns
+        self.begin(tick_0, now)
+        return [self._packet(Kind.START, now, tick_0 + self.offset_ns, Echo(self._welcome_ns, 0))]
 
-    def _packet(self, kind: Kind, now: int, payload: dict[str, str] | str | int, echo: Echo | None = None) -> bytes:
-        assert self.number is not None
-        return encode(Packet(kind, self.number, 0, now, echo, payload))
+    def _packet(
+        self, kind: Kind, now: int, payload: dict[str, str] | str | int, echo: Echo | None = None,
+        *, number: int | None = None, size: int | None = None,
+    ) -> bytes:
+        session = self.number if number is None else number
+        assert session is not None
+        return encode(Packet(kind, session, 0, now, echo, payload), size)
+
+
+def _parted(payload: object) -> tuple[dict[str, str], dict[str, int]]:
+    """What of a manifest is compared, and the whole numbers that it tells beside that."""
+    assert isinstance(payload, dict)
+    told = {}
+    for name in (EVERY, TICK_0):
+        text = payload.get(name, "")
+        digits = text.removeprefix("-")
+        if digits.isascii() and digits.isdigit() and len(text) < 20:
+            told[name] = int(text)
+    if not 1 <= told.get(EVERY, 1) <= MOST_EVERY:
+        del told[EVERY]
+    if abs(told.get(TICK_0, 0)) > MOST_CLOCK_NS:
+        del told[TICK_0]
+    return {name: text for name, text in payload.items() if name not in (EVERY, TICK_0)}, told

@@ -22,7 +22,7 @@ def loop_text(scene: Scene) -> str:
 
 def live_text(scene: Scene, e: str) -> str:
     """The source of one live end of this scene, a generator."""
-    return specialise(LIVE, scene, ENDS[e])
+    return specialise(LIVE, scene, ENDS[e], frozenset(("live", "watched")))
 
 
 def compiled(scene: Scene, text: str, name: str, instead: Mapping[str, Any] | None = None) -> Callable[..., Any]:
@@ -69,6 +69,14 @@ def parts(scene: Scene) -> dict[str, Any]:
         from teleop.safety import cap, watch
 
         found["watch"], found["cap"] = watch, cap
+    if "v_max" in has:
+        from teleop.safety import fade
+
+        found["fade"] = fade
+    if "power" in has:
+        from teleop.safety import pay, ration, refill
+
+        found |= {"pay": pay, "ration": ration, "refill": refill}
     return found
 
 
@@ -107,6 +115,10 @@ def beginnings(scene: Scene, places: Mapping[str, Sequence[float]]) -> Any:
     for name, part in (("c_pc", scene.passivity), ("c_dog", scene.watchdog), ("c_cap", scene.cap)):
         if part is not None:
             found[name] = part.limits(dt)
+    if "v_max" in has:
+        found["c_speed"] = scene.cap.speed()  # type: ignore[union-attr]  # what the feature means
+    if "power" in has:
+        found["c_power"] = scene.cap.budget(dt)  # type: ignore[union-attr]
     return record("Given", tuple(found))(*found.values())
 
 
@@ -158,11 +170,12 @@ def _words(scene: Scene, end: End, has: frozenset[str]) -> dict[str, str]:
     """What stands for the words in braces at one end."""
     e = end.e
     sensed, observed = f"sense_{e}" in has, f"observe_{e}" in has
+    v, forth = f"v_hat_{e}@" if f"velocity_{e}" in has else f"v_{e}@", "-" if e == "m" else ""
     return {
         "e": e, "end": end.end, "out": end.out, "in": end.inward, "sensor": end.sensor,
         "tx_wave": end.tx_wave, "rx_wave": end.rx_wave,
         "x": f"q_{e}@" if f"encoder_{e}" in has else f"x_{e}@",
-        "v": f"v_hat_{e}@" if f"velocity_{e}" in has else f"v_{e}@",
+        "v": v, "along": f"{forth}{v}", "moved": f"{forth}dx_{e}@",  # the last two in the sense of the end's force
         "touch": f"{end.sensor}@" if sensed else "f_h_hat@" if observed else "nan",
         "dx": f"dx_{e}@" if f"dx_{e}" in has else "nan",
         "age": f"age_{e}" if f"age_{e}" in has else "inf" if "alone" in has else "nan",

@@ -7,6 +7,9 @@ observer, its watchdog and its ledgers see the same arithmetic in the same order
 How to read the text. A line ending in `#? a !b` stays only in a scene that has the feature a and not
 b; the rest is not there to be paid for. A line with `@` is repeated for each axis, and
 `<<f@>>` lists the axes on one line. `{e}` is the end, m or s.
+
+In virtual time the watchdog is part of the text. A live end has more causes to let go than silence, and its gain g
+comes from the one place that knows them all, `teleop.guard`, which calls the same `watch`.
 """
 
 from __future__ import annotations
@@ -34,9 +37,11 @@ line_{e}@ = given.line_{e}                                     #? late_{e}
 every_{e} = given.every_{e}; slow_{e}@ = {zero}                #? slow_{e}
 c_pc = given.c_pc; E_po@ = 0.0                                 #? popc_{e}
 newest_{e} = -1                                                #? age_{e}
-heard_{e} = -1; g_{e} = 1.0                                    #? watchdog
-c_dog = given.c_dog                                            #? watchdog
+heard_{e} = -1; g_{e} = 1.0; calm_{e} = inf                    #? watchdog !live
+c_dog = given.c_dog                                            #? watchdog !live
 c_cap = given.c_cap                                            #? cap
+c_speed = given.c_speed                                        #? v_max
+c_power = given.c_power; E_left_{e} = c_power.full             #? power
 x_before_{e}@ = {x}                                            #? dx_{e}
 x_was_{e}@ = x_{e}@                                            #? energy encoder_{e}
 E_in_{out} = E_out_{in} = 0.0                                  #? waves
@@ -64,10 +69,14 @@ push@, s_{e}@ = law_{e}(law, s_{e}@, at@)                      #? alone
 line_{e}@ = line_{e}@ + (push@,); push@ = line_{e}@[0]; line_{e}@ = line_{e}@[1:]  #? late_{e}
 push@ = slow_{e}@ = slow_{e}@ if k % every_{e} else push@      #? slow_{e}
 push@ = push@ + damp(c_pc, E_po@, {v})                         #? popc_{e}
-heard_{e} = k if got_{e} else heard_{e}                        #? watchdog !compiled
+heard_{e} = k if got_{e} else heard_{e}                        #? watchdog !compiled !live
 heard_{e} = where(got_{e}, k, heard_{e})                       #? watchdog compiled
-g_{e} = watch(c_dog, g_{e}, k - heard_{e})                     #? watchdog
-push@ = g_{e} * push@                                          #? watchdog
+g_{e}, calm_{e} = watch(c_dog, g_{e}, calm_{e}, k - heard_{e})  #? watchdog !live
+push@ = g_{e} * push@                                          #? watched
+push@ = fade(c_speed, push@, {along})                          #? v_max
+E_left_{e} = pay(E_left_{e}, f_{e}@ * {moved})                 #? power
+E_left_{e} = refill(c_power, E_left_{e})                       #? power
+push@ = ration(c_power, E_left_{e}, push@, {along})            #? power
 f_{e}@ = cap(c_cap, push@, f_{e}@)                             #? cap
 f_{e}@ = push@                                                 #? !cap
 wave = rx_{e}@.{rx_wave} * {fresh}; E_out_{in} = E_out_{in} + half_dt * (wave * wave)  #? waves
@@ -83,20 +92,24 @@ def live(scene, given, law, dt, x0, v0, touch0):
     <<x_{e}@>>, = x0; <<v_{e}@>>, = v0
     <<{sensor}@>>, = touch0                                    #? felt_{e}
     [START {e}]
-    k_before = -1                                              #? elapsed_{e}
     c_tick = c_obs                                             #? observe_{e}
-    k, x, v, touch, got_{e}, newest, rx = yield
+    c_once = c_cap                                             #? cap
+    k, x, v, touch, got_{e}, newest, rx, g_{e}, held = yield
+    k_before = k - 1
     while True:
         c_obs = c_tick if k == k_before + 1 else observer_over(k - k_before)  #? observe_{e}
         span = (k - k_before) * dt                             #? velocity_{e}
-        k_before = k                                           #? elapsed_{e}
-        <<x_{e}@>>, = x; <<v_{e}@>>, = v
+        # let go after a stall: what it could have slewed in the meantime it slews now  #? cap
+        late = k - k_before if g_{e} <= 0.0 else 1                   #? cap
+        c_cap = c_once if late == 1 else c_once._replace(step=c_once.step * late)  #? cap
+        k_before = k
+        <<x_{e}@>>, = x; <<v_{e}@>>, = v; <<f_{e}@>>, = held
         <<{sensor}@>>, = touch                                 #? felt_{e}
         if got_{e}:
             newest_{e} = newest                                #? age_{e}
             <<rx_{e}@>>, = rx
         [END {e}]
-        k, x, v, touch, got_{e}, newest, rx = yield (<<f_{e}@>>,), (<<tx_{e}@>>,), ({row_e},)
+        k, x, v, touch, got_{e}, newest, rx, g_{e}, held = yield (<<f_{e}@>>,), (<<tx_{e}@>>,), ({row_e},)
 """
 
 LOOP = """
@@ -212,6 +225,7 @@ def features(scene: Scene) -> frozenset[str]:
     if kept is None:
         parts = ("link", "hand", "watchdog", "cap", "passivity", "slave", "observer", "electrical")
         has = frozenset([name for name in parts if getattr(scene, name) is not None])
+        has |= {name for name in ("v_max", "power") if getattr(scene.cap, name, None) is not None}
         inner_m = scene.master.friction > 0.0 or scene.electrical is not None
         inner_s = scene.slave is not None and (
             scene.slave.friction > 0.0 or any(getattr(one, "inner", False) for one in scene.environments))
@@ -236,8 +250,8 @@ def _features(law: Any, parts: frozenset[str], hold: bool, energy: bool, waves: 
     alone = "slave" not in parts
     named = {
         "repeats": hold, "energy": energy, "waves": waves, "alone": alone, "popc_m": "passivity" in parts,
-        "inner_m": inner_m, "inner_s": inner_s,
-        **{name: name in parts for name in ("link", "hand", "watchdog", "cap", "slave")},
+        "inner_m": inner_m, "inner_s": inner_s, "watched": "watchdog" in parts,
+        **{name: name in parts for name in ("link", "hand", "watchdog", "cap", "v_max", "power", "slave")},
     }
     for end, stages in ((MASTER, stages_m), (SLAVE, stages_s))[: 1 if alone else 2]:
         wanted = reads(law.force if alone else getattr(law, end.end))
@@ -246,15 +260,14 @@ def _features(law: Any, parts: frozenset[str], hold: bool, energy: bool, waves: 
         named[f"age_{end.e}"] = "age" in wanted and not alone
         named[f"touch_{end.e}"] = "f" in wanted
         named |= {f"{name}_{end.e}": name in stages for name in ("encoder", "velocity", "late", "slow")}
-        named[f"dx_{end.e}"] = (
-            "dx" in wanted or (energy and not named[f"encoder_{end.e}"]) or named.get(f"popc_{end.e}", False))
+        named[f"dx_{end.e}"] = ("dx" in wanted or (energy and not named[f"encoder_{end.e}"])
+                                or named.get(f"popc_{end.e}", False) or named["power"])
     named["observe_m"] = named["touch_m"] and "observer" in parts
     named["sense_m"] = named["touch_m"] and "observer" not in parts
     named["sense_s"] = named.get("touch_s", False)
     for e in ("m", "s"):
         # A body with an inner state cannot tell its touch afterwards, so it is recorded.
         named[f"felt_{e}"] = named[f"sense_{e}"] or named[f"inner_{e}"]
-        named[f"elapsed_{e}"] = named.get(f"observe_{e}", False) or named.get(f"velocity_{e}", False)
     named["estimates"] = named.get("velocity_m", False) or named.get("velocity_s", False)
     return frozenset(name for name, has in named.items() if has)
 
@@ -270,6 +283,7 @@ def columns(scene: Scene, e: str) -> list[str]:
     names += ["f_h_hat@"] * (f"observe_{e}" in has)
     names += ["E_po@"] * (f"popc_{e}" in has)
     names += [f"g_{e}"] * ("watchdog" in has)
+    names += [f"E_left_{e}"] * ("power" in has)
     names += [f"E_in_{end.out}", f"E_out_{end.inward}"] * ("waves" in has)
     names += [f"E_port_{e}"] * ("energy" in has)
     return names

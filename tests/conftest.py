@@ -1,10 +1,21 @@
-"""What is common to all tests: the long ones run only when they are asked for, `pytest -m soak`, `pytest -m fuzz`."""
+"""What is common to all tests: which run when, and side by side with what.
+
+The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`. The rest goes file by file to as
+many workers as `-n` says, and whatever starts processes and looks at the clock to one of them, one after the other, so
+that it has the other cores nearly to itself.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 LONG = ("soak", "fuzz")
+TIMED = (
+    "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/", "tests/teleop/batch/test_cluster.py",
+)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -12,5 +23,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     asked = str(config.getoption("-m"))
     for item in items:
         for name in LONG:
-            if name in item.keywords and name not in asked:
+            if item.get_closest_marker(name) is not None and name not in asked:  # a folder is a keyword too
                 item.add_marker(pytest.mark.skip(reason=f"takes minutes: pytest -m {name}"))
+
+
+class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types
+    """A file goes to one worker, all that are timed to the same."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "timed" if nodeid.startswith(TIMED) else nodeid.split("::", 1)[0]
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
+    """The scheduler of `-n`."""
+    return ByFile(config, log)

@@ -1,4 +1,4 @@
-"""`python -m teleop.bench [virtual|sweep|scale|rivals|live|secure]`: measures what the README claims, side by side."""
+"""`python -m teleop.bench [NAME ...]`: measures what the README claims, side by side."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from argparse import ArgumentParser
 from importlib import import_module
 
-BENCHES = ("virtual", "sweep", "scale", "rivals", "live", "secure")
+BENCHES = ("virtual", "sweep", "scale", "rivals", "live", "secure", "flood", "timing")
 """Functions in modules of their names, loaded when they run."""
 
 

@@ -17,12 +17,13 @@ from teleop.errors import Refused
 from teleop.library import ROOT
 from teleop.live.interrupt import Interrupt
 from teleop.live.merge import merge
-from teleop.live.record import fresh_folder, read_record
+from teleop.live.record import fresh_folder, read_noted
 from teleop.live.summary import NAMES
 from teleop.result import Result
 from teleop.scene import Scene, both_ends, load_scene
 
 PATIENCE = 15.0  # s for a process to come up
+FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
 
 
 class Child:
@@ -160,12 +161,7 @@ async def _conduct(
             channel = await start("channel", "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
             port = await channel.port()
         await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *stepping)
-        ends = [watch for child, watch in zip(children, watches, strict=True) if child.name != "channel"]
-        await asyncio.gather(*ends)
-        for child, watch in zip(children, watches, strict=True):
-            code, said = watch.result() if watch in ends else (0, "")
-            if code:
-                raise child.failed(code, said)
+        await _until_over(children, watches)
     except Refused:
         if interrupt.name is None or _ran(out):
             raise  # otherwise what they say of each other's leaving is our doing
@@ -182,6 +178,27 @@ async def _conduct(
                 child.process.kill()
                 await asyncio.wait([watch])
     return next((child.done or {} for child in children if child.name == "channel"), {})
+
+
+async def _until_over(children: list[Child], watches: list[asyncio.Task[tuple[int, str]]]) -> None:
+    """Until both ends have run. One that dies ends it, for nobody would start it again; raises `Refused` with its name.
+
+    An end that stops by itself tells the other, which may know more; one that was killed cannot.
+    """
+    both = list(zip(children, watches, strict=True))
+    ends = [watch for child, watch in both if child.name != "channel"]
+    while not all(watch.done() for watch in ends):
+        await asyncio.wait([watch for watch in watches if not watch.done()], return_when=asyncio.FIRST_COMPLETED)
+        over = [(child, *watch.result()) for child, watch in both if watch.done()]
+        for child, code, said in over:
+            if code < 0 or child.name == "channel":
+                raise child.failed(code, said)
+        if any(code for _, code, _ in over):
+            await asyncio.wait(ends, timeout=FAREWELL)
+            break
+    for child, watch in both:
+        if watch.done() and watch.result()[0]:
+            raise child.failed(*watch.result())
 
 
 async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
@@ -225,6 +242,6 @@ def _ran(out: Path) -> bool:
     """Did an end come to its first tick: is there a record to keep?"""
     for name in NAMES.values():
         with suppress(Refused):
-            if read_record(out / name)[1].ticks:
+            if read_noted(out / name)[1].ticks:
                 return True
     return False

@@ -20,12 +20,13 @@ from teleop.live import realtime, security
 from teleop.live.address import address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.record import Recorder, fresh_folder
-from teleop.live.shell import Device, Shell
+from teleop.live.shell import Shell
+from teleop.live.stand import Device
 from teleop.live.summary import NAMES, write_end
 from teleop.live.wire import Wire
 from teleop.options import guarded, knobs_from, scene_options
 from teleop.scene import Scene, both_ends, load_scene
-from teleop.session import Session
+from teleop.session import MOST_EVERY, Session
 
 if TYPE_CHECKING:
     from teleop.secure.line import Line
@@ -51,10 +52,11 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else line.show
             command = ["python", "-m", NAMES[e], *argv]
             about = {"scene": args.scene, "knobs": knobs_from(args), "seed": args.seed, "command": command,
-                     "mode": "lockstep" if args.lockstep else "live"}
+                     "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
             recorder = Recorder(scene, e, folder, about)
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
             shell.realtime, shell.insecure = realtime.asked(args, NAMES[e]), insecure
+            shell.spin_ns = realtime.SPIN_NS if args.spin else 0
             _greet(e, args, wire)
             try:
                 asyncio.run(shell.run())
@@ -86,8 +88,24 @@ def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
 
         manifest["seed"] = str(args.seed)  # by the clock, the channel alone draws
         inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
-    session = Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None)
+    session = Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None,
+                      every=_every(scene, args), heals=not args.lockstep)
     return Endpoint(scene, e, session, inbox)
+
+
+def _every(scene: Scene, args: Namespace) -> int:
+    """At every how many ticks of the scene this end ticks. Raises `Refused`."""
+    if args.rate is None:
+        return 1
+    number("--rate", args.rate, above=0.0)
+    every: int = round(1.0 / (args.rate * scene.dt))
+    if not 1 <= every <= MOST_EVERY or abs(every * args.rate * scene.dt - 1.0) > 1e-6:
+        own = 1.0 / scene.dt
+        raise Refused(f"--rate {args.rate:g} is no whole part of the scene's {own:g} Hz; write for example --rate "
+                      f"{own / 2:g}, or set the scene's dt")
+    if args.lockstep and every != 1:
+        raise Refused("--lockstep runs both ends at the scene's own rate; leave out --rate")
+    return every
 
 
 def _parser(e: str) -> ArgumentParser:
@@ -108,8 +126,14 @@ def _parser(e: str) -> ArgumentParser:
     parser.add_argument("--lockstep", action="store_true",
                         help="tick by packets instead of by the clock: both ends step together, and the run equals the "
                         "one in virtual time bit for bit (both ends need it, and the same --seed)")
+    parser.add_argument("--rate", metavar="HZ", type=float,
+                        help="tick at this rate, a whole part of the scene's; the law gets that tick, and the other "
+                        "end may keep its own")
     security.options(parser)
     realtime.option(parser)
+    parser.add_argument("--spin", action="store_true",
+                        help="wake a little before each tick and wait for it awake: on time to microseconds, for a "
+                        "share of a core")
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     parser.add_argument("--quiet", action="store_true", help="no live line")
     return parser
@@ -166,6 +190,11 @@ def live_text(numbers: dict[str, Any]) -> str:
     """The live numbers as a person reads them."""
     e, gain, delay = numbers["end"], numbers["gain"], numbers["delay"]
     parts = [f"x_{e} {numbers['x'] * 1e3:7.2f} mm", f"f_{e} {numbers['f']:6.2f} N"]
-    parts += [f"delay {delay * 1e3:5.1f} ms"] if delay is not None else ["nothing heard"]
-    parts += [f"watchdog holds {NAMES[e]} at {gain * 100:.0f} %"] if gain is not None and gain < 1.0 else []
+    if delay is None:
+        parts += ["nothing heard"]
+    else:
+        rtt = "" if numbers["rtt"] is None else f" (rtt {numbers['rtt'] * 1e3:.1f})"
+        parts += [f"delay {delay * 1e3:5.1f}{rtt} ms", f"jitter {numbers['jitter'] * 1e3:.1f} ms"]
+        parts += [f"loss {numbers['loss']:.1%}"] if numbers["loss"] >= 0.0005 else []
+    parts += [f"SAFE at {gain:.0%}: {numbers['cause']}"] if numbers["cause"] is not None else []
     return "  ".join(parts)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.live.record import FILE, read_record
+from teleop.live.record import FILE, read_events, read_noted
 from teleop.live.summary import NAMES, WAYS, end_result
 from teleop.lockstep import packet_counts, standing_notes
 from teleop.result import Packets, Result
@@ -18,7 +18,7 @@ from teleop.trace import assemble
 
 def scene_of(folder: Path) -> Scene:
     """The scene that the live end in `folder` ran. Raises `Refused`."""
-    return _scene(read_record(folder)[0])
+    return _scene(read_noted(folder)[0])
 
 
 def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | None = None) -> Result:
@@ -30,7 +30,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     folders = {"m": master, "s": slave}
     headers, records, ends = {}, {}, {}
     for e, folder in folders.items():
-        headers[e], records[e], _ = read_record(folder)
+        headers[e], records[e], *_ = read_noted(folder)
         if headers[e]["end"] != e:
             other = NAMES[headers[e]["end"]]
             raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
@@ -42,12 +42,17 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(scene, records)
+    again = any(event.get("what") == "session" for folder in folders.values() for event in read_events(folder))
+    if again:
+        trace.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
     status, sentence = _verdict(ends)
     packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
     took = [end[NAMES[e]].get("run_time") for e, end in ends.items()]
     run_time = max((time for time in took if time is not None), default=None)
     extra = {**{NAMES[e]: end[NAMES[e]] for e, end in ends.items()}, "channel": channel}
     notes = standing_notes(scene)
+    if again:
+        notes.append("the two met more than once: their ledgers begin anew each time, so there is no E_link of it all")
     notes += [f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]
     return Result.make(scene, seed=ours["seed"], mode=ours["mode"], status=status, sentence=sentence,
                        ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
@@ -60,17 +65,20 @@ def recover(folder: Path) -> None:
         result = merge(scene_of(ends[0]), *ends)
         command: list[str] = []
     else:
-        header, record, late = read_record(folder)
+        header, record, late, notes = read_noted(folder)
         if not record.ticks:
             raise Refused(f"{folder} holds the record of a run that never came to its first tick")
         e, scene = header["end"], _scene(header)
         sentence = f"the process ended without a word after tick {record.ticks[-1]}; this is made from its record"
-        skipped = record.ticks[-1] + 1 - len(record.ticks)
+        every = header.get("every", 1)
+        events = read_events(folder)
+        first = next((event["k"] for event in events if event.get("what") == "joined"), 0)
+        skipped = (record.ticks[-1] - first) // every + 1 - len(record.ticks)
         sends, hears = WAYS[e]
         came = sum(1 for packet in record.played or () if packet >= 0)
         result = end_result(
             scene, e, record, late, seed=header["seed"], mode=header["mode"], status="stopped", sentence=sentence,
-            told={"skipped": skipped}, notes=[],
+            told={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
             packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=came)},
         )
         command = header["command"]

@@ -13,6 +13,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 
+SPIN_NS = 150_000  # how long before a tick `--spin` wakes: more than it takes to wake a process, nearly always
 PRIORITY = 50  # of 1 .. 99: above all that is not real-time, below what the kernel itself runs on threads
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 

@@ -1,7 +1,8 @@
 """The record that a live end appends to as it goes: flat, so that what is on disk can be read at any time.
 
 One line of JSON (the header), then rows of little-endian float64: tick, lateness (ns), packet played,
-and the end's columns. A row cut off at the end is left out when it is read.
+and the end's columns. A row cut off at the end is left out when it is read, with a warning. What happened, and at which
+tick, goes to a file beside it as it happens, one line of JSON each.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import json
 import os
 import shutil
 import sys
+import warnings
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -17,14 +19,20 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from teleop.errors import Refused
+from teleop.guard import Event
 from teleop.scene import Scene
 from teleop.tick import columns
 from teleop.trace import EndRecord
 
 FILE = "record.bin"
+EVENTS = "events.jsonl"
 EVERY = 250  # rows between two writes, at most
 EVERY_NS = 250_000_000  # and so much time, by the scene's clock
 OWN = 3  # columns before the end's: tick, lateness, packet played
+
+
+class TruncatedRecord(UserWarning):
+    """A live record ends in the middle of a row."""
 
 
 class Recorder:
@@ -42,6 +50,7 @@ class Recorder:
         self._file.write(json.dumps(header).encode() + b"\n")
         self._file.flush()
         self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
+        self._events = folder / EVENTS
 
     def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
         """One tick."""
@@ -49,6 +58,16 @@ class Recorder:
         self._count += 1
         if self._count % self._every == 0:
             self.flush()
+
+    def note(self, event: Event) -> None:
+        """Write down that something has happened; on the disk at once."""
+        if self.trouble is not None:
+            return
+        try:
+            with self._events.open("a") as file:
+                file.write(json.dumps(event._asdict()) + "\n")
+        except OSError as error:
+            self.trouble = f"the record of events stopped at row {self._count}: {error.strerror or error}"
 
     def flush(self) -> None:
         """Hand what there is to the system."""
@@ -85,10 +104,34 @@ def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float]]:
         why = f"{type(error).__name__}: {error}"
         raise Refused(f"{folder} holds no record of a live end ({why}); give the folder of one") from error
     whole = len(body) // (8 * width) * 8 * width
+    if whole != len(body):
+        warnings.warn(f"{folder / FILE} is cut off in the middle of a row, as by a killed process: row "
+                      f"{whole // (8 * width)} and what came after it are lost", TruncatedRecord, stacklevel=2)
     table = np.frombuffer(body[:whole], dtype="<f8").reshape(-1, width)
     ticks: list[int] = table[:, 0].astype(np.int64).tolist()
     played: list[int] = table[:, 2].astype(np.int64).tolist()
     return header, EndRecord(ticks, table[:, OWN:].ravel().tolist(), played), table[:, 1].tolist()
+
+
+def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float], list[str]]:
+    """The same as `read_record`, with what it warns of as sentences for the summary."""
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        found = read_record(folder)
+    return *found, [str(warning.message) for warning in warned]
+
+
+def read_events(folder: Path) -> list[dict[str, Any]]:
+    """What happened to the end whose record is in `folder`; a line that was cut off is left out."""
+    try:
+        lines = (folder / EVENTS).read_text(errors="replace").splitlines()
+    except OSError:
+        return []
+    events = []
+    for line in lines:
+        with suppress(ValueError):
+            events.append(json.loads(line))
+    return events
 
 
 @contextmanager

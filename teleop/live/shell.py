@@ -6,37 +6,22 @@ import asyncio
 import gc
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from teleop.endpoint import Axes, Endpoint, Reading, Stepped
-from teleop.live.address import shown
+from teleop.live.filter import of_records, of_session
 from teleop.live.interrupt import Interrupt
+from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
+from teleop.live.stand import Device, Stand
 from teleop.live.ticker import Alarm
-from teleop.live.wire import DRAIN, Wire
+from teleop.live.wire import DRAIN, SHARE, Wire
 from teleop.lockstep import divergence
+from teleop.packet import Kind, peek
 from teleop.scene import Scene
 
 SAY_NS = 250_000_000  # between two live lines
-HUSH = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
-AGAIN = 0.02  # s: a stepped end sends its last packets again after this silence
-SILENT = 250  # such silences in a row, and a stepped end gives the other up
-HEED = 15  # arrivals or silences, and a stepped end heeds a farewell: last packets may come behind it
-LINGER = 50  # such pauses at most for the farewell of the other
 OPEN_NS = 1_000_000_000  # of silence, after which a peer is listened for from anywhere
-EARLY_NS = 10_000_000  # so long before tick 0 the first exchange is over at the latest
-
-
-class Device(Protocol):
-    """A master device or a slave robot, as the live loop uses it."""
-
-    def read(self, k: int) -> Reading:
-        """What it reads at tick k; the force held since the last reading acted until now."""
-        ...
-
-    def hold(self, force: Axes) -> None:
-        """Hold this force (N, per axis) from now on."""
-        ...
 
 
 class Shell:
@@ -46,7 +31,8 @@ class Shell:
         self, endpoint: Endpoint, device: Device, wire: Wire, recorder: Recorder, say: Callable[[dict[str, Any]], None],
         *, patience: float | None, interrupt: Interrupt,
     ) -> None:
-        self.endpoint, self.device, self.wire, self.recorder = endpoint, device, wire, recorder
+        self.endpoint, self.wire, self.recorder = endpoint, wire, recorder
+        self.stand = Stand(device, endpoint.scene.axes, trusted=endpoint.stepped)
         self.scene: Scene = endpoint.scene
         self.status, self.sentence = "stopped", "did not start"
         self.ticks = self.skipped = 0
@@ -55,15 +41,22 @@ class Shell:
         self.realtime: dict[str, str] | None = None  # what the system gave of it, if it was asked
         self.cpu: float | None = None  # share of a core while it ran
         self.run_time: float | None = None  # s, of that
+        self.spin_ns = 0  # how long before a tick this end wakes, to wait for it awake
+        self.first = 0  # its first tick
+        self.dropped: int | None = None  # datagrams that the system did not hand over
+        self._share_ns = int(endpoint.own.dt_ns * SHARE)
         self._late_most = 0  # ns, since the last live line
-        self._shown: tuple[Reading, Axes, tuple[float, ...]] | None = None
-        self._say, self._patience, self._interrupt = say, patience, interrupt
-        self._over = asyncio.Event()
-        self._broken: Exception | None = None  # what a callback of the loop raised
-        self._last = -1  # the last tick that was due
+        self._noted = 0  # events of the guard that are in the record
+        self._alarm: Alarm | None = None
+        self._set_to = 0  # the start of the grid that the timer is set to
+        self._shown: tuple[Reading, Axes] | None = None
+        self._say, self.patience, self.interrupt = say, patience, interrupt
+        self.over = asyncio.Event()
+        self.broken: Exception | None = None  # what a callback of the loop raised
+        self.last = -1  # the last tick that was due
         self._ran = 0  # the last tick that ran
-        self._recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
-        self._arrived: asyncio.Event | None = None
+        self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
+        self.arrived: asyncio.Event | None = None
         self._said_ns = 0
         self._heard_ns = 0  # when the last message came
         self._listening = False  # to everybody, for it was silent
@@ -73,29 +66,33 @@ class Shell:
         loop = asyncio.get_running_loop()
         loop.add_reader(self.wire.sock, self._guarded, self._drain)
         try:
-            if await self._meet():
+            if await meet(self):
                 gc.collect()
                 gc.freeze()  # what is here stays: no collection has to look at it again
                 used, began = time.process_time_ns(), time.monotonic_ns()
                 if isinstance(self.endpoint.inbox, Stepped):
-                    await self._by_packets(self.endpoint.inbox)
+                    from teleop.live.stepped import by_packets
+
+                    await by_packets(self, self.endpoint.inbox)
                 else:
                     await self._by_clock(loop)
                 self.run_time = (time.monotonic_ns() - began) / 1e9
                 self.cpu = (time.process_time_ns() - used) / 1e9 / max(1e-9, self.run_time)
-            if self._broken is not None:
-                raise self._broken
+            if self.broken is not None:
+                raise self.broken
         except Exception as error:
-            self._over.clear()
+            self.over.clear()
             self.stop(f"it failed with {type(error).__name__}: {error}")
             raise
         finally:
             loop.remove_reader(self.wire.sock)
-            self.device.hold((0.0,) * self.scene.axes)
+            self.stand.let_go()
+            self._note()
             self.recorder.close()
             for _ in range(3):  # a farewell may be lost too
-                self._send(self._bye())
+                self.send(self.bye())
                 await asyncio.sleep(0.002)
+            self.dropped = self.wire.dropped
             self.wire.end()
 
     async def _by_clock(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -105,168 +102,143 @@ class Shell:
         third of the processor time, and a flood cannot take more than `DRAIN` datagrams' worth of a tick.
         """
         loop.remove_reader(self.wire.sock)
-        self.wire.keep_to_peer()
+        self._keep_to_peer()
         self._heard_ns = time.monotonic_ns()
+        self._alarm = Alarm(loop, lambda: self._guarded(self._wake), self.spin_ns)
+        if self.endpoint.session.joined:
+            self._join(self._due() + 1)
+        self._arm()
+        try:
+            await self.over.wait()
+        finally:
+            self._alarm.close()
+
+    def _due(self) -> int:
+        """The newest of this end's ticks that is due by now."""
         start = self.endpoint.session.start_ns
         assert start is not None
-        alarm = Alarm(loop, lambda: self._guarded(self._wake))
-        try:
-            alarm.set(start, self.scene.dt_ns)
-            await self._over.wait()
-        finally:
-            alarm.close()
+        every = self.endpoint.every
+        return (time.monotonic_ns() - start) // (self.scene.dt_ns * every) * every
 
-    async def _by_packets(self, inbox: Stepped) -> None:
-        """Tick when the peer's packet of the tick before has come; what is lost on the way is sent again."""
-        self._arrived = asyncio.Event()
-        for k in range(self.scene.ticks):
-            if not await self._until_there(inbox, k - 1):
-                break
-            self._last = k
-            self.tick(k, now := time.monotonic_ns(), 0)
-            self._announce(now)
-        else:
-            self._finish()
-        for _ in range(LINGER):  # the peer may still wait for the last packets
-            if self.endpoint.session.farewell is not None or self._broken is not None:
-                return
-            self._send([*self._recent, *self._bye()])
-            await asyncio.sleep(AGAIN)
+    def _arm(self) -> None:
+        """Set the timer to the grid, which a new session or the master's clock may have moved."""
+        start, span = self.endpoint.session.start_ns, self.scene.dt_ns * self.endpoint.every
+        assert start is not None
+        assert self._alarm is not None
+        self._set_to = start
+        self._alarm.set(start + max(0, (time.monotonic_ns() - start) // span + 1) * span, span)
 
-    async def _until_there(self, inbox: Stepped, packet: int) -> bool:
-        """Wait for the peer's packet; False if the run is over, or nothing has come for a time."""
-        assert self._arrived is not None
-        quiet = 0
-        while not self._over.is_set():
-            if inbox.has(packet):
-                return True
-            left = self.endpoint.session.farewell not in (None, HUSH)
-            if quiet > (HEED if left else SILENT):
-                self.stop(f"the other end left: {self.endpoint.session.farewell or 'it fell silent'}")
-            if self._interrupt.name is not None:
-                self.stop(f"it was asked to stop ({self._interrupt.name})")
-            self._arrived.clear()
-            try:
-                await asyncio.wait_for(self._arrived.wait(), AGAIN)
-                quiet = quiet + 1 if left else 0
-            except TimeoutError:
-                quiet += 1
-                self.wire.due(time.monotonic_ns())
-                self._send([*self._recent, *self.endpoint.session.due(time.monotonic_ns())])
-        return False
+    def _join(self, k: int) -> None:
+        """Take part from about tick k on in a run that the other end has been running."""
+        k = max(0, k) // self.endpoint.every * self.endpoint.every
+        if k < self.scene.ticks:
+            self.stand.read(k, time.monotonic_ns())  # a simulated device has to come there first
+        self.last = self._due()
+        self.first = self.last + self.endpoint.every
+        self.endpoint.join(self.first)
 
     def stop(self, why: str) -> None:
         """End the run now, as a stop that is none of the scene's doing."""
-        self._end("stopped", f"stopped at t = {(self._last + 1) * self.scene.dt_ns / 1e9:.3f} s: {why}")
+        self.end("stopped", f"stopped at t = {(self.last + 1) * self.scene.dt_ns / 1e9:.3f} s: {why}")
 
-    def _bye(self) -> list[bytes]:
+    def bye(self) -> list[bytes]:
         """The farewell that says how the run ended for this end."""
         return self.endpoint.session.bye(HUSH if self.status == "ok" else self.sentence, time.monotonic_ns())
-
-    async def _meet(self) -> bool:
-        """The first exchange; False if the run was over before it began."""
-        session, stepped = self.endpoint.session, self.endpoint.stepped
-        began = time.monotonic_ns()
-        while not self._over.is_set():
-            now = time.monotonic_ns()
-            if session.failure is not None:
-                self._end("refused", session.failure)
-            elif session.farewell not in (None, HUSH):
-                self._end("refused", f"the other end left before the run began: {session.farewell}")
-            elif self._interrupt.name is not None:
-                self.stop(f"it was asked to stop ({self._interrupt.name})")
-            elif session.start_ns is not None:
-                # Until then what was lost of the exchange can be said again.
-                if stepped or now > session.start_ns - EARLY_NS:
-                    return True
-            elif self._patience is not None and now - began > self._patience * 1e9:
-                self._end("refused", self._nobody(self._patience))
-            self._send(session.due(now))
-            self.wire.due(now)
-            await asyncio.sleep(0.005)
-        return False
-
-    def _nobody(self, patience: float) -> str:
-        peer, line = self.wire.peer, self.wire.line
-        if line is not None and line.trouble is not None:
-            return f"no peer was let in in {patience:g} s: {line.trouble}"
-        if peer is None:
-            return f"no master came in {patience:g} s; start one that has this address as its --peer, or --wait longer"
-        return f"no answer from {shown(peer)} in {patience:g} s; start the other end first, and check address and port"
 
     def _guarded(self, callback: Callable[[], None]) -> None:
         """Call `callback`; what it raises ends the run. The event loop itself would only log it and go on."""
         try:
             callback()
         except Exception as error:
-            self._broken = self._broken or error
-            self._over.set()
+            self.broken = self.broken or error
+            self.over.set()
 
-    def _send(self, datagrams: list[bytes]) -> None:
+    def send(self, datagrams: list[bytes]) -> None:
         for data in datagrams:
             self.wire.send(data)
 
     def _drain(self) -> None:
-        session = self.endpoint.session
-        for _ in range(DRAIN):
+        session, taken = self.endpoint.session, 0
+        until = time.monotonic_ns() + self._share_ns
+        while taken < DRAIN or time.monotonic_ns() < until:
+            taken += 1
             got = self.wire.receive()
             if got is None:
                 break
             data, address, came = got
             if data is None:
                 continue
-            meeting, before = session.start_ns is None, self.endpoint.way.count
+            met, before = session.met, self.endpoint.way.count
             replies = self.endpoint.receive(data, came)
-            if replies and meeting:  # it has shown that it belongs to this session
-                self.wire.peer = address  # later, a stranger's copy of a packet must not draw ours to it
-            elif self._deaf_again(before):
-                self.wire.peer = address
-                self.wire.keep_to_peer()
+            if session.met != met or (replies and not met) or self._deaf_again(before):
+                self.wire.peer = address  # a stranger's copy of a packet must not draw ours to it
+                if self._alarm is not None:
+                    self._keep_to_peer()
             self.wire.follow()
-            self._send(replies)
-        if self._arrived is not None:
-            self._arrived.set()
+            for reply in replies:
+                if peek(reply)[0] in (Kind.WELCOME, Kind.REFUSE):
+                    self.wire.answer(reply, address)
+                else:
+                    self.wire.send(reply)
+        if self.arrived is not None:
+            self.arrived.set()
+
+    def _keep_to_peer(self) -> None:
+        endpoint, number = self.endpoint, self.endpoint.session.number
+        if self.wire.line is not None:
+            self.wire.keep_to_peer(of_records())
+        elif number is not None:
+            self.wire.keep_to_peer(of_session(number, endpoint.scene.wire_size, endpoint.hears))
 
     def _deaf_again(self, before: int) -> bool:
         """Has a new message of this session come, after a silence in which anybody was listened to?"""
         return self._listening and self.endpoint.way.count > before
 
-    def _listen(self, now: int, before: int) -> None:
+    def _listen(self, now: int, before: tuple[int, int]) -> None:
         """After a silence listen to everybody: the peer, or the channel, may come back from another port."""
-        if self.endpoint.way.count > before:
+        if self._heard() != before:
             self._heard_ns, self._listening = now, False
-        elif now - self._heard_ns > OPEN_NS and not self._listening:
+        elif not self._listening and (now - self._heard_ns > OPEN_NS or self.endpoint.session.meeting):
             self._listening = True
             self.wire.listen_to_all()
 
+    def _heard(self) -> tuple[int, int]:
+        """Grows with every new message and session; a copy of an old one proves nothing."""
+        return self.endpoint.way.count, self.endpoint.session.met
+
     def _wake(self) -> None:
-        now = time.monotonic_ns()
         session, scene = self.endpoint.session, self.scene
-        assert session.start_ns is not None
-        k = (now - session.start_ns) // scene.dt_ns
-        if k <= self._last or self._over.is_set():
-            return
-        before = self.endpoint.way.count  # of new messages: a copy of an old one proves nothing
-        self._drain()
+        now = time.monotonic_ns()
+        before = self._heard()
+        self._drain()  # first, for it tells of what came while this process was away, and of where the grid is
         self._listen(now, before)
         if session.farewell not in (None, HUSH):
             self.stop(f"the other end left: {session.farewell}")
-            return
-        if self._interrupt.name is not None:
-            self.stop(f"it was asked to stop ({self._interrupt.name})")
+        elif self.interrupt.name is not None:
+            self.stop(f"it was asked to stop ({self.interrupt.name})")
+        assert session.start_ns is not None
+        every = self.endpoint.every
+        k = (now - session.start_ns) // (scene.dt_ns * every) * every
+        if session.start_ns != self._set_to:
+            self._arm()
+        if k < self.last and not self.over.is_set():  # a new session's grid is behind: no force until it is there again
+            self.endpoint.left_out(self.last, "the grid of ticks went back")
+            self.stand.let_go()
+        if k <= self.last or self.over.is_set():
             return
         late = now - (session.start_ns + k * scene.dt_ns)
-        self.skipped += min(k, scene.ticks) - self._last - 1  # missed ticks are left out whole, never caught up
-        self._last = k
+        # missed ticks are left out whole, never caught up
+        self.skipped += (min(k, -(-scene.ticks // every) * every) - self.last) // every - 1
+        self.last = k
         if k >= scene.ticks:
-            self._finish()
+            self.finish()
             return
         self.tick(k, now, late)
-        self._send(session.due(now))
+        self.send(session.due(now))
         self.wire.due(now)
-        self._announce(now)
+        self.announce(now)
 
-    def _announce(self, now: int) -> None:
+    def announce(self, now: int) -> None:
         if now - self._said_ns > SAY_NS and self._shown is not None:
             self._said_ns = now
             try:
@@ -276,17 +248,26 @@ class Shell:
 
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end."""
-        reading = self.device.read(k)
+        stand = self.stand
+        reading = stand.read(k, now)
+        if stand.dead(now):
+            self.stop(f"the device fails: {stand.trouble}")
+        trouble = None if stand.trouble is None else f"the device: {stand.trouble}"
+        if reading is None:
+            self.endpoint.left_out(k, str(trouble))
+            stand.let_go()
+            self._note()
+            return
         if self.ticks and self.beyond(reading):
             return
-        out = self.endpoint.tick(k, now, reading)
+        out = self.endpoint.tick(k, now, reading, trouble)
         failed = self.endpoint.force_failed
         if failed is None:
-            self.device.hold(out.force)
+            stand.hold(out.force)
         if out.datagram is not None:
             self.wire.send(out.datagram)
             self.data_sent += 1
-            self._recent = (*self._recent[-1:], out.datagram)
+            self.recent = (*self.recent[-1:], out.datagram)
         elif self.endpoint.stepped and failed is None:
             failed = "the message"  # the other end cannot step without it
         self.recorder.add(k, late, out.played, out.row)
@@ -294,36 +275,49 @@ class Shell:
         self._ran = k
         self._late_most = max(self._late_most, late)
         if failed is None:
-            self._shown = reading, out.force, out.row
+            self._shown = reading, out.force
         else:
-            self._end("diverged", divergence(self.scene, k, f"{failed} is not finite"))
+            stand.let_go()
+            self.endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
+            self.end("diverged", divergence(self.scene, k, f"{failed} is not finite"))
+        self._note()
+
+    def _note(self) -> None:
+        """Write down what has happened since the last time."""
+        events = self.endpoint.guard.events
+        while self._noted < len(events):
+            self.recorder.note(events[self._noted])
+            self._noted += 1
 
     def beyond(self, reading: Reading) -> bool:
         """Has the motion left the scene's bounds? Then the run is over, at the tick before this one."""
         limit = self.scene.x_limit
         if all(-limit < x < limit for x in reading.x):
             return False
-        self._end("diverged", divergence(self.scene, self._ran, f"x_{self.endpoint.e} passed {limit:g} m"))
+        self.end("diverged", divergence(self.scene, self._ran, f"x_{self.endpoint.e} passed {limit:g} m"))
         return True
 
     def live_numbers(self) -> dict[str, Any]:
         """What the live line shows."""
         assert self._shown is not None
-        reading, force, row = self._shown
+        reading, force = self._shown
         late, self._late_most = self._late_most, 0
-        way = self.endpoint.way
+        link, guard = self.endpoint.link, self.endpoint.guard
         return {
             "end": self.endpoint.e, "k": self._ran, "x": reading.x[0], "f": force[0], "late_us": late / 1e3,
-            "delay": way.recent / 1e9 if way.count else None, "gain": self.endpoint.gain(row),
+            "delay": link.way.recent / 1e9 if link.way.count else None, "gain": guard.gain, "cause": guard.cause,
+            "rtt": link.rtt.recent / 1e9 if link.rtt.count else None, "jitter": link.jitter_ns / 1e9,
+            "loss": link.loss(self.endpoint.session.peer_every),
         }
 
-    def _finish(self) -> None:
-        if self.beyond(self.device.read(self.scene.ticks)):
+    def finish(self) -> None:
+        reading = self.stand.read(self.scene.ticks, time.monotonic_ns())
+        if reading is not None and self.beyond(reading):
             return
         missed = f", {self.skipped} of them skipped" if self.skipped else ""
-        self._end("ok", f"ran to its end, {self.scene.ticks} ticks of {self.scene.dt:g} s{missed}")
+        self.end("ok", f"ran to its end, {self.scene.ticks} ticks of {self.scene.dt:g} s{missed}")
 
-    def _end(self, status: str, sentence: str) -> None:
-        if not self._over.is_set():
+    def end(self, status: str, sentence: str) -> None:
+        if not self.over.is_set():
             self.status, self.sentence = status, sentence
-            self._over.set()
+            self.over.set()

@@ -7,10 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from teleop.endpoint import Times
 from teleop.errors import Refused
+from teleop.estimates import LinkEstimates, Times
 from teleop.live.realtime import sentence
-from teleop.live.record import FILE, read_record
+from teleop.live.record import FILE, read_events, read_noted
 from teleop.result import Packets, Result
 
 if TYPE_CHECKING:
@@ -44,42 +44,47 @@ def write_end(shell: Shell, folder: Path, seed: int, command: list[str]) -> Resu
 
 def _result(shell: Shell, folder: Path, seed: int) -> Result:
     scene, endpoint, session = shell.scene, shell.endpoint, shell.endpoint.session
-    _, record, late = read_record(folder)
+    _, record, late, cut = read_noted(folder)
     inbox: Any = endpoint.inbox
+    earlier = endpoint.counted
     sends, hears = WAYS[endpoint.e]
     heard = Packets(
-        received=getattr(inbox, "received", endpoint.received), rejected=dict(endpoint.rejected),
-        **{name: getattr(inbox, name, 0) for name in ("late", "overtaken", "duplicates")},
+        received=earlier["received"] + getattr(inbox, "received", endpoint.received), rejected=dict(endpoint.rejected),
+        **{name: earlier[name] + getattr(inbox, name, 0) for name in ("late", "overtaken", "duplicates")},
     )
     told = {
-        "skipped": shell.skipped, "delay": _seconds(endpoint.way), "rtt": _seconds(endpoint.rtt),
+        "skipped": shell.skipped, **_estimates(endpoint.link, session.peer_every),
+        "sessions": session.met, "safe_entries": endpoint.guard.entries, "events": read_events(folder),
         "clock": {"start_ns": session.start_ns, "offset_ns": session.offset_ns,
                   "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
         "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "run_time": shell.run_time,
-        "unsent": shell.wire.unsent, "refused": getattr(inbox, "refused", 0),
+        "unsent": shell.wire.unsent, "dropped_by_system": shell.dropped, "refused": getattr(inbox, "refused", 0),
         **_security(shell), **({} if shell.realtime is None else {"realtime": shell.realtime}),
     }
     return end_result(
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
         status=shell.status, sentence=shell.sentence, told=told,
-        packets={sends: Packets(sent=shell.data_sent), hears: heard},
-        notes=[*([INSECURE] if shell.insecure else []), *([shell.recorder.trouble] if shell.recorder.trouble else []),
+        packets={sends: Packets(sent=shell.data_sent), hears: heard}, first=shell.first, every=endpoint.every,
+        notes=[*cut, *[INSECURE] * shell.insecure, *filter(None, [shell.recorder.trouble]),
                *([sentence(shell.realtime)] if shell.realtime else [])],
     )
 
 
 def end_result(
     scene: Scene, e: str, record: EndRecord, late: Sequence[float], *, seed: int, mode: str, status: str, sentence: str,
-    told: dict[str, Any], packets: dict[str, Packets], notes: Sequence[str],
+    told: dict[str, Any], packets: dict[str, Packets], notes: Sequence[str], first: int = 0, every: int = 1,
 ) -> Result:
-    """One end's part of a run as a result of its own: its columns, and the figures that they are enough for."""
+    """One end's part of a run as a result of its own: its columns, and the figures that they are enough for.
+
+    `first`: the first tick that was due; `every`: and then every so many.
+    """
     import numpy as np
 
     from teleop.trace import end_arrays
 
     trace: dict[str, Any] = {"t": np.array(record.ticks, dtype=np.int64) * scene.dt_ns / 1e9}
     trace |= {**end_arrays(scene, e, record), f"late_{e}": np.array(late) / 1e9}
-    late_us = np.array(lateness(record.ticks, late, scene.dt_ns)) / 1e3
+    late_us = np.array(lateness(record.ticks, late, scene.dt_ns, first, every)) / 1e3
     own = {
         "status": status, "sentence": sentence, "ticks": len(record.ticks), **told,
         "late_us": {f"p{q}": float(np.percentile(late_us, q)) for q in (50, 99, 100)} if len(late_us) else {},
@@ -88,7 +93,9 @@ def end_result(
                        run_time=None, trace=trace, packets=packets, notes=notes, extra={"end": NAMES[e], NAMES[e]: own})
 
 
-def lateness(ticks: Sequence[int], late: Sequence[float], dt_ns: int) -> list[float]:
+def lateness(
+    ticks: Sequence[int], late: Sequence[float], dt_ns: int, first: int = 0, every: int = 1
+) -> list[float]:
     """How late (ns) each tick was that was due, those that were skipped for a late one included.
 
     `late` is that of the ticks that ran, each against its own instant; the skipped ones before it were due
@@ -98,9 +105,18 @@ def lateness(ticks: Sequence[int], late: Sequence[float], dt_ns: int) -> list[fl
     [5.0, 7.0, 107.0, 207.0]
     """
     out = []
-    for before, k, own in zip((-1, *ticks), ticks, late, strict=False):
-        out += [own + missed * dt_ns for missed in range(k - before)]
+    for before, k, own in zip((first - every, *ticks), ticks, late, strict=False):
+        out += [own + missed * every * dt_ns for missed in range((k - before) // every)]
     return out
+
+
+def _estimates(link: LinkEstimates, every: int) -> dict[str, Any]:
+    """What the packets told of the link and of the peer's clock; s, and the drift as a fraction."""
+    offset = link.clock.offset_ns
+    return {"delay": _seconds(link.way), "rtt": _seconds(link.rtt), "jitter": link.jitter_ns / 1e9,
+            "lost": link.lost(every), "reordered": link.reordered,
+            "peer_clock": None if offset is None else {
+                "offset": offset / 1e9, "drift": link.clock.drift, "moved": link.clock.shift_ns / 1e9}}
 
 
 def _security(shell: Shell) -> dict[str, Any]:

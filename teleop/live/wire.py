@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import socket
+import sys
 import time
 from contextlib import suppress
 from struct import Struct
 from typing import TYPE_CHECKING
 
 from teleop.live.address import Address
+from teleop.live.filter import Shape, attach, detach, program
 
 if TYPE_CHECKING:
     from teleop.secure.line import Line, Out
 
-DRAIN = 16  # datagrams taken at one tick or wake-up: more would let a flood starve the tick
+DRAIN = 16  # datagrams taken at one tick or wake-up whatever they cost
+SHARE = 0.3  # of a tick that may go into more of them: beyond it a flood would starve the tick
 LONGEST = 8240  # bytes: more than any packet has, sealed or not, so that a longer datagram shows as such
 STAMP = 35  # SO_TIMESTAMPNS of Linux, which Python does not name: the kernel says when a datagram came
+MEMINFO, DROPS = 55, 8  # SO_MEMINFO of Linux, and the place of the count of datagrams dropped in it
 OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells of a wall clock that was set
+SKEW_NS = 5_000_000  # between what two clocks say, and for what comes while it is looked
 ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
 _TIMESPEC = Struct("@ll")
 
@@ -35,13 +40,16 @@ class Wire:
         self.sock, self.peer, self.line = sock, peer, line
         self.kept = False  # is it deaf to everybody but the peer
         self.unsent = 0  # datagrams that the system did not take
+        self._emptied_ns = time.monotonic_ns()  # when there was nothing to receive
 
-    def keep_to_peer(self) -> None:
-        """Take in nothing from elsewhere: the system itself drops it, so a flood of strangers costs no tick.
+    def keep_to_peer(self, shapes: tuple[Shape, ...] = ()) -> None:
+        """Take in nothing from elsewhere, nor what has none of these shapes: the system itself drops it.
 
-        The socket is connected, which for UDP says no more than that.
+        So a flood costs no tick. The socket is connected, which for UDP says no more than that; and it has a filter.
         """
         if self.peer is not None:
+            if shapes:
+                attach(self.sock, program(*shapes))
             with suppress(OSError):
                 self.sock.connect(self.peer)
                 self.kept = True
@@ -51,6 +59,7 @@ class Wire:
         if self.kept:
             import ctypes
 
+            detach(self.sock)
             here = self.sock.getsockname()
             # Python has no word for it: connected to an address of no family, a socket is connected no more.
             ctypes.CDLL(None).connect(self.sock.fileno(), bytes(16), 16)
@@ -76,6 +85,25 @@ class Wire:
         except OSError:
             self.unsent += 1
 
+    def answer(self, data: bytes, address: Address) -> None:
+        """Send to whoever asked, the peer or one who may become it. Sealed, there is nobody but the peer."""
+        if self.line is not None:
+            self.send(data)
+            return
+        try:
+            self.sock.sendto(data, address)
+        except OSError:
+            self.unsent += 1
+
+    @property
+    def dropped(self) -> int | None:
+        """How many datagrams the system did not hand over: not ours, or no room; None if it does not tell."""
+        try:
+            told = self.sock.getsockopt(socket.SOL_SOCKET, MEMINFO, 4 * (DROPS + 1))
+        except OSError:
+            return None
+        return int.from_bytes(told[4 * DROPS :], sys.byteorder) if len(told) == 4 * (DROPS + 1) else None
+
     def due(self, now: int) -> None:
         """Send what the line has to say for itself: handshakes, and what was not answered of them."""
         if self.line is not None:
@@ -91,7 +119,7 @@ class Wire:
         if self.line is not None and self.line.address is not None and self.peer != self.line.address:
             self.peer = self.line.address
             if self.kept:
-                self.keep_to_peer()
+                self.keep_to_peer()  # the filter stays
 
     def _say(self, out: list[Out]) -> None:
         for data, address in out:
@@ -112,13 +140,15 @@ class Wire:
             except ConnectionRefusedError:  # the peer's port is not open; said once for what was sent there
                 continue
             except OSError:  # nothing there
+                self._emptied_ns = time.monotonic_ns()
                 return None
         now = time.monotonic_ns()
         for level, kind, note in notes:
             if level == socket.SOL_SOCKET and kind == STAMP and len(note) == _TIMESPEC.size:
                 seconds, nanoseconds = _TIMESPEC.unpack(note)
                 age = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
-                if 0 <= age < OLDEST_NS:
+                # What was not there when it was empty cannot have come before: the wall clock was set in between.
+                if 0 <= age < OLDEST_NS and age < now - self._emptied_ns + SKEW_NS:
                     now -= age
         at: Address = address[:2]
         if self.line is None:

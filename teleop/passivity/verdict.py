@@ -126,12 +126,13 @@ def _unknown(scene: Scene, device: Device, E: Impedance, *, spring: bool, damped
 
     left = ["passivity controller"] if scene.passivity is not None else []
     if cap := scene.cap:
+        plain = cap.slew is None and cap.v_max is None and cap.power is None
         step = 0.0 if device.encoder is None else stiffness(E, scene.dt_ns / 1e9) * device.encoder.step
         if damped and stepped:
-            known = spring and cap.slew is None
+            known = spring and plain
         else:
             small = damped is False and scene.master.friction == 0.0 and device.encoder is None
-            known = small or (stepped is False and cap.slew is None and cap.f_max > step)
+            known = small or (stepped is False and plain and cap.f_max > step)
         left += [] if known else ["cap"]
     if damped is None and stepped is not False:
         left.append("electrical damping")

@@ -24,6 +24,7 @@ from teleop.secure.record import Dropped
 from teleop.secure.tunnel import LIMIT_NS, Tunnel
 
 SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
+STUCK_NS = 2_000_000_000  # a handshake that nobody answers for so long is with a peer that is no more
 APART_NS = 1_000_000_000  # between two that it begins
 Out = tuple[bytes, Where]
 
@@ -47,6 +48,7 @@ class Line:
         self._changed = 0  # when the one in use came into use
         self._heard = 0  # when something was last opened
         self._began: int | None = None  # when this end last began one
+        self._answered = 0  # when the one that is coming was last answered
 
     @classmethod
     def calling(cls, key: Key, peer: str, address: Where) -> Line:
@@ -78,7 +80,11 @@ class Line:
         """What a datagram carries, and what to send at once."""
         if is_for_gate(datagram):
             return [], self._meet(datagram, address, now)
-        there = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None]
+        # A handshake record may lie behind another: one that is not over hears only the address it goes to.
+        there = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None
+                 and (one.ready or address == self._coming_at)]
+        if not there:
+            self._retired[Dropped.EARLY] += 1
         before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
         for i, tunnel in enumerate(there):
             newest = tunnel.newest
@@ -109,6 +115,9 @@ class Line:
                 out += [(data, at) for data in tunnel.due(now)]
         if self._coming is not None and self._coming.failure is not None:
             self._ended(self._coming)
+        if self._coming is not None and self._gate is None and now - self._answered > STUCK_NS:
+            self._retired += self._coming.dropped
+            self._coming, self.trouble = None, "nobody answers"
         quiet = not self.ready or now - max(self._heard, self._changed) > SILENT_NS
         rested = self._began is None or now - self._began > APART_NS
         return out + self.renew(now) if quiet and rested else out
@@ -117,7 +126,8 @@ class Line:
         """Begin another association beside the one in use, for new keys; only the end that calls can."""
         if self._gate is not None or self._coming is not None or self.address is None:
             return []
-        self._began, self._coming_at = now, self.address
+        self._began = self._answered = now
+        self._coming_at = self.address
         self._coming = Tunnel.towards(self._key, self._peer, now)
         return [(data, self.address) for data in self._coming.begin(now)]
 
@@ -140,6 +150,7 @@ class Line:
             self._retired[Dropped.EPOCH] += 1
             return []
         back = coming.receive(datagram, now)[1]
+        self._answered = now
         if coming.failure is not None:
             self._ended(coming)
         elif coming.ready:

@@ -5,8 +5,9 @@ import pytest
 import channel.relay
 from channel.bernoulli import Bernoulli
 from channel.delay import Delay
+from channel.dice import Dice, Ints
 from channel.duplicate import Duplicate
-from channel.effect import Effect
+from channel.effect import Effect, later
 from channel.link import Link, parse_link
 from channel.relay import Counts, Relay
 
@@ -102,3 +103,55 @@ def test_a_clock_that_goes_back_does_no_harm() -> None:
     relay.receive(0, 1, b"b", -5 * MS)
     assert relay.next_ns() == 11 * MS
     assert relay.due(11 * MS) == [(0, b"a"), (0, b"b")]
+
+
+def test_what_is_read_late_is_due_by_when_it_came() -> None:
+    """A datagram may lie in the socket while `due` is asked: the link delays it from its coming, not its reading."""
+    relay = Relay(Delay(0.005) | Delay(0.002), 1, 100)
+    relay.receive(0, 0, b"a", 1 * MS)
+    assert relay.due(6 * MS) == []
+    relay.receive(1, 0, b"b", 2 * MS)
+    relay.receive(0, 1, b"c", 3 * MS)
+    assert relay.next_ns() == 8 * MS
+    assert relay.due(8 * MS) == [(0, b"a")]
+    assert relay.due(9 * MS) == [(1, b"b")]
+    relay.receive(0, 2, b"d", 2 * MS)  # not before what came in its direction already
+    assert relay.next_ns() == 10 * MS
+    assert [data for _, data in relay.due(10 * MS)] == [b"c", b"d"]
+
+
+class EveryOther(Effect):
+    """Packets of even numbers leave 3 ms later."""
+
+    def begin(self, dice: Dice) -> None:
+        """Nothing to remember."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
+        return *later(packet, time_ns, 0.003 * (packet % 2 == 0)), None
+
+
+class Queue(Effect):
+    """Notes when packets enter."""
+
+    order = "time"
+
+    def __init__(self) -> None:
+        self.entered: list[int] = []
+
+    def begin(self, dice: Dice) -> None:
+        """Nothing to remember."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
+        self.entered += time_ns.tolist()
+        return packet, time_ns, None
+
+
+def test_what_is_read_late_finds_a_queue_that_has_moved_on() -> None:
+    """Whoever has entered a queue was before it, however long it lay in the socket."""
+    queue = Queue()
+    relay = Relay(EveryOther() | queue, 1, 100)
+    relay.receive(0, 0, b"a", 1 * MS)
+    assert relay.due(6 * MS) == [(0, b"a")]
+    relay.receive(0, 1, b"b", 2 * MS)
+    assert relay.due(7 * MS) == [(0, b"b")]
+    assert queue.entered == [4 * MS, 6 * MS]

@@ -82,7 +82,7 @@ def channel() -> Iterator[Callable[..., Channel]]:
 
 
 def message(session: int, number: int) -> bytes:
-    return encode(Packet(Kind.DATA, session, number, 0, None, (float(number),), 0.0), 100)
+    return encode(Packet(Kind.FORTH, session, number, 0, None, (float(number),), 0.0), 100)
 
 
 def all_of(sock: socket.socket, wait: float = 0.3) -> list[bytes]:

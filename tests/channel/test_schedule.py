@@ -53,6 +53,23 @@ def test_the_stream_gives_the_arrivals(every_effect: list[Effect], data: st.Data
     assert live == list(zip(drawn.packet.tolist(), drawn.time_ns.tolist(), strict=True))
 
 
+@pytest.mark.parametrize("link", [Delay(0.05), Delay(0.0), Delay(0.001) | Delay(2e-9) | Delay(0.02)])
+def test_constant_delays_alone_are_no_other_than_in_company(link: Way) -> None:
+    """Whether the stream adds them up, or its log wants to know what each of them did."""
+    log: list[Verdicts] = []
+    quiet, told = Stream(link, 0, 1, 100), Stream(link, 0, 1, 100, log=log.append)
+    sends = [(0, 0), (2, 5), (1, 5), (3, 7), (3, 7), (9, 8)]  # ties go by number, copies stay
+    for packet, time_ns in sends:
+        quiet.send(packet, time_ns, b"%d" % packet)
+        told.send(packet, time_ns, b"%d" % packet)
+    assert quiet.next_ns() == told.next_ns()
+    assert quiet.under_way == told.under_way == len(sends)
+    came = quiet.deliver(10**9)
+    assert came == told.deliver(10**9)
+    assert [one.packet for one in came] == [0, 1, 2, 3, 3, 9]
+    assert len(log) == len(sends) * len(link.way(0))
+
+
 def test_jitter_before_a_narrow_queue(recordings) -> None:
     """The case that needs events: packets overtake each other, then compete for room in the order they come."""
     link = UniformJitter(0.02) | Mahimahi(str(recordings / "trace"), queue=5) | Bernoulli(0.1)

@@ -38,7 +38,8 @@ DEVICES: dict[str, Callable[[Scene], Any]] = {"m": SimulatedMaster, "s": Simulat
 def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | None = None, **other: Any) -> Shell:
     """A shell as the command line makes it; with a `seed` it is stepped."""
     inbox = None if seed is None else Stepped(link_plans(scene, seed)[0 if e == "s" else 1])
-    session = Session(master=e == "m", manifest=scene.manifest(), number=99 if e == "m" else None)
+    number = 99 if e == "m" else None
+    session = Session(master=e == "m", manifest=scene.manifest(), number=number, heals=seed is None)
     folder.mkdir(parents=True)
     device = other.pop("device", DEVICES[e](scene))
     parts = {"say": lambda _numbers: None, "patience": PATIENCE, "interrupt": Interrupt(), **other}

@@ -147,13 +147,19 @@ def test_a_demo_that_is_killed_takes_its_processes_with_it(command: Start, tmp_p
         assert json.loads((tmp_path / "out" / end / "summary.json").read_text())["status"] == "stopped"
 
 
-def test_an_end_that_is_killed_is_said_and_the_others_record_is_kept(command: Start, tmp_path: Path) -> None:
-    one = command("scenarios", "demo", "hard_wall", "--set", "duration=1.5", "--out", "out")
+@pytest.mark.parametrize("name", ["master", "slave", "channel"])
+def test_who_is_killed_is_said_and_the_others_stop_and_keep_their_records(
+    name: str, command: Start, tmp_path: Path
+) -> None:
+    one = command("scenarios", "demo", *LONG, "--out", "out")
     started = until_all_run(one, tmp_path)
-    os.kill(started["slave"], signal.SIGKILL)
-    err = one.refused("the slave ended with exit code -9", "what was recorded is in out")
+    began = time.monotonic()
+    os.kill(started[name], signal.SIGKILL)
+    err = one.refused(f"the {name} ended with exit code -9", "what was recorded is in out")
+    assert time.monotonic() < began + 15.0, "nobody waits for the scene's 60 s"
     assert "Traceback" not in err
-    assert json.loads((tmp_path / "out" / "master" / "summary.json").read_text())["status"] == "ok"
+    for left in {"master", "slave"} - {name}:
+        assert json.loads((tmp_path / "out" / left / "summary.json").read_text())["status"] == "stopped"
     assert all(gone(pid) for pid in started.values())
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from teleop.errors import Refused
 from teleop.live.merge import merge, scene_of
-from teleop.live.record import FILE, read_record
+from teleop.live.record import FILE, read_noted, read_record
 from teleop.live.summary import WAYS
 from teleop.result import load_result
 from teleop.scene import load_scene
@@ -258,7 +258,7 @@ def test_a_disk_that_fills_up_stops_the_record_and_not_the_loop(command: Start, 
         assert err.startswith("teleop: ran to its end, 600 ticks")
         assert str(Path("runs") / "hard_wall-slave-1" / FILE) in err
         assert not (folder / "summary.json").exists()
-    rows = read_record(folder)[1]
+    rows = read_noted(folder)[1]
     assert 200 < len(rows.ticks) < 600
     assert summary(tmp_path / "runs" / "hard_wall-master-1")["packets"]["back"]["received"] > 200
 

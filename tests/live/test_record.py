@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,18 @@ from typing import Any
 import pytest
 
 from teleop.errors import Refused
-from teleop.live.record import EVERY, FILE, Recorder, fresh_folder, read_record
+from teleop.guard import Event
+from teleop.live.merge import recover
+from teleop.live.record import (
+    EVENTS,
+    EVERY,
+    FILE,
+    Recorder,
+    TruncatedRecord,
+    fresh_folder,
+    read_events,
+    read_record,
+)
 from teleop.scene import Scene, load_scene
 from teleop.tick import columns
 
@@ -68,9 +80,45 @@ def test_a_row_that_was_cut_off_is_left_out(cut: int, tmp_path: Path) -> None:
     recorded(tmp_path, 40).close()
     data = (tmp_path / FILE).read_bytes()
     (tmp_path / FILE).write_bytes(data[:-cut])
-    record = read_record(tmp_path)[1]
+    with pytest.warns(TruncatedRecord, match="row 39 and what came after it are lost"):
+        record = read_record(tmp_path)[1]
     assert list(record.ticks) == [2 * k for k in range(39)]
     assert len(record.rows) == 39 * WIDTH
+
+
+def test_a_folder_whose_record_was_cut_off_is_made_whole_and_says_so(tmp_path: Path) -> None:
+    recorded(tmp_path, 40).close()
+    (tmp_path / FILE).write_bytes((tmp_path / FILE).read_bytes()[:-5])
+    recover(tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["ticks"] == 39
+    assert any("cut off in the middle of a row" in note for note in summary["notes"])
+
+
+def test_what_happened_is_on_the_disk_at_once_and_a_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
+    recorder = recorded(tmp_path, 3)
+    recorder.note(Event(7, "safe", "silence"))
+    recorder.note(Event(9, "released", "fresh packets"))
+    first, second = read_events(tmp_path)
+    assert first == {"k": 7, "what": "safe", "why": "silence"}
+    assert second["k"] == 9
+    text = (tmp_path / EVENTS).read_text()
+    (tmp_path / EVENTS).write_text(text[:-10])
+    assert read_events(tmp_path) == [first]
+    recorder.close()
+
+
+def test_of_a_killed_end_that_had_joined_late_the_ticks_before_are_not_called_skipped(tmp_path: Path) -> None:
+    recorder = Recorder(SCENE, "m", tmp_path, ABOUT)
+    recorder.note(Event(500, "joined", "the other end was running already"))
+    for k in (500, 501, 504):
+        recorder.add(k, 0, -1, row(k))
+    recorder.close()
+    recover(tmp_path)
+    own = json.loads((tmp_path / "summary.json").read_text())["master"]
+    assert own["skipped"] == 2
+    assert own["late_us"]["p100"] == 2000.0
+    assert own["events"][0]["what"] == "joined"
 
 
 def test_a_record_without_rows_is_a_record(tmp_path: Path) -> None:

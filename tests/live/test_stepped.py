@@ -124,7 +124,7 @@ class Stammering(Wire):
     def send(self, data: bytes) -> None:
         self.tries[data] += 1
         kind, number = peek(data)
-        if not self.masters or kind is not Kind.DATA or self.tries[data] > (5 if number == self.worst else 1):
+        if not self.masters or kind is not Kind.FORTH or self.tries[data] > (5 if number == self.worst else 1):
             super().send(data)
 
 

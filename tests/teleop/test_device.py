@@ -83,9 +83,9 @@ class TestAnEstimator:
         begins = beginnings(of, {"m": (0.0,)})
         live = compiled(of, live_text(of, "m"), "live")(of, begins, of.law, 1e-3, (0.0,), (0.0,), None)
         live.send(None)
-        seen = []
+        seen, force = [], (0.0,)
         for k, x in ((0, 0.0), (1, 0.001), (5, 0.009), (6, 0.009)):  # the ticks 2 to 4 were missed
-            _, _, row = live.send((k, (x,), (99.0,), None, False, -1, None))
+            force, _, row = live.send((k, (x,), (99.0,), None, False, -1, None, 1.0, force))
             seen.append(row[columns(of, "m").index("v_hat_m@")])
         assert seen == pytest.approx([0.0, 1.0, 2.0, 0.0])
 

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.packet import Kind, Packet, decode, encode, manifest_difference
+from teleop.packet import Echo, Kind, Packet, decode, encode, manifest_difference
 from teleop.scene import load_scene
-from teleop.session import AGAIN_NS, HOLD_NS, LEAD_NS, ROUNDS, Session
+from teleop.session import AGAIN_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
 
 MS = 1_000_000
 MANIFEST = {"wire version": "1", "scene": "canonical", "law": "wave Wave(b=2.0)", "k_e": "5000.0", "dt": "0.001"}
@@ -31,6 +31,7 @@ class Talk:
     slave_ahead: int = 0  # the slave's clock less the master's
     lost: Callable[[Packet], bool] = lambda _packet: False
     sent: list[Packet] = field(default_factory=list)
+    messages: bool = True  # do messages flow, both ways, while they have met in one session
     now: int = 0
     _under_way: list[tuple[int, int, Session, bytes]] = field(default_factory=list)
     _serial: Iterator[int] = field(default_factory=count)
@@ -48,6 +49,15 @@ class Talk:
                 other, takes = (self.slave, self.there) if end is self.master else (self.master, self.back)
                 heappush(self._under_way, (self.now + takes, next(self._serial), other, data))
 
+    def flow(self) -> None:
+        """The law's messages, of which a session knows that they come."""
+        master, slave = self.master, self.slave
+        if self.messages and not master.meeting and not slave.meeting and master.number == slave.number:
+            if not self.lost(Packet(Kind.FORTH, 0, 0, 0, None, ())):
+                slave.data_came(self.clock(slave))
+            if not self.lost(Packet(Kind.BACK, 0, 0, 0, None, ())):
+                master.data_came(self.clock(master))
+
     def agree(self, until: int) -> None:
         """Let time pass until both know when tick 0 is, at most until then."""
         while self.now < until and None in (self.master.start_ns, self.slave.start_ns):
@@ -61,6 +71,8 @@ class Talk:
                 packet = decode(data, 1)
                 assert isinstance(packet, Packet)
                 self.send(end, end.receive(packet, self.clock(end)))
+            if self.now % (20 * MS) == 0:
+                self.flow()
             for end in (self.master, self.slave):
                 self.send(end, end.due(self.clock(end)))
             self.now += MS
@@ -149,13 +161,13 @@ def test_any_pattern_of_losses_delays_the_start_and_no_more(pattern: list[bool])
 
 
 def test_start_is_repeated_until_it_is_answered_or_messages_come() -> None:
-    talk = Talk(lost=lambda packet: packet.kind is Kind.START)
+    talk = Talk(lost=lambda packet: packet.kind is Kind.START, messages=False)
     talk.run(2000 * MS)
     starts = [packet.sent_ns for packet in talk.sent if packet.kind is Kind.START]
     assert len(starts) > 10
     assert {b - a for a, b in pairwise(starts)} == {AGAIN_NS}
-    talk.master.data_came()
-    talk.run(3000 * MS)
+    talk.master.data_came(talk.now)
+    talk.run(2900 * MS)
     assert len([packet for packet in talk.sent if packet.kind is Kind.START]) == len(starts)
 
 
@@ -165,7 +177,7 @@ def test_a_start_that_comes_twice_moves_nothing() -> None:
     before = talk.slave.start_ns
     again = Packet(Kind.START, 7, 0, 0, None, 999)
     assert [decode(data, 1).payload for data in talk.slave.receive(again, talk.now)] == [999]
-    assert talk.slave.start_ns == before
+    assert (talk.slave.start_ns, talk.slave.met) == (before, 1)
 
 
 # Ends that do not match
@@ -234,30 +246,85 @@ def hello(session: int, manifest: dict[str, str] = MANIFEST) -> Packet:
     return Packet(Kind.HELLO, session, 0, 0, None, manifest)
 
 
-def test_a_running_session_is_not_taken_over() -> None:
+def start_of(session: int, welcomed: int, tick_0: int = 5) -> Packet:
+    """The START of a master whose last WELCOME was sent at `welcomed`."""
+    return Packet(Kind.START, session, 0, 0, Echo(welcomed, 0), tick_0)
+
+
+def started(slave: Session, session: int, now: int, **told: str) -> Session:
+    """A slave that was started at `now`."""
+    slave.receive(hello(session, {**MANIFEST, **told}), now)
+    slave.receive(start_of(session, now), now)
+    assert slave.number == session
+    return slave
+
+
+def test_a_running_session_is_not_taken_over_while_it_is_heard() -> None:
     talk = Talk()
     talk.run(2000 * MS)
-    start = talk.slave.start_ns
-    for packet in (hello(8), hello(8, {"scene": "other"}), Packet(Kind.START, 8, 0, 0, None, 5),
-                   Packet(Kind.BYE, 8, 0, 0, None, "go"), Packet(Kind.REFUSE, 8, 0, 0, None, "no")):
-        assert not talk.slave.belongs(packet, talk.now + 10 * HOLD_NS)
-        assert talk.slave.receive(packet, talk.now + 10 * HOLD_NS) == []
-    got = (talk.slave.number, talk.slave.start_ns, talk.slave.farewell, talk.slave.failure)
-    assert got == (7, start, None, None)
+    slave, start = talk.slave, talk.slave.start_ns
+    for i in range(10):
+        now = talk.now + (i + 1) * RENEW_NS // 2
+        for packet in (hello(8), hello(8, {"scene": "other"}), start_of(8, now), Packet(Kind.START, 8, 0, 0, None, 5),
+                       Packet(Kind.BYE, 8, 0, 0, None, "go"), Packet(Kind.REFUSE, 8, 0, 0, None, "no")):
+            assert not slave.belongs(packet, now)
+            assert slave.receive(packet, now) == []
+        slave.data_came(now)
+    assert (slave.number, slave.start_ns, slave.farewell, slave.failure, slave.met) == (7, start, None, None, 1)
+
+
+def test_words_that_are_not_messages_do_not_keep_a_slave_from_being_taken_up() -> None:
+    """A recorded START or WELCOME of the session proves nobody's presence."""
+    slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
+    for now in range(0, 3 * RENEW_NS, RENEW_NS // 4):
+        for packet in (Packet(Kind.START, 1, 0, 0, None, 5), Packet(Kind.WELCOME, 1, 0, 0, None, MANIFEST)):
+            slave.receive(packet, now)
+    assert slave.receive(hello(2), 2 * RENEW_NS)
 
 
 def test_a_second_master_waits_until_the_first_has_been_silent() -> None:
-    slave = Session(master=False, manifest=MANIFEST)
-    assert slave.receive(hello(1), 0)
-    assert slave.receive(hello(2), HOLD_NS // 2) == []
-    assert slave.receive(hello(2, {"scene": "other"}), HOLD_NS // 2) == []  # nor can it stop the slave
-    assert slave.receive(hello(1), HOLD_NS // 2)
-    assert slave.receive(hello(2), HOLD_NS) == []
+    slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
+    assert slave.receive(hello(2), RENEW_NS // 2) == []
+    assert slave.receive(hello(2, {"scene": "other"}), RENEW_NS // 2) == []  # nor can it stop the slave
+    slave.data_came(RENEW_NS // 2)
+    assert slave.receive(hello(2), RENEW_NS) == []
     assert (slave.number, slave.failure) == (1, None)
-    assert slave.receive(hello(2), 2 * HOLD_NS)
-    assert slave.number == 2
-    assert slave.receive(Packet(Kind.START, 1, 0, 0, None, 5), 2 * HOLD_NS) == []
-    assert slave.start_ns is None
+    assert slave.receive(hello(2), 2 * RENEW_NS)
+    assert (slave.number, slave.met) == (1, 1), "it is asked, and goes on in the session it has until START"
+    assert slave.receive(Packet(Kind.START, 2, 0, 0, Echo(2 * RENEW_NS + 1, 0), 5), 2 * RENEW_NS) == []
+    assert slave.receive(start_of(2, 2 * RENEW_NS), 2 * RENEW_NS)
+    assert (slave.number, slave.met, slave.start_ns) == (2, 2, 5)
+    assert slave.receive(start_of(1, 0), 2 * RENEW_NS) == [], "and what is old of the first one is over"
+    assert (slave.number, slave.met, slave.start_ns) == (2, 2, 5)
+
+
+def test_of_two_masters_who_ask_at_once_the_one_that_starts_has_the_slave() -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    for number, now in ((1, 10), (2, 20), (1, 30)):
+        assert slave.receive(hello(number), now)
+    assert slave.number is None
+    assert slave.receive(start_of(2, 20), 40)
+    assert slave.receive(start_of(1, 30), 50) == []
+    assert (slave.number, slave.met) == (2, 1)
+
+
+def test_a_start_counts_only_if_it_echoes_a_welcome_of_this_very_slave() -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    assert slave.receive(hello(1), 10)
+    for echo in (None, Echo(11, 0), Echo(0, 0), Echo(-10, 0)):
+        assert slave.receive(Packet(Kind.START, 1, 0, 0, echo, 5), 20) == []
+    assert slave.receive(Packet(Kind.START, 2, 0, 0, Echo(10, 0), 5), 20) == []
+    assert (slave.number, slave.start_ns) == (None, None)
+    assert slave.receive(start_of(1, 10), 20)
+    assert slave.start_ns == 5
+
+
+@pytest.mark.parametrize("tick_0", [2**61 + 1, -(2**61) - 1, 2**63 - 1, -(2**63)])
+def test_a_start_of_a_clock_that_nobody_has_is_not_believed(tick_0: int) -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    slave.receive(hello(1), 10)
+    assert slave.receive(start_of(1, 10, tick_0), 20) == []
+    assert (slave.number, slave.start_ns) == (None, None)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2**64 - 1])

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
+from math import inf
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from master.hand import Grip, Sine
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop.bodies import master_plant, reference_samples, slave_plants
+from teleop.device import Device, Encoder
 from teleop.law import At
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
@@ -25,11 +27,12 @@ from teleop.laws.wave import Wave
 from teleop.lockstep import link_plans, run
 from teleop.plant import MassDamper, grip_force, move_free, move_gripped
 from teleop.playout import Fixed, Hold
-from teleop.safety import Cap, Watchdog
+from teleop.safety import Cap, Watchdog, watch
 from teleop.scene import Scene
 from teleop.source import beginnings, compiled, live_text, loop_text
 from teleop.tick import columns, features
 from teleop.trace import EndRecord, assemble
+from teleop.velocity.low_pass import LowPass
 
 
 class Note(NamedTuple):
@@ -111,8 +114,11 @@ NAMES = [
     (make(PFRA()), make(PFRA(), observer=None), {"c_obs", "f_h_hat0", "observe", "v_before_m0"}),
     (make(PFRA(), observer=None), make(PFRA()), {"f_h0"}),
     (make(Direct()), make(Wave()), {"f_env0"}),
-    (make(Direct(), watchdog=Watchdog()), make(Direct()), {"c_dog", "g_m", "g_s", "watch", "heard_m"}),
+    (make(Direct(), watchdog=Watchdog()), make(Direct()), {"c_dog", "calm_m", "watch", "heard_m"}),
     (make(Direct(), cap=Cap(f_max=1.0)), make(Direct()), {"c_cap", "cap"}),
+    (make(Direct(), cap=Cap(f_max=1.0, v_max=1.0)), make(Direct(), cap=Cap(f_max=1.0)), {"c_speed", "fade"}),
+    (make(Direct(), cap=Cap(f_max=1.0, power=1.0)), make(Direct(), cap=Cap(f_max=1.0, v_max=1.0)),
+     {"c_power", "E_left_m", "E_left_s", "pay", "refill", "ration", "dx_m0", "dx_s0"}),
     (make(Direct()), BARE, {"move_gripped", "r0"}),
     (BARE, make(Direct()), {"move_free"}),
     (make(Curious()), make(Direct()), {"age_m", "age_s", "newest_m", "sums_m", "sums_s", "sum0", "over"}),
@@ -140,7 +146,8 @@ def every_kind() -> Iterator[Scene]:
         yield make(
             law, axes, hand=hand, link=JITTERY if link else None, energy=energy, observer=observer, duration=0.03,
             watchdog=Watchdog(timeout=0.005, ramp=0.003) if safe else None,
-            cap=Cap(f_max=2.0, slew=500.0) if safe else None, **({"playout": Hold()} if held else {}),
+            cap=Cap(f_max=2.0, slew=500.0, v_max=0.5, power=0.1 if n % 2 else None) if safe else None,
+            **({"playout": Hold()} if held else {}),
         )
 
 
@@ -233,6 +240,7 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
     held = dict.fromkeys("ms", (0.0,) * scene.axes)
     sent: dict[str, list[Any]] = {"m": [], "s": []}
     rows: dict[str, list[float]] = {"m": [], "s": []}
+    gain, calm, last = dict.fromkeys("ms", 1.0), dict.fromkeys("ms", inf), dict.fromkeys("ms", -1)
 
     def touch(e: str, k: int) -> tuple[float, ...] | None:
         if f"sense_{e}" not in has:
@@ -256,7 +264,10 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
         for e, other, plan in (("m", "s", back), ("s", "m", forth)):
             seq = k - 1 if plan is None else plan.play[k]
             heard = (True, seq, sent[other][seq]) if seq >= 0 else (False, -1, None)
-            held[e], said[e], row = ends[e].send((k, *read[e], *heard))
+            if scene.watchdog is not None:
+                last[e] = k if heard[0] else last[e]
+                gain[e], calm[e] = watch(scene.watchdog.limits(dt), gain[e], calm[e], k - last[e])
+            held[e], said[e], row = ends[e].send((k, *read[e], *heard, gain[e], held[e]))
             rows[e].extend(row)
         for e in "ms":
             sent[e].append(said[e])
@@ -283,6 +294,9 @@ LIVE = [
     make(Direct(K=300.0, B=6.0, kf=0.3), hand=False, energy=True),
     make(Curious(), axes=3, link=JITTERY, energy=True, watchdog=Watchdog(timeout=0.003, ramp=0.002)),
     make(Curious(), observer=None, hand=False),
+    make(Direct(K=300.0, B=6.0, kf=1.0), axes=3, link=Delay(0.02), watchdog=Watchdog(timeout=0.01, settle=0.02),
+         cap=Cap(f_max=8.0, slew=2000.0, v_max=0.3, power=0.02),
+         device_m=Device(encoder=Encoder(step=1e-5), velocity=LowPass(cutoff=50.0))),
 ]
 
 

@@ -77,6 +77,11 @@ MORE = {
         load_scene("canonical", law=PFRA(alpha=0.2)), duration=SHORT, cap=Cap(f_max=3.0, slew=500.0),
         watchdog=Watchdog(timeout=0.02), device_m=Device(encoder=Encoder(step=1e-4), velocity=LowPass(cutoff=40.0),
                                                          every=3, delay=2)),
+    "limits": lambda: replace(
+        load_scene("canonical", law=Direct(), link=ROUGH, energy=True), duration=SHORT,
+        cap=Cap(f_max=5.0, slew=2000.0, v_max=0.2, power=0.01), watchdog=Watchdog(timeout=0.012, settle=0.02)),
+    "limits, not a number": lambda: replace(
+        load_scene("canonical", law=Direct(kf=1e308)), duration=SHORT, start_s=0.05, cap=Cap(f_max=9.0, power=1e-3)),
 }
 
 
@@ -104,7 +109,8 @@ class TestCompiled:
         of = scene(name, tmp_path)
         assert_as_a_run(scalar(of, exact_bodies(of), sorted(available(of))), of)
 
-    @pytest.mark.parametrize("name", ["rough link, energy", "diverges late over a rough link", "overflows", "devices"])
+    @pytest.mark.parametrize("name", ["rough link, energy", "diverges late over a rough link", "overflows", "devices",
+                                      "limits", "limits, not a number"])
     def test_on_random_links_and_where_a_run_ends_early(self, name: str) -> None:
         of = MORE[name]()
         kernel = scalar(of, exact_bodies(of), sorted(available(of)))

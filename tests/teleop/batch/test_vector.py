@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import pytest
 
+from channel.link import parse_link
 from scenarios.virtual_coupling import scene as virtual_coupling
 from slave.tissue import Tissue
 from slave.wall import Wall
@@ -21,6 +24,7 @@ from teleop.bodies import exact_bodies
 from teleop.device import Device, Encoder
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.laws.pfra import PFRA
+from teleop.laws.virtual_wall import VirtualWall
 from teleop.popc import PassivityController
 from teleop.safety import Cap, Watchdog
 from teleop.velocity.backward_difference import BackwardDifference
@@ -91,6 +95,43 @@ def test_what_else_a_scene_may_name_has_lanes(name: str) -> None:
     of = replace(load_scene(scene), duration=0.3, **parts)
     scenes = [replace(of, master=replace(of.master, mass=0.05 + 0.02 * n)) for n in range(11)]
     assert_same_bits(scenes, [1] * 11)
+
+
+NARROW: dict[str, Callable[[random.Random], float | None]] = {
+    "slew": lambda dice: dice.choice([None, 300.0, 1e4]), "v_max": lambda dice: 10.0 ** dice.uniform(-4.0, 0.5),
+    "power": lambda dice: 10.0 ** dice.uniform(-6.0, 0.0),
+}
+LIMITED: dict[str, tuple[str, dict[str, Any], list[str]]] = {
+    "two ends": ("canonical", {"law": Direct(K=500.0, B=20.0), "energy": True, "link": parse_link(ROUGH)}, [*NARROW]),
+    "three axes, encoders, estimators, late, watched": ("canonical", {
+        "law": PFRA(alpha=0.5), "axes": 3, "environment": (HARD, None, Tissue(k=200.0, d=1.0)),
+        "watchdog": Watchdog(timeout=0.015, settle=0.03), "link": parse_link(ROUGH),
+        "device_m": Device(encoder=Encoder(step=1e-4), velocity=BackwardDifference(), delay=2),
+        "device_s": Device(encoder=Encoder(step=1e-5))}, [*NARROW]),
+    "one-port": ("virtual_wall", {"law": VirtualWall(K=8e3, at=0.01)}, ["power"]),
+    "one-port, speed": ("virtual_wall", {"law": VirtualWall(K=8e3, at=0.01)}, ["v_max"]),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_velocity_caps_and_energy_budgets_have_lanes(name: str) -> None:
+    """Of random limits, many so narrow that they act at most ticks."""
+    dice = random.Random(name)
+    scene, parts, named = LIMITED[name]
+    of = replace(load_scene(scene), duration=0.5, **parts)
+    scenes = [replace(of, cap=Cap(f_max=dice.uniform(0.5, 20.0), **{one: NARROW[one](dice) for one in named}))
+              for _ in range(13)]
+    assert_same_bits(scenes, [*range(13)])
+
+
+def test_limits_are_swept_as_knobs_with_none_among_them() -> None:
+    limits = [(None, None), *product((1e-3, 0.05, 1.0), (0.05, 0.1, 3.0))]
+    rows = [(n, {"power": power, "v_max": v_max}, n) for n, (power, v_max) in enumerate(limits)]
+    done = {engine: work(Job("hard_wall", {"duration": 3.0, "law": "direct"}, rows, MEASURES, engine))
+            for engine in ("plain", "vector")}
+    assert done["vector"].ran == {("vector", ""): 10}
+    assert repr(done["plain"].rows) == repr(done["vector"].rows)
+    assert len({row["x_err_rms"] for row in done["plain"].rows}) > 3
 
 
 def test_lanes_whose_playout_and_hand_differ_stand_beside_each_other() -> None:

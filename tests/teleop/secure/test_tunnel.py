@@ -188,7 +188,7 @@ class TestDatagrams:
 
     def test_carry_the_packets_of_the_wire_format_of_every_size(self, associated: Associated) -> None:
         one, other = associated()
-        packet = Packet(Kind.DATA, 2**64 - 1, 7, 0, None, (1.0, 2.0))
+        packet = Packet(Kind.FORTH, 2**64 - 1, 7, 0, None, (1.0, 2.0))
         for size in (100, 1200):
             assert opened(other, sealed(one, encode(packet, size))) == [encode(packet, size)]
 

@@ -1,0 +1,159 @@
+"""What a live end can tell of its link and of the peer's clock, from the packets alone. Sans-IO; times are ns.
+
+One packet tells four instants: `t1`, when the packet that it echoes left here; `t2`, when that came there; `t3`, when
+this one left there; `t4`, when it came here; t1 and t4 by our clock, the others by the peer's. Then
+
+    rtt = (t4 - t1) - (t3 - t2)              theta = ((t2 - t1) + (t3 - t4)) / 2
+
+and theta is the peer's clock less ours, wrong by half the difference of the two ways at most (NTP, RFC 5905, 8). That
+error stays the same as long as the ways do: how the offset *changes* is known much better than the offset.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+MOST_RTT_NS = 60_000_000_000  # of a round trip that is believed
+WINDOW_NS = 1_000_000_000  # of each, the fastest round trip counts
+WINDOWS = 64  # remembered; the drift is the slope over them
+FEWEST = 4  # for a slope
+MOVED = 10  # windows in a row with another round trip, and the way is taken to be another one
+
+
+class Times:
+    """Mean, least and most of times in ns, taken one by one."""
+
+    def __init__(self) -> None:
+        self.count, self.total, self.least, self.most = 0, 0, 0, 0
+        self.recent = 0.0  # mean over about the last 200
+
+    def add(self, ns: int) -> None:
+        """One more."""
+        self.least = ns if not self.count else min(self.least, ns)
+        self.most = ns if not self.count else max(self.most, ns)
+        self.count += 1
+        self.total += ns
+        self.recent += (ns - self.recent) / min(self.count, 200)
+
+
+class PeerClock:
+    """How the peer's clock goes beside ours: `offset_ns` (peer's less ours), `drift` (of its rate, 1e-6 is 1 ppm).
+
+    `shift_ns` is how far the offset has moved since the first window. A window moves it only by what the ways cannot
+    explain: if a round trip differs by d from the first one's, the ways can have moved theta by d/2 and no more.
+    `band_ns` is what is left alone beyond that.
+    """
+
+    def __init__(self, band_ns: int) -> None:
+        self.offset_ns: int | None = None
+        self.shift_ns = 0
+        self.band_ns = band_ns
+        self._best: tuple[int, int, int] | None = None  # of this window: round trip, theta, when
+        self._until = 0  # when it is over, our clock
+        self._base = (0, 0)  # the round trip and theta that the shift counts from
+        self._moved = 0
+        self._windows: deque[tuple[int, int, int]] = deque(maxlen=WINDOWS)  # the same of each
+
+    def add(self, t1: int, held: int, t3: int, t4: int) -> int | None:
+        """One echo, `held` = t3 - t2; its round trip, or None if nobody can have sent it."""
+        rtt = t4 - t1 - held
+        if not 0 <= rtt <= MOST_RTT_NS:
+            return None
+        if self._best is None:
+            self._until = t4 + WINDOW_NS
+        elif t4 >= self._until:
+            self._close(*self._best)
+            self._best, self._until = None, t4 + WINDOW_NS
+        if self._best is None or rtt < self._best[0]:
+            self._best = (rtt, (2 * t3 - held - t1 - t4) // 2, t4)
+        return rtt
+
+    @property
+    def drift(self) -> float | None:
+        """How much faster the peer's clock goes than ours, as a fraction; None before there is enough to tell.
+
+        The slope of theta by least squares. A window weighs the less the slower its round trip was than the fastest:
+        by half of that it can be wrong.
+        """
+        if len(self._windows) < FEWEST:
+            return None
+        fastest, y0, t0 = min(self._windows)
+        exact = max(1.0, self.band_ns / 10)
+        rows = [(1.0 / (((rtt - fastest) / 2) ** 2 + exact**2), t - t0, y - y0) for rtt, y, t in self._windows]
+        total = sum(w for w, _, _ in rows)
+        mean_t, mean_y = sum(w * t for w, t, _ in rows) / total, sum(w * y for w, _, y in rows) / total
+        spread = sum(w * (t - mean_t) ** 2 for w, t, _ in rows)
+        return sum(w * (t - mean_t) * (y - mean_y) for w, t, y in rows) / spread
+
+    def _close(self, rtt: int, theta: int, when: int) -> None:
+        if self.offset_ns is None:
+            self._base = (rtt, theta)
+        self.offset_ns = theta
+        self._windows.append((rtt, theta, when))
+        base_rtt, base = self._base
+        ways = abs(rtt - base_rtt) // 2
+        moved = theta - base - self.shift_ns
+        if abs(moved) > ways + self.band_ns:
+            self.shift_ns += moved - ways if moved > 0 else moved + ways
+        self._moved = self._moved + 1 if ways > self.band_ns else 0
+        if self._moved >= MOVED:  # from here on the ways are these
+            self._base, self._moved = (rtt, theta - self.shift_ns), 0
+            while len(self._windows) > MOVED:
+                self._windows.popleft()
+
+
+class LinkEstimates:
+    """What the packets of one session say of the link: delays, jitter, loss, order.
+
+    `way`: one-way delay as it is seen over the common grid of ticks. `rtt`: round trips, which need no common clock.
+    `jitter_ns`: interarrival jitter (RFC 3550, 6.4.1). `lost` and `reordered`: of the numbers up to the newest one that
+    came (RFC 3550, A.3), copies left out. `every`: the peer's packets are so many numbers apart.
+    """
+
+    def __init__(self, band_ns: int) -> None:
+        self.way, self.rtt = Times(), Times()
+        self.jitter_ns = 0.0
+        self.reordered = 0
+        self.clock = PeerClock(band_ns)
+        self._transit: int | None = None
+        self._first, self._newest = 0, -1
+        self._came = 0
+        self._lost = 0  # in sessions before this one
+
+    def heard(self, seq: int, sent_ns: int, echo: tuple[int, int] | None, way_ns: int, now: int) -> None:
+        """A message that has not come before: its number, send time (peer's clock), echo, and delay over the grid."""
+        self.way.add(way_ns)
+        transit = now - sent_ns
+        if self._transit is not None:
+            self.jitter_ns += (abs(transit - self._transit) - self.jitter_ns) / 16.0
+        self._transit = transit
+        if not self._came:
+            self._first = seq
+        self._came += 1
+        if seq > self._newest:
+            self._newest = seq
+        else:
+            self.reordered += 1
+            self._first = min(self._first, seq)
+        if echo is not None:
+            rtt = self.clock.add(echo[0], echo[1], sent_ns, now)
+            if rtt is not None:
+                self.rtt.add(rtt)
+
+    def lost(self, every: int = 1) -> int:
+        """How many did not come, of those up to the newest that came."""
+        return self._lost + self._missing(every)
+
+    def loss(self, every: int = 1) -> float:
+        """The same as a fraction."""
+        lost = self.lost(every)
+        return lost / (lost + self.way.count) if lost else 0.0
+
+    def begin(self, every: int = 1) -> None:
+        """A new session: its numbers, its clock; the figures go on."""
+        self._lost += self._missing(every)
+        self._came, self._newest, self._transit = 0, -1, None
+        self.clock = PeerClock(self.clock.band_ns)
+
+    def _missing(self, every: int) -> int:
+        return max(0, (self._newest - self._first) // every + 1 - self._came) if self._came else 0

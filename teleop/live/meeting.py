@@ -1,0 +1,48 @@
+"""The first exchange of a live end, until the run begins or it is clear that there will be none."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import TYPE_CHECKING
+
+from teleop.live.address import shown
+
+if TYPE_CHECKING:
+    from teleop.live.shell import Shell
+
+HUSH = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
+EARLY_NS = 10_000_000  # so long before tick 0 the exchange is over at the latest
+
+
+async def meet(shell: Shell) -> bool:
+    """The first exchange; False if the run was over before it began."""
+    session, stepped = shell.endpoint.session, shell.endpoint.stepped
+    began = time.monotonic_ns()
+    while not shell.over.is_set():
+        now = time.monotonic_ns()
+        if session.failure is not None:
+            shell.end("refused", session.failure)
+        elif session.farewell not in (None, HUSH):
+            shell.end("refused", f"the other end left before the run began: {session.farewell}")
+        elif shell.interrupt.name is not None:
+            shell.stop(f"it was asked to stop ({shell.interrupt.name})")
+        elif session.start_ns is not None and not session.meeting:
+            # Until then what was lost of the exchange can be said again.
+            if stepped or now > session.start_ns - EARLY_NS:
+                return True
+        elif shell.patience is not None and now - began > shell.patience * 1e9:
+            shell.end("refused", _nobody(shell, shell.patience))
+        shell.send(session.due(now))
+        shell.wire.due(now)
+        await asyncio.sleep(0.005)
+    return False
+
+
+def _nobody(shell: Shell, patience: float) -> str:
+    peer, line = shell.wire.peer, shell.wire.line
+    if line is not None and line.trouble is not None:
+        return f"no peer was let in in {patience:g} s: {line.trouble}"
+    if peer is None:
+        return f"no master came in {patience:g} s; start one that has this address as its --peer, or --wait longer"
+    return f"no answer from {shown(peer)} in {patience:g} s; start the other end first, and check address and port"

@@ -1,0 +1,75 @@
+"""Ends at different rates: what one of them plays of the other's messages at a tick of its own.
+
+Both count the ticks of one grid; an end takes every `mine`-th of them, its peer every `theirs`-th. A slower peer's
+message stands for all the ticks until its next one is due, and is played at each of them. A faster one's messages of
+the ticks since the last are played together, as their mean; a wave's as the sum over their number if all had come,
+since what is lost of a wave has to count as zero. Both keep a wave's energy from growing: the square of a mean is at
+most the mean of the squares. Where neither rate is a multiple of the other it is the mean over the ticks of the grid,
+at each of which the last message stands, for its sender's tick at most.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+
+class Heard(NamedTuple):
+    """One message as it came: the law's, per axis, and the sender's energy stamp."""
+
+    rx: tuple[Any, ...]
+    E_in: float | None
+
+
+class Messages(Protocol):
+    """Where messages wait until a tick plays them."""
+
+    def put(self, packet: int, tick: int, entry: Heard) -> None: ...
+    def take(self, tick: int) -> tuple[int, Heard] | None: ...
+
+
+class Resampling:
+    """Takes messages of type `kind` out of an inbox, at every `mine`-th tick. `wave`: which field is one, if any is."""
+
+    def __init__(self, kind: Any, wave: str | None, *, mine: int) -> None:
+        self.mine, self.theirs = mine, 1
+        self._kind, self._wave = kind, wave
+        self._last: tuple[int, tuple[int, Heard]] | None = None  # when a message was played last, and which
+
+    def begin(self, theirs: int) -> None:
+        """A session with a peer that ticks at every `theirs`-th tick."""
+        self.theirs, self._last = theirs, None
+
+    def take(self, inbox: Messages, last: int, k: int) -> tuple[int, Heard] | None:
+        """What tick k plays, the one before having been `last`: the number of a packet, and the message."""
+        mine, theirs = self.mine, self.theirs
+        if mine == theirs == 1:
+            return inbox.take(k)
+        ticks = range(max(last + 1, k - mine + 1), k + 1)
+        if mine % theirs and theirs % mine:
+            stood = [each for j in ticks if (each := self._standing(inbox, j)) is not None]
+            return self._mean(stood, mine) if stood else None
+        came = [got for j in ticks if (got := inbox.take(j)) is not None]
+        if came:
+            got = came[-1] if len(came) == 1 and mine <= theirs else self._mean(came, -(-mine // theirs))
+            self._last = (k, got)
+            return got
+        if self._last is None or k - self._last[0] + mine > theirs:
+            return None
+        return self._last[1]
+
+    def _standing(self, inbox: Messages, j: int) -> tuple[int, Heard] | None:
+        """The message that stands at tick j of the grid, if one does."""
+        got = inbox.take(j)
+        if got is not None:
+            self._last = (j, got)
+        return self._last[1] if self._last is not None and j - self._last[0] < self.theirs else None
+
+    def _mean(self, came: list[tuple[int, Heard]], due: int) -> tuple[int, Heard]:
+        """Of messages that stand for one tick, out of `due` at least that were sent for it."""
+        newest, heard = came[-1]
+        rx = []
+        for i in range(len(heard.rx)):
+            fields = zip(self._kind._fields, zip(*[each.rx[i] for _, each in came], strict=True), strict=True)
+            rx.append(self._kind(*[sum(numbers) / (max(due, len(came)) if name == self._wave else len(came))
+                                   for name, numbers in fields]))
+        return newest, Heard(tuple(rx), heard.E_in)

@@ -1,0 +1,220 @@
+"""The kernel's filter: only what has the shape of ours takes a place in a socket's queue."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from teleop.errors import Refused
+from teleop.live.filter import LONGEST, Shape, attach, detach, of_records, of_session, program
+from teleop.packet import DATA, VERSION, Echo, Kind, Packet, encode
+
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux filters for a socket")
+SIZE = 136
+SESSION = 0xFEDC_BA98_7654_3210
+OTHER = SESSION ^ 1 << 40
+PAYLOADS = {Kind.FORTH: (1.0, -2.5), Kind.BACK: (1.0, -2.5), Kind.START: 77, Kind.REFUSE: "no", Kind.BYE: "finished"}
+
+
+def packet(kind: Kind, session: int = SESSION, size: int | None = SIZE, seq: int = 0) -> bytes:
+    said = Packet(kind, session, seq, 10**15, Echo(5, 6), PAYLOADS.get(kind, {"k_e": "1.0"}))
+    return encode(said, size if kind in DATA else None)
+
+
+class Ends:
+    """A socket that hears and one that speaks to it."""
+
+    def __init__(self) -> None:
+        self.here, self.there = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        self.here.bind(("127.0.0.1", 0))
+        self.here.setblocking(False)
+        self.there.connect(self.here.getsockname())
+
+    def come(self, *sent: bytes) -> list[bytes]:
+        """What of it came in. Loopback delivers before `send` returns."""
+        for data in sent:
+            self.there.send(data)
+        got = []
+        while True:
+            try:
+                got.append(self.here.recv(LONGEST))
+            except BlockingIOError:
+                return got
+
+
+@pytest.fixture(scope="module")
+def ends() -> Iterator[Ends]:
+    pair = Ends()
+    yield pair
+    pair.here.close()
+    pair.there.close()
+
+
+@pytest.fixture(autouse=True)
+def _open_again(ends: Ends) -> Iterator[None]:
+    yield
+    detach(ends.here)
+    assert ends.come() == []
+
+
+@linux
+@pytest.mark.parametrize("session", [SESSION, 7, 200, 2**16, 2**32], ids=hex)
+@pytest.mark.parametrize("heard", sorted(DATA), ids=lambda kind: kind.name)
+def test_what_the_other_end_of_the_session_sends_comes_through(ends: Ends, session: int, heard: Kind) -> None:
+    """Whatever number it has: msgpack writes small ones shorter. An end's own messages, thrown back at it, do not."""
+    assert attach(ends.here, program(*of_session(session, SIZE, heard)))
+    ours = [packet(kind, session, seq=seq) for kind in Kind if kind is heard or kind not in DATA for seq in (0, 70_000)]
+    (own,) = DATA - {heard}
+    assert ends.come(packet(own, session), *ours) == ours
+
+
+GOOD = packet(Kind.FORTH)
+
+
+@linux
+@pytest.mark.parametrize("bad", [
+    b"", b"B", b"BT", b"BT" + bytes((VERSION, 0)), b"GET / HTTP/1.1\r\n", bytes(SIZE), bytes(1200),
+    packet(Kind.FORTH, OTHER), packet(Kind.BYE, OTHER), packet(Kind.BACK),
+    packet(Kind.FORTH, size=SIZE + 1), packet(Kind.FORTH, size=SIZE - 1), GOOD[:-1], GOOD[:14],
+    b"BX" + GOOD[2:], b"BT" + bytes((VERSION + 1,)) + GOOD[3:],
+    b"BT" + bytes((VERSION, len(Kind))) + packet(Kind.BYE)[4:],
+    GOOD[:6] + b"\x95" + GOOD[7:], b"\x17\xfe\xfd\x00\x01" + bytes(SIZE - 5),
+], ids=lambda bad: f"{len(bad)} {bad[:8].hex()}")
+def test_what_is_none_of_it_does_not(ends: Ends, bad: bytes) -> None:
+    assert ends.come(bad, GOOD) == [bad, GOOD], "without a filter it comes"
+    assert attach(ends.here, program(*of_session(SESSION, SIZE, Kind.FORTH)))
+    assert ends.come(bad, GOOD) == [GOOD]
+
+
+@linux
+def test_another_filter_takes_the_place_of_the_first_and_detaching_lets_everything_in(ends: Ends) -> None:
+    one, other = packet(Kind.FORTH), packet(Kind.FORTH, OTHER)
+    attach(ends.here, program(*of_session(SESSION, SIZE, Kind.FORTH)))
+    assert ends.come(one, other) == [one]
+    attach(ends.here, program(*of_session(OTHER, SIZE, Kind.FORTH)))
+    assert ends.come(one, other) == [other]
+    assert detach(ends.here)
+    assert ends.come(one, other, b"anything") == [one, other, b"anything"]
+    assert not detach(ends.here), "there is none any more"
+
+
+@linux
+def test_what_waited_before_the_filter_came_is_still_there(ends: Ends) -> None:
+    ends.there.send(b"before")
+    attach(ends.here, program(*of_session(SESSION, SIZE, Kind.FORTH)))
+    assert ends.come(b"after") == [b"before"]
+
+
+def sealed(kind: int, epoch: int, body: int, says: int | None = None) -> bytes:
+    head = bytes((kind, 0xFE, 0xFD)) + epoch.to_bytes(2, "big") + bytes(6)
+    return head + (body if says is None else says).to_bytes(2, "big") + bytes(body)
+
+
+@linux
+def test_sealed_data_comes_through_as_long_as_it_says_and_of_the_epoch_of_data(ends: Ends) -> None:
+    good = [sealed(23, 1, size) for size in (24, 160, 8000)]
+    bad = [sealed(23, 1, 160, says=161), sealed(23, 1, 160)[:-3], sealed(23, 0, 160), sealed(23, 2, 160), bytes(173),
+           sealed(23, 1, 0)[:12], sealed(24, 1, 160), packet(Kind.FORTH)]
+    meeting = [sealed(kind, 0, 60) for kind in (20, 21, 22)]
+    attach(ends.here, program(*of_records(handshakes=False)))
+    assert ends.come(*bad, *good, *meeting) == good
+    attach(ends.here, program(*of_records()))
+    assert ends.come(*bad, *good, *meeting) == [*good, *meeting]
+
+
+@linux
+def test_real_sealed_datagrams_come_through(ends: Ends, tmp_path: object) -> None:
+    """Of a whole association: its handshake, its data, and the alert that ends it."""
+    pytest.importorskip("OpenSSL")
+    from pathlib import Path
+
+    from teleop.secure.keys import keygen, load_key
+    from teleop.secure.line import Line
+
+    keys = [load_key(keygen(Path(str(tmp_path)) / name)[0]) for name in "ms"]
+    here, there = ("192.0.2.1", 1), ("192.0.2.2", 2)
+    one = Line.calling(keys[0], keys[1].fingerprint, there)
+    other = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    attach(ends.here, program(*of_records()))
+    flying = one.due(0)
+    while flying:
+        data, at = flying.pop(0)
+        assert ends.come(data) == [data]
+        flying += one.receive(data, there, 0)[1] if at == here else other.receive(data, here, 0)[1]
+    assert one.ready
+    assert other.ready
+    said = one.send(packet(Kind.FORTH))
+    assert said is not None
+    end = [data for data, _ in one.close()]
+    assert end
+    assert ends.come(*end) == end
+    attach(ends.here, program(*of_records(handshakes=False)))
+    assert ends.come(said) == [said]
+
+
+@linux
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_the_kernel_judges_as_the_shapes_read(ends: Ends, data: st.DataObject) -> None:
+    """Against the same rules written in Python, over small alphabets so that both verdicts are common."""
+    few = st.binary(max_size=6).map(lambda text: bytes(byte & 1 for byte in text))
+    offsets = st.integers(0, 4)
+    drawn = data.draw(st.lists(st.tuples(
+        st.lists(st.tuples(offsets, few), max_size=2), st.integers(0, 6), st.integers(10, 14), st.none() | offsets,
+    ), min_size=1, max_size=3))
+    shapes = [Shape(has=tuple(has), least=least, most=most, rest_at=at) for has, least, most, at in drawn]
+    text = data.draw(st.binary(max_size=14).map(lambda text: bytes(byte & 1 for byte in text)))
+    at = data.draw(st.integers(0, 4))
+    if data.draw(st.booleans()) and len(text) > at + 2:  # make the number of the bytes that follow true
+        text = text[:at] + (len(text) - at - 2).to_bytes(2, "big") + text[at + 2 :]
+
+    def fits(shape: Shape) -> bool:
+        rest = shape.rest_at
+        return (
+            shape.least <= len(text) <= shape.most
+            and all(text[where : where + len(part)] == part and where + len(part) <= len(text)
+                    for where, part in shape.has)
+            and (rest is None or (len(text) >= rest + 2
+                                  and int.from_bytes(text[rest : rest + 2], "big") == len(text) - rest - 2))
+        )
+
+    assert attach(ends.here, program(*shapes))
+    assert ends.come(text) == ([text] if any(map(fits, shapes)) else [])
+
+
+def test_where_there_is_no_filter_it_says_so(monkeypatch: pytest.MonkeyPatch, ends: Ends) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert not attach(ends.here, program(*of_session(SESSION, SIZE, Kind.FORTH)))
+    assert not detach(ends.here)
+    assert ends.come(b"anything") == [b"anything"]
+
+
+@linux
+def test_a_closed_socket_or_a_program_that_the_kernel_does_not_take_is_no_error(ends: Ends) -> None:
+    gone = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    gone.close()
+    assert not attach(gone, program(Shape()))
+    assert not detach(gone)
+    assert not attach(ends.here, b"\xff" * 8), "no such instruction"
+    assert ends.come(b"anything") == [b"anything"]
+
+
+@pytest.mark.parametrize("wrong", [
+    {"least": -1}, {"least": 5, "most": 4}, {"most": LONGEST + 1}, {"has": ((-1, b"x"),)}, {"rest_at": -1},
+    {"has": ((3, b"BT"),), "most": 4}, {"rest_at": 3, "most": 4},
+], ids=str)
+def test_a_shape_that_no_datagram_has_is_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(Refused, match="write"):
+        Shape(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_program_longer_than_the_kernel_takes_is_refused() -> None:
+    with pytest.raises(Refused, match="fewer bytes"):
+        program(Shape(has=((0, bytes(1000)),)))
+    with pytest.raises(Refused, match="fewer shapes"):
+        program(*[Shape(has=((0, bytes(16)),))] * 500)

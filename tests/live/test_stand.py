@@ -1,0 +1,167 @@
+"""A device that fails: it never gets a force that is not to be held, and the law never sees what it read wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from master.device import SimulatedMaster
+from teleop.endpoint import Reading
+from teleop.errors import DeviceError
+from teleop.live.merge import merge
+from teleop.live.stand import DEAD_NS, Stand
+from teleop.scene import load_scene
+
+MS = 1_000_000
+WELL = Reading((0.1,), (0.2,), (0.3,))
+
+
+class Device:
+    """Reads and holds what the test says."""
+
+    def __init__(self) -> None:
+        self.reads: Any = WELL
+        self.holds: Exception | None = None
+        self.held: list[tuple[float, ...]] = []
+
+    def read(self, k: int) -> Reading:
+        if isinstance(self.reads, Exception):
+            raise self.reads
+        reading: Reading = self.reads
+        return reading
+
+    def hold(self, force: tuple[float, ...]) -> None:
+        if self.holds is not None:
+            raise self.holds
+        self.held.append(force)
+
+
+@pytest.mark.parametrize("wrong", [
+    Reading((0.0,), (nan,), None), Reading((0.0,), (inf,), None), Reading((nan,), (0.0,), None),
+    Reading((0.0,), (0.0,), (nan,)), Reading((0.0,), (0.0,), (-inf,)), Reading((0.0, nan), (0.0, 0.0), None),
+    DeviceError("the encoder is gone"), OSError(5, "Input/output error"),
+], ids=repr)
+def test_what_cannot_be_read_or_is_not_finite_is_no_reading(wrong: Any) -> None:
+    device = Device()
+    stand = Stand(device, 1)
+    assert stand.read(0, 0) == WELL
+    device.reads = wrong
+    assert stand.read(1, MS) is None
+    assert stand.trouble is not None
+    device.reads = WELL
+    assert stand.read(2, 2 * MS) == WELL
+    assert stand.trouble is None
+
+
+def test_a_body_that_has_left_is_not_a_device_that_fails() -> None:
+    device = Device()
+    device.reads = Reading((inf,), (0.0,), None)
+    assert Stand(device, 1).read(0, 0) == device.reads
+
+
+def test_a_trusted_device_is_taken_at_its_word() -> None:
+    device = Device()
+    device.reads = Reading((nan,), (nan,), None)
+    assert Stand(device, 1, trusted=True).read(0, 0) is device.reads
+
+
+def test_a_device_that_cannot_hold_is_in_trouble_until_it_can() -> None:
+    device = Device()
+    device.holds = DeviceError("the amplifier is off")
+    stand = Stand(device, 2)
+    stand.hold((1.0, 2.0))
+    assert stand.read(1, MS) == WELL, "it can still be read"
+    assert stand.trouble == "the amplifier is off"
+    device.holds = None
+    stand.let_go()
+    assert device.held == [(0.0, 0.0)]
+    assert stand.read(2, 2 * MS) == WELL
+    assert stand.trouble is None
+
+
+def test_a_device_that_fails_for_long_is_given_up_and_one_that_comes_back_is_not() -> None:
+    device = Device()
+    stand = Stand(device, 1)
+    stand.read(0, 0)
+    device.reads = OSError("gone")
+    stand.read(1, DEAD_NS)
+    assert not stand.dead(DEAD_NS)
+    stand.read(2, DEAD_NS + 1)
+    assert stand.dead(DEAD_NS + 1)
+    device.reads = WELL
+    stand.read(3, DEAD_NS + 2)
+    assert not stand.dead(DEAD_NS + 2)
+
+
+def test_anything_else_that_it_raises_is_a_bug_and_not_swallowed() -> None:
+    device = Device()
+    device.reads = ZeroDivisionError()
+    with pytest.raises(ZeroDivisionError):
+        Stand(device, 1).read(0, 0)
+
+
+# In a live run
+
+SCENE = load_scene("hard_wall", duration=1.2, link="delay(0.002)")
+
+
+class Sick(SimulatedMaster):
+    """Cannot be read from tick 300 to 320, and reads NaN from 700 to 720."""
+
+    def __init__(self, scene: Any) -> None:
+        super().__init__(scene)
+        self.held: list[tuple[int, tuple[float, ...]]] = []
+        self.k = 0
+
+    def read(self, k: int) -> Reading:
+        self.k = k
+        reading = super().read(k)
+        if 300 <= k < 320:
+            raise DeviceError("the encoder is gone")
+        return reading._replace(v=(nan,)) if 700 <= k < 720 else reading
+
+    def hold(self, force: tuple[float, ...]) -> None:
+        self.held.append((self.k, force))
+        super().hold(force)
+
+
+@pytest.mark.live
+def test_an_end_whose_device_fails_is_safe_and_comes_back_by_itself(pair: Callable[..., Any]) -> None:
+    scene = replace(SCENE, link=None)
+    device = Sick(scene)
+    both = pair(scene, parts={"m": {"device": device}, "s": {}}).run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    guard = both.shells["m"].endpoint.guard
+    entries = [event for event in guard.events if event.what == "safe"]
+    causes = [event.why for event in entries]
+    assert any("the encoder is gone" in why for why in causes)
+    assert any("not finite" in why for why in causes)
+    assert len([event for event in guard.events if event.what == "released"]) >= 2
+    for k, force in device.held:
+        if 300 <= k < 320 or 700 <= k < 720:
+            assert force == (0.0,)
+    trace = merge(scene, *both.write()).trace
+    ticks = np.round(trace["t"] * 1e3).astype(int)
+    assert not ((ticks >= 300) & (ticks < 320)).any(), "a tick without a reading is left out whole"
+    assert np.isfinite(trace["v_m"]).all()
+    assert trace["g_m"][-1] == 1.0
+
+
+@pytest.mark.live
+def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence(pair: Callable[..., Any]) -> None:
+    class Dead(SimulatedMaster):
+        def read(self, k: int) -> Reading:
+            if k >= 100:
+                raise OSError("the bus is gone")
+            return super().read(k)
+
+    scene = replace(SCENE, link=None, duration=5.0)
+    both = pair(scene, parts={"m": {"device": Dead(scene)}, "s": {}}).run()
+    assert both.errors == {"m": None, "s": None}
+    assert both.status() == {"m": "stopped", "s": "stopped"}
+    assert "the device fails: the bus is gone" in both.shells["m"].sentence
