@@ -112,7 +112,8 @@ def _counts(packets: Packets) -> str:
 
 
 def _watchdog(result: Result) -> Iterator[str]:
-    fell = [(end, result.metrics.get(f"g_{e}_min", 1.0)) for end, e in (("master", "m"), ("slave", "s"))]
+    fell = [(end, result.metrics[f"g_{e}_min"]) for end, e in (("master", "m"), ("slave", "s"))
+            if f"g_{e}_min" in result.metrics]
     if any(gain < 1.0 for _, gain in fell):
         yield "let go: smallest gain " + ", ".join(f"{gain:.0%} at the {end}" for end, gain in fell)
 
@@ -122,7 +123,7 @@ def _link(result: Result) -> Iterator[str]:
         rtt, clock = own.get("rtt"), own.get("peer_clock") or {}
         if not rtt:
             continue
-        text = f"{end}: round trip {si(rtt['mean'], 's')}, jitter {si(own['jitter'], 's')}, {own['lost']} lost, "
+        text = f"{end}: round trip {si(rtt['mean'], 's')}, jitter {si(own['jitter'], 's')}, {own['lost']} missing, "
         text += f"{own['reordered']} out of order"
         drift = clock.get("drift")
         yield text + ("" if drift is None else f"; the peer's clock goes {drift * 1e6:+.0f} ppm")

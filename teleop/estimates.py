@@ -16,7 +16,7 @@ from collections import deque
 MOST_RTT_NS = 60_000_000_000  # of a round trip that is believed
 WINDOW_NS = 1_000_000_000  # of each, the fastest round trip counts
 WINDOWS = 64  # remembered; the drift is the slope over them
-FEWEST = 4  # for a slope
+FEWEST = 10  # for a slope
 MOVED = 10  # windows in a row with another round trip, and the way is taken to be another one
 
 
@@ -107,7 +107,8 @@ class LinkEstimates:
 
     `way`: one-way delay as it is seen over the common grid of ticks. `rtt`: round trips, which need no common clock.
     `jitter_ns`: interarrival jitter (RFC 3550, 6.4.1). `lost` and `reordered`: of the numbers up to the newest one that
-    came (RFC 3550, A.3), copies left out. `every`: the peer's packets are so many numbers apart.
+    came (RFC 3550, A.3), copies left out; what the peer never sent, for it left that tick out, is among the lost.
+    `every`: the peer's packets are so many numbers apart.
     """
 
     def __init__(self, band_ns: int) -> None:

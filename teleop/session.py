@@ -2,7 +2,7 @@
 
     master                      slave
       HELLO  manifest   ->
-                        <-   WELCOME manifest      (or REFUSE and a sentence, and both stop)
+                        <-   WELCOME manifest      (or REFUSE and a sentence: who has not run yet stops)
       START  time of tick 0  ->
                         <-   START                 (the same, to say it has come)
       FORTH ...         <->  BACK ...
@@ -59,6 +59,7 @@ class Session:
         self.master = master
         self.manifest = dict(manifest)
         self.number = number  # of the session; a slave takes that of the master that starts it
+        self._former: int | None = None  # the session that this master is renewing: the slave may be in it still
         self.every, self.peer_every = every, 1
         self.start_ns: int | None = None
         self.failure: str | None = None
@@ -105,6 +106,8 @@ class Session:
 
         One session at a time: one that is heard is not taken over.
         """
+        if packet.kind is Kind.BYE and self.meeting and self._former is not None:
+            return packet.session in (self.number, self._former)
         if self.master or packet.kind not in (Kind.HELLO, Kind.START, Kind.BYE):
             return packet.session == self.number and packet.kind is not Kind.HELLO
         if packet.kind is Kind.BYE and self.met:
@@ -154,11 +157,12 @@ class Session:
 
     def bye(self, reason: str, now: int) -> list[bytes]:
         """The farewell to send when this end leaves; nothing if it never met anybody."""
-        number = self._asking if self.number is None else self.number
-        return [] if number is None else [self._packet(Kind.BYE, now, reason, number=number)]
+        numbers = [self._asking if self.number is None else self.number, self._former if self.meeting else None]
+        return [self._packet(Kind.BYE, now, reason, number=each) for each in numbers if each is not None]
 
     def _renew(self, now: int) -> None:
         assert self.number is not None
+        self._former = self.number
         self.number = (self.number + 1) % 2**64
         self.meeting, self.rtt_ns, self._rounds, self._acknowledged = True, None, 0, False
         self._heard_ns = now

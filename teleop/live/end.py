@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from secrets import randbits
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import Endpoint, Stepped
@@ -99,7 +100,10 @@ def _every(scene: Scene, args: Namespace) -> int:
         return 1
     number("--rate", args.rate, above=0.0)
     every: int = round(1.0 / (args.rate * scene.dt))
-    if not 1 <= every <= MOST_EVERY or abs(every * args.rate * scene.dt - 1.0) > 1e-6:
+    if every > MOST_EVERY:
+        raise Refused(f"--rate {args.rate:g} is less than a {MOST_EVERY}th of the scene's {1.0 / scene.dt:g} Hz; "
+                      "set the scene's dt instead")
+    if every < 1 or abs(every * args.rate * scene.dt - 1.0) > 1e-6:
         own = 1.0 / scene.dt
         raise Refused(f"--rate {args.rate:g} is no whole part of the scene's {own:g} Hz; write for example --rate "
                       f"{own / 2:g}, or set the scene's dt")
@@ -157,8 +161,11 @@ def _greet(e: str, args: Any, wire: Wire) -> None:
     if args.json:
         print(json.dumps({"event": "listening", "address": shown(at), "port": at[1]}), flush=True)
     elif e == "s":
+        host = "THIS-HOST" if at[0] == "0.0.0.0" else at[0]
+        knobs = "".join(f" --set {quote(each)}" for each in args.set or ())
+        link = f" --link {quote(args.link)}" if args.link else ""
         print(f"slave: listening on {shown(at)}; start the master with: "
-              f"python -m master {args.scene} --peer {shown(at)}", flush=True)
+              f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}", flush=True)
 
 
 def _said(numbers: dict[str, Any]) -> None:
@@ -187,14 +194,13 @@ class _Line:
 
 
 def live_text(numbers: dict[str, Any]) -> str:
-    """The live numbers as a person reads them."""
-    e, gain, delay = numbers["end"], numbers["gain"], numbers["delay"]
-    parts = [f"x_{e} {numbers['x'] * 1e3:7.2f} mm", f"f_{e} {numbers['f']:6.2f} N"]
+    """The live numbers as a person reads them, what matters most first: a terminal may cut the rest."""
+    e, delay = numbers["end"], numbers["delay"]
+    parts = [] if numbers["cause"] is None else [f"SAFE {numbers['gain']:.0%}, {numbers['cause'].split(':')[0]}"]
+    parts += [f"x_{e} {numbers['x'] * 1e3:.1f} mm", f"f_{e} {numbers['f']:.2f} N"]
     if delay is None:
-        parts += ["nothing heard"]
-    else:
-        rtt = "" if numbers["rtt"] is None else f" (rtt {numbers['rtt'] * 1e3:.1f})"
-        parts += [f"delay {delay * 1e3:5.1f}{rtt} ms", f"jitter {numbers['jitter'] * 1e3:.1f} ms"]
-        parts += [f"loss {numbers['loss']:.1%}"] if numbers["loss"] >= 0.0005 else []
-    parts += [f"SAFE at {gain:.0%}: {numbers['cause']}"] if numbers["cause"] is not None else []
-    return "  ".join(parts)
+        return "  ".join([*parts, "nothing heard"])
+    parts += [f"loss {numbers['loss']:.1%}"] if numbers["loss"] >= 0.0005 else []
+    parts += [f"delay {delay * 1e3:.1f} ms"]
+    parts += [f"rtt {numbers['rtt'] * 1e3:.1f}"] if numbers["rtt"] is not None else []
+    return "  ".join([*parts, f"jitter {numbers['jitter'] * 1e3:.1f}"])

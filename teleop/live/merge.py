@@ -39,6 +39,9 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
     if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
         raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
+    met = [{event["why"] for event in read_events(folder) if event.get("what") == "met"} for folder in folders.values()]
+    if all(met) and not met[0] & met[1]:
+        raise Refused(f"{master} and {slave} never met; give two that ran together")
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(scene, records)
@@ -110,8 +113,9 @@ def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[s
 
 def _verdict(ends: dict[str, dict[str, Any]]) -> tuple[str, str]:
     """The status of the whole: what one end found out, the other was told."""
+    silent = [end for end in ends.values() if "without a word" in end["sentence"]]
     for status in ("diverged", "stopped"):
-        for end in ends.values():
+        for end in (*silent, *ends.values()):  # that one was killed comes before what the others say of it
             if end["status"] == status:
                 return status, str(end["sentence"])
     return "ok", str(ends["m"]["sentence"])

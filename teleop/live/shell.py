@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from teleop.endpoint import Axes, Endpoint, Reading, Stepped
+from teleop.guard import Event
 from teleop.live.filter import of_records, of_session
 from teleop.live.interrupt import Interrupt
 from teleop.live.meeting import HUSH, meet
@@ -46,6 +47,7 @@ class Shell:
         self.dropped: int | None = None  # datagrams that the system did not hand over
         self._share_ns = int(endpoint.own.dt_ns * SHARE)
         self._late_most = 0  # ns, since the last live line
+        self._noted_met = 0  # sessions that are there
         self._noted = 0  # events of the guard that are in the record
         self._alarm: Alarm | None = None
         self._set_to = 0  # the start of the grid that the timer is set to
@@ -96,11 +98,7 @@ class Shell:
             self.wire.end()
 
     async def _by_clock(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Tick when the timer rings.
-
-        Messages matter at ticks alone, so the socket is read there and wakes nobody in between: that saves a
-        third of the processor time, and a flood cannot take more than `DRAIN` datagrams' worth of a tick.
-        """
+        """Tick when the timer rings. Messages matter at ticks alone, so the socket is read there: see `Wire`."""
         loop.remove_reader(self.wire.sock)
         self._keep_to_peer()
         self._heard_ns = time.monotonic_ns()
@@ -288,6 +286,10 @@ class Shell:
         while self._noted < len(events):
             self.recorder.note(events[self._noted])
             self._noted += 1
+        session = self.endpoint.session
+        if session.met != self._noted_met and session.number is not None:
+            self._noted_met = session.met
+            self.recorder.note(Event(self._ran, "met", f"session {session.number:016x}"))
 
     def beyond(self, reading: Reading) -> bool:
         """Has the motion left the scene's bounds? Then the run is over, at the tick before this one."""
@@ -315,7 +317,9 @@ class Shell:
         if reading is not None and self.beyond(reading):
             return
         missed = f", {self.skipped} of them skipped" if self.skipped else ""
-        self.end("ok", f"ran to its end, {self.scene.ticks} ticks of {self.scene.dt:g} s{missed}")
+        joined = f"joined at t = {self.first * self.scene.dt_ns / 1e9:.3f} s and " if self.first else ""
+        due = -(-(self.scene.ticks - self.first) // self.endpoint.every)
+        self.end("ok", f"{joined}ran to its end, {due} ticks of {self.endpoint.own.dt:g} s{missed}")
 
     def end(self, status: str, sentence: str) -> None:
         if not self.over.is_set():

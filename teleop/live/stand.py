@@ -22,7 +22,7 @@ class Device(Protocol):
         ...
 
     def hold(self, force: Axes) -> None:
-        """Hold this force (N, per axis) from now on."""
+        """Hold this force (N, per axis) from now on: at the slave along +x, at the master against the hand, -x."""
         ...
 
 

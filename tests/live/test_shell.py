@@ -15,9 +15,10 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
+from teleop.errors import Refused
 from teleop.live.interrupt import Interrupt
 from teleop.live.merge import merge
-from teleop.live.record import FILE, read_record
+from teleop.live.record import EVENTS, FILE, read_record
 from teleop.live.wire import Wire
 from teleop.packet import DATA, Kind, peek
 from teleop.safety import Watchdog
@@ -333,3 +334,12 @@ def test_a_full_disk_stops_the_record_and_not_the_loop(pair: Make) -> None:
     assert "No space left on device" in recorder.trouble
     summary = both.write()[1] / FILE
     assert summary.is_file()
+
+
+def test_two_ends_that_never_met_are_not_put_together(pair: Make) -> None:
+    master, slave = pair(SCENE).run().write()
+    assert merge(SCENE, master, slave).status == "ok"
+    events = (slave / EVENTS).read_text()
+    (slave / EVENTS).write_text(events.replace("session 0000000000000063", "session 00000000000000aa"))
+    with pytest.raises(Refused, match="never met"):
+        merge(SCENE, master, slave)

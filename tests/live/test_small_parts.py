@@ -13,6 +13,7 @@ import pytest
 
 from teleop.errors import Refused
 from teleop.live.address import address, bound, peer_address, shown
+from teleop.live.end import live_text
 from teleop.live.interrupt import Interrupt
 from teleop.live.ticker import Alarm
 from teleop.live.wire import Wire
@@ -167,3 +168,17 @@ def test_an_event_loop_leaves_the_note_alone() -> None:
         asyncio.run(run())
         assert interrupt.name == "SIGINT"
         os.kill(os.getpid(), signal.SIGTERM)  # after the loop: what is being written is finished
+
+
+@pytest.mark.parametrize("cause", [None, "a stall: no tick for 12.345 s", "a new session", "the device: " + "x" * 200])
+def test_the_live_line_fits_a_terminal_and_says_first_that_an_end_is_safe(cause: str | None) -> None:
+    numbers = {"end": "m", "k": 9999, "x": -0.1234, "f": -19.87, "delay": 0.6049, "rtt": 1.2099, "jitter": 0.0204,
+               "loss": 0.123, "gain": 0.37, "cause": cause}
+    line = live_text(numbers)
+    if cause is None:
+        assert "SAFE" not in line
+        assert "loss 12.3%" in line[:58], "beside the progress, 80 columns have room for that"
+        assert "delay 604.9 ms" in line[:58]
+    else:
+        assert line.startswith(f"SAFE 37%, {cause.split(':')[0]}  x_m")
+    assert live_text({**numbers, "delay": None, "cause": None}).endswith("nothing heard")

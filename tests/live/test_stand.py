@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from master.device import SimulatedMaster
+from slave.robot import SimulatedSlave
 from teleop.endpoint import Reading
 from teleop.errors import DeviceError
 from teleop.live.merge import merge
@@ -152,16 +153,31 @@ def test_an_end_whose_device_fails_is_safe_and_comes_back_by_itself(pair: Callab
     assert trace["g_m"][-1] == 1.0
 
 
-@pytest.mark.live
-def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence(pair: Callable[..., Any]) -> None:
-    class Dead(SimulatedMaster):
-        def read(self, k: int) -> Reading:
-            if k >= 100:
-                raise OSError("the bus is gone")
-            return super().read(k)
+class Dead:
+    """Is gone from tick 100 on."""
 
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+        self.hold = inner.hold
+
+    def read(self, k: int) -> Reading:
+        if k >= 100:
+            raise OSError("the bus is gone")
+        reading: Reading = self.inner.read(k)
+        return reading
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_ends(
+    e: str, pair: Callable[..., Any]
+) -> None:
     scene = replace(SCENE, link=None, duration=5.0)
-    both = pair(scene, parts={"m": {"device": Dead(scene)}, "s": {}}).run()
+    device = Dead((SimulatedMaster if e == "m" else SimulatedSlave)(scene))
+    parts: dict[str, Any] = {"m": {}, "s": {}}
+    parts[e]["device"] = device
+    both = pair(scene, parts=parts).run()
     assert both.errors == {"m": None, "s": None}
     assert both.status() == {"m": "stopped", "s": "stopped"}
-    assert "the device fails: the bus is gone" in both.shells["m"].sentence
+    for shell in both.shells.values():
+        assert "the device fails: the bus is gone" in shell.sentence

@@ -236,7 +236,7 @@ def test_a_stepped_end_has_none_but_the_one_that_its_scene_names() -> None:
 
 
 @pytest.mark.parametrize(("dog", "stepped", "safe"), [(None, True, False), (None, False, True), (DOG, True, True)])
-def test_so_it_is_at_an_endpoint(dog: Watchdog | None, stepped: bool, safe: bool) -> None:
+def test_an_endpoint_has_its_scenes_watchdog_or_another(dog: Watchdog | None, stepped: bool, safe: bool) -> None:
     session = Session(master=False, manifest={}, number=7)
     session.begin(0, 0)
     end = Endpoint(scene(watchdog=dog), "s", session, Stepped(None) if stepped else None)

@@ -128,7 +128,7 @@ def test_whatever_the_device_does_no_window_has_more_than_two(
     assert over(drawn(ticks, power), power) <= 2.0 * power + most + 1e-9
 
 
-def test_the_bound_is_reached() -> None:
+def test_the_budgets_bound_is_reached() -> None:
     """A motion that always goes the force's way takes all of it, one that the reading has backwards twice as much."""
     forth, back = [(1.0, 1.0, 1e-3)] * 4000, [(1.0, -1.0, 1e-3)] * 4000
     assert over(drawn(forth, 0.25), 0.25) == pytest.approx(0.25, abs=1e-3)

@@ -47,6 +47,34 @@ def test_a_master_that_hears_nothing_asks_anew_under_the_next_number_and_both_ke
     assert not talk.slave.joined
 
 
+@pytest.mark.parametrize("leaves", ["master", "slave"])
+def test_who_leaves_while_the_master_asks_anew_is_heard(leaves: str) -> None:
+    """The master is under the next number already, the slave still under the one before."""
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.lost = lambda _packet: True
+    talk.run(2000 * MS + RENEW_NS + 60 * MS)
+    assert (talk.master.meeting, talk.master.number, talk.slave.number) == (True, 8, 7)
+    gone, left = (talk.master, talk.slave) if leaves == "master" else (talk.slave, talk.master)
+    for data in gone.bye("the bus is gone", talk.now):
+        packet = decode(data, 1)
+        assert isinstance(packet, Packet)
+        left.receive(packet, talk.now)
+    assert left.farewell == "the bus is gone"
+
+
+def test_a_farewell_of_a_session_long_gone_is_not_heard() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.messages = False
+    talk.run(5000 * MS)
+    talk.messages = True
+    talk.run(6000 * MS)
+    assert (talk.master.number, talk.master.meeting) == (8, False)
+    talk.master.receive(Packet(Kind.BYE, 7, 0, 0, None, "of before"), talk.now)
+    assert talk.master.farewell is None
+
+
 def test_the_number_after_the_last_is_zero() -> None:
     talk = Talk(Session(master=True, manifest=MANIFEST, number=2**64 - 1))
     talk.run(1000 * MS)

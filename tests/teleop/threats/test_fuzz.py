@@ -129,18 +129,6 @@ def test_no_bytes_raise_or_are_played_that_are_no_packet_of_this_session(seed: i
     under_fire(seed, noise, 60)
 
 
-@pytest.mark.soak
-@pytest.mark.timeout(1800)
-def test_a_million_datagrams_raise_nothing_and_play_nothing_else(request: pytest.FixtureRequest) -> None:
-    if "soak" not in request.config.getoption("-m"):
-        pytest.skip("takes minutes: pytest -m soak")
-    dice = random.Random(5)
-    noise = [dice.randbytes(dice.randint(0, 300)) for _ in range(200)]
-    fired = taken = seed = 0
-    while fired < 1_000_000:
-        shots, messages = under_fire(seed, noise, 1000)
-        fired, taken, seed = fired + shots, taken + messages, seed + 1
-    assert taken > 50_000
 def test_a_master_is_not_stopped_by_a_forged_clock() -> None:
     master = Endpoint(WATCHED, "m", Session(master=True, manifest=MANIFEST, number=OURS))
     for _ in range(ROUNDS):
