@@ -15,7 +15,7 @@ from selectors import EVENT_READ, DefaultSelector
 from typing import Any
 
 from channel.link import describe
-from channel.relay import Relay
+from channel.relay import Counts, Relay
 from teleop.live import realtime
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.bulk import Bulk
@@ -49,6 +49,7 @@ class RelayShell:
         link: Any = scene.link  # a scene asks less of its link than a relay does
         self._water = link, seed, scene.wire_size
         self.relay = Relay(*self._water)
+        self._past: list[Counts | None] = [None, None]  # of the sessions before
         self._manifest = {key: text for key, text in scene.manifest().items() if key not in ("link", "delay")}
         self._session: int | None = None
         self._differed = 0  # masters that were said to run another scene
@@ -140,7 +141,8 @@ class RelayShell:
         wire, quiet = self.wires[direction], now - self._busy_ns > QUIET_NS
         if direction == 0 and (wire.peer is None or quiet) and any(one.is_hello for one in records(data) or []):
             wire.peer = sender
-            self.relay, self._origin, self._carried = Relay(*self._water), now, [0, 0]
+            self._anew()
+            self._origin, self._carried = now, [0, 0]
         if sender != wire.peer or self._origin is None:
             self.foreign += 1
             return
@@ -159,9 +161,23 @@ class RelayShell:
         if packet.kind is Kind.HELLO and packet.session != self._session and free:
             self._compare(packet)
             self._session, self._origin, self._set_to = packet.session, None, None
-            self.relay = Relay(*self._water)
+            self._anew()
         if packet.session == self._session and self._origin is None and direction == (packet.kind is Kind.WELCOME):
             self.wires[direction].peer = sender
+
+    def _anew(self) -> None:
+        """Another session has the link; what was under way of the one before is lost."""
+        self._past = [self.counts(direction) for direction in (0, 1)]
+        self.relay = Relay(*self._water)
+
+    def counts(self, direction: int) -> Counts:
+        """What became of one direction's datagrams, of all sessions."""
+        own, past = self.relay.counts(direction), self._past[direction]
+        if past is None:
+            return own
+        both = Counts(*[a + b for a, b in zip(own, past, strict=True)])
+        return both._replace(lost=both.lost + past.under_way, under_way=own.under_way,
+                             most_under_way=max(own.most_under_way, past.most_under_way))
 
     def _compare(self, hello: Packet) -> None:
         """Say so if the master runs another scene: the link would be another one. The link itself may differ."""
@@ -216,7 +232,7 @@ def _run(argv: list[str]) -> int:
             print(f"channel: {water}; {shown(at)} <-> {shown(peer)}; start the master with: "
                   f"python -m master {args.scene} --peer {shown(at)}", flush=True)
         shell.run(interrupt)
-    counts = {way: shell.relay.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
+    counts = {way: shell.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
     if args.json:
         _event("done", summary={"counts": counts, "foreign": shell.foreign})
     else:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from teleop.estimates import LinkEstimates
 from teleop.guard import Guard
 from teleop.packet import DATA, MOST_SEQ, Echo, Kind, Packet, Rejection, Window, check_size, decode, encode, unwrapped
-from teleop.playout import Inbox, Plan
+from teleop.playout import Fixed, Inbox, Plan
 from teleop.rates import Heard, Messages, Resampling
 from teleop.scene import Scene
 from teleop.session import RENEW_NS, Session
@@ -88,9 +88,10 @@ class Endpoint:
         self.stepped = messages is not None
         self.inbox: Messages = messages if messages is not None else Inbox(scene.playout, scene.dt_ns)
         self.rejected: Counter[str] = Counter()
-        self.received = 0  # DATA packets of this session, copies included
+        self.received = 0  # DATA packets of the sessions, copies included
         self.counted: Counter[str] = Counter()  # by the inboxes of earlier sessions
         self.force_failed: str | None = None
+        self.message_failed = False  # was the law's message not finite, and so not sent
         self.stamp_margin: float | None = None  # smallest of (sender's stamp) - (energy received here), J
         self.every = session.every
         self.own = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
@@ -100,6 +101,7 @@ class Endpoint:
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self._window = Window()  # so that a copy or a replay is no second measurement
         self._tick = -1
+        self._came = 0  # the tick at which a new packet came last
         self._met = 1  # the session that the law was begun for
         self._index: Axes | None = None  # where the law's positions count from, if not from the device's zero
         self._held: Axes = (0.0,) * scene.axes
@@ -122,6 +124,7 @@ class Endpoint:
         stamps = [f"E_in_{'fwd' if e == 'm' else 'bwd'}", f"E_out_{'bwd' if e == 'm' else 'fwd'}"]
         flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
         self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
+        self._newest_wins = not self.stepped and not isinstance(scene.playout, Fixed)
         self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
         wave = ENDS[e].rx_wave if scene.has_waves else None
         self._rates = Resampling(self._rx_type, wave, mine=self.every)
@@ -169,6 +172,7 @@ class Endpoint:
         self.received += 1
         if self._window.judge(seq, near) == "new":
             session.data_came(now)
+            self._came = came
             if not self.stepped:
                 way = now - session.start_ns - seq * self.scene.dt_ns
                 self.link.heard(seq, packet.sent_ns, packet.echo, way, now)
@@ -185,7 +189,7 @@ class Endpoint:
         if self._started is None or self._met != self.session.met:
             self._begin(k, reading)
         got = self._rates.take(self.inbox, self._tick, k)
-        gain = self.guard.step(k, got is not None, trouble)
+        gain = self.guard.step(k, got is not None, trouble, came=self._came if self._newest_wins else None)
         seq, rx = (-1, None) if got is None else (got[0], got[1].rx)
         x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
         own, newest = k // self.every, seq if self.every == 1 else seq / self.every
@@ -222,9 +226,15 @@ class Endpoint:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
         first, self._met = self._met == 1 and self._started is None, self.session.met
         x = reading.x
+        starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
+        if first and not self.stepped and x != starts:  # a device that is elsewhere than the scene says
+            self._index = self._counted_from(tuple([a - b for a, b in zip(x, starts, strict=True)]))
+            self.guard.begin(k, "the device is not where the scene begins: the law's positions count from there")
         if not first:
             self._index = self._counted_from(x)
+        if self._index is not None:
             x = tuple([a - b for a, b in zip(x, self._index, strict=True)])
+        if not first:
             if not self.stepped:
                 inbox: Any = self.inbox
                 self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
@@ -270,7 +280,10 @@ class Endpoint:
     def _datagram(self, k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
         payload = tuple(tx[0]) if len(tx) == 1 else tuple([number for message in tx for number in message])
         session = self.session
-        if session.number is None or session.mute(now) or not all(map(isfinite, payload)):
+        if not all(map(isfinite, payload)):
+            self.message_failed = True
+            return None
+        if session.number is None or session.mute(now):
             return None
         newest = self._newest
         echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))

@@ -41,7 +41,8 @@ class PeerClock:
 
     `shift_ns` is how far the offset has moved since the first window. A window moves it only by what the ways cannot
     explain: if a round trip differs by d from the first one's, the ways can have moved theta by d/2 and no more.
-    `band_ns` is what is left alone beyond that.
+    `band_ns` is what is left alone beyond that. Where the round trips stay different, the ways are taken to be others
+    from then on, and what the clocks moved by in the meantime goes by as theirs; in all never more than a round trip.
     """
 
     def __init__(self, band_ns: int) -> None:
@@ -50,7 +51,8 @@ class PeerClock:
         self.band_ns = band_ns
         self._best: tuple[int, int, int] | None = None  # of this window: round trip, theta, when
         self._until = 0  # when it is over, our clock
-        self._base = (0, 0)  # the round trip and theta that the shift counts from
+        self._first = (0, 0)  # the round trip and theta of the first window
+        self._base = (0, 0)  # those that the shift counts from
         self._moved = 0
         self._windows: deque[tuple[int, int, int]] = deque(maxlen=WINDOWS)  # the same of each
 
@@ -87,7 +89,7 @@ class PeerClock:
 
     def _close(self, rtt: int, theta: int, when: int) -> None:
         if self.offset_ns is None:
-            self._base = (rtt, theta)
+            self._base = self._first = (rtt, theta)
         self.offset_ns = theta
         self._windows.append((rtt, theta, when))
         base_rtt, base = self._base
@@ -95,6 +97,9 @@ class PeerClock:
         moved = theta - base - self.shift_ns
         if abs(moved) > ways + self.band_ns:
             self.shift_ns += moved - ways if moved > 0 else moved + ways
+        # Whatever the ways do, the offset is within half a round trip of theta, now as then.
+        sure, change = (rtt + self._first[0]) // 2, theta - self._first[1]
+        self.shift_ns = max(change - sure, min(change + sure, self.shift_ns))
         self._moved = self._moved + 1 if ways > self.band_ns else 0
         if self._moved >= MOVED:  # from here on the ways are these
             self._base, self._moved = (rtt, theta - self.shift_ns), 0

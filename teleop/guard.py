@@ -5,8 +5,9 @@ or there. Whatever has gone wrong, the way down is the watchdog's ramp, and the 
 packets for `settle` seconds that were never apart by more than `timeout`, then the ramp.
 
 An end is safe for one of these causes: silence, no fresh packet for `timeout`; a stall, no tick for as long; a device
-that fails, or reads what is not finite; a new session, whose law begins from rest. A law that gives what is not finite
-ends the run, at zero force: an unstable loop does not come back by itself.
+that fails, or reads what is not finite; a session after the first, or a first one whose device is not where the scene
+begins, for its law begins from rest. A law that gives what is not finite ends the run, at zero force: an unstable loop
+does not come back by itself.
 
 In a stall the force was held all the while, so the ramp counts the time that has passed, not the ticks that ran: after
 one that was longer than the ramp the first force is zero.
@@ -19,10 +20,10 @@ from typing import NamedTuple
 from teleop.safety import Watchdog, watch
 
 UNNAMED = Watchdog(timeout=0.8)
-"""What a live end has where the scene names no watchdog. It counts from the first packet that came."""
+"""What a live end has where the scene names no watchdog."""
 
 _NEVER = 1 << 62  # ticks
-MOST_EVENTS = 10_000  # kept; they are counted beyond
+MOST_EVENTS = 10_000  # kept
 
 
 class Event(NamedTuple):
@@ -52,7 +53,7 @@ class Guard:
         self._calm = float("inf")
         self._waits = False  # for the first packet since the cause was over: from that one on calm is counted
         self._k = -every  # the last tick that ran
-        self._heard: int | None = -every if named else None  # silence counts from the start where the scene says so
+        self._heard = -every  # when a packet came last; silence counts from the start
 
     @property
     def lets_go_ns(self) -> int:
@@ -67,15 +68,20 @@ class Guard:
             self.gain, self._calm, self._waits = 0.0, 0.0, True
             self._enter(k, "a new session")
 
-    def step(self, k: int, got: bool, trouble: str | None = None) -> float:
-        """The gain at tick k of the grid. `got`: is there a fresh message; `trouble`: what else keeps it safe."""
+    def step(self, k: int, got: bool, trouble: str | None = None, *, came: int | None = None) -> float:
+        """The gain at tick k of the grid. `got`: is there a fresh message; `trouble`: what else keeps it safe.
+
+        `came`: the tick at which a packet came last, if not this one: what waited at an end that stood still is new to
+        it, and says nothing of whether its sender is still there.
+        """
         if self._c is None or self._dog is None:
             return 1.0
         passed, self._k = (k - self._k) // self._every, k
-        if got:
-            self._heard, self._waits = k, False
-        silent = 0 if self._heard is None else (k - self._heard) // self._every
         patience = self._c.patience
+        if got:
+            self._heard = max(self._heard, k if came is None else min(k, came))
+            self._waits = self._waits and (k - self._heard) // self._every > patience
+        silent = (k - self._heard) // self._every
         if trouble is None and passed - 1 > patience:
             trouble = f"a stall: no tick for {(passed - 1) * self._dt:.3f} s"
         if trouble is None and silent > patience:
@@ -101,8 +107,9 @@ class Guard:
             self.events.append(Event(k, what, why))
 
     def _enter(self, k: int, why: str) -> None:
+        kind, before = why.partition(":")[0], (self.cause or "").partition(":")[0]
         self.cause = why
-        if not self.safe:
+        if not self.safe or kind not in (before, "silence", "a new session"):  # these go without saying
+            self.entries += not self.safe
             self.safe = True
-            self.entries += 1
             self.tell(k, "safe", why)

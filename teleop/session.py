@@ -136,7 +136,8 @@ class Session:
 
     def begin(self, start_ns: int, now: int) -> None:
         """The two have met: the session begins, on the grid whose tick 0 is at `start_ns`."""
-        self.start_ns, self.meeting, self.astray, self._heard_ns = start_ns, False, False, now
+        self.start_ns, self.meeting, self.astray = start_ns, False, False
+        self._heard_ns = max(now, min(start_ns, now + MOST_RTT_NS)) + (self.rtt_ns or 0)  # nothing can come before
         self.met += 1
 
     def due(self, now: int) -> list[bytes]:

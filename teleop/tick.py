@@ -8,6 +8,8 @@ How to read the text. A line ending in `#? a !b` stays only in a scene that has 
 b; the rest is not there to be paid for. A line with `@` is repeated for each axis, and
 `<<f@>>` lists the axes on one line. `{e}` is the end, m or s.
 
+A force that is infinite becomes NaN before the cap, which would make a plausible one of it: it must be seen.
+
 In virtual time the watchdog is part of the text. A live end has more causes to let go than silence, and its gain g
 comes from the one place that knows them all, `teleop.guard`, which calls the same `watch`.
 """
@@ -73,6 +75,7 @@ heard_{e} = k if got_{e} else heard_{e}                        #? watchdog !comp
 heard_{e} = where(got_{e}, k, heard_{e})                       #? watchdog compiled
 g_{e}, calm_{e} = watch(c_dog, g_{e}, calm_{e}, k - heard_{e})  #? watchdog !live
 push@ = g_{e} * push@                                          #? watched
+push@ = push@ + 0.0 * push@                                    #? cap
 push@ = fade(c_speed, push@, {along})                          #? v_max
 E_left_{e} = pay(E_left_{e}, f_{e}@ * {moved})                 #? power
 E_left_{e} = refill(c_power, E_left_{e})                       #? power

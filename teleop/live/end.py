@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from secrets import randbits
+from select import select
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
@@ -169,7 +170,16 @@ def _greet(e: str, args: Any, wire: Wire) -> None:
 
 
 def _said(numbers: dict[str, Any]) -> None:
-    print(json.dumps({"event": "live", **numbers}), flush=True)
+    if _is_read(sys.stdout):
+        print(json.dumps({"event": "live", **numbers}), flush=True)
+
+
+def _is_read(stream: TextIO) -> bool:
+    """Is there room for a line? A terminal that was stopped, a pipe that nobody reads, must not hold up a tick."""
+    try:
+        return bool(select([], [stream.fileno()], [], 0.0)[1])
+    except (OSError, ValueError):  # it is no file of the system's
+        return True
 
 
 def _quiet(numbers: dict[str, Any]) -> None:
@@ -186,7 +196,8 @@ class _Line:
 
     def show(self, numbers: dict[str, Any]) -> None:
         """One set of live numbers."""
-        self._progress.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
+        if _is_read(sys.stderr):
+            self._progress.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
 
     def end(self) -> None:
         """Go on below it."""

@@ -55,7 +55,7 @@ class Shell:
         self._say, self.patience, self.interrupt = say, patience, interrupt
         self.over = asyncio.Event()
         self.broken: Exception | None = None  # what a callback of the loop raised
-        self.last = -1  # the last tick that was due
+        self.last = -endpoint.every  # the last tick that was due
         self._ran = 0  # the last tick that ran
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
         self.arrived: asyncio.Event | None = None
@@ -88,14 +88,16 @@ class Shell:
             raise
         finally:
             loop.remove_reader(self.wire.sock)
-            self.stand.let_go()
-            self._note()
-            self.recorder.close()
-            for _ in range(3):  # a farewell may be lost too
-                self.send(self.bye())
-                await asyncio.sleep(0.002)
-            self.dropped = self.wire.dropped
-            self.wire.end()
+            try:
+                self.stand.let_go()
+            finally:  # whatever its driver raises
+                self._note()
+                self.recorder.close()
+                for _ in range(3):  # a farewell may be lost too
+                    self.send(self.bye())
+                    await asyncio.sleep(0.002)
+                self.dropped = self.wire.dropped
+                self.wire.end()
 
     async def _by_clock(self, loop: asyncio.AbstractEventLoop) -> None:
         """Tick when the timer rings. Messages matter at ticks alone, so the socket is read there: see `Wire`."""
@@ -132,6 +134,9 @@ class Shell:
         if k < self.scene.ticks:
             self.stand.read(k, time.monotonic_ns())  # a simulated device has to come there first
         self.last = self._due()
+        if self.last >= self.scene.ticks:
+            self.end("refused", "the run was over when this end came; start both ends again")
+            return
         self.first = self.last + self.endpoint.every
         self.endpoint.join(self.first)
 
@@ -266,8 +271,8 @@ class Shell:
             self.wire.send(out.datagram)
             self.data_sent += 1
             self.recent = (*self.recent[-1:], out.datagram)
-        elif self.endpoint.stepped and failed is None:
-            failed = "the message"  # the other end cannot step without it
+        elif failed is None and (self.endpoint.stepped or self.endpoint.message_failed):
+            failed = "the message"  # the other end cannot go on without it
         self.recorder.add(k, late, out.played, out.row)
         self.ticks += 1
         self._ran = k
@@ -296,6 +301,9 @@ class Shell:
         limit = self.scene.x_limit
         if all(-limit < x < limit for x in reading.x):
             return False
+        self.stand.let_go()
+        self.endpoint.guard.tell(self._ran, "safe", f"the motion: x_{self.endpoint.e} passed {limit:g} m")
+        self._note()
         self.end("diverged", divergence(self.scene, self._ran, f"x_{self.endpoint.e} passed {limit:g} m"))
         return True
 

@@ -58,7 +58,8 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         "clock": {"start_ns": session.start_ns, "offset_ns": session.offset_ns,
                   "uncertainty_ns": None if session.rtt_ns is None else session.rtt_ns // 2},
         "stamp_margin": endpoint.stamp_margin, "cpu": shell.cpu, "run_time": shell.run_time,
-        "unsent": shell.wire.unsent, "dropped_by_system": shell.dropped, "refused": getattr(inbox, "refused", 0),
+        "unsent": shell.wire.unsent, "dropped_by_system": shell.dropped,
+        "refused": earlier["refused"] + getattr(inbox, "refused", 0),
         **_security(shell), **({} if shell.realtime is None else {"realtime": shell.realtime}),
     }
     return end_result(

@@ -40,6 +40,7 @@ class Wire:
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
         self.sock, self.peer, self.line = sock, peer, line
         self.kept = False  # is it deaf to everybody but the peer
+        self._filtered = False
         self.unsent = 0  # datagrams that the system did not take
         self._emptied_ns = time.monotonic_ns()  # when there was nothing to receive
 
@@ -50,17 +51,18 @@ class Wire:
         """
         if self.peer is not None:
             if shapes:
-                attach(self.sock, program(*shapes))
+                self._filtered = attach(self.sock, program(*shapes))
             with suppress(OSError):
                 self.sock.connect(self.peer)
                 self.kept = True
 
     def listen_to_all(self) -> None:
         """Take in what comes from anywhere again, for a peer that may come back from another port."""
+        if self._filtered:
+            self._filtered = not detach(self.sock)
         if self.kept:
             import ctypes
 
-            detach(self.sock)
             here = self.sock.getsockname()
             # Python has no word for it: connected to an address of no family, a socket is connected no more.
             ctypes.CDLL(None).connect(self.sock.fileno(), bytes(16), 16)

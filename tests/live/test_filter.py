@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from teleop.errors import Refused
 from teleop.live.filter import LONGEST, Shape, attach, detach, of_records, of_session, program
+from teleop.live.wire import Wire
 from teleop.packet import DATA, VERSION, Echo, Kind, Packet, encode
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux filters for a socket")
@@ -218,3 +219,18 @@ def test_a_program_longer_than_the_kernel_takes_is_refused() -> None:
         program(Shape(has=((0, bytes(1000)),)))
     with pytest.raises(Refused, match="fewer shapes"):
         program(*[Shape(has=((0, bytes(16)),))] * 500)
+
+
+def test_a_filter_is_taken_off_again_though_the_peer_could_not_be_connected_to() -> None:
+    """As when the network is down at that moment: an end that kept it would be deaf to the next session."""
+    kind = socket.AF_INET, socket.SOCK_DGRAM
+    with socket.socket(*kind) as here, socket.socket(*kind) as other:
+        here.bind(("127.0.0.1", 0))
+        wire = Wire(here, ("255.255.255.255", 9))  # a broadcast, which may not be connected to
+        wire.keep_to_peer(of_session(5, 100, Kind.FORTH))
+        assert not wire.kept
+        other.sendto(b"another session's", here.getsockname())
+        assert wire.receive() is None
+        wire.listen_to_all()
+        other.sendto(b"another session's", here.getsockname())
+        assert wire.receive() is not None

@@ -323,12 +323,15 @@ def test_a_message_that_is_not_finite_is_not_sent_and_the_run_goes_on(what: floa
     assert end.tick(0, START, reading(0.0)).datagram is not None
     assert end.tick(1, START + MS, reading(2.0)).datagram is None
     assert end.force_failed is None
+    assert end.message_failed
     assert end.tick(2, START + 2 * MS, reading(0.0)).datagram is not None
 
 
-@pytest.mark.parametrize("what", [float("nan"), float("inf")])
-def test_a_force_that_is_not_finite_is_named(what: float) -> None:
-    end = met(scene(Spoilt(at=1.0, force=what)))["m"]
+@pytest.mark.parametrize("cap", [None, Cap(f_max=5.0), Cap(f_max=5.0, v_max=1.0, power=10.0)])
+@pytest.mark.parametrize("what", [float("nan"), float("inf"), float("-inf")])
+def test_a_force_that_is_not_finite_is_named(what: float, cap: Cap | None) -> None:
+    """No cap makes a plausible force of it."""
+    end = met(scene(Spoilt(at=1.0, force=what), cap=cap))["m"]
     end.tick(0, START, reading(0.0))
     assert end.force_failed is None
     end.tick(1, START + MS, reading(2.0))
@@ -388,6 +391,26 @@ def test_a_tick_without_a_reading_lets_go_and_the_force_does_not_jump_back() -> 
     assert end.tick(31, START + 31 * MS, reading(-0.01)).force == (0.0,)
     assert end.guard.safe
     assert "it is gone" in end.guard.events[0].why
+
+
+def test_a_device_that_is_not_where_the_scene_begins_is_taken_up_where_it_is_and_from_zero_force() -> None:
+    """As after both ends were started anew: 15 cm apart and a stiff coupling."""
+    stiff = scene(Direct(K=500.0, B=5.0), duration=0.5, link=None)
+    ends, force = met(stiff), []
+    for k in range(400):
+        now = START + k * MS
+        forth = ends["m"].tick(k, now, reading(0.15)).datagram
+        out = ends["s"].tick(k, now, reading(0.0 if k < 200 else -0.002))
+        assert forth is not None
+        assert out.datagram is not None
+        ends["s"].receive(forth, now + 1)
+        ends["m"].receive(out.datagram, now + 1)
+        force.append(out.force[0])
+        assert out.row[0] == (0.0 if k < 200 else -0.002), "the record is of the device"
+    assert max(map(abs, force[:200])) < 1e-9
+    assert force[-1] == pytest.approx(1.0)
+    assert [event.what for event in ends["m"].guard.events] == ["session", "safe", "released"]
+    assert ends["s"].guard.events == []
 
 
 # Energy stamps, delays, round trips

@@ -214,15 +214,34 @@ def test_the_time_to_settle_counts_from_the_first_packet_after_the_cause_and_not
 # Where nothing is named
 
 
-def test_a_scene_without_a_watchdog_has_one_that_counts_from_the_first_packet_on() -> None:
-    last = 1000 + round(UNNAMED.timeout / DT)
+def test_a_scene_without_a_watchdog_has_one_that_counts_from_the_start() -> None:
+    """A peer that died before its first packet must not leave an end pushing for ever."""
+    last = round(UNNAMED.timeout / DT) - 1
     assert 0.5 <= UNNAMED.timeout <= 1.0
     one = guard(None)
-    assert set(play(one, range(1000), got=False)) == {1.0}, "nobody has come yet"
-    one.step(1000, True)
-    assert set(play(one, range(1001, last + 1), got=False)) == {1.0}
+    assert set(play(one, range(last + 1), got=False)) == {1.0}
     assert one.step(last + 1, False) < 1.0
     assert whats(one) == [(last + 1, "safe")]
+
+
+def test_what_waited_at_an_end_that_stood_still_does_not_show_that_its_sender_is_there() -> None:
+    one = guard(DOG)
+    play(one, range(10), got=True)
+    late = 10 + 5 * round(DOG.timeout / DT)
+    for k in range(late, late + 50):  # one a tick of those that came while it stood still, the last at tick 40
+        assert one.step(k, True, came=40) < 1.0
+    assert one.gain == 0.0
+    assert one.safe
+
+
+def test_a_second_cause_is_told_and_a_silence_beside_it_is_not() -> None:
+    one = guard(DOG)
+    last = round(DOG.timeout / DT) + 5
+    play(one, range(last), got=False)
+    one.step(last, False, "the device: usb gone")
+    one.step(last + 1, False)
+    assert [event.why.split(":")[0] for event in one.events] == ["silence", "the device"]
+    assert one.entries == 1
 
 
 def test_a_stepped_end_has_none_but_the_one_that_its_scene_names() -> None:
