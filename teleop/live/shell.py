@@ -15,6 +15,7 @@ from teleop.live.interrupt import Interrupt
 from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
 from teleop.live.stand import Device, Stand
+from teleop.live.summary import live_numbers
 from teleop.live.ticker import Alarm
 from teleop.live.wire import DRAIN, SHARE, Wire
 from teleop.lockstep import divergence
@@ -46,17 +47,17 @@ class Shell:
         self.first = 0  # its first tick
         self.dropped: int | None = None  # datagrams that the system did not hand over
         self._share_ns = int(endpoint.own.dt_ns * SHARE)
-        self._late_most = 0  # ns, since the last live line
+        self.late_most = 0  # ns, since the last live line
         self._noted_met = 0  # sessions that are there
         self._noted = 0  # events of the guard that are in the record
         self._alarm: Alarm | None = None
         self._set_to = 0  # the start of the grid that the timer is set to
-        self._shown: tuple[Reading, Axes] | None = None
+        self.shown: tuple[Reading, Axes] | None = None
         self._say, self.patience, self.interrupt = say, patience, interrupt
         self.over = asyncio.Event()
         self.broken: Exception | None = None  # what a callback of the loop raised
         self.last = -endpoint.every  # the last tick that was due
-        self._ran = 0  # the last tick that ran
+        self.ran = 0  # the last tick that ran
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
         self.arrived: asyncio.Event | None = None
         self._said_ns = 0
@@ -242,10 +243,10 @@ class Shell:
         self.announce(now)
 
     def announce(self, now: int) -> None:
-        if now - self._said_ns > SAY_NS and self._shown is not None:
+        if now - self._said_ns > SAY_NS and self.shown is not None:
             self._said_ns = now
             try:
-                self._say(self.live_numbers())
+                self._say(live_numbers(self))
             except OSError:  # whoever read along has left: that is no reason to let go of the robot
                 self._said_ns = 1 << 63
 
@@ -275,10 +276,10 @@ class Shell:
             failed = "the message"  # the other end cannot go on without it
         self.recorder.add(k, late, out.played, out.row)
         self.ticks += 1
-        self._ran = k
-        self._late_most = max(self._late_most, late)
+        self.ran = k
+        self.late_most = max(self.late_most, late)
         if failed is None:
-            self._shown = reading, out.force
+            self.shown = reading, out.force
         else:
             stand.let_go()
             self.endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
@@ -294,7 +295,7 @@ class Shell:
         session = self.endpoint.session
         if session.met != self._noted_met and session.number is not None:
             self._noted_met = session.met
-            self.recorder.note(Event(self._ran, "met", f"session {session.number:016x}"))
+            self.recorder.note(Event(self.ran, "met", f"session {session.number:016x}"))
 
     def beyond(self, reading: Reading) -> bool:
         """Has the motion left the scene's bounds? Then the run is over, at the tick before this one."""
@@ -302,23 +303,10 @@ class Shell:
         if all(-limit < x < limit for x in reading.x):
             return False
         self.stand.let_go()
-        self.endpoint.guard.tell(self._ran, "safe", f"the motion: x_{self.endpoint.e} passed {limit:g} m")
+        self.endpoint.guard.tell(self.ran, "safe", f"the motion: x_{self.endpoint.e} passed {limit:g} m")
         self._note()
-        self.end("diverged", divergence(self.scene, self._ran, f"x_{self.endpoint.e} passed {limit:g} m"))
+        self.end("diverged", divergence(self.scene, self.ran, f"x_{self.endpoint.e} passed {limit:g} m"))
         return True
-
-    def live_numbers(self) -> dict[str, Any]:
-        """What the live line shows."""
-        assert self._shown is not None
-        reading, force = self._shown
-        late, self._late_most = self._late_most, 0
-        link, guard = self.endpoint.link, self.endpoint.guard
-        return {
-            "end": self.endpoint.e, "k": self._ran, "x": reading.x[0], "f": force[0], "late_us": late / 1e3,
-            "delay": link.way.recent / 1e9 if link.way.count else None, "gain": guard.gain, "cause": guard.cause,
-            "rtt": link.rtt.recent / 1e9 if link.rtt.count else None, "jitter": link.jitter_ns / 1e9,
-            "loss": link.loss(self.endpoint.session.peer_every),
-        }
 
     def finish(self) -> None:
         reading = self.stand.read(self.scene.ticks, time.monotonic_ns())

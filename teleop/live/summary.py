@@ -120,6 +120,20 @@ def _estimates(link: LinkEstimates, every: int) -> dict[str, Any]:
                 "offset": offset / 1e9, "drift": link.clock.drift, "moved": link.clock.shift_ns / 1e9}}
 
 
+def live_numbers(shell: Shell) -> dict[str, Any]:
+    """What the live line shows; the lateness is the most since this was asked last."""
+    assert shell.shown is not None
+    reading, force = shell.shown
+    late, shell.late_most = shell.late_most, 0
+    link, guard = shell.endpoint.link, shell.endpoint.guard
+    return {
+        "end": shell.endpoint.e, "k": shell.ran, "x": reading.x[0], "f": force[0], "late_us": late / 1e3,
+        "delay": link.way.recent / 1e9 if link.way.count else None, "gain": guard.gain, "cause": guard.cause,
+        "rtt": link.rtt.recent / 1e9 if link.rtt.count else None, "jitter": link.jitter_ns / 1e9,
+        "loss": link.loss(shell.endpoint.session.peer_every),
+    }
+
+
 def _security(shell: Shell) -> dict[str, Any]:
     """How the link was kept: sealed, and what of it was dropped; or open, on loopback or because it was asked for."""
     line = shell.wire.line
