@@ -103,6 +103,7 @@ class Endpoint:
         self._tick = -1
         self._came = 0  # the tick at which a new packet came last
         self._met = 1  # the session that the law was begun for
+        self._away: Axes | None = None  # from where the scene begins, before tick 0
         self._index: Axes | None = None  # where the law's positions count from, if not from the device's zero
         self._held: Axes = (0.0,) * scene.axes
         self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
@@ -214,6 +215,12 @@ class Endpoint:
         self.guard.gain = 0.0
         self._held = (0.0,) * self.scene.axes
 
+    def place(self, x: Axes) -> None:
+        """Where the device is before tick 0. If that is not where the scene begins, the law begins there from rest."""
+        starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
+        if x != starts and not self.stepped:
+            self._away = tuple([a - b for a, b in zip(x, starts, strict=True)])
+
     def join(self, k: int) -> None:
         """The first tick of this end will be k: the run has been going on without it."""
         if not self.stepped:
@@ -226,9 +233,8 @@ class Endpoint:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
         first, self._met = self._met == 1 and self._started is None, self.session.met
         x = reading.x
-        starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
-        if first and not self.stepped and x != starts:  # a device that is elsewhere than the scene says
-            self._index = self._counted_from(tuple([a - b for a, b in zip(x, starts, strict=True)]))
+        if first and self._away is not None:
+            self._index = self._counted_from(self._away)
             self.guard.begin(k, "the device is not where the scene begins: the law's positions count from there")
         if not first:
             self._index = self._counted_from(x)

@@ -108,6 +108,8 @@ class Shell:
         self._alarm = Alarm(loop, lambda: self._guarded(self._wake), self.spin_ns)
         if self.endpoint.session.joined:
             self._join(self._due() + 1)
+        elif (reading := self.stand.read(0, time.monotonic_ns())) is not None:
+            self.endpoint.place(reading.x)
         self._arm()
         try:
             await self.over.wait()

@@ -397,6 +397,8 @@ def test_a_device_that_is_not_where_the_scene_begins_is_taken_up_where_it_is_and
     """As after both ends were started anew: 15 cm apart and a stiff coupling."""
     stiff = scene(Direct(K=500.0, B=5.0), duration=0.5, link=None)
     ends, force = met(stiff), []
+    ends["m"].place((0.15,))
+    ends["s"].place((0.0,))
     for k in range(400):
         now = START + k * MS
         forth = ends["m"].tick(k, now, reading(0.15)).datagram
