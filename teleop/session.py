@@ -219,7 +219,7 @@ class Session:
         if difference is not None:
             if not self.met:
                 self.failure = f"the slave is set up for another run: {difference}"
-            return self.bye("the master refused", now)
+            return [self._packet(Kind.BYE, now, "the master refused")]
         if welcome.echo is None:
             return []
         rtt = now - welcome.echo.sent_ns - welcome.echo.held_ns
