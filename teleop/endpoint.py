@@ -238,9 +238,6 @@ class Endpoint:
             self.guard.begin(k, "the device is not where the scene begins: the law's positions count from there")
         if not first:
             self._index = self._counted_from(x)
-        if self._index is not None:
-            x = tuple([a - b for a, b in zip(x, self._index, strict=True)])
-        if not first:
             if not self.stepped:
                 inbox: Any = self.inbox
                 self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
@@ -248,6 +245,8 @@ class Endpoint:
                 self._window, self._newest, self._shifted = Window(), None, 0
                 self.link.begin(self._rates.theirs)
             self.guard.begin(k, "the law begins from rest, and its positions from here")
+        if self._index is not None:
+            x = tuple([a - b for a, b in zip(x, self._index, strict=True)])
         self._rates.begin(self.session.peer_every)
         begins = beginnings(self.own, {self.e: x})
         self._started = self._live(self.own, begins, self.scene.law, self._dt, x, reading.v, reading.f)

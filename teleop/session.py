@@ -28,13 +28,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from teleop.estimates import MOST_RTT_NS
 from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, encode, manifest_difference
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster
 FASTER_NS = 1_000_000  # by so much: what waited at a process that stood still is answered faster from one to the next
 LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
-MOST_RTT_NS = 60_000_000_000  # of a WELCOME that is believed
 MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
 FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long

@@ -118,7 +118,7 @@ def beginnings(scene: Scene, places: Mapping[str, Sequence[float]]) -> Any:
     if "v_max" in has:
         found["c_speed"] = scene.cap.speed()  # type: ignore[union-attr]  # what the feature means
     if "power" in has:
-        found["c_power"] = scene.cap.budget(dt)  # type: ignore[union-attr]
+        found["c_power"] = scene.cap.budget(dt)  # type: ignore[union-attr]  # the same
     return record("Given", tuple(found))(*found.values())
 
 

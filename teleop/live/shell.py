@@ -21,9 +21,10 @@ from teleop.live.wire import DRAIN, SHARE, Wire
 from teleop.lockstep import divergence
 from teleop.packet import Kind, peek
 from teleop.scene import Scene
+from teleop.session import RENEW_NS
 
 SAY_NS = 250_000_000  # between two live lines
-OPEN_NS = 1_000_000_000  # of silence, after which a peer is listened for from anywhere
+OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
 
 
 class Shell:
