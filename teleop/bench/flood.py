@@ -1,8 +1,8 @@
 """What bad datagrams cost a live run: how late its ticks become, and how many good packets are still used.
 
-Between the two ends stands a forwarder in C which both take for their peer, so that what it throws comes from
-the peer's own address, as it does from whoever is on the way; a second socket of its own is the stranger. A
-quarter each of what it throws is random bytes, a good packet with one bit wrong, a good packet cut short, and
+Between the two ends stands a forwarder in C (`c/between.c`) which both take for their peer, so that what it throws
+comes from the peer's own address, as it does from whoever is on the way; a second socket of its own is the stranger.
+A quarter each of what it throws is random bytes, a good packet with one bit wrong, a good packet cut short, and
 something like a DTLS record of the right length.
 
 The ends ask to run before all others (--realtime), the forwarder after them, and what throws last of these: what is
@@ -20,7 +20,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from teleop.bench.between import compiled
+from teleop.bench.compiled import compiled
 from teleop.library import ROOT
 
 Row = tuple[str, str, str]
@@ -64,7 +64,7 @@ def flood(rounds: int) -> list[Row]:
     """
     with TemporaryDirectory() as name:
         folder = Path(name)
-        between = compiled(folder)
+        between = compiled("between", folder)
         if between is None:
             return [("bad datagrams", "no C compiler here", "")]
         links = {"in the open": (), **_sealed(folder)}

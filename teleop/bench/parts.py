@@ -1,6 +1,6 @@
 """`python -m teleop.bench.parts tick N SPIN_NS | echo | ping PORT N`: the live parts alone, as the live loops use them.
 
-The same words make `rivals/timing.c` do the same in C; what is printed is the same too: median and 99 %, us.
+The same words make `c/timing.c` do the same in C; what is printed is the same too: median and 99 %, us.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Live timing beside C in the same run: lateness of ticks, round trips over loopback, the relay's error of the delay.
 
-Each of our parts and the same in C (`rivals/timing.c`) are measured at once or in turns; a figure is the median over
+Each of our parts and the same in C (`c/timing.c`) are measured at once or in turns; a figure is the median over
 the rounds, of ratios within a round. The relay is the process `python -m channel`; both relays are loaded by the same
 C program, which takes the kernel's stamps.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -19,6 +18,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+from teleop.bench.compiled import compiled
 from teleop.library import ROOT
 from teleop.live.realtime import SPIN_NS
 
@@ -27,9 +27,7 @@ TICKS, TRIPS = 4000, 5000
 DELAY = 0.02  # s
 RATE, COUNT = 1000, 3000  # datagrams a second each way, and in all, for the error of the delay
 FULL_RATE, FULL_COUNT = 20_000, 40_000  # the same for loss
-SECONDS = 4  # of a live run
 SCENE = "hard_wall"
-SOURCE = Path(__file__).with_name("rivals") / "timing.c"
 OURS = (sys.executable, "-m", "teleop.bench.parts")
 
 
@@ -51,24 +49,11 @@ def timing(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked), each a median over `rounds`."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        c = compiled(folder)
+        c = compiled("timing", folder)
         if c is None:
             return [("live timing beside C", "no C compiler here", "")]
         datagrams(folder, max(COUNT, FULL_COUNT))
-        rows = ticks(c, rounds)
-        rows += ends(c, folder, rounds)
-        rows += round_trips(c, rounds)
-        return rows + relays(c, folder, rounds)
-
-
-def compiled(folder: Path) -> str | None:
-    """The C program, None if there is no compiler."""
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        return None
-    program = str(folder / "timing")
-    subprocess.run([compiler, "-O2", "-o", program, str(SOURCE)], check=True)
-    return program
+        return ticks(c, rounds) + round_trips(c, rounds) + relays(c, folder, rounds)
 
 
 def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
@@ -87,20 +72,6 @@ def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
          f"{median(one.median for one in spun):.1f} us", "asked: at most 5"),
         ("  99 %", f"{median(one.most for one in spun):.0f} us", ""),
     ]
-
-
-def ends(c: str, folder: Path, rounds: int) -> list[Row]:
-    """The ends of a live run, the C loop beside them."""
-    theirs: list[Late] = []
-    ours: dict[str, list[Late]] = {"master": [], "slave": []}
-    for i in range(rounds):
-        beside = _started(c, "tick", SECONDS * 1000)
-        told = json.loads(_told(sys.executable, "-m", "scenarios", "demo", SCENE, "--set", f"duration={SECONDS}",
-                                "--out", folder / f"run{i}", "--json"))
-        theirs.append(_late(beside.communicate()[0]))
-        for end, late in ours.items():
-            late.append(Late(told[end]["late_us"]["p50"], told[end]["late_us"]["p99"]))
-    return [row for end, late in ours.items() for row in _beside(f"{end} of a live run: tick late by", late, theirs)]
 
 
 def round_trips(c: str, rounds: int, count: int = TRIPS) -> list[Row]:
@@ -213,7 +184,7 @@ def _told(*command: Any) -> str:
 
 
 def _late(told: str) -> Late:
-    return Late(*map(float, told.split()))
+    return Late(*map(float, told.split()[:2]))
 
 
 def _plain(what: str, times: Sequence[Late]) -> Row:

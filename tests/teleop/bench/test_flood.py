@@ -10,7 +10,7 @@ import pytest
 
 from teleop.bench import flood
 from teleop.bench.__main__ import BENCHES
-from teleop.bench.between import compiled
+from teleop.bench.compiled import compiled
 
 pytestmark = [
     pytest.mark.live,
@@ -23,7 +23,7 @@ def test_a_flood_through_the_forwarder_is_seen_as_from_the_peer_and_leaves_the_r
 ) -> None:
     """A gentle one: 2000 a second at the slave, none at the master."""
     assert "flood" in BENCHES
-    between = compiled(tmp_path)
+    between = compiled("between", tmp_path)
     if between is None:
         pytest.skip("no C compiler here")
     monkeypatch.setattr(flood, "SCENE", ("hard_wall", "--link", "none", "--set", "duration=1"))

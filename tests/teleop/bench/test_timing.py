@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from teleop.bench import parts, timing
-from teleop.bench.timing import Carried, Late, carried, compiled, datagrams, round_trips, ticks
+from teleop.bench.compiled import compiled
+from teleop.bench.timing import Carried, Late, carried, datagrams, round_trips, ticks
 from teleop.live.address import bound
 from teleop.live.wire import Wire
 
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.live
 
 @pytest.fixture(scope="module")
 def c(tmp_path_factory: pytest.TempPathFactory) -> str:
-    program = compiled(tmp_path_factory.mktemp("c"))
+    program = compiled("timing", tmp_path_factory.mktemp("c"))
     if program is None:
         pytest.skip("there is no C compiler")
     return program

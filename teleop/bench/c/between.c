@@ -1,22 +1,13 @@
-"""A forwarder in C between two ends that throws bad datagrams at them, from where they take it for their peer.
-
-    between SLAVE OWN_SLAVE OWN_MASTER STRANGE_SLAVE STRANGE_MASTER
-
-`SLAVE` is the slave's port on loopback; its own, for the master, is the first line that it prints. The rest are
-datagrams a second: from the two sockets that it forwards by, and from one of its own. It throws from the first
-message on, and prints at SIGTERM how many of each were thrown, and in how many seconds.
-
-A process of its own throws, so that the good packets are passed on at once meanwhile.
-"""
-
-from __future__ import annotations
-
-import os
-import shutil
-import subprocess
-from pathlib import Path
-
-BETWEEN = r"""
+/* A forwarder between two ends that throws bad datagrams at them, from where they take it for their peer.
+ *
+ *   between SLAVE OWN_SLAVE OWN_MASTER STRANGE_SLAVE STRANGE_MASTER
+ *
+ * `SLAVE` is the slave's port on loopback; its own, for the master, is the first line that it prints. The rest are
+ * datagrams a second: from the two sockets that it forwards by, and from one of its own. It throws from the first
+ * message on, and prints at SIGTERM how many of each were thrown, and in how many seconds.
+ *
+ * A process of its own throws, so that the good packets are passed on at once meanwhile.
+ */
 #define _GNU_SOURCE
 #include <arpa/inet.h>
 #include <poll.h>
@@ -150,14 +141,3 @@ int main(int argc, char **argv) {
     printf("%.6f\n", know->began ? now() - know->began : 0.0);
     return 0;
 }
-"""
-
-
-def compiled(folder: Path) -> str | None:
-    """The program, made in `folder`; None without a C compiler."""
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        return None
-    (folder / "between.c").write_text(BETWEEN)
-    subprocess.run([compiler, "-O2", "-o", str(folder / "between"), str(folder / "between.c")], check=True)
-    return str(folder / "between")

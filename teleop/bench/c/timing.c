@@ -1,7 +1,7 @@
-/* What the bench `timing` measures the live parts against, and with: a timer loop, a UDP echo and its pinger, a relay
- * with one constant delay, and the load for a relay.
+/* What the benches `timing` and `live` measure the live parts against, and with: a timer loop, a UDP echo and its
+ * pinger, a relay with one constant delay, and the load for a relay.
  *
- *   timing tick N                              lateness of N ticks of 1 ms: median, 99 %, us
+ *   timing tick N                              lateness of N ticks of 1 ms: median, 99 %, us; share of a core
  *   timing echo                                prints its port; sends back what comes
  *   timing ping PORT N                         N round trips of 100 bytes: median, 99 %, us
  *   timing relay PEER_PORT DELAY_NS            prints its port
@@ -17,6 +17,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/timerfd.h>
 #include <time.h>
@@ -41,7 +42,7 @@ static int order(const void *a, const void *b)
 static void told(double *us, int n)
 {
     qsort(us, n, sizeof *us, order);
-    printf("%.2f %.2f\n", n ? us[n / 2] : 0.0, n ? us[(int)(n * 0.99)] : 0.0);
+    printf("%.2f %.2f", n ? us[n / 2] : 0.0, n ? us[(int)(n * 0.99)] : 0.0);
 }
 
 static void set(int timer, int64_t due, int64_t interval)
@@ -109,7 +110,11 @@ static int tick(int n)
         k += rings;
         late[i] = (now(CLOCK_MONOTONIC) - start - k * MS) * 1e-3;
     }
+    struct rusage used;
+    getrusage(RUSAGE_SELF, &used);
+    double cpu = used.ru_utime.tv_sec + used.ru_stime.tv_sec + (used.ru_utime.tv_usec + used.ru_stime.tv_usec) * 1e-6;
     told(late, n);
+    printf(" %.4f\n", cpu / (n * 1e-3));
     return 0;
 }
 
@@ -143,6 +148,7 @@ static int ping(int port, int n)
         us[i] = (now(CLOCK_MONOTONIC) - began) * 1e-3;
     }
     told(us, n);
+    puts("");
     return 0;
 }
 
@@ -294,6 +300,7 @@ static int load(const char *forth, const char *back, int64_t rate, int count, in
         }
     printf("%d %d ", lost[0], lost[1]);
     told(error, arrived);
+    puts("");
     return 0;
 }
 
