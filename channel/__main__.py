@@ -25,9 +25,10 @@ from teleop.live.wire import Wire
 from teleop.options import Parser, guarded, knobs_from, scene_options
 from teleop.packet import Kind, Packet, decode, manifest_difference, peek
 from teleop.scene import Scene, both_ends, load_scene
+from teleop.session import RENEW_NS
 
 MOST_SAID = 5  # strangers can say HELLO too, and nobody may be reading
-QUIET_NS = 1_000_000_000  # a session that has sent no message for so long gives way to another one's HELLO
+QUIET_NS = RENEW_NS  # a session that has sent no message for so long gives way to another one's HELLO
 SEALED = range(20, 26)  # first bytes of DTLS records (RFC 9147)
 LEAD_NS = 45_000  # the relay is called so long before a datagram is due, for it takes time to wake up and come to it
 SOON_NS = 30_000  # what is due so soon after another is waited for too, before anything is taken in

@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from teleop.estimates import MOST_RTT_NS
-from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, encode, manifest_difference
+from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, encode, manifest_difference, one_line
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster
@@ -39,7 +39,7 @@ MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
 FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
 ROOM = 96  # bytes: what a WELCOME says beyond its HELLO
-SHORTEST = 1200  # bytes of a HELLO: the sentence of a REFUSE fits
+SHORTEST = 1200  # bytes of a HELLO: the sentence of a REFUSE fits, whole if it is in English
 MOST_WELCOMED = 1024  # answers that a slave remembers, to know a START by
 MOST_EVERY = 1000  # ticks of the grid to one of an end
 EVERY, TICK_0 = "@every", "@tick 0"  # entries of a manifest that tell and are not compared
@@ -197,8 +197,11 @@ class Session:
             if not self.met:
                 self._asking = hello.session
                 self.failure = f"the master asks for another run: {difference}"
-            why = manifest_difference(theirs, self.manifest)
-            reply = self._packet(Kind.REFUSE, now, f"the slave is set up for another run: {why}", number=hello.session)
+            why = f"the slave is set up for another run: {manifest_difference(theirs, self.manifest)}"
+            reply = self._packet(Kind.REFUSE, now, why, number=hello.session)
+            if len(reply) > room:  # in other letters than English ones a sentence has more bytes
+                fits = one_line(why).encode()[: room - len(reply)].decode(errors="ignore")
+                reply = self._packet(Kind.REFUSE, now, fits, number=hello.session)
         return [reply] if len(reply) <= room else []
 
     def _start(self, start: Packet, tick_0: int, now: int, room: int) -> list[bytes]:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from struct import Struct
 
 from teleop.live.address import Address
-from teleop.live.wire import LONGEST, OLDEST_NS, SKEW_NS, STAMP, Wire
+from teleop.live.wire import LONGEST, STAMP, Wire, arrival
 
 MOST = 32  # datagrams in one call
 _KNOWN = 64  # senders whose address is remembered as text
@@ -86,9 +86,7 @@ class Bulk:
         if count <= 0:
             self._emptied_ns = now
             return []
-        offset = time.time_ns() - now
-        # What was not there when it was empty cannot have come before: the wall clock was set in between.
-        oldest = min(OLDEST_NS, now - self._emptied_ns + SKEW_NS)
+        wall, emptied = time.time_ns(), self._emptied_ns
         if count < MOST:
             self._emptied_ns = now
         out = []
@@ -98,9 +96,7 @@ class Bulk:
             _, level, kind, seconds, nanoseconds = _NOTE.unpack_from(box.notes, i * _NOTE.size)
             came = now
             if box.words[i * _WORDS + _NOTED] == _NOTE.size and kind == STAMP and level == socket.SOL_SOCKET:
-                stamp = seconds * 1_000_000_000 + nanoseconds - offset
-                if 0 <= now - stamp < oldest:
-                    came = stamp
+                came = arrival(seconds * 1_000_000_000 + nanoseconds, now, wall, emptied)
             data = bytes(box.data[start : start + box.words[i * _WORDS + _TAKEN]])
             out.append((data, self._known.get(name) or self._told(name), came))
         used = count * _HEADER.size

@@ -27,6 +27,17 @@ ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 25
 _TIMESPEC = Struct("@ll")
 
 
+def arrival(stamp: int, now: int, wall: int, emptied_ns: int) -> int:
+    """When a datagram came (monotonic clock, ns) that the kernel stamped at `stamp`; `now` if that cannot be.
+
+    `now` and `wall` are the monotonic and the wall clock as it was read; at `emptied_ns` there was nothing to read.
+    """
+    age = wall - stamp
+    # What was not there when it was empty cannot have come before: the wall clock was set in between.
+    believed = 0 <= age < OLDEST_NS and age < now - emptied_ns + SKEW_NS
+    return now - age if believed else now
+
+
 class Wire:
     """A non-blocking UDP socket with one peer. Nothing that happens on it raises into the loop.
 
@@ -149,10 +160,7 @@ class Wire:
         for level, kind, note in notes:
             if level == socket.SOL_SOCKET and kind == STAMP and len(note) == _TIMESPEC.size:
                 seconds, nanoseconds = _TIMESPEC.unpack(note)
-                age = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
-                # What was not there when it was empty cannot have come before: the wall clock was set in between.
-                if 0 <= age < OLDEST_NS and age < now - self._emptied_ns + SKEW_NS:
-                    now -= age
+                now = arrival(seconds * 1_000_000_000 + nanoseconds, now, time.time_ns(), self._emptied_ns)
         at: Address = address[:2]
         if self.line is None:
             return data, at, now

@@ -417,3 +417,17 @@ def test_a_recorded_motion_may_lie_elsewhere_but_not_differ(tmp_path: Path) -> N
     told = manifest_difference(manifests[0], manifests[2])
     assert told is not None
     assert told.startswith("motion is motion.csv (")
+
+
+def test_a_refusal_in_letters_of_several_bytes_fits_its_hello() -> None:
+    """It was longer than the question then, so it was not sent, and the master waited for nothing."""
+    theirs, own = ({**MANIFEST, "hand": letter * 280} for letter in "手指")
+    [hello] = Session(master=True, manifest=theirs, number=7).due(0)
+    asked = decode(hello, 0)
+    assert isinstance(asked, Packet)
+    [reply] = Session(master=False, manifest=own).receive(asked, 0, len(hello))
+    refusal = decode(reply, 0)
+    assert isinstance(refusal, Packet)
+    assert refusal.kind is Kind.REFUSE
+    assert str(refusal.payload).startswith("the slave is set up for another run: hand is 手")
+    assert len(reply) <= len(hello)
