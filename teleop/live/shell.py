@@ -38,8 +38,7 @@ class Shell:
         self.stand = Stand(device, endpoint.scene.axes, trusted=endpoint.stepped)
         self.scene: Scene = endpoint.scene
         self.status, self.sentence = "stopped", "did not start"
-        self.ticks = self.skipped = 0
-        self.data_sent = 0
+        self.ticks = self.skipped = self.data_sent = 0
         self.insecure = False  # in the open beyond loopback, as somebody asked
         self.realtime: dict[str, str] | None = None  # what the system gave of it, if it was asked
         self.cpu: float | None = None  # share of a core while it ran
@@ -49,8 +48,7 @@ class Shell:
         self.dropped: int | None = None  # datagrams that the system did not hand over
         self._share_ns = int(endpoint.own.dt_ns * SHARE)
         self.late_most = 0  # ns, since the last live line
-        self._noted_met = 0  # sessions that are there
-        self._noted = 0  # events of the guard that are in the record
+        self._noted_met = self._noted = 0  # sessions, and events of the guard, that are in the record
         self._alarm: Alarm | None = None
         self._set_to = 0  # the start of the grid that the timer is set to
         self.shown: tuple[Reading, Axes] | None = None
@@ -175,12 +173,14 @@ class Shell:
             data, address, came = got
             if data is None:
                 continue
-            met, before = session.met, self.endpoint.way.count
+            if address != self.wire.peer and self._is_strange(data):
+                self.endpoint.rejected["address"] += 1
+                session.astray = True  # if it was the peer, it has to notice that it is not heard
+                continue
+            met = session.met
             replies = self.endpoint.receive(data, came)
-            if session.met != met or (replies and not met) or self._deaf_again(before):
+            if session.met != met or (replies and not met):
                 self.wire.peer = address  # a stranger's copy of a packet must not draw ours to it
-                if self._alarm is not None:
-                    self._keep_to_peer()
             self.wire.follow()
             for reply in replies:
                 if peek(reply)[0] in (Kind.WELCOME, Kind.REFUSE):
@@ -197,13 +197,17 @@ class Shell:
         elif number is not None:
             self.wire.keep_to_peer(of_session(number, endpoint.scene.wire_size, endpoint.hears))
 
-    def _deaf_again(self, before: int) -> bool:
-        """Has a new message of this session come, after a silence in which anybody was listened to?"""
-        return self._listening and self.endpoint.way.count > before
+    def _is_strange(self, data: bytes) -> bool:
+        """In the open the peer of a session is fixed: from elsewhere comes only what may begin another session."""
+        session = self.endpoint.session
+        met = self.wire.line is None and session.met > 0 and not session.meeting
+        return met and (session.master or peek(data)[0] not in (Kind.HELLO, Kind.START))
 
     def _listen(self, now: int, before: tuple[int, int]) -> None:
         """After a silence listen to everybody: the peer, or the channel, may come back from another port."""
         if self._heard() != before:
+            if self._listening or self.endpoint.session.met != before[1]:
+                self._keep_to_peer()
             self._heard_ns, self._listening = now, False
         elif not self._listening and (now - self._heard_ns > OPEN_NS or self.endpoint.session.meeting):
             self._listening = True
