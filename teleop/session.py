@@ -199,7 +199,7 @@ class Session:
                 self.failure = f"the master asks for another run: {difference}"
             why = f"the slave is set up for another run: {manifest_difference(theirs, self.manifest)}"
             reply = self._packet(Kind.REFUSE, now, why, number=hello.session)
-            if len(reply) > room:  # in other letters than English ones a sentence has more bytes
+            if len(reply) > room >= SHORTEST:  # in other letters than English ones a sentence has more bytes
                 fits = one_line(why).encode()[: room - len(reply)].decode(errors="ignore")
                 reply = self._packet(Kind.REFUSE, now, fits, number=hello.session)
         return [reply] if len(reply) <= room else []
