@@ -169,7 +169,7 @@ def _doctor(added: ArgumentParser) -> None:
 
 
 def _keygen(added: ArgumentParser) -> None:
-    added.add_argument("name", metavar="NAME", help="the file to write, NAME.key; or a folder, for a teleop.key in it")
+    added.add_argument("name", metavar="NAME", help="the file to write, NAME.key")
     _json(added)
 
 

@@ -195,19 +195,19 @@ class Progress:
     what takes no longer. There is no colour anywhere, so NO_COLOR has nothing to switch off.
     """
 
-    __slots__ = ("_began", "_line", "_total")
+    __slots__ = ("_first", "_line", "_total")
 
     def __init__(self, stream: TextIO, total: float) -> None:
         self._line, self._total = _Line(stream), total
-        self._began: float | None = None
+        self._first: tuple[float, float] | None = None  # what was done at the first call, and when
 
     def show(self, done: float, now_s: float, text: str = "") -> None:
         """`done` of the total is done at `now_s` (s, of any clock that does not go back); `text` follows."""
-        began = self._began = now_s if self._began is None else self._began
+        first, began = self._first = self._first or (done, now_s)
         if not self._line.is_due(now_s, done >= self._total):
             return
         part = min(max(done / self._total, 0.0), 1.0) if self._total > 0.0 else 1.0
-        left = "" if part == 0.0 else f"{(now_s - began) * (1.0 - part) / part:.1f} s left"
+        left = "" if done <= first else f"{(now_s - began) * max(0.0, self._total - done) / (done - first):.1f} s left"
         self._line.write(part, "  ".join(word for word in (f"{part:4.0%}", left, text) if word))
 
     def end(self) -> None:

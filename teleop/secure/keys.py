@@ -83,15 +83,17 @@ def parse_fingerprint(text: str) -> str:
 def keygen(path: str | Path) -> tuple[Path, str]:
     """Make a key and a certificate; where they were written, and the fingerprint. Raises `Refused`.
 
-    `path`: the file without its `.key`, or a folder for a `teleop.key`. A file that is there stays as it is. The file
-    is its owner's alone from the moment it exists, and is gone if it could not be written whole.
+    `path`: the file, with its `.key` or without. One that is there stays as it is. The file is its owner's alone from
+    the moment it exists, and is gone if it could not be written whole.
     """
     need_secure()
     from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
     from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
     path = Path(path)
-    path = path / f"teleop{SUFFIX}" if path.is_dir() else path.with_name(path.name.removesuffix(SUFFIX) + SUFFIX)
+    if not path.name:
+        raise Refused(f"{str(path)!r} names no file; write for example: teleop keygen slave")
+    path = path.with_name(path.name.removesuffix(SUFFIX) + SUFFIX)
     private = generate_private_key(SECP256R1())
     certificate = _self_signed(private)
     text = private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())

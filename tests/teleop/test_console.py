@@ -163,6 +163,15 @@ class TestProgressOnATerminal:
         assert stream.getvalue().endswith("\n")
         assert "\x1b" not in stream.getvalue()
 
+    def test_takes_what_was_done_at_the_first_call_for_no_rate(self) -> None:
+        """As at an end of a run that comes when a third of it is over."""
+        stream = Terminal()
+        progress = Progress(stream, 30)
+        progress.show(10, 0.0)
+        assert stream.lines() == ["[######..............]   33%"]
+        progress.show(15, 5.0)
+        assert stream.lines()[0].rstrip() == "[##########..........]   50%  15.0 s left"
+
     def test_writes_at_most_ten_times_a_second_but_always_the_end(self) -> None:
         stream = Terminal()
         progress = Progress(stream, 1000)

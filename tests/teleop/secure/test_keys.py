@@ -68,8 +68,15 @@ class TestMaking:
         assert (tmp_path / "notes.key").read_text() == "mine"
         assert not (tmp_path / "nowhere").exists()
 
-    def test_in_a_folder_it_is_called_teleop(self, tmp_path: Path) -> None:
-        assert keygen(tmp_path)[0] == tmp_path / "teleop.key"
+    def test_a_folder_of_the_same_name_does_not_take_it_in(self, tmp_path: Path) -> None:
+        """There are folders `master` and `slave` where the two ends' keys are made first: those of the packages."""
+        (tmp_path / "slave").mkdir()
+        assert keygen(tmp_path / "slave")[0] == tmp_path / "slave.key"
+
+    @pytest.mark.parametrize("name", ["", ".", "/"])
+    def test_what_names_no_file_is_refused(self, name: str) -> None:
+        with pytest.raises(Refused, match="names no file"):
+            keygen(name)
 
     def test_a_folder_that_is_not_there_is_refused(self, tmp_path: Path) -> None:
         with pytest.raises(Refused, match="No such file or directory"):
