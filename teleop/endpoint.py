@@ -103,7 +103,8 @@ class Endpoint:
         self._tick = -1
         self._came = 0  # the tick at which a new packet came last
         self._met = 1  # the session that the law was begun for
-        self._away: Axes | None = None  # from where the scene begins, before tick 0
+        self._placed = False  # is it known where the device was before tick 0
+        self._away: Axes | None = None  # how far that is from where the scene begins, if it is not there
         self._index: Axes | None = None  # where the law's positions count from, if not from the device's zero
         self._held: Axes = (0.0,) * scene.axes
         self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
@@ -217,6 +218,7 @@ class Endpoint:
 
     def place(self, x: Axes) -> None:
         """Where the device is before tick 0. If that is not where the scene begins, the law begins there from rest."""
+        self._placed = True
         starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
         if x != starts and not self.stepped:
             self._away = tuple([a - b for a, b in zip(x, starts, strict=True)])
@@ -233,6 +235,8 @@ class Endpoint:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
         first, self._met = self._met == 1 and self._started is None, self.session.met
         x = reading.x
+        if first and not self._placed:
+            self.place(x)  # nobody could read it before
         if first and self._away is not None:
             self._index = self._counted_from(self._away)
             self.guard.begin(k, "the device is not where the scene begins: the law's positions count from there")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from teleop.live.meeting import HUSH
@@ -12,9 +13,9 @@ if TYPE_CHECKING:
     from teleop.endpoint import Stepped
     from teleop.live.shell import Shell
 
-AGAIN = 0.02  # s: the last packets are sent again after this silence
-SILENT = 250  # such silences in a row, and the other is given up
-HEED = 15  # arrivals or silences, and a farewell is heeded: last packets may come behind it
+AGAIN = 0.02  # s: the last packets are sent again after this wait
+SILENT = 250  # such waits in which nothing of the session came, and the other is given up
+HEED = 15  # such waits, and a farewell is heeded: last packets may come behind it
 LINGER = 50  # such pauses at most for the farewell of the other
 
 
@@ -39,7 +40,8 @@ async def by_packets(shell: Shell, inbox: Stepped) -> None:
 async def _until_there(shell: Shell, inbox: Stepped, packet: int) -> bool:
     """Wait for the peer's packet; False if the run is over, or nothing has come for a time."""
     assert shell.arrived is not None
-    session, quiet = shell.endpoint.session, 0
+    endpoint, session, quiet = shell.endpoint, shell.endpoint.session, 0
+    heard, again = endpoint.received, time.monotonic() + AGAIN
     while not shell.over.is_set():
         if inbox.has(packet):
             return True
@@ -49,11 +51,12 @@ async def _until_there(shell: Shell, inbox: Stepped, packet: int) -> bool:
         if shell.interrupt.name is not None:
             shell.stop(f"it was asked to stop ({shell.interrupt.name})")
         shell.arrived.clear()
-        try:
-            await asyncio.wait_for(shell.arrived.wait(), AGAIN)
-            quiet = quiet + 1 if left else 0
-        except TimeoutError:
-            quiet += 1
-            shell.wire.due(time.monotonic_ns())
-            shell.send([*shell.recent, *session.due(time.monotonic_ns())])
+        with suppress(TimeoutError):
+            await asyncio.wait_for(shell.arrived.wait(), max(0.0, again - time.monotonic()))
+        if time.monotonic() < again:
+            continue  # something came, perhaps a stranger's: that is no reason to wait longer
+        quiet = quiet + 1 if left or endpoint.received == heard else 0
+        heard, again = endpoint.received, time.monotonic() + AGAIN
+        shell.wire.due(time.monotonic_ns())
+        shell.send([*shell.recent, *session.due(time.monotonic_ns())])
     return False

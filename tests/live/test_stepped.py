@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from collections import Counter
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.live.merge import merge
+from teleop.live.stepped import AGAIN
 from teleop.live.wire import Wire
 from teleop.lockstep import run
 from teleop.packet import Kind, peek
@@ -190,3 +192,38 @@ def test_the_seed_decides_the_schedule(pair: Callable[..., Any]) -> None:
     of = SCENES["wave, rough, zero"]
     live = stepped(pair, of)
     assert live.trace["seq_s"].tobytes() != run(of, seed=SEED + 1).trace["seq_s"].tobytes()
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_garbage_that_keeps_coming_stops_no_resend_and_no_giving_up(
+    killed: bool, pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each datagram of a stranger was taken for a word of the peer: both ends waited for ever, with the force held."""
+    monkeypatch.setattr("teleop.live.stepped.SILENT", 20)
+    of = scene(duration=0.05)
+    both = pair(of, seed=SEED, wire=partial(Stammering, worst=20))
+    if killed:
+        master = both.shells["m"].wire
+        master.send = lambda data: None if peek(data)[1] > 20 or peek(data)[0] is Kind.BYE else Wire.send(master, data)
+
+    async def throw() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            while True:
+                for shell in both.shells.values():
+                    stranger.sendto(b"?", shell.wire.sock.getsockname())
+                await asyncio.sleep(AGAIN / 4)
+
+    run_both = both.shells["s"].run
+
+    async def under_fire() -> None:
+        thrower = asyncio.create_task(throw())
+        try:
+            await run_both()
+        finally:
+            thrower.cancel()
+
+    both.shells["s"].run = under_fire
+    both.run()
+    assert both.errors == {"m": None, "s": None}
+    slave = both.shells["s"]
+    assert (slave.status, "it fell silent" in slave.sentence) == (("stopped", True) if killed else ("ok", False))
