@@ -97,7 +97,9 @@ class Endpoint:
         self.own = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
         dt = self.own.dt_ns / 1e9
         self.guard = Guard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
-        session.renew_ns = max(session.renew_ns, self.guard.lets_go_ns + RENEW_NS // 10)
+        # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
+        played = round(scene.playout.delay * 1e9) if isinstance(scene.playout, Fixed) else 0
+        session.renew_ns = max(session.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self._window = Window()  # so that a copy or a replay is no second measurement
         self._tick = -1

@@ -35,6 +35,7 @@ AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster
 FASTER_NS = 1_000_000  # by so much: what waited at a process that stood still is answered faster from one to the next
 LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
+AHEAD_NS = LEAD_NS + 3 * MOST_RTT_NS  # the furthest that tick 0 can be ahead
 MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
 FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
@@ -205,8 +206,8 @@ class Session:
         return [reply] if len(reply) <= room else []
 
     def _start(self, start: Packet, tick_0: int, now: int, room: int) -> list[bytes]:
-        if abs(tick_0) > MOST_CLOCK_NS:
-            return []  # of a clock that nobody has
+        if not -MOST_CLOCK_NS <= tick_0 <= now + AHEAD_NS:
+            return []  # of a clock that nobody has, or further ahead than any master sets it
         if start.session != self.number or self.meeting:
             self.joined = self.joined or (not self.met and tick_0 < now)
             self.number = start.session
@@ -238,6 +239,8 @@ class Session:
         self.peer_every = told.get(EVERY, 1)
         self._welcome_ns = welcome.sent_ns
         self._next_ns = now + AGAIN_NS
+        if TICK_0 in told and told[TICK_0] - self.offset_ns > now + AHEAD_NS:
+            return []  # likewise
         if self._rounds < ROUNDS:
             return [self._hello(now)]
         grids = [] if self.start_ns is None else [self.start_ns]

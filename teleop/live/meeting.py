@@ -33,8 +33,7 @@ async def meet(shell: Shell) -> bool:
                 return True
         elif shell.patience is not None and now - began > shell.patience * 1e9:
             shell.end("refused", _nobody(shell, shell.patience))
-        shell.send(session.due(now))
-        shell.wire.due(now)
+        shell.say_again(now)
         await asyncio.sleep(0.005)
     return False
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from teleop.endpoint import Axes, Endpoint, Reading, Stepped
 from teleop.guard import Event
-from teleop.live.filter import of_records, of_session
+from teleop.live.hearing import Hearing
 from teleop.live.interrupt import Interrupt
 from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
@@ -21,10 +21,8 @@ from teleop.live.wire import DRAIN, SHARE, Wire
 from teleop.lockstep import divergence
 from teleop.packet import Kind, peek
 from teleop.scene import Scene
-from teleop.session import RENEW_NS
 
 SAY_NS = 250_000_000  # between two live lines
-OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
 
 
 class Shell:
@@ -35,6 +33,7 @@ class Shell:
         *, patience: float | None, interrupt: Interrupt,
     ) -> None:
         self.endpoint, self.wire, self.recorder = endpoint, wire, recorder
+        self.hearing = Hearing(endpoint, wire)
         self.stand = Stand(device, endpoint.scene.axes, trusted=endpoint.stepped)
         self.scene: Scene = endpoint.scene
         self.status, self.sentence = "stopped", "did not start"
@@ -60,8 +59,6 @@ class Shell:
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
         self.arrived: asyncio.Event | None = None
         self._said_ns = 0
-        self._heard_ns = 0  # when the last message came
-        self._listening = False  # to everybody, for it was silent
 
     async def run(self) -> None:
         """The whole run: first exchange, ticks, farewell. An interrupt ends it cleanly; what is a bug raises."""
@@ -102,8 +99,7 @@ class Shell:
     async def _by_clock(self, loop: asyncio.AbstractEventLoop) -> None:
         """Tick when the timer rings. Messages matter at ticks alone, so the socket is read there: see `Wire`."""
         loop.remove_reader(self.wire.sock)
-        self._keep_to_peer()
-        self._heard_ns = time.monotonic_ns()
+        self.hearing.begin()
         self._alarm = Alarm(loop, lambda: self._guarded(self._wake), self.spin_ns)
         if self.endpoint.session.joined:
             self._join(self._due() + 1)
@@ -128,7 +124,7 @@ class Shell:
         assert start is not None
         assert self._alarm is not None
         self._set_to = start
-        self._alarm.set(start + max(0, (time.monotonic_ns() - start) // span + 1) * span, span)
+        self._alarm.set(start + ((time.monotonic_ns() - start) // span + 1) * span, span)  # tick 0 may be far ahead
 
     def _join(self, k: int) -> None:
         """Take part from about tick k on in a run that the other end has been running."""
@@ -173,9 +169,7 @@ class Shell:
             data, address, came = got
             if data is None:
                 continue
-            if address != self.wire.peer and self._is_strange(data):
-                self.endpoint.rejected["address"] += 1
-                session.astray = True  # if it was the peer, it has to notice that it is not heard
+            if self.hearing.is_strange(data, address):
                 continue
             met = session.met
             replies = self.endpoint.receive(data, came)
@@ -190,39 +184,20 @@ class Shell:
         if self.arrived is not None:
             self.arrived.set()
 
-    def _keep_to_peer(self) -> None:
-        endpoint, number = self.endpoint, self.endpoint.session.number
-        if self.wire.line is not None:
-            self.wire.keep_to_peer(of_records())
-        elif number is not None:
-            self.wire.keep_to_peer(of_session(number, endpoint.scene.wire_size, endpoint.hears))
-
-    def _is_strange(self, data: bytes) -> bool:
-        """In the open the peer of a session is fixed: from elsewhere comes only what may begin another session."""
-        session = self.endpoint.session
-        met = self.wire.line is None and session.met > 0 and not session.meeting
-        return met and (session.master or peek(data)[0] not in (Kind.HELLO, Kind.START))
-
-    def _listen(self, now: int, before: tuple[int, int]) -> None:
-        """After a silence listen to everybody: the peer, or the channel, may come back from another port."""
-        if self._heard() != before:
-            if self._listening or self.endpoint.session.met != before[1]:
-                self._keep_to_peer()
-            self._heard_ns, self._listening = now, False
-        elif not self._listening and (now - self._heard_ns > OPEN_NS or self.endpoint.session.meeting):
-            self._listening = True
-            self.wire.listen_to_all()
-
-    def _heard(self) -> tuple[int, int]:
-        """Grows with every new message and session; a copy of an old one proves nothing."""
-        return self.endpoint.way.count, self.endpoint.session.met
+    def say_again(self, now: int) -> None:
+        """Send what was not answered. A new session is asked for where this end was told to ask."""
+        session, wire = self.endpoint.session, self.wire
+        if session.meeting and wire.asked is not None:
+            wire.peer = wire.asked
+        self.send(session.due(now))
+        wire.due(now)
 
     def _wake(self) -> None:
         session, scene = self.endpoint.session, self.scene
         now = time.monotonic_ns()
-        before = self._heard()
+        before = self.hearing.heard()
         self._drain()  # first, for it tells of what came while this process was away, and of where the grid is
-        self._listen(now, before)
+        self.hearing.listen(now, before)
         if session.farewell not in (None, HUSH):
             self.stop(f"the other end left: {session.farewell}")
         elif self.interrupt.name is not None:
@@ -232,10 +207,13 @@ class Shell:
         k = (now - session.start_ns) // (scene.dt_ns * every) * every
         if session.start_ns != self._set_to:
             self._arm()
-        if k < self.last and not self.over.is_set():  # a new session's grid is behind: no force until it is there again
+        if self.over.is_set():
+            return
+        if k < self.last and self.last >= 0:  # a new session's grid is behind: no force until it is there again
             self.endpoint.left_out(self.last, "the grid of ticks went back")
             self.stand.let_go()
-        if k <= self.last or self.over.is_set():
+        if k <= self.last:
+            self.say_again(now)
             return
         late = now - (session.start_ns + k * scene.dt_ns)
         # missed ticks are left out whole, never caught up
@@ -245,8 +223,7 @@ class Shell:
             self.finish()
             return
         self.tick(k, now, late)
-        self.send(session.due(now))
-        self.wire.due(now)
+        self.say_again(now)
         self.announce(now)
 
     def announce(self, now: int) -> None:

@@ -50,6 +50,8 @@ class Wire:
         with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
         self.sock, self.peer, self.line = sock, peer, line
+        self.asked = peer  # where this end was told that its peer is; None: whoever comes
+        self._bound: Address | None = None  # its own address and port before it was kept to the peer
         self.kept = False  # is it deaf to everybody but the peer
         self._filtered = False
         self.unsent = 0  # datagrams that the system did not take
@@ -64,6 +66,8 @@ class Wire:
             if shapes:
                 self._filtered = attach(self.sock, program(*shapes))
             with suppress(OSError):
+                if not self.kept:
+                    self._bound = self.sock.getsockname()
                 self.sock.connect(self.peer)
                 self.kept = True
 
@@ -74,13 +78,12 @@ class Wire:
         if self.kept:
             import ctypes
 
-            here = self.sock.getsockname()
             # Python has no word for it: connected to an address of no family, a socket is connected no more.
             ctypes.CDLL(None).connect(self.sock.fileno(), bytes(16), 16)
             self.kept = False
             with suppress(OSError):  # and a port that the system chose is given back with it
-                if self.sock.getsockname() != here:
-                    self.sock.bind(here)
+                if self._bound is not None and self.sock.getsockname() != self._bound:
+                    self.sock.bind(self._bound)
 
     def send(self, data: bytes) -> None:
         """To the peer, if there is one yet. What the system does not take now is lost, as on any network."""

@@ -222,7 +222,7 @@ def test_nobody_there_is_said_in_one_sentence(e: str, pair: Make) -> None:
     both = pair(SCENE, parts={"m": {}, "s": {}, e: {"patience": 0.2}})
     shell = both.shells[e]
     if e == "m":
-        shell.wire.peer = ("127.0.0.1", 9)  # discard: nobody
+        shell.wire.asked = ("127.0.0.1", 9)  # discard: nobody
     asyncio.run(shell.run())
     assert (shell.status, shell.ticks) == ("refused", 0)
     assert "0.2 s; start" in shell.sentence
@@ -322,7 +322,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
 
     Even if the master goes on hearing the slave, it has to notice: the slave falls silent, so that both ask anew.
     """
-    for name in ("teleop.live.shell.OPEN_NS", "teleop.session.RENEW_NS"):
+    for name in ("teleop.live.hearing.OPEN_NS", "teleop.session.RENEW_NS"):
         monkeypatch.setattr(name, 200_000_000)
     both = pair(replace(SCENE, duration=1.5), wire=Roaming)
     master, slave = both.shells["m"], both.shells["s"]
@@ -344,6 +344,39 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
     assert slave.wire.kept, "to where it is now"
     assert slave.endpoint.inbox.played > 100, "of the newest session"
     assert master.endpoint.inbox.played > 100
+
+
+def test_a_new_session_is_asked_for_where_the_master_was_told_to_ask(pair: Make) -> None:
+    """A slave with two addresses may have answered from the other one, and be started again on the first alone."""
+    both = pair(SCENE)
+    master, slave = both.shells["m"], both.shells["s"]
+    asked = slave.wire.sock.getsockname()
+    master.wire.peer = ("127.0.0.1", 9)
+    assert master.endpoint.session.meeting
+    master.say_again(time.monotonic_ns())
+    assert master.wire.peer == asked
+    time.sleep(0.01)
+    got = slave.wire.receive()
+    assert got is not None
+    assert peek(got[0] or b"")[0] is Kind.HELLO
+    for shell in both.shells.values():
+        shell.wire.sock.close()
+
+
+def test_an_end_whose_tick_0_was_moved_far_ahead_heeds_an_interrupt(pair: Make) -> None:
+    """The timer was set to tick 0, and until then nobody looked at anything."""
+    both = pair(SCENE)
+    slave = both.shells["s"]
+
+    def move() -> None:
+        assert slave.endpoint.session.start_ns is not None
+        slave.endpoint.session.start_ns += 600 * 10**9
+        asyncio.get_running_loop().call_later(0.1, setattr, slave.interrupt, "name", "SIGTERM")
+
+    slave.stand.device = Faulty(SimulatedSlave(SCENE), 100, move)
+    both.run()
+    assert both.errors == {"m": None, "s": None}
+    assert (slave.status, "SIGTERM" in slave.sentence) == ("stopped", True)
 
 
 # Records that cannot be written

@@ -92,6 +92,20 @@ def test_what_cannot_be_sent_is_counted_and_what_is_not_there_is_none() -> None:
         assert wire.sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) > 200_000
 
 
+def test_an_end_on_all_addresses_is_on_all_of_them_again_after_a_silence() -> None:
+    """A socket that is disconnected has lost the port that the system chose; it was bound to one address then."""
+    wire = Wire(bound(("0.0.0.0", 0), "--listen"), None)
+    with wire.sock:
+        before = wire.sock.getsockname()
+        for _ in range(2):
+            wire.peer = ("127.0.0.1", 9)
+            wire.keep_to_peer()
+            wire.keep_to_peer()  # as after a change of the peer's address
+            assert wire.sock.getsockname() != before
+            wire.listen_to_all()
+            assert wire.sock.getsockname() == before
+
+
 def test_a_peer_whose_port_is_closed_raises_nothing() -> None:
     gone = bound(("127.0.0.1", 0), "--listen")
     wire = Wire(bound(("127.0.0.1", 0), "--listen"), gone.getsockname())

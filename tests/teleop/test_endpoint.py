@@ -393,6 +393,15 @@ def test_a_tick_without_a_reading_lets_go_and_the_force_does_not_jump_back() -> 
     assert "it is gone" in end.guard.events[0].why
 
 
+@pytest.mark.parametrize(("playout", "played"), [(Zero(), 0.0), (Fixed(0.5), 0.5), (Fixed(2.0), 2.0)])
+def test_a_session_is_renewed_only_after_the_watchdog_has_let_go(playout: Any, played: float) -> None:
+    """With a fixed playout the last messages act for that long: a new session would have cut their force off."""
+    dog = Watchdog(timeout=0.4, ramp=0.3)
+    end = met(scene(playout=playout, watchdog=dog))["s"]
+    assert end.session.renew_ns >= (played + dog.timeout + dog.ramp) * 1e9
+    assert end.session.renew_ns <= max(1.0, played + dog.timeout + dog.ramp + 0.1) * 1e9
+
+
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_device_that_is_not_where_the_scene_begins_is_taken_up_where_it_is_and_from_zero_force(seen: bool) -> None:
     """As after both ends were started anew: 15 cm apart and a stiff coupling.

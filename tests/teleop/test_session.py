@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from teleop.packet import Echo, Kind, Packet, decode, encode, manifest_difference
 from teleop.scene import load_scene
-from teleop.session import AGAIN_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
+from teleop.session import AGAIN_NS, AHEAD_NS, LEAD_NS, MOST_CLOCK_NS, RENEW_NS, ROUNDS, TICK_0, Session
 
 MS = 1_000_000
 MANIFEST = {"wire version": "1", "scene": "canonical", "law": "wave Wave(b=2.0)", "k_e": "5000.0", "dt": "0.001"}
@@ -417,6 +417,35 @@ def test_a_recorded_motion_may_lie_elsewhere_but_not_differ(tmp_path: Path) -> N
     told = manifest_difference(manifests[0], manifests[2])
     assert told is not None
     assert told.startswith("motion is motion.csv (")
+
+
+def test_a_tick_0_that_is_further_ahead_than_any_master_sets_it_is_not_taken() -> None:
+    """An end that believed it would hold still until then, for years if it was told so."""
+    talk = Talk()
+    talk.run(400 * MS)
+    assert talk.slave.met == talk.master.met == 1
+    slave = Session(master=False, manifest=MANIFEST)
+    [welcome] = slave.receive(Packet(Kind.HELLO, 9, 0, 5, None, MANIFEST), 1000)
+    seen = decode(welcome, 0)
+    assert isinstance(seen, Packet)
+    for ahead, begun in ((AHEAD_NS + 1, 0), (MOST_CLOCK_NS, 0), (AHEAD_NS, 1)):
+        slave.receive(Packet(Kind.START, 9, 0, 5, Echo(seen.sent_ns, 0), 1000 + ahead), 1000)
+        assert slave.met == begun
+
+
+def test_a_running_slave_whose_tick_0_is_further_ahead_than_any_is_not_joined() -> None:
+    for ahead, joined in ((AHEAD_NS + 100 * MS, False), (AHEAD_NS - 100 * MS, True)):
+        master = Session(master=True, manifest=MANIFEST, number=7)
+        told = {**MANIFEST, TICK_0: str(ahead)}
+        for k in range(20):
+            now = k * 60 * MS
+            for data in master.due(now):
+                hello = decode(data, 0)
+                assert isinstance(hello, Packet)
+                if hello.kind is Kind.HELLO:
+                    told[TICK_0] = str(now + ahead)
+                    master.receive(Packet(Kind.WELCOME, 7, 0, now, Echo(hello.sent_ns, 0), told), now)
+        assert (master.met == 1) is joined
 
 
 def test_a_refusal_in_letters_of_several_bytes_fits_its_hello() -> None:
