@@ -7,6 +7,7 @@ import sys
 from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 from teleop.errors import Refused, nearest
@@ -68,6 +69,9 @@ def guarded(work: Callable[[], int]) -> int:
     A refusal is exit code 2, and so is what the operating system refuses; Ctrl-C is 130. A reader of the
     output that has seen enough (`| head`) is no error. What is a bug keeps its traceback.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by whoever started this, as a service manager may: nobody listens
+            setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115 (it is open as long as the process)
     try:
         code = work()
         print(end="", flush=True)  # what fails here would otherwise fail after us, where nobody can say it

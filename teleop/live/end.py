@@ -9,6 +9,7 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from secrets import randbits
 from select import select
@@ -59,6 +60,8 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
             shell.realtime, shell.insecure = realtime.asked(args, NAMES[e]), insecure
             shell.spin_ns = realtime.SPIN_NS if args.spin else 0
+            if not (args.json or args.quiet):
+                shell.hint = partial(_hint, NAMES[e])
             _greet(e, args, wire)
             try:
                 asyncio.run(shell.run())
@@ -130,7 +133,8 @@ def _parser(e: str) -> ArgumentParser:
                         + ("; default 10" if e == "m" else "; default: wait on"))
     parser.add_argument("--lockstep", action="store_true",
                         help="tick by packets instead of by the clock: both ends step together, and the run equals the "
-                        "one in virtual time bit for bit (both ends need it, and the same --seed)")
+                        "one in virtual time bit for bit (both ends need it, and the same --seed); for simulated "
+                        "devices, since a force is held while packets are waited for")
     parser.add_argument("--rate", metavar="HZ", type=float,
                         help="tick at this rate, a whole part of the scene's; the law gets that tick, and the other "
                         "end may keep its own")
@@ -161,12 +165,24 @@ def _greet(e: str, args: Any, wire: Wire) -> None:
     at = wire.sock.getsockname()[:2]
     if args.json:
         print(json.dumps({"event": "listening", "address": shown(at), "port": at[1]}), flush=True)
-    elif e == "s":
+    elif e == "m":
+        assert wire.peer is not None
+        print(f"master: asking {shown(wire.peer)} for a session", flush=True)
+    else:
         host = "THIS-HOST" if at[0] == "0.0.0.0" else at[0]
         knobs = "".join(f" --set {quote(each)}" for each in args.set or ())
         link = f" --link {quote(args.link)}" if args.link else ""
+        keys = " --insecure" if args.insecure else ""
+        if args.key is not None:
+            from teleop.secure.keys import load_key
+
+            keys = f" --key master.key --peer-fingerprint {load_key(args.key).fingerprint}"
         print(f"slave: listening on {shown(at)}; start the master with: "
-              f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}", flush=True)
+              f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}{keys}", flush=True)
+
+
+def _hint(name: str, sentence: str) -> None:
+    print(f"{name}: {sentence}", file=sys.stderr, flush=True)
 
 
 def _said(numbers: dict[str, Any]) -> None:
@@ -206,12 +222,20 @@ class _Line:
 
 def live_text(numbers: dict[str, Any]) -> str:
     """The live numbers as a person reads them, what matters most first: a terminal may cut the rest."""
-    e, delay = numbers["end"], numbers["delay"]
+    delay = numbers["delay"]
     parts = [] if numbers["cause"] is None else [f"SAFE {numbers['gain']:.0%}, {numbers['cause'].split(':')[0]}"]
-    parts += [f"x_{e} {numbers['x'] * 1e3:.1f} mm", f"f_{e} {numbers['f']:.2f} N"]
+    parts += [f"x {numbers['x'] * 1e3:z.1f} mm", f"f {numbers['f']:z.1f} N"]
     if delay is None:
         return "  ".join([*parts, "nothing heard"])
+    rtt = "" if numbers["rtt"] is None else f" rtt {_ms(numbers['rtt'])}"
     parts += [f"loss {numbers['loss']:.1%}"] if numbers["loss"] >= 0.0005 else []
-    parts += [f"delay {delay * 1e3:.1f} ms"]
-    parts += [f"rtt {numbers['rtt'] * 1e3:.1f}"] if numbers["rtt"] is not None else []
-    return "  ".join([*parts, f"jitter {numbers['jitter'] * 1e3:.1f}"])
+    return "  ".join([*parts, f"delay {_ms(delay)}{rtt} jitter {_ms(numbers['jitter'])} ms"])
+
+
+def _ms(seconds: float) -> str:
+    """In ms, as many digits as say something.
+
+    >>> _ms(0.00012), _ms(0.0501), _ms(0.1004)
+    ('0.1', '50', '100')
+    """
+    return f"{seconds * 1e3:.1f}" if seconds < 0.01 else f"{seconds * 1e3:.0f}"

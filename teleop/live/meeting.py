@@ -12,13 +12,14 @@ if TYPE_CHECKING:
     from teleop.live.shell import Shell
 
 HUSH = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
+HINT_NS = 2_000_000_000  # so long nobody is there, and whoever waits is told what may be wrong
 EARLY_NS = 10_000_000  # so long before tick 0 the exchange is over at the latest
 
 
 async def meet(shell: Shell) -> bool:
     """The first exchange; False if the run was over before it began."""
     session, stepped = shell.endpoint.session, shell.endpoint.stepped
-    began = time.monotonic_ns()
+    line, began, hinted = shell.wire.line, time.monotonic_ns(), ""
     while not shell.over.is_set():
         now = time.monotonic_ns()
         if session.failure is not None:
@@ -32,16 +33,30 @@ async def meet(shell: Shell) -> bool:
             if stepped or now > session.start_ns - EARLY_NS:
                 return True
         elif shell.patience is not None and now - began > shell.patience * 1e9:
-            shell.end("refused", _nobody(shell, shell.patience))
+            shell.end("refused", _nobody(shell, f"in {shell.patience:g} s"))
+        elif now - began > HINT_NS and (shell.wire.peer or _strange(shell) or (line is not None and line.trouble)):
+            if (hint := _nobody(shell, "yet")) != hinted:
+                shell.hint(hint)
+            hinted = hint
         shell.say_again(now)
         await asyncio.sleep(0.005)
     return False
 
 
-def _nobody(shell: Shell, patience: float) -> str:
+def _nobody(shell: Shell, since: str) -> str:
+    """Why there is nobody, as far as it is known."""
     peer, line = shell.wire.peer, shell.wire.line
     if line is not None and line.trouble is not None:
-        return f"no peer was let in in {patience:g} s: {line.trouble}"
-    if peer is None:
-        return f"no master came in {patience:g} s; start one that has this address as its --peer, or --wait longer"
-    return f"no answer from {shown(peer)} in {patience:g} s; start the other end first, and check address and port"
+        said = f"no peer was let in {since}: {line.trouble}"
+    elif peer is None:
+        said = f"no master came {since}; start one that has this address as its --peer, or --wait longer"
+    else:
+        said = f"no answer from {shown(peer)} {since}; start the other end first, and check address and port"
+    keys = "; what came was from no such end: has one of the two keys, and the other none?"
+    return said + keys * _strange(shell)
+
+
+def _strange(shell: Shell) -> bool:
+    """Has anything come that no such end sends?"""
+    line = shell.wire.line
+    return sum(shell.endpoint.rejected.values() if line is None else line.dropped.values()) > 0

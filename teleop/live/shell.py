@@ -52,6 +52,7 @@ class Shell:
         self._set_to = 0  # the start of the grid that the timer is set to
         self.shown: tuple[Reading, Axes] | None = None
         self._say, self.patience, self.interrupt = say, patience, interrupt
+        self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is nobody, while that is waited for
         self.over = asyncio.Event()
         self.broken: Exception | None = None  # what a callback of the loop raised
         self.last = -endpoint.every  # the last tick that was due
@@ -231,7 +232,7 @@ class Shell:
             self._said_ns = now
             try:
                 self._say(live_numbers(self))
-            except OSError:  # whoever read along has left: that is no reason to let go of the robot
+            except (OSError, ValueError):  # whoever read along has left: that is no reason to let go of the robot
                 self._said_ns = 1 << 63
 
     def tick(self, k: int, now: int, late: int) -> None:

@@ -6,7 +6,7 @@ from math import isfinite, isnan
 from typing import Protocol
 
 from teleop.endpoint import Axes, Reading
-from teleop.errors import DeviceError
+from teleop.errors import DeviceError, Refused
 
 DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
 
@@ -37,7 +37,7 @@ class Stand:
         self.device, self.trusted = device, trusted
         self.trouble: str | None = None
         self._zero = (0.0,) * axes
-        self._held_well = True
+        self._held_well, self._known = True, False
         self._sound_ns: int | None = None  # when it was last well, or first asked
 
     def read(self, k: int, now: int) -> Reading | None:
@@ -52,6 +52,8 @@ class Stand:
         except (DeviceError, OSError) as error:
             self.trouble = str(error) or type(error).__name__
             return None
+        if not self._known:
+            self._check(reading)
         if not self.trusted and not self._is_sound(reading):
             self.trouble = "what it reads is not finite"
             return None
@@ -74,6 +76,16 @@ class Stand:
     def dead(self, now: int) -> bool:
         """Has it failed for so long that it is not worth waiting for?"""
         return self._sound_ns is not None and now - self._sound_ns > DEAD_NS
+
+    def _check(self, reading: Reading) -> None:
+        """Refuse a device that reads something else than it should, at its first reading."""
+        axes, self._known = len(self._zero), True
+        parts = [part for part in reading if part is not None] if isinstance(reading, Reading) else []
+        if not parts or any(not isinstance(part, tuple) or len(part) != axes for part in parts):
+            x, v = (f"({letter}{',' if axes == 1 else f', {letter}2' * (axes - 1)})" for letter in "xv")
+            raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "
+                          f"{axes}, in m, m/s and N, f None without a force sensor; this one gave {str(reading)[:99]}; "
+                          f"write for example Reading({x}, {v}, None)")
 
     @staticmethod
     def _is_sound(reading: Reading) -> bool:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,11 +18,13 @@ import numpy as np
 import pytest
 
 from teleop.errors import Refused
+from teleop.library import ROOT
 from teleop.live.merge import merge, scene_of
 from teleop.live.record import FILE, read_noted, read_record
 from teleop.live.summary import WAYS
 from teleop.result import load_result
 from teleop.scene import load_scene
+from tests.live.conftest import PATIENCE
 
 pytestmark = pytest.mark.live
 Start = Callable[..., Any]
@@ -152,6 +157,45 @@ def test_a_request_that_comes_to_nothing_is_one_sentence(
 ) -> None:
     command(name, *SCENE, *arguments).refused(*words)
     nothing_left(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "words"), [
+    ("master", ["master: no answer from 127.0.0.1:", " yet; start the other end first"]),
+    ("slave", ["slave: no master came yet", "has one of the two keys, and the other none?"]),
+])
+def test_whoever_waits_is_told_what_may_be_wrong_while_it_waits(name: str, words: list[str], command: Start) -> None:
+    """A wrong port, or keys at one end alone, was silence for ever at both."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        at = ("--peer", f"127.0.0.1:{other.getsockname()[1]}") if name == "master" else ANY
+        end = command(name, *SCENE, *at)
+        assert end.process.stdout is not None
+        said = end.process.stdout.readline()
+        if name == "slave":
+            port = int(said.split(";")[0].rpartition(":")[2])
+            other.sendto(bytes((22, 254, 253)) + bytes(100), ("127.0.0.1", port))  # as an end with keys begins
+        assert end.process.stderr is not None
+        hint = end.process.stderr.readline()
+    assert hint.startswith(words[0])
+    assert words[1] in hint
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+@pytest.mark.parametrize("form", [("--json",), ()])
+def test_an_end_whose_streams_are_closed_runs_to_its_end(
+    closed: str, form: tuple[str, ...], command: Start, tmp_path: Path
+) -> None:
+    """As under a service manager. What cannot be said ended the run, at both ends."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        at = f"127.0.0.1:{free.getsockname()[1]}"
+    words = [sys.executable, "-m", "slave", *SCENE, "--listen", at, "--out", "quiet", *form]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(["sh", "-c", f'exec "$@" {closed}', "sh", *words], cwd=tmp_path, env=env) as slave:
+        code, _, err = command("master", *SCENE, "--peer", at, "--json").end()
+        assert (code, err) == (0, "")
+        assert slave.wait(PATIENCE) == 0
+    assert summary(tmp_path / "quiet")["status"] == "ok"
 
 
 # Stopping

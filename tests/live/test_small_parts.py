@@ -184,6 +184,17 @@ def test_an_event_loop_leaves_the_note_alone() -> None:
         os.kill(os.getpid(), signal.SIGTERM)  # after the loop: what is being written is finished
 
 
+ROOM = 80 - len(" 50%  14.9 s left  ")
+
+
+def test_the_live_line_of_a_usual_run_is_shown_whole() -> None:
+    numbers = {"end": "m", "k": 9999, "x": 0.0573, "f": -0.01, "delay": 0.0506, "rtt": 0.1004, "jitter": 0.00012,
+               "loss": 0.014, "gain": 1.0, "cause": None}
+    line = live_text(numbers)
+    assert line == "x 57.3 mm  f 0.0 N  loss 1.4%  delay 51 rtt 100 jitter 0.1 ms"
+    assert len(line) <= ROOM
+
+
 @pytest.mark.parametrize("cause", [None, "a stall: no tick for 12.345 s", "a new session", "the device: " + "x" * 200])
 def test_the_live_line_fits_a_terminal_and_says_first_that_an_end_is_safe(cause: str | None) -> None:
     numbers = {"end": "m", "k": 9999, "x": -0.1234, "f": -19.87, "delay": 0.6049, "rtt": 1.2099, "jitter": 0.0204,
@@ -191,8 +202,8 @@ def test_the_live_line_fits_a_terminal_and_says_first_that_an_end_is_safe(cause:
     line = live_text(numbers)
     if cause is None:
         assert "SAFE" not in line
-        assert "loss 12.3%" in line[:58], "beside the progress, 80 columns have room for that"
-        assert "delay 604.9 ms" in line[:58]
+        assert "loss 12.3%" in line[:ROOM]
+        assert "delay 605 rtt 1210" in line[:ROOM]
     else:
-        assert line.startswith(f"SAFE 37%, {cause.split(':')[0]}  x_m")
+        assert line.startswith(f"SAFE 37%, {cause.split(':')[0]}  x ")
     assert live_text({**numbers, "delay": None, "cause": None}).endswith("nothing heard")

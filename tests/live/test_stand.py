@@ -13,7 +13,7 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.endpoint import Reading
-from teleop.errors import DeviceError
+from teleop.errors import DeviceError, Refused
 from teleop.live.merge import merge
 from teleop.live.stand import DEAD_NS, Stand
 from teleop.scene import load_scene
@@ -74,13 +74,13 @@ def test_a_trusted_device_is_taken_at_its_word() -> None:
 def test_a_device_that_cannot_hold_is_in_trouble_until_it_can() -> None:
     device = Device()
     device.holds = DeviceError("the amplifier is off")
-    stand = Stand(device, 2)
+    stand = Stand(device, 1)
     stand.hold((1.0, 2.0))
     assert stand.read(1, MS) == WELL, "it can still be read"
     assert stand.trouble == "the amplifier is off"
     device.holds = None
     stand.let_go()
-    assert device.held == [(0.0, 0.0)]
+    assert device.held == [(0.0,)]
     assert stand.read(2, 2 * MS) == WELL
     assert stand.trouble is None
 
@@ -181,3 +181,17 @@ def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_end
     assert both.status() == {"m": "stopped", "s": "stopped"}
     for shell in both.shells.values():
         assert "the device fails: the bus is gone" in shell.sentence
+
+
+@pytest.mark.parametrize(("axes", "wrong", "words"), [
+    (1, Reading(0.0, 0.0, None), r"Reading\(\(x,\), \(v,\), None\)"),  # type: ignore[arg-type]
+    (1, ((0.0,), (0.0,), None), "tuple"), (1, None, "gave None"), (1, Reading((0.0,), (0.0, 0.0), None), "here 1"),
+    (3, Reading((0.0,) * 3, (0.0,) * 3, (0.0,)), r"Reading\(\(x, x2, x2\), "),
+])
+def test_a_device_that_reads_something_else_is_told_so_at_once_and_how_to_write_it(
+    axes: int, wrong: Any, words: str
+) -> None:
+    device = Device()
+    device.reads = wrong
+    with pytest.raises(Refused, match=words):
+        Stand(device, axes).read(0, 0)
