@@ -228,7 +228,8 @@ def live_text(numbers: dict[str, Any]) -> str:
     if delay is None:
         return "  ".join([*parts, "nothing heard"])
     rtt = "" if numbers["rtt"] is None else f" rtt {_ms(numbers['rtt'])}"
-    parts += [f"loss {numbers['loss']:.1%}"] if numbers["loss"] >= 0.0005 else []
+    loss = numbers["loss"]
+    parts += [f"loss {loss:.1%}" if loss < 0.01 else f"loss {loss:.0%}"] if loss >= 0.0005 else []
     return "  ".join([*parts, f"delay {_ms(delay)}{rtt} jitter {_ms(numbers['jitter'])} ms"])
 
 

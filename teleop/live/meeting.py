@@ -34,7 +34,7 @@ async def meet(shell: Shell) -> bool:
                 return True
         elif shell.patience is not None and now - began > shell.patience * 1e9:
             shell.end("refused", _nobody(shell, f"in {shell.patience:g} s"))
-        elif now - began > HINT_NS and (shell.wire.peer or _strange(shell) or (line is not None and line.trouble)):
+        elif now - began > HINT_NS and (shell.wire.asked or _strange(shell) or (line is not None and line.trouble)):
             if (hint := _nobody(shell, "yet")) != hinted:
                 shell.hint(hint)
             hinted = hint
