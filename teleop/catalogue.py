@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from importlib import import_module
 from inspect import getsource
@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused, nearest
-from teleop.law import BUILT_IN, known_laws
+from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.library import ROOT, built_in_scenes, house, known_scenes, scene_function
 
+UNITS = ("N s/m", "N/m^n", "N/m", "N/s", "m/s", "s/m", "1/s", "kg", "Hz", "ticks", "m", "s", "N")
+_UNIT = re.compile(rf"(?:^|, )({'|'.join(map(re.escape, UNITS))})(?=[,;]|$| of | after | from )")
 Knob = tuple[str, str, str, str]  # name, type, default, remark
 
 
@@ -54,6 +56,17 @@ def details(name: str) -> str:
         known = {*scenes, *laws, *effects, *estimators}
         raise Refused(f"there is no scene, law, effect or estimator {name!r}; {nearest(name, known)}")
     return "\n\n".join(parts)
+
+
+def units_of(name: str, knobs: Sequence[str]) -> dict[str, str]:
+    """The units of a scene's knobs as `details` shows them, out of the remarks beside the knobs."""
+    try:
+        said = {key: remark for key, *_, remark in _scene_knobs(scene_function(name))}
+    except Refused:  # the scene's file is gone, or is no scene any more
+        return {}
+    if any(knob.startswith("law.") for knob in knobs):
+        said |= {f"law.{key}": remark for law in BUILT_IN for key, *_, remark in _field_knobs(find_law(law))}
+    return {"x_limit": "m"} | {key: match[1] for key, remark in said.items() if (match := _UNIT.search(remark))}
 
 
 def _estimators() -> dict[str, str]:

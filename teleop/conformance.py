@@ -165,9 +165,18 @@ def guarded(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
     try:
         return function(*arguments)
     except Exception as error:
-        raise Refused(f"{name} raised {type(error).__name__}: {error}, given {arguments}; guard "
-                      "denominators with max(.., eps), write x*x for x**2, keep sqrt and exp in their range"
-                      ) from error
+        raise Refused(f"{name} raised {type(error).__name__}: {error}, given {arguments}; {_cure(error)}") from error
+
+
+def _cure(error: Exception) -> str:
+    """What to do about what a law's function raised."""
+    if isinstance(error, AttributeError) and isinstance(error.obj, tuple) and hasattr(error.obj, "_fields"):
+        kind = type(error.obj)
+        own = f"has {', '.join(kind._fields)}" if kind._fields else "has no fields"
+        return f"{'an At' if kind is At else kind.__name__} {own}"
+    if isinstance(error, ArithmeticError | ValueError):
+        return "guard denominators with max(.., eps), write x*x for x**2, keep sqrt and exp in their range"
+    return "mend that line"
 
 
 def _start(name: str, began: Any) -> type[Any]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 GROUP = "teleop.scenes"  # of entry points
 ROOT = Path(__file__).resolve().parent.parent  # holds teleop, master, slave, channel and scenarios
+_FOLDERS: list[str] = []  # of the scenes' files that were loaded, the newest first: the end of sys.path
 
 
 def house(module: str) -> Any:
@@ -85,9 +86,11 @@ def _from_path(path: Path) -> Any:
     name = f"teleop_scene_{path.stem}_{sha256(content).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
+    _let_import_from(path)
     spec = spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise Refused(f"{path} cannot be loaded as Python")
+    _let_import_from(path)
     module = sys.modules[name] = module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
@@ -97,3 +100,49 @@ def _from_path(path: Path) -> Any:
             raise
         raise Refused(f"{path} stopped with {type(error).__name__}: {error}; mend it and run again") from error
     return module
+
+
+def beside(path: Path) -> dict[str, Path]:
+    """The modules that a scene's file imports from its own folder, and those that they do: name and file of each."""
+    found: dict[str, Path] = {}
+    waiting = [path]
+    while waiting:
+        for name in sorted(_imported(waiting.pop())):
+            places = (path.parent / f"{name}.py", path.parent / name / "__init__.py")
+            here = next((place for place in places if place.is_file()), None)
+            if here is not None and name not in found:
+                found[name] = here
+                waiting.append(here)
+    return found
+
+
+def _let_import_from(path: Path) -> None:
+    """Let a scene's file import what lies beside it, as Python lets a script: now, and whenever it asks.
+
+    Behind all that is installed, which stays what it is whatever lies there; before the folders of earlier scenes.
+    Raises `Refused` if the scene asks for a module of whose name this process has another scene's by now.
+    """
+    folder = path.resolve().parent
+    for name in beside(path):
+        file = getattr(sys.modules.get(name), "__file__", None) or ""
+        where = Path(file).parent.parent if file.endswith("__init__.py") else Path(file).parent
+        if file and where != folder and str(where) in _FOLDERS:
+            raise Refused(f"{path} imports {name}, and {file} has been imported by that name; rename one of the two, "
+                          f"or run the scenes one by one")
+    own = str(folder)
+    if own in _FOLDERS or own not in sys.path:
+        _FOLDERS[:] = [own, *(each for each in _FOLDERS if each != own)]
+        sys.path[:] = [*(each for each in sys.path if each not in _FOLDERS), *_FOLDERS]
+
+
+def _imported(path: Path) -> set[str]:
+    """The packages and modules that a file names in its imports; none if it is no Python."""
+    import ast
+
+    try:
+        tree = ast.parse(path.read_bytes())
+    except (SyntaxError, ValueError, RecursionError):
+        return set()
+    whole = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    parts = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and not node.level}
+    return {name.partition(".")[0] for name in whole | parts}

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.law import law_name
 
 if TYPE_CHECKING:
     from teleop.scene import Scene
+
+_CURES = {
+    "wire version": "install the same release of bilateral-teleop at both ends",
+    "scene": "start both ends with the same scene",
+    "law": "start both ends with the same --set law=NAME and the same law.* knobs",
+    "law source": "install the same release, and the same file of the law, at both ends",
+    "mode": "start both ends with --lockstep, or neither",
+    "seed": "start both ends with the same --seed",
+}
+_MADE = frozenset((  # the parts of a scene, which its knobs make
+    "master", "slave", "hand", "environment", "link", "playout", "watchdog", "cap", "device_m", "device_s", "passivity",
+    "electrical", "start_m", "start_s", "packet_size",
+))
 
 
 def manifest(scene: Scene) -> dict[str, str]:
@@ -52,3 +67,41 @@ def _own_source(law: object) -> str:
     end: Any = getattr(type(law), "slave", None) or type(law).force  # type: ignore[attr-defined]  # one of both
     source = Path(end.__code__.co_filename)
     return fingerprint(source) if source.is_file() else "not in a file"
+
+
+def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
+    """The sentence that names the first entry in which two manifests differ and what to do, or None.
+
+    Wire version, scene and law come first, for the rest follows from them; then the order of `mine`. How many more
+    differ is said of those alone that do not follow from another: a knob changes the part that it sets too.
+    "Here" is the end of `mine`: call it the other way round for the peer's sentence.
+
+    >>> manifest_difference({"k_e": "50000.0"}, {"k_e": "2000.0"})
+    'k_e is 50000.0 here and 2000.0 there: start both ends with the same --set k_e=50000.0'
+    """
+    names = dict.fromkeys([*_CURES, *mine, *theirs])
+    apart = [name for name in names if mine.get(name) != theirs.get(name)]
+    if not apart:
+        return None
+    name, *more = _causes(apart)
+    here, there = ((end.get(name, "missing") or "empty")[:300] for end in (mine, theirs))
+    if name in _CURES:
+        cure = _CURES[name]
+    elif name in mine and name in theirs:
+        cure = f"start both ends with the same --set {name}={quote(mine[name][:300])}"
+    else:
+        cure = "install the same release, and the same scene file, at both ends"
+    others = f" ({len(more)} more differ)" if more else ""
+    return f"{name} is {here} here and {there} there{others}: {cure}"
+
+
+def _causes(apart: list[str]) -> list[str]:
+    """Of the entries that differ, the first one and those that it, or another, does not bring with it."""
+    if apart[0] in ("wire version", "scene"):
+        return apart[:1]
+    follow = {"law source"} if "law" in apart else set()
+    if "mode" in apart:
+        follow.add("seed")  # only in lockstep do the ends have to agree on it
+    if any(name not in _CURES and name not in _MADE for name in apart):
+        follow |= _MADE
+    return [name for name in apart if name not in follow]

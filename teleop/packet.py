@@ -1,4 +1,4 @@
-"""The wire format: packets to bytes and back, the replay judge, and the comparison of manifests.
+"""The wire format: packets to bytes and back, and the replay judge.
 
 A datagram is, in network byte order,
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum, StrEnum
 from math import isfinite
-from shlex import quote
 from struct import Struct
 from typing import Any, Literal, NamedTuple
 from zlib import crc32
@@ -23,6 +22,7 @@ from zlib import crc32
 from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
+from teleop.manifest import manifest_difference as manifest_difference  # noqa: PLC0414 (compared as it comes)
 
 VERSION = 2
 MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments
@@ -276,41 +276,6 @@ class Window:
             return "duplicate"
         self._seen |= bit
         return "new"
-
-
-_CURES = {
-    "wire version": "install the same release of bilateral-teleop at both ends",
-    "scene": "start both ends with the same scene",
-    "law": "start both ends with the same --set law=NAME and the same law.* knobs",
-    "law source": "install the same release, and the same file of the law, at both ends",
-    "mode": "start both ends with --lockstep, or neither",
-    "seed": "start both ends with the same --seed",
-}
-
-
-def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
-    """The sentence that names the first entry in which two manifests differ and what to do, or None.
-
-    Wire version, scene and law come first, for the rest follows from them; then the order of `mine`.
-    "Here" is the end of `mine`: call it the other way round for the peer's sentence.
-
-    >>> manifest_difference({"k_e": "50000.0"}, {"k_e": "2000.0"})
-    'k_e is 50000.0 here and 2000.0 there: start both ends with the same --set k_e=50000.0'
-    """
-    names = dict.fromkeys([*_CURES, *mine, *theirs])
-    apart = [name for name in names if mine.get(name) != theirs.get(name)]
-    if not apart:
-        return None
-    name, *more = apart
-    here, there = ((end.get(name, "missing") or "empty")[:300] for end in (mine, theirs))
-    if name in _CURES:
-        cure = _CURES[name]
-    elif name in mine and name in theirs:
-        cure = f"start both ends with the same --set {name}={quote(mine[name][:300])}"
-    else:
-        cure = "install the same release, and the same scene file, at both ends"
-    others = f" ({len(more)} more differ)" if more else ""
-    return f"{name} is {here} here and {there} there{others}: {cure}"
 
 
 def peek(data: bytes) -> tuple[Kind, int] | tuple[None, int]:

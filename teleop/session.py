@@ -29,7 +29,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from teleop.estimates import MOST_RTT_NS
-from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, encode, manifest_difference, one_line
+from teleop.manifest import manifest_difference
+from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, encode, one_line
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.catalogue import units_of
 from teleop.errors import Refused
 
 if TYPE_CHECKING:
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 SUMMARY = "summary.json"
 OF_A_CALL = ("command", "engine", "why", "engines", "ran", "seconds", "interrupted", "cluster", "versions")
 SENTENCES = 3  # that are shown
-UNITS = ("N s/m", "N/m^n", "N/m", "N/s", "m/s", "s/m", "1/s", "kg", "Hz", "ticks", "m", "s", "N")
-_UNIT = re.compile(rf"(?:^|, )({'|'.join(map(re.escape, UNITS))})(?=[,;]|$| of | after | from )")
 
 
 class Wish(NamedTuple):
@@ -156,21 +154,6 @@ def check_run(at: Path, wish: Wish) -> None:
         raise Refused(f"{at} holds no run and no sweep; give {cure}")
     if any(wish):
         raise Refused(f"{at} holds a run, which has one figure; leave --picture and --metric out")
-
-
-def units_of(name: str, knobs: Sequence[str]) -> dict[str, str]:
-    """The units of a scene's knobs as `teleop list` shows them, out of the remarks beside the knobs."""
-    from teleop.catalogue import _field_knobs, _scene_knobs
-    from teleop.law import BUILT_IN, find_law
-    from teleop.library import scene_function
-
-    try:
-        said = {key: remark for key, *_, remark in _scene_knobs(scene_function(name))}
-    except Refused:  # the scene's file is gone, or is no scene any more
-        return {}
-    if any(knob.startswith("law.") for knob in knobs):
-        said |= {f"law.{key}": remark for law in BUILT_IN for key, *_, remark in _field_knobs(find_law(law))}
-    return {"x_limit": "m"} | {key: match[1] for key, remark in said.items() if (match := _UNIT.search(remark))}
 
 
 def limits_of(scene: str, knobs: Mapping[str, Any], turned: Sequence[str]) -> dict[str, float]:

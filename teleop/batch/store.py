@@ -19,7 +19,7 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
 from teleop.batch.grid import plain
 from teleop.errors import Refused
-from teleop.folder import new_folder
+from teleop.folder import new_folder, numbered
 
 if TYPE_CHECKING:
     from teleop.batch.table import Table
@@ -289,8 +289,8 @@ def _definition(folder: Path) -> dict[str, Any]:
 def _same(folder: Path, there: object, wanted: object) -> None:
     for name, old, new in _differences("", there, wanted):
         was, now = ("absent" if value is _ABSENT else _short(value) for value in (old, new))
-        raise Refused(f"{folder} holds another sweep: {name or DEFINITION} is {was} there and {now} here; give "
-                      f"another folder with --out, or ask for the same sweep to go on with it")
+        raise Refused(f"{folder} holds another sweep: {name or DEFINITION} is {was} there and {now} here; write "
+                      f"--out '{numbered(folder.parent, folder.name)}', or ask for the same sweep to go on with it")
 
 
 def _differences(name: str, old: Any, new: Any) -> Iterator[tuple[str, object, object]]:

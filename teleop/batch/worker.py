@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from teleop.errors import Refused
-from teleop.library import ROOT
+from teleop.library import ROOT, beside
 
 
 def answer(version: str, scene: tuple[str, str] | None, packed: bytes) -> tuple[str, bytes | str]:
@@ -48,10 +48,13 @@ def sources() -> str:
 
 
 def digest_of(path: str) -> str | None:
-    """What is in a file, in short; none if it cannot be read."""
+    """What is in a scene's file and those beside it that it imports, in short; none if it cannot be read."""
     from hashlib import sha256
 
     try:
-        return sha256(Path(path).read_bytes()).hexdigest()
+        found = sha256(Path(path).read_bytes())
+        for name, file in beside(Path(path)).items():
+            found.update(f"\0{name}\0".encode() + file.read_bytes())
+        return found.hexdigest()
     except OSError:
         return None

@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
 from teleop.live.record import FILE, read_events, read_noted
-from teleop.live.summary import NAMES, WAYS, end_result
+from teleop.live.summary import NAMES, WAYS, end_result, lateness, spread_us
 from teleop.lockstep import packet_counts, standing_notes
 from teleop.result import Packets, Result
 from teleop.scene import Scene, load_scene
-from teleop.trace import assemble
+from teleop.trace import EndRecord, assemble
+
+ALONE = 1.0  # s that one end may be there before or after the other, and what both counted still belongs together
 
 
 def scene_of(folder: Path) -> Scene:
     """The scene that the live end in `folder` ran. Raises `Refused`."""
-    return _scene(read_noted(folder)[0])
+    return _scene(_noted(folder)[0])
 
 
 def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | None = None) -> Result:
     """One result from the folders of the two ends of a run of `scene`, at the ticks that both ran. Raises `Refused`.
 
     `channel` is what the relay counted, if it is known. What an end did not write down itself, having been
-    killed, is worked out from its record.
+    killed, is worked out from its record. Where one end ran without the other, what each counted over all of its own
+    ticks is left out: only what the records show of the ticks that both ran is told, and a note says so.
     """
     folders = {"m": master, "s": slave}
-    headers, records, ends = {}, {}, {}
+    headers, records, ends, late = {}, {}, {}, {}
     for e, folder in folders.items():
-        headers[e], records[e], *_ = read_noted(folder)
+        headers[e], records[e], late[e], _ = _noted(folder)
         if headers[e]["end"] != e:
             other = NAMES[headers[e]["end"]]
             raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
@@ -39,23 +43,35 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
     if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
         raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
-    met = [{event["why"] for event in read_events(folder) if event.get("what") == "met"} for folder in folders.values()]
+    events = {e: read_events(folder) for e, folder in folders.items()}
+    met = [{event["why"] for event in told if event.get("what") == "met"} for told in events.values()]
     if all(met) and not met[0] & met[1]:
         raise Refused(f"{master} and {slave} never met; give two that ran together")
+    firsts, lasts = [_first(told) for told in events.values()], [_last(record) for record in records.values()]
+    span = range(max(firsts), min(lasts) + 1)
+    alone = max(max(firsts) - min(firsts), max(lasts) - min(lasts)) * scene.dt > ALONE
+    apart = not stepped and (alone or met[0] != met[1] or any(_killed(end) for end in ends.values()))
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(scene, records)
-    again = any(event.get("what") == "session" for folder in folders.values() for event in read_events(folder))
+    within = span[1:]  # at its first tick there is nothing yet that another session has summed up
+    again = any(one.get("what") == "session" and one.get("k") in within for told in events.values() for one in told)
     if again:
         trace.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
     status, sentence = _verdict(ends)
-    packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
-    took = [end[NAMES[e]].get("run_time") for e, end in ends.items()]
-    run_time = max((time for time in took if time is not None), default=None)
-    extra = {**{NAMES[e]: end[NAMES[e]] for e, end in ends.items()}, "channel": channel}
+    own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = standing_notes(scene)
+    if apart:
+        packets = {}
+        own = {NAMES[e]: _within(span, own[NAMES[e]], headers[e], records[e], late[e]) for e in ends}
+        notes.append("one end ran without the other for a while: the packets and round trips that each counted in all "
+                     "of its own run are left out, and stand in its own folder")
+    else:
+        packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
+    run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
+    extra = {**own, "channel": channel}
     if again:
-        notes.append("the two met more than once: their ledgers begin anew each time, so there is no E_link of it all")
+        notes.append("the two met anew in between, and their ledgers began anew: there is no E_link of it all")
     notes += [f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]
     return Result.make(scene, seed=ours["seed"], mode=ours["mode"], status=status, sentence=sentence,
                        ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
@@ -68,14 +84,14 @@ def recover(folder: Path) -> None:
         result = merge(scene_of(ends[0]), *ends)
         command: list[str] = []
     else:
-        header, record, late, notes = read_noted(folder)
+        header, record, late, notes = _noted(folder)
         if not record.ticks:
             raise Refused(f"{folder} holds the record of a run that never came to its first tick")
         e, scene = header["end"], _scene(header)
         sentence = f"the process ended without a word after tick {record.ticks[-1]}; this is made from its record"
         every = header.get("every", 1)
         events = read_events(folder)
-        first = next((event["k"] for event in events if event.get("what") == "joined"), 0)
+        first = _first(events)
         skipped = (record.ticks[-1] - first) // every + 1 - len(record.ticks)
         sends, hears = WAYS[e]
         came = sum(1 for packet in record.played or () if packet >= 0)
@@ -99,6 +115,46 @@ def _summary(folder: Path) -> dict[str, Any]:
     return summary
 
 
+def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float], list[str]]:
+    """What an end wrote into `folder`; `Refused`, naming a folder that somebody did write into, if none did."""
+    if not (folder / FILE).is_file():
+        inside = [path.parent for path in folder.glob(f"**/{FILE}")]
+        whole = {at.parent if at.name in NAMES.values() and at.parent != folder else at for at in inside}
+        cure = f"one of its folders, for example {max(whole)}" if whole else "the folder that a live end wrote"
+        raise Refused(f"{folder} holds no record; give {cure}")
+    return read_noted(folder)
+
+
+def _first(events: Sequence[dict[str, Any]]) -> int:
+    """The first tick that was due of an end to which this happened."""
+    return next((int(event["k"]) for event in events if event.get("what") == "joined"), 0)
+
+
+def _last(record: EndRecord) -> int:
+    """The last tick that it ran; -1 of one that ran none."""
+    return record.ticks[-1] if record.ticks else -1
+
+
+def _killed(end: dict[str, Any]) -> bool:
+    return "without a word" in end["sentence"]
+
+
+def _within(
+    span: range, own: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Sequence[float]
+) -> dict[str, Any]:
+    """What there is to tell of an end in the ticks of `span`, out of its record; what it summed up is left out."""
+    every = header.get("every", 1)
+    here = [(k, ns) for k, ns in zip(record.ticks, late, strict=True) if k in span]
+    ticks = [k for k, _ in here]
+    first = -(-span.start // every) * every
+    kept: dict[str, Any] = {key: own[key] for key in ("status", "sentence", "sealed", "realtime") if key in own}
+    return {
+        **kept, "ticks": len(ticks), "skipped": len(range(first, span.stop, every)) - len(ticks),
+        "events": [event for event in own.get("events") or () if event.get("k") in span],
+        "late_us": spread_us(lateness(ticks, [ns for _, ns in here], header["dt_ns"], first, every)),
+    }
+
+
 def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[str, Packets]:
     """What the two ends and the channel counted of each direction."""
     packets = {}
@@ -113,7 +169,7 @@ def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[s
 
 def _verdict(ends: dict[str, dict[str, Any]]) -> tuple[str, str]:
     """The status of the whole: what one end found out, the other was told."""
-    silent = [end for end in ends.values() if "without a word" in end["sentence"]]
+    silent = [end for end in ends.values() if _killed(end)]
     for status in ("diverged", "stopped"):
         for end in (*silent, *ends.values()):  # that one was killed comes before what the others say of it
             if end["status"] == status:

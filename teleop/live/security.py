@@ -39,9 +39,10 @@ def line(e: str, args: Namespace) -> tuple[Line | None, bool]:
     from secrets import token_bytes
 
     from teleop.secure.keys import load_key, need_secure, parse_fingerprint
-    from teleop.secure.line import Line
 
     need_secure()
+    from teleop.secure.line import Line  # not before: it cannot be imported without the extra
+
     own, peer = load_key(args.key), parse_fingerprint(args.peer_fingerprint)
     return (Line.calling(own, peer, at) if e == "m" else Line.listening(own, peer, token_bytes(32))), False
 

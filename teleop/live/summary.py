@@ -85,10 +85,9 @@ def end_result(
 
     trace: dict[str, Any] = {"t": np.array(record.ticks, dtype=np.int64) * scene.dt_ns / 1e9}
     trace |= {**end_arrays(scene, e, record), f"late_{e}": np.array(late) / 1e9}
-    late_us = np.array(lateness(record.ticks, late, scene.dt_ns, first, every)) / 1e3
     own = {
         "status": status, "sentence": sentence, "ticks": len(record.ticks), **told,
-        "late_us": {f"p{q}": float(np.percentile(late_us, q)) for q in (50, 99, 100)} if len(late_us) else {},
+        "late_us": spread_us(lateness(record.ticks, late, scene.dt_ns, first, every)),
     }
     return Result.make(scene, seed=seed, mode=mode, status=status, sentence=sentence, ticks=len(record.ticks),
                        run_time=None, trace=trace, packets=packets, notes=notes, extra={"end": NAMES[e], NAMES[e]: own})
@@ -109,6 +108,14 @@ def lateness(
     for before, k, own in zip((first - every, *ticks), ticks, late, strict=False):
         out += [own + missed * every * dt_ns for missed in range((k - before) // every)]
     return out
+
+
+def spread_us(late: Sequence[float]) -> dict[str, float]:
+    """Median, 99th percentile and most (us) of latenesses in ns; nothing of none."""
+    import numpy as np
+
+    late_us = np.array(late) / 1e3
+    return {f"p{q}": float(np.percentile(late_us, q)) for q in (50, 99, 100)} if len(late_us) else {}
 
 
 def _estimates(link: LinkEstimates, every: int) -> dict[str, Any]:

@@ -26,6 +26,7 @@ class Answer(NamedTuple):
     found: Stability | Swing
     limit: Continuous | None
     edge: Critical | None
+    unit: str = ""  # of its knob, with a space before it, where the scene names one
 
 
 def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
@@ -65,7 +66,10 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
                       judge=lambda one: rests(one, seed=seed))
     else:
         edge = critical(make, knob, low=low, high=high, near=own, tol=closeness, whole=whole)
-    return Answer(scene, found, limit, edge)
+    from teleop.catalogue import units_of
+
+    unit = units_of(name, [knob]).get(knob)
+    return Answer(scene, found, limit, edge, f" {unit}" if unit else "")
 
 
 def _whole(name: str, knob: str) -> bool:
@@ -150,7 +154,7 @@ def table(answer: Answer) -> str:
     if limit is not None:
         rows.append(("continuous", _without_clock(limit)))
     if edge is not None:
-        rows.append(("critical", _edge(edge, _steps(answer.scene))))
+        rows.append(("critical", _edge(edge, answer.unit, _steps(answer.scene))))
     width = max(len(label) for label, _ in rows)
     return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
 
@@ -201,23 +205,24 @@ def _steps(scene: Scene) -> str:
     return f", to {STEPS:g} steps of the encoder" if seen else ""
 
 
-def _edge(edge: Critical, counted: str) -> str:
+def _edge(edge: Critical, unit: str, counted: str) -> str:
+    at = f"{edge.knob} = {_digits(edge)}{unit}"
     if edge.method == "stepwise":
         one, next_ = ("does not come", "does") if edge.stable == "below" else ("comes", "does not")
-        text = (f"{edge.knob} = {_digits(edge)} is the lowest of {edge.tried} values tried that {one} to "
-                f"rest{counted}; the next below, {_digits(edge, edge.low)}, {next_}")
+        text = (f"{at} is the lowest of {edge.tried} values tried that {one} to rest{counted}; the next below, "
+                f"{_digits(edge, edge.low)}{unit}, {next_}")
     elif isinstance(edge.high, int):
         word = "unstable" if edge.stable == "below" else "stable"
-        text = f"{edge.knob} = {edge.high} is the first that is {word}, {edge.low} is not yet"
+        text = f"{edge.knob} = {edge.high}{unit} is the first that is {word}, {edge.low} is not yet"
     else:
-        text = f"{edge.knob} = {_digits(edge)} (within {edge.high - edge.low:.1g}), stable {edge.stable}"
+        text = f"{at} (within {edge.high - edge.low:.1g}{unit}), stable {edge.stable}"
     others = [one for one in edge.all if one[:3] != edge[1:4]]
     if not others:
         return text
     if edge.method == "stepwise":
-        said = [f"{one.low:.4g} to {one.high:.4g}" for one in others[:TOLD]]
+        said = [f"{one.low:.4g} to {one.high:.4g}{unit}" for one in others[:TOLD]]
     else:
-        said = [f"{_digits(one)} (stable {one.stable})" for one in others[:TOLD]]
+        said = [f"{_digits(one)}{unit} (stable {one.stable})" for one in others[:TOLD]]
     more = f" and {len(others) - TOLD} more, see --json" if len(others) > TOLD else ""
     return f"{text}; the verdict changes also {'from' if edge.method == 'stepwise' else 'at'} {', '.join(said)}{more}"
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from teleop.console import table
 from teleop.errors import Refused
 from teleop.guard import Event
-from teleop.live.merge import recover
+from teleop.live.merge import merge, recover, scene_of
 from teleop.live.record import (
     EVENTS,
     EVERY,
@@ -22,6 +23,7 @@ from teleop.live.record import (
     read_events,
     read_record,
 )
+from teleop.live.summary import NAMES, WAYS
 from teleop.scene import Scene, load_scene
 from teleop.tick import columns
 
@@ -220,3 +222,89 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Refused, match=why), fresh_folder(tmp_path / "file" / "x"):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+# Two records put together
+
+
+def end_of(folder: Path, e: str, ticks: range, events: list[Event], counted: int | None = None) -> Path:
+    """An end's folder; `counted`: how many packets of all its run a summary of its own says it sent and received."""
+    folder.mkdir()
+    recorder = Recorder(SCENE, e, folder, ABOUT)
+    for event in events:
+        recorder.note(event)
+    width = len(columns(SCENE, e))
+    for k in ticks:
+        recorder.add(k, 1000, k - 5 if k >= 5 else -1, (0.001 * k,) * width)
+    recorder.close()
+    if counted is not None:
+        recover(folder)
+        told = json.loads((folder / "summary.json").read_text())
+        sends, hears = WAYS[e]
+        told |= {"status": "ok", "sentence": "ran to its end"}
+        told["packets"][sends]["sent"] = told["packets"][hears]["received"] = counted
+        told[NAMES[e]] |= {"rtt": {"mean": 0.1}, "jitter": 0.0, "lost": 700, "reordered": 0, "run_time": 10.0}
+        (folder / "summary.json").write_text(json.dumps(told))
+    return folder
+
+
+MET, AGAIN = Event(0, "met", "session 1"), Event(700, "met", "session 2")
+LONG = [MET, Event(200, "safe", "a stall"), Event(500, "safe", "silence"), Event(700, "session", "again"), AGAIN]
+
+
+def test_what_an_end_counted_after_the_other_was_killed_is_not_told_of_the_two(tmp_path: Path) -> None:
+    """A table said "13500 sent, 3116 received, 10384 under way at the end", and told events from after the death."""
+    killed = end_of(tmp_path / "m", "m", range(300), [MET])
+    whole = end_of(tmp_path / "s", "s", range(1000), LONG, counted=990)
+    result = merge(SCENE, killed, whole)
+    assert result.ticks == 300
+    assert result.packets == {}
+    own: Any = result.extra["slave"]
+    assert [event["k"] for event in own["events"]] == [0, 200]
+    assert (own["ticks"], own["skipped"], own["late_us"]["p100"]) == (300, 0, 1.0)
+    assert not {"rtt", "lost", "run_time"} & own.keys()
+    assert result.run_time is None
+    assert any("one end ran without the other" in note for note in result.notes)
+    assert "E_link" in result.trace, "no session began anew in those ticks"
+    assert "sent" not in table(result)
+
+
+def test_what_an_end_counted_before_the_other_was_started_again_is_not_told_of_the_two(tmp_path: Path) -> None:
+    begun = [Event(720, "joined", "it ran already"), Event(720, "session", "from rest"), Event(720, "met", AGAIN.why)]
+    anew = end_of(tmp_path / "m", "m", range(720, 1000), begun, counted=279)
+    whole = end_of(tmp_path / "s", "s", range(1000), LONG, counted=990)
+    result = merge(SCENE, anew, whole)
+    assert (result.status, result.ticks, result.packets) == ("ok", 280, {})
+    master, slave = (dict(result.extra[name]) for name in ("master", "slave"))  # type: ignore[call-overload]  # mappings
+    assert [event["what"] for event in master["events"]] == ["joined", "session", "met"]
+    assert slave["events"] == []
+    assert (master["skipped"], slave["skipped"]) == (0, 0)
+    assert "E_link" in result.trace, "it is all of one session"
+
+
+def test_what_two_ends_counted_that_ran_together_is_told(tmp_path: Path) -> None:
+    ends = [end_of(tmp_path / e, e, range(1000 - late), [MET], counted=990) for e, late in (("m", 0), ("s", 40))]
+    result = merge(SCENE, *ends)
+    assert (result.packets["forth"].sent, result.packets["back"].received) == (990, 990)
+    assert dict(result.extra["slave"])["lost"] == 700  # type: ignore[call-overload]  # a mapping
+    assert not any("without the other" in note for note in result.notes)
+
+
+def test_an_end_that_met_twice_in_the_ticks_of_both_has_no_ledger_of_it_all(tmp_path: Path) -> None:
+    ends = [end_of(tmp_path / e, e, range(1000), LONG, counted=990) for e in ("m", "s")]
+    result = merge(SCENE, *ends)
+    assert "E_link" not in result.trace
+    assert result.packets["forth"].sent == 990
+
+
+@pytest.mark.parametrize("inside", [[], ["x-1"], ["x-1/master", "x-1/slave"]])
+def test_a_folder_without_a_record_names_one_that_has_one(inside: list[str], tmp_path: Path) -> None:
+    """It said FileNotFoundError."""
+    for each in inside:
+        (tmp_path / each).mkdir(parents=True)
+        recorded(tmp_path / each, 3).close()
+    said = f"one of its folders, for example {tmp_path / 'x-1'}" if inside else "the folder that a live end wrote"
+    for ask in (recover, scene_of):
+        with pytest.raises(Refused) as refused:
+            ask(tmp_path)
+        assert str(refused.value) == f"{tmp_path} holds no record; give {said}"

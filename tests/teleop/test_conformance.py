@@ -154,6 +154,11 @@ ENDS: list[tuple[dict[str, Any], str]] = [
     ({"master": nearly_guarded}, "to finite arguments"),
     ({"master": squares}, "raised OverflowError.*for x\\*\\*2"),
     ({"master": roots}, "raised ValueError.*range"),
+    ({"master": lambda s, at, rx: (at.force, X(at.x), s)},
+     "no attribute 'force', given .*; an At has x, v, f, f_held, dx, fresh, age, dt$"),
+    ({"master": lambda s, at, rx: (rx.f, X(at.x), s)}, "no attribute 'f', given .*; F has force$"),
+    ({"master": lambda s, at, rx: (s.nothing.x, X(at.x), s)}, "no attribute 'nothing', given .*; S has y$"),
+    ({"master": lambda s, at, rx: (gone, X(at.x), s)}, "NameError: .*; mend that line$"),  # type: ignore[name-defined] # noqa: F821
     ({"slave": counts_steps, "master_start": Plain.slave_start, "slave_start": Plain.master_start}, "raised"),
     ({"master_sums": lambda s, at, rx: Sums(1), "master": lambda s, at, rx, over: (0.0, X(at.x), s)},
      "Sums has n=1 of type int"),

@@ -5,13 +5,17 @@ from __future__ import annotations
 import importlib.metadata
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import teleop.library
 from teleop import Refused, load_scene
+from teleop.__main__ import main
 from teleop.knobs import knobs_of
-from teleop.library import ROOT, built_in_scenes, house, known_scenes, scene_function
+from teleop.library import ROOT, beside, built_in_scenes, house, known_scenes, scene_function
 
 
 class TestBuiltIn:
@@ -96,3 +100,65 @@ class TestTheHouse:
             house("slave.wall")
         with pytest.raises(Refused, match="was taken from"):
             scene_function("canonical")
+
+
+class TestBesideAScenesFile:
+    """A scene said "No module named 'law_mine'" of the file beside it, under `teleop run` alone."""
+
+    @pytest.fixture(autouse=True)
+    def _as_before(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+        monkeypatch.setattr(sys, "path", [*sys.path])
+        monkeypatch.setattr(teleop.library, "_FOLDERS", [])
+        before = set(sys.modules)
+        yield
+        for name in set(sys.modules) - before:
+            del sys.modules[name]
+
+    @staticmethod
+    def written(folder: Path, k: float, module: str = "law_mine", scene: str = "mine") -> str:
+        folder.mkdir(exist_ok=True)
+        (folder / f"{module}.py").write_text(f"K = {k}\n")
+        (folder / f"{scene}.py").write_text(f"from {module} import K\n\ndef scene(*, k: float = K): ...\n")
+        return str(folder / f"{scene}.py")
+
+    def test_a_module_is_imported(self, tmp_path: Path) -> None:
+        assert knobs_of(scene_function(self.written(tmp_path, 3.0))) == {"k": (float, 3.0)}
+
+    def test_a_module_is_imported_when_the_scene_is_made(self, tmp_path: Path) -> None:
+        (tmp_path / "late_one.py").write_text("K = 4.0\n")
+        (tmp_path / "mine.py").write_text("def scene():\n    import late_one\n    return late_one.K\n")
+        function: Any = scene_function(str(tmp_path / "mine.py"))
+        assert function() == 4.0
+
+    def test_what_is_installed_stays_what_it_is(self, tmp_path: Path) -> None:
+        (tmp_path / "colorsys.py").write_text("raise AssertionError\n")
+        (tmp_path / "mine.py").write_text("import colorsys\ndef scene(*, k: float = colorsys.ONE_THIRD): ...\n")
+        scene_function(str(tmp_path / "mine.py"))
+        assert sys.path[-1] == str(tmp_path)
+
+    def test_of_two_scenes_each_has_its_own(self, tmp_path: Path) -> None:
+        for k, folder in enumerate(("a", "b"), start=1):
+            (tmp_path / folder).mkdir()
+            (tmp_path / folder / "other.py").write_text("")  # in a's folder too, where nobody asks for it
+            path = self.written(tmp_path / folder, float(k), module="other" if folder == "b" else "one")
+            assert knobs_of(scene_function(path)) == {"k": (float, float(k))}
+
+    def test_of_two_scenes_none_is_given_the_other_ones_module(self, tmp_path: Path) -> None:
+        scene_function(self.written(tmp_path / "a", 1.0))
+        with pytest.raises(Refused, match=r"b/mine\.py imports law_mine, and .*a/law_mine\.py has been imported"):
+            scene_function(self.written(tmp_path / "b", 2.0))
+
+    def test_it_is_found_whatever_imports_it(self, tmp_path: Path) -> None:
+        path = self.written(tmp_path, 1.0)
+        (tmp_path / "law_mine.py").write_text("import package, json, gone\nfrom . import nothing\n")
+        (tmp_path / "package").mkdir()
+        (tmp_path / "package" / "__init__.py").write_text("import law_mine\n")
+        assert beside(Path(path)) == {
+            "law_mine": tmp_path / "law_mine.py", "package": tmp_path / "package" / "__init__.py"}
+
+    def test_the_command_runs_it(self, tmp_path: Path) -> None:
+        text, law = (ROOT / "scenarios" / "hard_wall.py").read_text(), ROOT / "teleop" / "laws" / "direct.py"
+        (tmp_path / "law_mine.py").write_text(law.read_text())
+        text = text.replace("from teleop.laws.wave import Wave", "from law_mine import Direct")
+        (tmp_path / "mine.py").write_text(text.replace("Wave()", "Direct()"))
+        assert main(["run", str(tmp_path / "mine.py"), "--set", "duration=0.1", "--out", str(tmp_path / "out")]) == 0

@@ -28,7 +28,6 @@ from teleop.packet import (
     decode,
     encode,
     least_size,
-    manifest_difference,
     one_line,
     unwrapped,
 )
@@ -297,7 +296,8 @@ almost = st.tuples(
 def test_whatever_well_framed_values_pass_are_a_true_packet(kind: int, fields: object) -> None:
     got = decode(framed(msgpack.packb(fields), kind), 2)
     if isinstance(got, Packet):
-        assert decode(encode(got), 2) == got
+        sent = got._replace(payload=one_line(got.payload)) if isinstance(got.payload, str) else got
+        assert decode(encode(got), 2) == sent
     else:
         assert got in (Rejection.MALFORMED, Rejection.NON_FINITE)
 
@@ -375,56 +375,3 @@ def test_after_a_long_silence_the_clock_vouches_for_the_numbers() -> None:
 def test_a_window_that_cannot_work_is_refused(ahead: int, size: int) -> None:
     with pytest.raises(Refused, match="ahead must be"):
         Window(ahead=ahead, size=size)
-
-
-# --- manifests
-
-
-def test_equal_manifests_do_not_differ() -> None:
-    assert manifest_difference({}, {}) is None
-    assert manifest_difference({"a": "1", "b": "2"}, {"b": "2", "a": "1"}) is None
-
-
-def test_the_sentence_names_the_knob_both_values_and_what_to_type() -> None:
-    mine = {"wire version": "1", "scene": "hard_wall", "k_e": "50000.0", "dt": "0.001"}
-    assert manifest_difference(mine, mine | {"k_e": "2000.0"}) == (
-        "k_e is 50000.0 here and 2000.0 there: start both ends with the same --set k_e=50000.0"
-    )
-    two = manifest_difference(mine, mine | {"k_e": "2000.0", "dt": "0.01"})
-    assert two is not None
-    assert "(1 more differ)" in two
-    assert "--set start='(0, 1)'" in (manifest_difference({"start": "(0, 1)"}, {"start": "0"}) or "")
-
-
-@pytest.mark.parametrize(
-    ("name", "cure"), [("wire version", "same release"), ("scene", "same scene"), ("law", "law.*")]
-)
-def test_what_explains_the_rest_is_named_first(name: str, cure: str) -> None:
-    mine = {"k_e": "1", name: "x"}
-    sentence = manifest_difference(mine, {"k_e": "2", name: "y"})
-    assert sentence is not None
-    assert sentence.startswith(f"{name} is x here and y there (1 more differ)")
-    assert cure in sentence
-
-
-def test_an_entry_of_one_end_only_is_missing_at_the_other() -> None:
-    for here, there in (({"a": ""}, {}), ({}, {"a": ""})):
-        sentence = manifest_difference(here, there)
-        assert sentence is not None
-        assert "missing" in sentence
-        assert "empty" in sentence
-        assert "--set" not in sentence
-
-
-manifests = st.dictionaries(st.sampled_from(["scene", "law", "a", "b"]), st.sampled_from(["", "1", "2"]))
-
-
-@given(manifests, manifests)
-def test_manifests_differ_exactly_if_they_are_not_equal(mine: dict[str, str], theirs: dict[str, str]) -> None:
-    assert (manifest_difference(mine, theirs) is None) == (mine == theirs)
-
-
-def test_the_sentence_about_huge_values_still_fits_with_its_cure() -> None:
-    sentence = manifest_difference({"k": "x" * 5000}, {"k": "y" * 5000})
-    assert sentence is not None
-    assert one_line(sentence) == sentence

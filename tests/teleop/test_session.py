@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.packet import Echo, Kind, Packet, decode, encode, manifest_difference
+from teleop.manifest import manifest_difference
+from teleop.packet import Echo, Kind, Packet, decode, encode
 from teleop.scene import load_scene
 from teleop.session import AGAIN_NS, AHEAD_NS, LEAD_NS, MOST_CLOCK_NS, RENEW_NS, ROUNDS, TICK_0, Session
 

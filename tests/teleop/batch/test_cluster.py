@@ -22,7 +22,7 @@ from teleop import Refused, sweep
 from teleop.batch import cluster
 from teleop.batch.cluster import connected, parse_address
 from teleop.batch.runner import carry_out, prepare
-from teleop.batch.worker import answer, sources
+from teleop.batch.worker import answer, digest_of, sources
 from teleop.library import ROOT
 from teleop.result import Result
 
@@ -283,6 +283,16 @@ class TestAWorker:
         path = str(tmp_path / there)
         _, said = rig.client.submit(answer, sources(), (path, "digest"), b"", pure=False).result()
         assert f"has {has} {path}; put" in said
+
+    def test_with_another_law_beside_the_scenes_file_has_another_file(self, tmp_path: Path) -> None:
+        (tmp_path / "mine.py").write_text("from law_mine import Law\n")
+        (tmp_path / "law_mine.py").write_text("import gains\n")
+        found = set()
+        for gain in ("1", "2"):
+            (tmp_path / "gains.py").write_text(gain)
+            (tmp_path / "not_asked_for.py").write_text(gain)
+            found |= {digest_of(str(tmp_path / "mine.py")), digest_of(str(tmp_path / "mine.py"))}
+        assert len(found) == 2
 
     def test_that_cannot_import_a_figure_says_so(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                                                  ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -416,6 +417,13 @@ class TestTheCommand:
             settings = ["--set", "law=direct", "--set", f"k_e={factor * edge}"]
             assert json.loads(typed("stability", "soft_tissue", *settings, "--json").out)["verdict"] == verdict
 
+    @pytest.mark.parametrize(("knob", "unit"), [("k_e", "N/m"), ("law.K", "N/m"), ("law.kf", "")])
+    def test_says_the_unit_of_the_critical_value(self, typed: Typed, knob: str, unit: str) -> None:
+        answer = typed("stability", "soft_tissue", "--set", "law=direct", "--set", "delay=0.005", "--critical", knob)
+        found = re.search(rf"critical +{knob} = [0-9.e+-]+ ?(\S*) \(within [0-9.e+-]+ ?(\S*)\)", answer.out)
+        assert found is not None, answer
+        assert found.groups() == (unit, unit)
+
     def test_finds_a_knob_of_the_law_and_takes_another_link(self, typed: Typed) -> None:
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--link", "delay(0.02) ; delay(0.03)",
                        "--critical", "law.kf", "--range", "0.1:1", "--tol", "1e-4", "--json")
@@ -436,7 +444,7 @@ class TestTheCommand:
 
     def test_bisects_a_whole_number_over_whole_numbers(self, typed: Typed) -> None:
         answer = typed("stability", "virtual_wall", "--critical", "delay", "--range", "0:10")
-        assert "delay = 2 is the first that is unstable, 1 is not yet" in answer.out
+        assert "delay = 2 ticks is the first that is unstable, 1 is not yet" in answer.out
         told = json.loads(typed("stability", "virtual_wall", "--critical", "every", "--range", "1:9", "--json").out)
         assert (told["critical"]["value"], told["critical"]["low"], told["critical"]["high"]) == (5, 4, 5)
 
@@ -446,7 +454,7 @@ class TestTheCommand:
         told = json.loads(typed(*arguments, "--json").out)["critical"]
         assert told["all"][0] == {key: told[key] for key in ("value", "low", "high", "stable")}
         assert (told["changes"], len(told["all"])) == (2, 2)
-        assert f"the verdict changes also at {told['all'][1]['value']:.7g} (stable above)" in typed(*arguments).out
+        assert f"the verdict changes also at {told['all'][1]['value']:.7g} N/m (stable above)" in typed(*arguments).out
 
     @pytest.mark.parametrize("duration", ["1.5", "10"])
     def test_behind_an_encoder_names_the_lowest_that_hums_however_long_the_runs(
@@ -455,8 +463,8 @@ class TestTheCommand:
         arguments = ["stability", "encoder_wall", "--time", "--critical", "K", "--range", "100:5000", "--set",
                      f"duration={duration}"]
         answer = typed(*arguments)
-        assert "K = 1201 is the lowest of 26 values tried that does not come to rest, to 2 steps of the encoder; " \
-            "the next below, 1194, does" in answer.out
+        assert "K = 1201 N/m is the lowest of 26 values tried that does not come to rest, to 2 steps of the encoder; " \
+            "the next below, 1194 N/m, does" in answer.out
 
     @pytest.mark.parametrize(("arguments", "words"), [
         (["canonical"], ["Wall", "--time", "tissue"]),
