@@ -22,7 +22,6 @@ from zlib import crc32
 from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
-from teleop.manifest import manifest_difference as manifest_difference  # noqa: PLC0414 (compared as it comes)
 
 VERSION = 2
 MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments

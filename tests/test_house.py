@@ -111,7 +111,7 @@ def test_the_python_of_the_readme_runs() -> None:
     delays, swept, own_law = (run(sys.executable, "-c", block) for block in blocks)
     assert [each.returncode for each in (delays, swept, own_law)] == [0, 0, 0], delays.stderr + own_law.stderr
     assert "{'ok': 12}" in swept.stdout
-    assert [line.split()[1] for line in delays.stdout.splitlines()] == ["ok"] * 3
+    assert [line.split()[2] for line in delays.stdout.splitlines()] == ["ok"] * 3
     assert 0.0 < float(own_law.stdout) < 0.05  # m: the example follows, it does not run away
 
 

@@ -24,7 +24,7 @@ from OpenSSL import SSL
 
 from teleop.secure.context import connection, context
 from teleop.secure.keys import Key
-from teleop.secure.record import CHANGE, HANDSHAKE, HEAD, Dropped, Record, records
+from teleop.secure.record import CHANGE, HANDSHAKE, HEAD, VERIFY_REQUEST, Dropped, Record, records
 from teleop.secure.tunnel import LIMIT_NS, Tunnel
 
 Where = tuple[str, int]
@@ -32,7 +32,7 @@ Where = tuple[str, int]
 MOST_BEGUN = 8  # associations that have begun and are not authenticated yet; of more, the oldest gives way
 APART_NS = 10_000_000  # between two that begin: each costs about 1 ms, and strangers can begin them too
 _SLOT_NS = 30_000_000_000  # a cookie is good for one to two of these
-_VERIFY_REQUEST, _SAYS_1_0 = 3, 0xFEFF
+_SAYS_1_0 = 0xFEFF
 _RANDOM = slice(HEAD.size + 14, HEAD.size + 46)  # of a hello: the same 32 bytes with and without the cookie
 
 
@@ -150,5 +150,5 @@ def _verify_request(number: int, cookie: bytes) -> bytes:
     """A HelloVerifyRequest under the number of its hello (RFC 6347, 4.2.1)."""
     body = _SAYS_1_0.to_bytes(2, "big") + bytes((len(cookie),)) + cookie
     length = len(body).to_bytes(3, "big")
-    message = bytes((_VERIFY_REQUEST,)) + length + bytes(2 + 3) + length + body
+    message = bytes((VERIFY_REQUEST,)) + length + bytes(2 + 3) + length + body
     return HEAD.pack(HANDSHAKE, _SAYS_1_0, 0, number >> 32, number & 0xFFFFFFFF, len(message)) + message

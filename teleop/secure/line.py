@@ -10,6 +10,11 @@ Three associations at most: the one in use, the one that is coming, and the one 
 under way when the keys changed. The one in use goes on until the coming one is authenticated, so that nobody without
 the pinned certificate can end it; a peer that was killed and restarted, at either end, is met again by itself.
 
+The end that calls hears a handshake from one address alone, so that no stranger's word comes into it: the address that
+it called, or the one from which a hello of its own is first answered, for hosts with several addresses do so from any.
+The answer bears the number of the hello, which is drawn at random for that: who does not see what this end sends has
+2**47 to guess from. Who does see it can break a handshake from any address. The certificate decides who it is.
+
 The peer's address is where its newest authenticated packet came from: who moves to another network is followed, a
 copy of a packet sent on from elsewhere draws nothing to itself.
 """
@@ -18,14 +23,17 @@ from __future__ import annotations
 
 from collections import Counter
 
+from teleop.secure.context import first_number
 from teleop.secure.gate import Gate, Where, is_for_gate
 from teleop.secure.keys import Key
-from teleop.secure.record import Dropped
+from teleop.secure.record import Dropped, records
 from teleop.secure.tunnel import LIMIT_NS, Tunnel
 
 SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
 STUCK_NS = 2_000_000_000  # a handshake that nobody answers for so long is with a peer that is no more
 APART_NS = 1_000_000_000  # between two that it begins
+_MOST_HELLOS = 256  # more than are sent in one handshake
+_ANY, _OWN = "0.0.0.0", "127.0.0.1"  # who calls any address of this machine is answered from its first
 Out = tuple[bytes, Where]
 
 
@@ -42,7 +50,9 @@ class Line:
         self._key, self._peer, self._gate = key, peer, gate
         self._use: Tunnel | None = None
         self._coming: Tunnel | None = None
-        self._coming_at: Where | None = address
+        self._coming_at: Where | None = address  # where its flights go
+        self._coming_from: Where | None = address  # and from where it is answered
+        self._first = 0  # the number of its first hello
         self._old: Tunnel | None = None
         self._retired: Counter[str] = Counter()  # what was dropped by those that are gone
         self._changed = 0  # when the one in use came into use
@@ -53,7 +63,8 @@ class Line:
     @classmethod
     def calling(cls, key: Key, peer: str, address: Where) -> Line:
         """The end that begins; the first `due` does."""
-        return cls(key, peer, address, None)
+        host, port = address
+        return cls(key, peer, (_OWN if host == _ANY else host, port), None)
 
     @classmethod
     def listening(cls, key: Key, peer: str, secret: bytes) -> Line:
@@ -82,7 +93,7 @@ class Line:
             return [], self._meet(datagram, address, now)
         # A handshake record may lie behind another: one that is not over hears only the address it goes to.
         there = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None
-                 and (one.ready or address == self._coming_at)]
+                 and (one.ready or address == self._coming_from)]
         if not there:
             self._retired[Dropped.EARLY] += 1
         before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
@@ -127,9 +138,9 @@ class Line:
         if self._gate is not None or self._coming is not None or self.address is None:
             return []
         self._began = self._answered = now
-        self._coming_at = self.address
-        self._coming = Tunnel.towards(self._key, self._peer, now)
-        return [(data, self.address) for data in self._coming.begin(now)]
+        self._coming_at = self._coming_from = self.address
+        self._coming, self._first = Tunnel.towards(self._key, self._peer, now), first_number()
+        return [(data, self.address) for data in self._coming.begin(now, first=self._first)]
 
     def close(self) -> list[Out]:
         """End all there is; what tells the peer."""
@@ -141,12 +152,16 @@ class Line:
             let_in, back = self._gate.receive(datagram, address, now)
             self.trouble = self._gate.refused or self.trouble
             if let_in is not None:
-                self._coming, self._coming_at = let_in, address
+                self._coming, self._coming_at, self._coming_from = let_in, address, address
                 if not self.ready:
                     self._change(now)
             return [(data, address) for data in back]
-        coming = self._coming
-        if coming is None or address != self._coming_at:
+        coming, at = self._coming, self._coming_at
+        asked = [one.number - self._first for one in records(datagram) or [] if one.is_request]
+        answers = all(0 <= number < _MOST_HELLOS for number in asked)  # or it is of another handshake
+        if asked and answers and self._answered == self._began:
+            self._coming_from = address
+        if coming is None or at is None or address != self._coming_from or not answers:
             self._retired[Dropped.EPOCH] += 1
             return []
         back = coming.receive(datagram, now)[1]
@@ -155,7 +170,7 @@ class Line:
             self._ended(coming)
         elif coming.ready:
             self._change(now)
-        return [(data, address) for data in back]
+        return [(data, at) for data in back]  # to where the hello came to its end: a cookie is for the way that it took
 
     def _change(self, now: int) -> None:
         """The coming association is the one in use from now on."""
@@ -163,7 +178,7 @@ class Line:
             self._retired += self._old.dropped
         self._old, self._use, self._coming = self._use, self._coming, None
         self._changed = self._heard = now
-        self.address = self._coming_at
+        self.address = self._coming_from
         self.associations += 1
 
     def _ended(self, tunnel: Tunnel) -> None:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 MTU = 1200  # bytes of a datagram of the handshake: below that of every network in use
 OVERHEAD = 37  # bytes that a sealed record is longer than what it carries: head 13, nonce 8, tag 16 (AES-GCM)
 CHANGE, ALERT, HANDSHAKE, DATA = 20, 21, 22, 23  # types
-CLIENT_HELLO = 1  # the first byte of a handshake message
+CLIENT_HELLO, VERIFY_REQUEST = 1, 3  # first bytes of handshake messages
 HEAD = Struct("!BHHHIH")  # type, version, epoch, number (its upper 16 bits, its lower 32), length
 WINDOW = 64  # records: one that so many newer ones overtook is not taken (RFC 6347, 4.1.2.6)
 _NUMBER = slice(5, 11)
@@ -49,6 +49,11 @@ class Record(NamedTuple):
     def is_hello(self) -> bool:
         """Does it begin a handshake, in the clear?"""
         return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == CLIENT_HELLO
+
+    @property
+    def is_request(self) -> bool:
+        """Does it ask for a hello with a cookie? It bears the number of the hello that it answers (RFC 6347, 4.2.1)."""
+        return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == VERIFY_REQUEST
 
 
 def records(datagram: bytes) -> list[Record] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import socket
 import subprocess
@@ -34,8 +35,8 @@ class Channel:
             sock.settimeout(5.0)
         own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "channel", "canonical", "--listen", "127.0.0.1:0", "--json", *arguments,
-             "--peer", f"127.0.0.1:{self.slave.getsockname()[1]}"],
+            [sys.executable, "-m", "channel", "canonical", "--listen", "127.0.0.1:0", "--json",
+             "--peer", f"127.0.0.1:{self.slave.getsockname()[1]}", *arguments],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**own, "PYTHONPATH": str(ROOT)},
         )
         assert self.process.stdout is not None
@@ -177,6 +178,50 @@ def test_the_link_is_shown_as_it_is_typed() -> None:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("channel: delay(0.05) | bernoulli(0.1); 127.0.0.1:")
         process.terminate()
+
+
+@pytest.mark.parametrize("given", [
+    [], ["--set", "law=pfra", "--set", "law.kf = 0.2"], ["--set", "duration=3", "--link", "delay(0.05) ; delay(0.2)"],
+])
+def test_the_master_is_started_with_the_scene_that_the_channel_was(given: list[str]) -> None:
+    """Typed as it says, the two ends have one manifest; the slave refuses any other."""
+    command = [sys.executable, "-m", "channel", "canonical", "--listen", "0.0.0.0:0", "--peer", "127.0.0.1:9", *given]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stdout is not None
+        said = process.stdout.readline()
+        process.terminate()
+    typed = shlex.split(said.partition("start the master with: ")[2])
+    assert typed[:4] == ["python", "-m", "master", "canonical"]
+    assert typed[4:-2] == given
+    assert typed[-2] == "--peer"
+    assert typed[-1].startswith("THIS-HOST:")
+
+
+def test_any_address_of_this_machine_as_its_peer_is_the_first(channel: Callable[..., Channel]) -> None:
+    """From there comes what answers; it is no slave elsewhere than was said, which the channel would tell of."""
+    one = channel("--link", "none")
+    own = one.slave.getsockname()[1]
+    other = channel("--link", "none", "--peer", f"0.0.0.0:{own}")  # (that of the first one's slave)
+    hello = encode(Packet(Kind.HELLO, 1, 0, 0, None, MANIFEST))
+    one.master.sendto(hello, other.near)
+    data, far = one.slave.recvfrom(65536)
+    assert (data, far[0]) == (hello, "127.0.0.1")
+    one.slave.sendto(encode(Packet(Kind.WELCOME, 1, 0, 0, None, MANIFEST)), far)
+    one.master.recvfrom(65536)
+    other.stop()
+
+
+def test_a_stranger_who_comes_first_does_not_hold_it(channel: Callable[..., Channel]) -> None:
+    """With messages of no session, that never end: the master's HELLO opens the way all the same."""
+    one = channel("--link", "none")
+    for k in range(100):
+        one.stranger.sendto(message(5, k), one.near)
+    assert len(all_of(one.slave)) == 100
+    one.stranger.sendto(message(5, 100), one.near)
+    one.meet(1)
+    one.stranger.sendto(message(5, 101), one.near)
+    one.master.sendto(message(1, 0), one.near)
+    assert message(1, 0) in all_of(one.slave)
 
 
 def test_the_next_session_finds_fresh_water(channel: Callable[..., Channel]) -> None:

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from channel.__main__ import RelayShell
 from channel.link import parse_link
+from channel.shell import RelayShell
 from teleop.packet import Kind, Packet, encode, peek
 from tests.fuzz.datagrams import Hostile, View
 from tests.fuzz.running import AT, MS, fuzzed

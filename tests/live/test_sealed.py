@@ -67,6 +67,25 @@ def test_they_meet_through_a_channel_that_loses_doubles_and_reorders(
     assert summary(tmp_path / "m")["master"]["sealed"] is True
 
 
+@pytest.mark.parametrize("called", ["127.0.0.2", "0.0.0.0"])
+@pytest.mark.parametrize("channels", [0, 1], ids=["directly", "through a channel"])
+def test_a_slave_that_answers_from_another_address_of_its_host_is_met(
+    called: str, channels: int, command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
+) -> None:
+    """A slave on 0.0.0.0 does, if it is called by another address than the system would choose for an answer."""
+    scene = [*SCENE, "--link", "none"]
+    slave = command("slave", *scene, "--listen", "0.0.0.0:0", *has(keys, "slave", "master"),
+                    "--out", str(tmp_path / "s"))
+    to = f"{called}:{slave.port()}"
+    for _ in range(channels):
+        to = f"127.0.0.1:{command('channel', *scene, '--listen', '127.0.0.1:0', '--peer', to).port()}"
+    master = command("master", *scene, "--peer", to, *has(keys, "master", "slave"), "--out", str(tmp_path / "m"))
+    for end in (master, slave):
+        code, out, err = end.end()
+        assert code == 0, (out, err)
+    assert summary(tmp_path / "s")["packets"]["forth"]["received"] > 500
+
+
 @pytest.mark.parametrize("wrong", ["master", "slave"])
 def test_an_end_with_another_key_is_not_let_in(
     wrong: str, command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path

@@ -231,6 +231,24 @@ class TestTheCommand:
         typed("keygen", "hand").assert_refused("pip install 'bilateral-teleop[secure]'")
         assert not Path("hand.key").exists()
 
+    @pytest.mark.parametrize("name", ["slave", "master"])
+    def test_without_the_extra_an_end_that_is_given_a_key_says_what_to_install(
+        self, name: str, process: Callable[..., subprocess.Popen[str]], ended: Callable[..., Any]
+    ) -> None:
+        """It ended in a traceback: No module named 'OpenSSL'."""
+        at = "--listen" if name == "slave" else "--peer"
+        code = ("import sys; from importlib.abc import MetaPathFinder\n"
+                "class Without(MetaPathFinder):\n"
+                "    def find_spec(self, name, path=None, target=None):\n"
+                "        if name in ('OpenSSL', 'cryptography'):\n"
+                "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+                "sys.meta_path.insert(0, Without())\n"
+                "from teleop.secure import keys\n"
+                "keys.find_spec = lambda _: None\n"
+                f"from {name}.__main__ import main\n"
+                f"sys.exit(main(['hard_wall', '{at}', '127.0.0.1:9', '--key', 'k', '--peer-fingerprint', 'f']))")
+        ended(process("-c", code)).assert_refused("pip install 'bilateral-teleop[secure]'")
+
     def test_other_commands_load_nothing_of_it(
         self, process: Callable[..., subprocess.Popen[str]], ended: Callable[..., Any]
     ) -> None:

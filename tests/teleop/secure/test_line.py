@@ -14,6 +14,7 @@ from teleop.secure.line import SILENT_NS, Line
 from teleop.secure.record import OVERHEAD, Dropped
 
 MS = 1_000_000
+OTHER_SLAVE, ANY, LOOPBACK = ("192.0.2.3", 9001), ("0.0.0.0", 9001), ("127.0.0.1", 9001)
 HOME, AWAY, SLAVE = ("192.0.2.1", 4000), ("198.51.100.7", 5000), ("192.0.2.2", 9001)
 STEP = 2  # ms between two packets of an end
 
@@ -25,6 +26,7 @@ class World:
         self.keys, self.now = keys, 0
         self.ways = [Stream(parse_link(link), way, seed, 100) for way in (0, 1)]
         self.from_, self.to = HOME, dict[int, list[tuple[int, bytes]]]()
+        self.answers = SLAVE  # where what the slave sends comes from
         self.came: list[list[tuple[int, int]]] = [[], []]  # (when in ms, number) at master and slave
         self.sent: list[list[int]] = [[], []]
         self.start_master()
@@ -45,7 +47,7 @@ class World:
             for way, line, name in ((0, self.slave, "slave"), (1, self.master, "master")):
                 for arrived in self.ways[way].deliver(self.now):
                     if name != dead:
-                        plain, back = line.receive(arrived.load, SLAVE if way else self.from_, self.now)
+                        plain, back = line.receive(arrived.load, self.answers if way else self.from_, self.now)
                         self.came[1 - way] += [(self.now // MS, int.from_bytes(one[:4], "big")) for one in plain]
                         self._go(1 - way, back)
             self.now += STEP * MS
@@ -58,7 +60,7 @@ class World:
 
     def _go(self, way: int, out: list[Any]) -> None:
         for data, at in out:
-            if at == (self.from_ if way else SLAVE):
+            if at in ((self.from_,) if way else (SLAVE, self.answers)):
                 self.ways[way].send(self.ways[way].sent, self.now, data)
 
     def quiet_until(self, end: int, since: int) -> int:
@@ -143,6 +145,91 @@ def test_a_handshake_is_heard_from_the_peers_address_only(world: Callable[..., W
     assert two.master.dropped == {Dropped.EPOCH: 1}
     two.master.receive(hello, SLAVE, two.now)
     assert "unexpected message" in (two.master.trouble or "")
+
+
+def test_a_slave_that_answers_from_another_address_than_was_called_is_met(world: Callable[..., World]) -> None:
+    """As a host with several does, whose slave listens on all of them. It is called there from then on."""
+    two = world()
+    two.answers = OTHER_SLAVE
+    two.run(1000)
+    assert two.master.ready
+    assert two.slave.ready
+    assert two.master.address == OTHER_SLAVE
+    assert two.master.associations == two.slave.associations == 1
+    assert two.quiet_until(0, 0) < 300
+    two.run(600, dead="slave")
+    two.start_slave()
+    two.run(4000)
+    assert two.came[0][-1][0] > 5500
+    assert two.master.address == OTHER_SLAVE
+
+
+def test_a_handshake_is_heard_from_where_it_was_first_answered_and_goes_on_to_where_it_was_called(
+    keys: list[Key]
+) -> None:
+    """The way that the hello took is the one that its cookie is for. What comes after it goes to where it is heard."""
+    master = Line.calling(keys[0], keys[1].fingerprint, SLAVE)
+    slave = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    flying = master.due(0)
+    said = []
+    while not master.ready:
+        assert {at for _, at in flying} == {SLAVE}
+        said += [data for asked, _ in flying for data, _ in slave.receive(asked, HOME, 0)[1]]
+        back, said = said, []
+        flying = []
+        for data in back:
+            flying += master.receive(data, OTHER_SLAVE, MS)[1]
+            for at in (AWAY, SLAVE):
+                assert master.receive(data, at, MS) == ([], [])
+    assert master.address == OTHER_SLAVE
+    assert master.associations == 1
+
+
+def test_any_address_of_this_machine_is_its_first(keys: list[Key]) -> None:
+    """Who sends to 0.0.0.0 is answered from there."""
+    line = Line.calling(keys[0], keys[1].fingerprint, ANY)
+    assert [at for _, at in line.due(0)] == [LOOPBACK]
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("there", [SLAVE, OTHER_SLAVE])
+def test_a_stranger_who_does_not_see_the_hello_changes_nothing(
+    world: Callable[..., World], keys: list[Key], there: tuple[str, int], seed: int
+) -> None:
+    """It answers as the slave would, all the time and from all over, with good cookies that it was given itself."""
+    two, quiet = world("delay(0.05) | uniform(0.02)", seed), world("delay(0.05) | uniform(0.02)", seed)
+    two.answers = quiet.answers = there
+    theirs = Line.listening(keys[2], keys[0].fingerprint, bytes(32))
+    own = Line.calling(keys[0], keys[2].fingerprint, SLAVE)
+    ((asked, _),) = own.due(0)
+    _, ((request, _),) = theirs.receive(asked, HOME, 0)
+    _, ((again, _),) = own.receive(request, SLAVE, 0)
+    _, flight = theirs.receive(again, HOME, MS)
+    shots = [request, *(request[:5] + number.to_bytes(6, "big") + request[11:] for number in (0, 1, 2**46, 2**48 - 1)),
+             *(data for data, _ in flight), request + flight[0][0]]
+    for _ in range(500):
+        two.run(STEP)
+        quiet.run(STEP)
+        for shot in shots:
+            for at in (AWAY, ("198.51.100.7", 9001)):
+                assert two.master.receive(shot, at, two.now) == ([], [])
+    assert len(flight) > 0
+    assert two.master.ready
+    assert two.master.address == there
+    assert two.master.associations == 1
+    assert two.came == quiet.came
+
+
+def test_a_request_of_an_earlier_handshake_comes_into_no_later_one(world: Callable[..., World]) -> None:
+    """Its cookie is of another hello, and whoever heeded it would not heed the right one any more."""
+    two = world()
+    ((hello, _),) = two.master.due(0)
+    _, ((late, _),) = two.slave.receive(hello, HOME, 0)
+    two.run(2500, dead="slave")
+    assert two.master.trouble == "nobody answers"
+    assert two.master.receive(late, SLAVE, two.now) == ([], [])
+    two.run(500)
+    assert two.master.ready
 
 
 def test_a_long_silence_is_no_end(world: Callable[..., World]) -> None:
