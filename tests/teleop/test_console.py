@@ -168,7 +168,7 @@ class TestProgressOnATerminal:
         stream = Terminal()
         progress = Progress(stream, 30)
         progress.show(10, 0.0)
-        assert stream.lines() == ["[######..............]   33%"]
+        assert stream.lines() == ["[#######.............]   33%"]
         progress.show(15, 5.0)
         assert stream.lines()[0].rstrip() == "[##########..........]   50%  15.0 s left"
 
