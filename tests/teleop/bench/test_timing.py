@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,19 @@ def test_an_alarm_is_timed(spin_ns: int) -> None:
     late = asyncio.run(parts.tick(50, spin_ns))
     assert len(late) == 50
     assert min(late) >= 0
+
+
+def test_ticks_that_a_stall_swallowed_are_late_each_by_its_own() -> None:
+    """One late call for all of them made a loop that stalls look better than one that is a little late each time."""
+    async def run() -> list[int]:
+        asyncio.get_running_loop().call_later(0.04, time.sleep, 0.01)
+        return await parts.tick(60, 0)
+
+    late = asyncio.run(run())
+    assert len(late) == 60
+    assert sum(each > 3_000_000 for each in late) >= 5
+    worst = late.index(max(late))
+    assert late[worst] - late[worst + 1] == parts.TICK_NS
 
 
 def test_a_datagram_goes_there_and_back() -> None:
