@@ -86,7 +86,6 @@ def _from_path(path: Path) -> Any:
     name = f"teleop_scene_{path.stem}_{sha256(content).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
-    _let_import_from(path)
     spec = spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise Refused(f"{path} cannot be loaded as Python")

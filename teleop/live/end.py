@@ -173,10 +173,8 @@ def _greet(e: str, args: Any, wire: Wire) -> None:
         knobs = "".join(f" --set {quote(each)}" for each in args.set or ())
         link = f" --link {quote(args.link)}" if args.link else ""
         keys = " --insecure" if args.insecure else ""
-        if args.key is not None:
-            from teleop.secure.keys import load_key
-
-            keys = f" --key master.key --peer-fingerprint {load_key(args.key).fingerprint}"
+        if wire.line is not None:
+            keys = f" --key master.key --peer-fingerprint {wire.line.fingerprint}"
         print(f"slave: listening on {shown(at)}; start the master with: "
               f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}{keys}", flush=True)
 

@@ -41,11 +41,11 @@ class Line:
     """One end's line to the end whose certificate is pinned. Nothing that comes in raises.
 
     `address`: where the peer is, None before a listening end knows. `trouble`: what went wrong last, a sentence.
-    `associations`: how many there were, all authenticated.
+    `associations`: how many there were, all authenticated. `fingerprint`: this end's own.
     """
 
     def __init__(self, key: Key, peer: str, address: Where | None, gate: Gate | None) -> None:
-        self.address, self.associations = address, 0
+        self.address, self.associations, self.fingerprint = address, 0, key.fingerprint
         self.trouble: str | None = None
         self._key, self._peer, self._gate = key, peer, gate
         self._use: Tunnel | None = None

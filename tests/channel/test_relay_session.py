@@ -11,26 +11,13 @@ import pytest
 from channel.shell import QUIET_NS, TURN_NS, RelayShell
 from teleop.packet import Kind, Packet, encode
 from teleop.scene import load_scene
+from tests.channel.no_wire import NoWire
 
 MS = 1_000_000
 MASTER, SLAVE = ("192.0.2.1", 4000), ("192.0.2.2", 9001)
 STRANGER, OTHER_HOME = ("198.51.100.7", 5000), ("192.0.2.3", 9001)
 SCENE = load_scene("canonical", link="none", duration=100)
 INSIDE = count()
-
-
-class NoSocket:
-    """In place of a socket that nothing goes through."""
-
-    def fileno(self) -> int:
-        return -1
-
-
-class NoWire:
-    """A wire as far as a relay that is called by hand needs one."""
-
-    def __init__(self, peer: tuple[str, int] | None) -> None:
-        self.peer, self.sock = peer, NoSocket()
 
 
 class Site:

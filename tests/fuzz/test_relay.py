@@ -19,6 +19,7 @@ import pytest
 from channel.link import parse_link
 from channel.shell import RelayShell
 from teleop.packet import Kind, Packet, encode, peek
+from tests.channel.no_wire import NoWire
 from tests.fuzz.datagrams import Hostile, View
 from tests.fuzz.running import AT, MS, fuzzed
 from tests.fuzz.test_million import EACH, FORMS, Fire, is_flat
@@ -36,20 +37,6 @@ class Relayed(NamedTuple):
     sha: str
     strange: int
     shell: RelayShell
-
-
-class NoSocket:
-    """In place of a socket that nothing goes through."""
-
-    def fileno(self) -> int:
-        return -1
-
-
-class NoWire:
-    """A wire as far as a relay that is called by hand needs one."""
-
-    def __init__(self, peer: tuple[str, int] | None) -> None:
-        self.peer, self.sock = peer, NoSocket()
 
 
 def relayed(ticks: int, fire: Fire | None, others: list[bytes]) -> Relayed:
