@@ -1,8 +1,11 @@
-"""What is common to all tests: which run when, and side by side with what.
+"""What is common to all tests: which run when, side by side with what, and how hypothesis draws its examples.
 
 The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`. The rest goes file by file to as
 many workers as `-n` says, and whatever starts processes and looks at the clock to one of them, one after the other, so
 that it has the other cores nearly to itself.
+
+No example of hypothesis is judged by its time, which is the machine's. The examples are the same at every run, so that
+what falls falls again; only the tests marked `fuzz` draw new ones, and print what repeats a failure.
 """
 
 from __future__ import annotations
@@ -10,12 +13,19 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadScopeScheduling
 
 LONG = ("soak", "fuzz")
 TIMED = (
     "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/", "tests/teleop/batch/test_cluster.py",
 )
+
+settings.register_profile(
+    "suite", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, database=None,
+    print_blob=True,
+)
+settings.load_profile("suite")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -6,7 +6,7 @@ import sys
 from dataclasses import fields
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from channel.bernoulli import Bernoulli
@@ -43,7 +43,7 @@ def test_describe_is_short() -> None:
         "gilbert_elliott(p_good_to_bad=0.01, p_bad_to_good=0.3) ; in_order()")
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60)
 @given(data=st.data())
 def test_every_link_reads_back_equal(every_effect: list[Effect], data: st.DataObject) -> None:
     one = st.sampled_from(every_effect)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from channel.mahimahi import Mahimahi
@@ -35,14 +35,16 @@ def simulated(trace: list[int], sent_ns: list[int], each: int, queue: int, start
     return left
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150)
 @given(trace=st.lists(st.integers(0, 30), min_size=1, max_size=20).map(sorted).filter(lambda t: t[-1] > 0),
        gaps=st.lists(st.integers(0, 5_000_000), min_size=1, max_size=60), size=st.sampled_from([100, 400, 700, 1500]),
        queue=st.integers(1, 9), start_ms=st.integers(0, 50))
-def test_a_queue_simulated_packet_by_packet(tmp_path: Path, trace: list[int], gaps: list[int], size: int, queue: int,
-                                            start_ms: int) -> None:
-    (tmp_path / "t").write_text("\n".join(map(str, trace)))
-    effect = Mahimahi(str(tmp_path / "t"), queue=queue, start=start_ms / 1000)
+def test_a_queue_simulated_packet_by_packet(
+    tmp_path_factory: pytest.TempPathFactory, trace: list[int], gaps: list[int], size: int, queue: int, start_ms: int
+) -> None:
+    path = tmp_path_factory.mktemp("trace") / "t"
+    path.write_text("\n".join(map(str, trace)))
+    effect = Mahimahi(str(path), queue=queue, start=start_ms / 1000)
     sent = np.cumsum(np.array(gaps, np.int64))
     packet, time_ns, _ = effect.carry(0, np.arange(len(sent)), sent, size)
     expected = simulated(trace, sent.tolist(), 1500 // size, queue, start_ms)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from channel.bernoulli import Bernoulli
@@ -38,7 +38,7 @@ def streamed(link: Way, count: int, dt_ns: int, polls: set[int], seed: int = 1) 
     return stream, out
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150)
 @given(data=st.data(), dt_ns=st.sampled_from([1, 3, 1000, 333_333, MS]), count=st.integers(0, 120))
 def test_the_stream_gives_the_arrivals(every_effect: list[Effect], data: st.DataObject, dt_ns: int, count: int) -> None:
     """For any chain: reordering before queues, copies, ties of many packets in one nanosecond, any polling."""

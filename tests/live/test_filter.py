@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.errors import Refused
@@ -159,7 +159,7 @@ def test_real_sealed_datagrams_come_through(ends: Ends, tmp_path: object) -> Non
 
 
 @linux
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150)
 @given(data=st.data())
 def test_the_kernel_judges_as_the_shapes_read(ends: Ends, data: st.DataObject) -> None:
     """Against the same rules written in Python, over small alphabets so that both verdicts are common."""

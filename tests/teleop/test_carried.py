@@ -23,7 +23,7 @@ DT = 1e-3
 FREE = MassDamper(mass=0.5)
 BODY = MassDamper(mass=0.5, damping=1.0)
 
-quiet = settings(deadline=None, derandomize=True, max_examples=60)
+quiet = settings(max_examples=60)
 
 
 def sine(amplitude: float, frequency: float, count: int) -> list[float]:

@@ -14,7 +14,7 @@ from teleop.plant import MassDamper, Plant, free_space
 
 from .cases import Case
 
-quiet = settings(deadline=None, derandomize=True, max_examples=300)
+quiet = settings(max_examples=300)
 
 
 def ten_to(low: float, high: float) -> Any:

@@ -50,7 +50,7 @@ def test_mean_least_and_most_are_those_of_the_numbers() -> None:
     assert times.recent == pytest.approx(recent)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32), st.sampled_from([1, 2, 5]), st.integers(0, 10**6))
 def test_loss_order_and_jitter_are_those_of_the_link(seed: int, every: int, first: int) -> None:
     dice, link = Random(seed), LinkEstimates(BAND)
@@ -141,7 +141,7 @@ def test_what_nobody_can_have_sent_is_no_round_trip() -> None:
     assert clock.add(0, 5, 7, 15) == 10
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(*[st.integers(-(2**63), 2**63 - 1)] * 4), max_size=60))
 def test_no_times_raise(times: list[tuple[int, int, int, int]]) -> None:
     clock = PeerClock(BAND)

@@ -143,7 +143,7 @@ steps = st.tuples(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(steps, min_size=1, max_size=4), st.integers(0, 2**20), st.booleans())
 def test_whatever_happens_in_whatever_order_they_go_on(happens: list[Any], seed: int, rough: bool) -> None:
     world = World(healing(dt=0.02), seed=seed, **({"jitter": 30 * MS, "loss": 0.1, "copies": 0.1} if rough else {}))

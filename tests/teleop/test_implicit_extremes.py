@@ -31,7 +31,7 @@ any_resistance = st.builds(
     lam=st.just(0.0) | ten_to(-3, 2))
 
 
-@settings(deadline=None, derandomize=True, max_examples=150)
+@settings(max_examples=150)
 @given(any_resistance, ten_to(-4, 3), st.just(0.0) | ten_to(-3, 2), st.just(0.0) | ten_to(-3, 3), ten_to(-5, -1),
        either_sign(ten_to(-7, -1)), either_sign(ten_to(-5, 0.5)), either_sign(ten_to(-3, 2)))
 def test_extremes_end_and_stay_finite(resistance: Resistance, m: float, b: float, fc: float, dt: float, x: float,

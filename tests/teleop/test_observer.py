@@ -28,7 +28,7 @@ def speed_after(v: float, f: float, M: float, b: float, dt: float) -> float:
 
 
 @given(M=masses, b=dampings, dt=ticks, f_h=st.floats(-50.0, 50.0), f_m=st.floats(-50.0, 50.0), v=st.floats(-2.0, 2.0))
-@settings(derandomize=True, max_examples=200)
+@settings(max_examples=200)
 def test_a_constant_force_is_observed_exactly(
     M: float, b: float, dt: float, f_h: float, f_m: float, v: float
 ) -> None:
@@ -60,7 +60,6 @@ def test_a_varying_force_is_observed_as_its_exponentially_weighted_mean(b: float
 
 
 @given(M=masses, dt=ticks, v=st.floats(-2.0, 2.0), after=st.floats(-2.0, 2.0), f_m=st.floats(-50.0, 50.0))
-@settings(derandomize=True)
 def test_without_damping_it_is_mass_times_acceleration_and_the_limit_is_smooth(
     M: float, dt: float, v: float, after: float, f_m: float
 ) -> None:
@@ -72,7 +71,6 @@ def test_without_damping_it_is_mass_times_acceleration_and_the_limit_is_smooth(
 
 
 @given(L=st.floats(1.0, 1000.0), f_h=st.floats(-50.0, 50.0), b=dampings)
-@settings(derandomize=True, deadline=None)
 def test_it_comes_to_a_constant_force_as_a_first_order_filter(L: float, f_h: float, b: float) -> None:
     """f_h_hat(t) = f_h (1 - exp(-L t)), exactly at every tick, whatever f_m does meanwhile."""
     M, dt, v, f_h_hat = 0.1, 1e-3, 0.0, 0.0

@@ -24,7 +24,7 @@ from teleop.plant import (
     spring_damper,
 )
 
-quiet = settings(deadline=None, derandomize=True, max_examples=150)
+quiet = settings(max_examples=150)
 signed = st.floats(-10.0, 10.0, allow_subnormal=False)
 
 

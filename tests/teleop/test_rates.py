@@ -142,7 +142,7 @@ def test_a_constant_wave_comes_out_as_it_went_in(mine: int, theirs: int) -> None
     assert steady == pytest.approx([2.0] * len(steady))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.integers(1, 6), st.integers(1, 6), st.sampled_from([Zero(), Fixed(0.004)]),
     st.lists(st.tuples(st.floats(-9.0, 9.0), st.none() | st.integers(1, 12)), min_size=1, max_size=40),

@@ -16,7 +16,7 @@ from teleop.errors import Refused
 from teleop.plant import MassDamper, Plant, grip, grip_force, move_gripped, spring_damper
 from teleop.relaxing import ElectricalDamping, relaxing, relaxing_master, step3
 
-quiet = settings(deadline=None, derandomize=True, max_examples=150)
+quiet = settings(max_examples=150)
 signed = st.floats(-10.0, 10.0, allow_subnormal=False)
 HAND = (0.4, 200.0, 5.0)
 MASTER = MassDamper(mass=0.1, damping=0.5)

@@ -42,7 +42,6 @@ def silences_of(packets: Iterable[int], count: int) -> list[int]:
 
 @pytest.mark.parametrize("dt", DTS)
 @given(patience=st.integers(1, 300))
-@settings(derandomize=True)
 def test_a_timeout_of_n_ticks_is_n_ticks_whatever_rounding_makes_of_the_division(dt: float, patience: int) -> None:
     dog = Watchdog(timeout=patience * dt, ramp=0.0)
     assert gains(dog, dt, [patience]) == [1.0]
@@ -62,7 +61,6 @@ def test_the_force_ramps_to_zero_in_the_ramps_time_and_back_in_the_same(dt: floa
 
 @given(silences=st.lists(st.integers(0, 60), max_size=80), timeout=st.floats(1e-3, 0.05), ramp=st.floats(0.0, 0.1),
        settle=st.floats(0.0, 0.05))
-@settings(derandomize=True)
 def test_the_gain_stays_between_0_and_1_and_changes_by_a_step_at_most(
     silences: list[int], timeout: float, ramp: float, settle: float
 ) -> None:
@@ -84,7 +82,7 @@ def test_a_ramp_of_nothing_is_a_switch() -> None:
 
 @given(packets=st.sets(st.integers(0, 150)), patience=st.integers(1, 8), wait=st.integers(0, 20),
        ramp=st.integers(0, 9))
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_after_a_silence_the_gain_rises_when_packets_that_were_never_far_apart_span_the_time(
     packets: set[int], patience: int, wait: int, ramp: int
 ) -> None:
@@ -102,7 +100,7 @@ def test_after_a_silence_the_gain_rises_when_packets_that_were_never_far_apart_s
 
 @pytest.mark.parametrize("timeout", [0.01, 0.2, 1.0])
 @given(settle=st.floats(1e-3, 0.5), late=st.integers(1500, 2500))
-@settings(derandomize=True, max_examples=50)
+@settings(max_examples=50)
 def test_a_single_late_packet_lifts_nothing_however_short_the_time_is(timeout: float, settle: float, late: int) -> None:
     got = gains(Watchdog(timeout=timeout, settle=settle), 1e-3, silences_of([late], 4000))
     assert not any(got[1300:])
@@ -118,7 +116,6 @@ def test_packets_that_come_a_little_too_seldom_lift_nothing_and_just_often_enoug
 
 @pytest.mark.parametrize("dt", DTS)
 @given(wait=st.integers(1, 300))
-@settings(derandomize=True)
 def test_a_time_of_n_ticks_is_n_ticks_from_the_first_packet_on(dt: float, wait: int) -> None:
     dog = Watchdog(timeout=2.0 * dt, ramp=0.0, settle=wait * dt)
     got = gains(dog, dt, [1, 2, 3, *[0] * (wait + 1)])
@@ -139,7 +136,6 @@ numbers = st.floats(-1e6, 1e6)
 
 
 @given(f_max=st.floats(0.0, 1e3), slew=st.one_of(st.none(), st.floats(1e-3, 1e6)), asked=st.lists(numbers, max_size=50))
-@settings(derandomize=True)
 def test_what_is_held_is_within_the_cap_and_one_slew_of_what_was_held(
     f_max: float, slew: float | None, asked: list[float]
 ) -> None:
@@ -153,7 +149,6 @@ def test_what_is_held_is_within_the_cap_and_one_slew_of_what_was_held(
 
 
 @given(f_max=st.floats(0.0, 1e3), slew=st.floats(1.0, 1e6), held=numbers)
-@settings(derandomize=True)
 def test_a_force_within_both_is_left_alone_bit_for_bit(f_max: float, slew: float, held: float) -> None:
     held = min(max(held, -f_max), f_max)
     assert cap(Cap(f_max=f_max, slew=slew).limits(1e-3), held, held) == held

@@ -44,7 +44,7 @@ def drives(f: float, along: float) -> bool:
 
 
 @given(f=forces, part=st.one_of(st.floats(-1.5, 1.5), st.floats(0.85, 1.05)), v_max=st.floats(1e-9, 10.0))
-@settings(derandomize=True, max_examples=500)
+@settings(max_examples=500)
 def test_what_drives_fades_linearly_up_to_the_cap_and_what_brakes_stays(f: float, part: float, v_max: float) -> None:
     along = part * v_max
     got = fade(speed_of(v_max), f, along)
@@ -59,7 +59,7 @@ def test_what_drives_fades_linearly_up_to_the_cap_and_what_brakes_stays(f: float
 
 @given(asked=st.lists(forces, max_size=60), v_max=st.floats(0.01, 1.0), mass=st.floats(0.05, 2.0),
        f_max=st.floats(0.1, 100.0), start=st.floats(-1.0, 1.0))
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_gives(
     asked: list[float], v_max: float, mass: float, f_max: float, start: float
 ) -> None:
@@ -73,7 +73,7 @@ def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_
 
 
 @given(left=st.floats(-2.0, 1.0), f=forces, along=speeds)
-@settings(derandomize=True, max_examples=500)
+@settings(max_examples=500)
 def test_an_empty_budget_lets_through_what_brakes_and_one_that_owes_a_second_nothing(
     left: float, f: float, along: float
 ) -> None:
@@ -82,7 +82,6 @@ def test_an_empty_budget_lets_through_what_brakes_and_one_that_owes_a_second_not
 
 
 @given(power=st.floats(1e-6, 1e3), left=st.floats(-1e3, 1e3), work=st.floats(-1e3, 1e3))
-@settings(derandomize=True)
 def test_work_is_paid_for_and_what_is_taken_from_the_device_fills_nothing(
     power: float, left: float, work: float
 ) -> None:
@@ -110,7 +109,7 @@ steps = st.floats(-2e-3, 2e-3)
 
 
 @given(ticks=st.lists(st.tuples(forces, steps), max_size=80), power=st.floats(1e-3, 10.0))
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_where_the_reading_tells_the_motion_no_window_has_more_than_a_seconds_energy_and_a_ticks(
     ticks: list[tuple[float, float]], power: float
 ) -> None:
@@ -120,7 +119,7 @@ def test_where_the_reading_tells_the_motion_no_window_has_more_than_a_seconds_en
 
 
 @given(ticks=st.lists(st.tuples(forces, speeds, steps), max_size=80), power=st.floats(1e-3, 10.0))
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_whatever_the_device_does_no_window_has_more_than_two(
     ticks: list[tuple[float, float, float]], power: float
 ) -> None:

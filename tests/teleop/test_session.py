@@ -103,7 +103,7 @@ def test_tick_0_is_still_ahead_when_the_slave_hears_of_it() -> None:
     assert talk.slave.start_ns > talk.now
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(there=st.integers(0, 200), back=st.integers(0, 200), ahead=st.integers(-(10**12), 10**12))
 def test_the_clock_offset_is_within_half_the_round_trip_however_the_delays_are_shared(
     there: int, back: int, ahead: int
@@ -151,7 +151,7 @@ def test_what_is_lost_is_said_again(kind: Kind, times: int) -> None:
     assert len(talk.sent) == said
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.booleans(), min_size=60, max_size=60))
 def test_any_pattern_of_losses_delays_the_start_and_no_more(pattern: list[bool]) -> None:
     fate = iter(pattern)

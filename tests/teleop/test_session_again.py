@@ -154,7 +154,7 @@ def test_a_slave_that_comes_to_a_running_master_is_told_a_tick_0_that_has_passed
     assert (talk.master.start_ns, talk.slave.start_ns) == (grid, (grid or 0) + talk.slave_ahead)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(step=st.integers(-3 * 10**9, 10**10), there=st.integers(0, 60), back=st.integers(0, 60))
 def test_of_two_grids_that_came_apart_the_one_that_is_further_on_counts_for_no_tick_can_be_taken_back(
     step: int, there: int, back: int
@@ -247,7 +247,7 @@ def test_the_rate_is_that_of_the_master_that_starts_and_not_of_one_that_only_ask
     assert slave.peer_every == 5
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 7900) | st.integers(8200, 9000), st.sampled_from([1, 7, MOST_EVERY]), st.booleans())
 def test_no_answer_is_longer_than_its_hello_and_a_manifest_too_long_for_one_is_refused_where_it_is_written(
     length: int, every: int, running: bool

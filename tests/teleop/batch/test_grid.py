@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from channel.link import parse_link
@@ -19,7 +19,6 @@ from teleop import Refused, load_scene
 from teleop.batch.grid import Grid, Range, grid, plain, sampled
 from teleop.laws.wave import Wave
 
-STEADY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # on a busy machine too
 NAMES = ("delay", "k_e", "d_e", "law", "law.b", "link")
 numbers = st.one_of(st.integers(-(10**6), 10**6), st.floats(allow_nan=False, allow_infinity=False))
 values = st.one_of(numbers, st.text(max_size=8), st.booleans(), st.none())
@@ -42,7 +41,6 @@ def assert_refused(sentence: pytest.ExceptionInfo[Refused], *words: str) -> None
 
 
 class TestNumbering:
-    @STEADY
     @given(axes(), seed_lists)
     def test_is_that_of_product_with_the_seeds_last(self, given_axes: dict[str, list[Any]], seeds: list[int]) -> None:
         made = grid(given_axes, seeds)
@@ -64,7 +62,6 @@ class TestNumbering:
         assert len(made) == 10**9
         assert made.point(10**9 - 1) == ({"delay": 999, "k_e": 999}, 999)
 
-    @STEADY
     @given(axes(), values, st.data())
     def test_changes_with_a_new_value_and_what_is_there_does_not(
             self, given_axes: dict[str, list[Any]], new: Any, data: st.DataObject) -> None:
@@ -148,14 +145,12 @@ class TestSeeds:
         assert grid({}, np.int64(2)).seeds == range(2)  # type: ignore[arg-type]  # as numpy's
         assert grid({}, range(10, 0, -5)).point(1) == ({}, 5)
 
-    @STEADY
     @given(st.integers(0, 2**63), st.integers(1, 1000), st.integers(1, 5))
     def test_are_the_same_however_they_were_given(self, first: int, step: int, count: int) -> None:
         spaced = range(first, first + step * count, step)
         assert grid({}, spaced).definition() == grid({}, list(spaced)).definition()
         assert grid({}, spaced) == grid({}, list(spaced))
 
-    @STEADY
     @given(seed_lists)
     def test_are_all_kept_in_order(self, seeds: list[int]) -> None:
         assert list(grid({}, seeds).seeds) == seeds
@@ -173,14 +168,12 @@ class TestSeeds:
 
 
 class TestDefinition:
-    @STEADY
     @given(axes(), seed_lists)
     def test_is_json_and_equal_for_equal_grids(self, given_axes: dict[str, list[Any]], seeds: list[int]) -> None:
         told = grid(given_axes, seeds).definition()
         assert told == grid({name: tuple(each) for name, each in given_axes.items()}, tuple(seeds)).definition()
         assert json.loads(json.dumps(told, allow_nan=False)) == told
 
-    @STEADY
     @given(axes(), axes(), seed_lists, seed_lists)
     def test_differs_where_the_rows_do(self, one: Any, other: Any, seeds: list[int], others: list[int]) -> None:
         a, b = grid(one, seeds), grid(other, others)
@@ -195,7 +188,7 @@ class TestDefinition:
             "seeds": {"first": 0, "step": 1, "count": 2},
         }
 
-    @settings(STEADY, max_examples=20)
+    @settings(max_examples=20)
     @given(st.integers(0, 1499))
     def test_of_a_long_axis_is_short_and_tells_any_change(self, at: int) -> None:
         other = list(range(1500))
@@ -215,7 +208,6 @@ class TestDefinition:
 
 
 class TestRange:
-    @STEADY
     @given(st.floats(-1e300, 1e300), st.floats(-1e300, 1e300), st.integers(2, 40))
     @example(-1.7e308, 1.7e308, 5)
     def test_has_both_ends_and_even_steps(self, low: float, high: float, n: int) -> None:
@@ -228,13 +220,11 @@ class TestRange:
             even = low * (1 - k / (n - 1)) + high * (k / (n - 1))
             assert isclose(value, even, rel_tol=1e-12, abs_tol=1e-15 * max(abs(low), abs(high)))
 
-    @STEADY
     @given(st.integers(-300, 300), st.integers(1, 100))
     def test_has_the_numbers_that_one_would_type(self, first: int, count: int) -> None:
         got = Range(float(f"{first}e-2"), float(f"{first + count}e-2")).values(count + 1)
         assert got == [float(f"{i}e-2") for i in range(first, first + count + 1)]
 
-    @STEADY
     @given(st.floats(5e-324, 1e308), st.floats(5e-324, 1e308), st.integers(2, 40))
     def test_by_equal_ratios_has_both_ends_exactly(self, low: float, high: float, n: int) -> None:
         assume(low != high)
@@ -246,13 +236,11 @@ class TestRange:
             even = log(low) * (1 - k / (n - 1)) + log(high) * (k / (n - 1))
             assert isclose(log(value), even, rel_tol=1e-13, abs_tol=1e-12) or value < 1e-300
 
-    @STEADY
     @given(st.integers(-30, 30), st.integers(1, 8), st.integers(1, 4))
     def test_by_equal_ratios_hits_whole_decades(self, first: int, decades: int, each: int) -> None:
         got = Range(10.0**first, 10.0 ** (first + decades), log=True).values(decades * each + 1)
         assert got[::each] == [10.0**i for i in range(first, first + decades + 1)]
 
-    @STEADY
     @given(st.floats(1e-300, 1e300), st.floats(1e-300, 1e300), st.booleans(), st.floats(0.0, 1.0))
     @example(0.1, 0.1 + 1.4e-17, False, 0.3)
     @example(0.3, 0.30000000000000004, True, 0.5)
@@ -280,7 +268,6 @@ class TestRange:
 
 
 class TestSample:
-    @STEADY
     @given(st.integers(1, 200), st.integers(0, 2**64 - 1))
     def test_of_a_latin_hypercube_has_one_point_in_each_part_of_every_knob(self, n: int, key: int) -> None:
         made = sampled({"delay": Range(0.0, 1.0), "k_e": Range(1e2, 1e6, log=True)}, n, key=key, latin=True)
@@ -290,14 +277,12 @@ class TestSample:
             for k, value in enumerate(sorted(u)):
                 assert k / n - 1e-12 <= value <= (k + 1) / n + 1e-12
 
-    @STEADY
     @given(st.integers(1, 20), st.integers(1, 20), st.integers(0, 99))
     def test_of_a_latin_hypercube_draws_entries_equally_often(self, n: int, times: int, key: int) -> None:
         made = sampled({"law": [f"law{i}" for i in range(n)]}, n * times, key=key, latin=True)
         drawn = [made.point(i)[0]["law"] for i in range(len(made))]
         assert {drawn.count(f"law{i}") for i in range(n)} == {times}
 
-    @STEADY
     @given(st.integers(1, 50), st.integers(0, 50), st.integers(0, 99))
     def test_that_is_independent_keeps_its_points_when_it_grows(self, n: int, more: int, key: int) -> None:
         ranges: dict[str, Any] = {"delay": Range(0.0, 0.5), "law": ["wave", "pfra"]}

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import Refused
 from teleop.batch.table import Table, TableBuilder
 from teleop.laws.wave import Wave
 
-STEADY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # on a busy machine too
 KNOBS, METRICS = ("delay", "law", "n"), ("x_err_rms", "E_link_min")
 finite = st.floats(allow_nan=False, allow_infinity=False)
 ints = st.integers(-(2**62), 2**62)
@@ -60,7 +59,6 @@ def kinds_of(rows: list[dict[str, Any]]) -> list[list[type]]:
 
 
 class TestRows:
-    @STEADY
     @given(tables())
     def test_come_back_as_they_were_in_the_order_of_their_numbers(self, rows: list[dict[str, Any]]) -> None:
         table = made(*rows)
@@ -159,7 +157,6 @@ class TestColumns:
 
 
 class TestWhere:
-    @STEADY
     @given(tables(), st.data())
     def test_keeps_the_rows_that_have_the_values(self, rows: list[dict[str, Any]], data: st.DataObject) -> None:
         knob = data.draw(st.sampled_from(KNOBS))
@@ -178,7 +175,6 @@ class TestWhere:
 
 
 class TestCounts:
-    @STEADY
     @given(tables())
     def test_are_of_each_status(self, rows: list[dict[str, Any]]) -> None:
         statuses = [each["status"] for each in rows]
@@ -191,7 +187,6 @@ class TestCounts:
 
 
 class TestFiles:
-    @STEADY
     @given(rows=tables())
     def test_of_json_lines_have_one_object_a_line_with_the_same_keys(
             self, rows: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -206,7 +201,6 @@ class TestFiles:
                 for each in read] == list(table)
         assert list(Table(read, KNOBS, METRICS)) == list(table)
 
-    @STEADY
     @given(rows=tables())
     def test_of_csv_hold_every_cell(self, rows: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> None:
         path = tmp_path_factory.mktemp("table") / "rows.csv"

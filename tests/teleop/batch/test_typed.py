@@ -7,14 +7,13 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from teleop import Refused
 from teleop.batch.grid import Range, grid
 from teleop.batch.typed import parse_axes, parse_ranges
 
-STEADY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # on a busy machine too
 NAMES = ("delay", "k_e", "d_e", "law", "law.b", "link")
 numbers = st.one_of(st.integers(-(10**6), 10**6), st.floats(allow_nan=False, allow_infinity=False))
 LINKS = ["delay(0.05)", "delay(0.05) | uniform(0.02)", "delay(0.05) | gamma(0.01, 2.0) ; delay(0.2)", "none",
@@ -61,7 +60,6 @@ class TestTyped:
         assert [type(v) for each in got.values() for v in each] == [type(v) for each in read.values() for v in each]
         assert grid(got).definition() == grid(read).definition()
 
-    @STEADY
     @given(st.dictionaries(st.sampled_from(NAMES), st.lists(
         st.one_of(numbers, st.sampled_from(LINKS), st.text(st.characters(codec="utf-8"), max_size=12)), min_size=1),
         min_size=1))
@@ -72,7 +70,6 @@ class TestTyped:
         assert parse_axes(shlex.split(shlex.join(spelled))) == wanted
         assert parse_axes([" ".join(spelled)]) == wanted
 
-    @STEADY
     @given(st.lists(st.sampled_from(LINKS), min_size=1))
     def test_links_need_no_quotes(self, links: list[str]) -> None:
         assert parse_axes([f"link={','.join(links)}", "law=wave"]) == {"link": links, "law": ["wave"]}
@@ -108,7 +105,6 @@ class TestTyped:
         with pytest.raises(Refused, match="law is in the grid twice"):
             parse_axes(["law=wave", "law,law.b=pfra/1"])
 
-    @STEADY
     @given(st.text(max_size=30))
     def test_nothing_else_happens_whatever_is_typed(self, text: str) -> None:
         for each in (text, f"delay={text}", f"delay,k_e={text}"):

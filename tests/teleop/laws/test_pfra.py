@@ -49,7 +49,7 @@ def size(f: Vector) -> float:
 
 
 @given(f_env=force, f_h_hat=force, kf=gain)
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_in_one_axis_it_is_the_reflected_force_clipped_between_nothing_and_the_hands(
     f_env: float, f_h_hat: float, kf: float
 ) -> None:
@@ -60,7 +60,7 @@ def test_in_one_axis_it_is_the_reflected_force_clipped_between_nothing_and_the_h
 
 
 @given(forces=vector, kf=gain)
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_with_alpha_0_it_never_pushes_with_the_hand_nor_harder_than_the_hand(
     forces: tuple[Vector, Vector], kf: float
 ) -> None:
@@ -72,7 +72,7 @@ def test_with_alpha_0_it_never_pushes_with_the_hand_nor_harder_than_the_hand(
 
 
 @given(forces=vector, kf=gain)
-@settings(derandomize=True, max_examples=200)
+@settings(max_examples=200)
 def test_with_alpha_0_it_is_the_nearest_point_of_the_hands_segment(
     forces: tuple[Vector, Vector], kf: float
 ) -> None:
@@ -87,7 +87,7 @@ def test_with_alpha_0_it_is_the_nearest_point_of_the_hands_segment(
 
 
 @given(forces=vector, kf=gain, alpha=st.floats(0.0, 1.0))
-@settings(derandomize=True, max_examples=200)
+@settings(max_examples=200)
 def test_alpha_weighs_direct_reflection_against_the_projection(
     forces: tuple[Vector, Vector], kf: float, alpha: float
 ) -> None:
@@ -96,7 +96,6 @@ def test_alpha_weighs_direct_reflection_against_the_projection(
 
 
 @given(forces=vector, kf=gain)
-@settings(derandomize=True)
 def test_alpha_1_is_direct_reflection_bit_for_bit(forces: tuple[Vector, Vector], kf: float) -> None:
     f_env, f_h_hat = forces
     assert reflected(PFRA(kf=kf, alpha=1.0), f_env, f_h_hat) == tuple(kf * f for f in f_env)
@@ -140,7 +139,7 @@ def test_alpha_1_is_direct_reflection_in_a_whole_run(axes: int, observer: float 
 
 @given(kf=st.floats(0.0, 1e6), delay=st.floats(0.0, 0.3), push=st.floats(0.001, 0.05),
        observer=st.sampled_from([None, 50.0, 200.0]), axes=st.sampled_from([1, 3]), seed=st.integers(0, 99))
-@settings(derandomize=True, max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_master_that_nobody_holds_is_never_moved(
     kf: float, delay: float, push: float, observer: float | None, axes: int, seed: int
 ) -> None:
@@ -208,7 +207,7 @@ def let_go(L: float, f_env: float, f_h_hat: float, *, body: MassDamper, speed: f
 
 @given(L=st.floats(10.0, 500.0), f_env=st.floats(0.1, 50.0), f_h_hat=st.floats(0.1, 50.0),
        mass=st.floats(0.02, 2.0), damping=st.floats(0.0, 5.0), speed=st.floats(-1.0, 1.0))
-@settings(derandomize=True, max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_after_letting_go_the_impulse_is_at_most_what_the_observer_still_remembers(
     L: float, f_env: float, f_h_hat: float, mass: float, damping: float, speed: float
 ) -> None:

@@ -33,7 +33,6 @@ motion = st.floats(-10.0, 10.0).map(lambda value: round(value, 12))  # no square
 
 
 @given(b=spread(1e-3, 1e3), v=motion, w=motion)
-@settings(derandomize=True)
 def test_the_masters_power_is_that_of_its_waves(b: float, v: float, w: float) -> None:
     f, (u,), _ = Wave(b=b).master((), at(v=v), Back(w))
     size = u * u + w * w
@@ -56,7 +55,7 @@ gains = st.one_of(st.just(0.0), spread(1e-2, 1e9))
 
 @given(b=spread(1e-3, 1e3), K=gains, B=st.one_of(st.just(0.0), spread(1e-3, 1e4)), dt=spread(1e-5, 1e-1),
        u=motion, v=motion, x=st.floats(-0.01, 0.01))
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_the_slaves_power_is_that_of_its_waves(
     b: float, K: float, B: float, dt: float, u: float, v: float, x: float
 ) -> None:
@@ -75,7 +74,7 @@ def test_the_slaves_power_is_that_of_its_waves(
 @pytest.mark.parametrize("K", [0.0, 500.0, 1e6, 1e9])
 @given(b=spread(1e-3, 1e3), B=spread(1e-3, 1e4), dt=spread(1e-5, 1e-1), u=motion, v=motion,
        x=motion, x_d=motion)
-@settings(derandomize=True, max_examples=40)
+@settings(max_examples=40)
 def test_velocity_and_force_of_the_slaves_port_solve_their_two_equations_together(
     K: float, b: float, B: float, dt: float, u: float, v: float, x: float, x_d: float
 ) -> None:
@@ -98,7 +97,6 @@ def test_velocity_and_force_of_the_slaves_port_solve_their_two_equations_togethe
 
 
 @given(b=spread(1e-3, 1e3), v=motion, w=motion, x=motion)
-@settings(derandomize=True)
 def test_a_missing_wave_counts_as_zero_whatever_came_before(b: float, v: float, w: float, x: float) -> None:
     law = Wave(b=b)
     assert law.master((), at(v=v, fresh=False), Back(w)) == law.master((), at(v=v), Back(0.0))

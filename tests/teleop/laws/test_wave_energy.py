@@ -57,7 +57,7 @@ bodies = {
 
 
 @given(delay=st.floats(0.0, 0.5), **bodies)
-@settings(derandomize=True, max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_link_never_gives_more_than_it_got_at_any_constant_delay(delay: float, b: float, **other: float) -> None:
     assert lowest(scene(Wave(b=b), Delay(delay), **other)) >= -1e-9
 
@@ -65,7 +65,7 @@ def test_the_link_never_gives_more_than_it_got_at_any_constant_delay(delay: floa
 @given(delay=st.floats(0.0, 0.2), loss=st.floats(0.0, 0.9), jitter=st.floats(0.0, 0.05),
        copies=st.floats(0.0, 1.0), seed=st.integers(0, 2**64 - 1),
        gaps=st.sampled_from([Zero(), Fixed(0.03), Fixed(0.15)]), **bodies)
-@settings(derandomize=True, max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_nor_with_random_loss_jitter_and_copies_if_the_gaps_are_zero(
     delay: float, loss: float, jitter: float, copies: float, seed: int, gaps: Playout, b: float, **other: float
 ) -> None:

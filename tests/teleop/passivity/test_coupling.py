@@ -39,7 +39,7 @@ part = st.floats(0.0, 0.95)
 
 
 class TestBound:
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     @given(K=K, B=B, share=part, th=st.floats(0.01, pi), d=st.integers(0, 3))
     def test_no_environment_on_the_circle_asks_for_more(
             self, K: float, B: float, share: float, th: float, d: int) -> None:
@@ -55,7 +55,7 @@ class TestBound:
         assert worst <= bound + 1e-6 * (abs(C) ** 2 / rho + 1.0)
         assert worst == pytest.approx(bound, abs=2e-5 * (abs(C) ** 2 / rho + 1.0))
 
-    @settings(max_examples=20, deadline=None)
+    @settings(max_examples=20)
     @given(K=K, B=B, delta=st.floats(0.01, 8.0))
     def test_without_delay_the_closed_form(self, K: float, B: float, delta: float) -> None:
         exact = alpha_max_spring_damper(delta, K, B, T)
@@ -66,14 +66,14 @@ class TestBound:
         if exact is not None:
             assert found == pytest.approx(exact, abs=1e-6)
 
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     @given(K=K, B=B)
     def test_a_passive_environment_needs_what_a_clamped_tool_does(self, K: float, B: float) -> None:
         assert needed_damping(spring_damper(K, B, T), 0.0, T).damping == pytest.approx(
             wall_damping(K, B, T).damping, rel=1e-7)
 
     @given(K=st.floats(1.0, 5e3), d=st.integers(0, 5))
-    @settings(max_examples=20, deadline=None)
+    @settings(max_examples=20)
     def test_with_delay_worse_ones_than_a_clamped_tool_exist(self, K: float, d: int) -> None:
         needed = needed_damping(spring_damper(K, 0.0, T), 0.0, T, d=d).damping
         assert needed == pytest.approx(0.5 * K * T * (d + 1) ** 2, rel=1e-6)
@@ -140,7 +140,7 @@ def polynomials(law: VirtualCoupling) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TestToolLack:
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=150)
     @given(law=tools)
     def test_unstable_by_itself_is_what_grows(self, law: VirtualCoupling) -> None:
         """The law's own tick, apart from the edge itself."""
@@ -170,7 +170,7 @@ class TestToolLack:
         if abs(root) > 1.2:
             assert np.abs(np.roots(polynomials(law)[0])).max() == pytest.approx(abs(root), rel=1e-3)
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=100)
     @given(law=tools)
     def test_with_a_finite_alpha_it_is_positive_real_all_over_the_outside(self, law: VirtualCoupling) -> None:
         found = tool_lack(law, T)
@@ -179,7 +179,7 @@ class TestToolLack:
         if not found.why:
             assert (E.real + found.alpha >= -1e-6 * np.abs(E)).all()
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=100)
     @given(law=tools.filter(lambda law: law.theta_f < 0.5), alpha=st.floats(0.0, 1e4))
     def test_where_it_anticipates_no_damper_does_it(self, law: VirtualCoupling, alpha: float) -> None:
         assert tool_lack(law, T).alpha == inf
@@ -262,7 +262,7 @@ def environment(alpha: float, b: float, k: float, m: float) -> Ratio:
 
 
 class TestClosedLoops:
-    @settings(max_examples=80, deadline=None)
+    @settings(max_examples=80)
     @given(K=st.floats(10.0, 5e3), B=B, share=part, d=st.integers(0, 2), b=st.sampled_from([0.0, 0.1, 5.0]),
            k=st.sampled_from([0.0, 10.0, 1e3, 1e5]), m_e=st.floats(1e-4, 1.0), m=st.floats(5e-3, 1.0),
            hand=st.floats(1.0, 5e3))

@@ -45,7 +45,7 @@ class TestSpringDamper:
     def test_a_spring_alone_needs_half_a_sample_and_the_delay(self, K: float, d: int) -> None:
         assert wall_damping(K, 0.0, T, d).damping == pytest.approx(K * T * (0.5 + d), rel=1e-10)
 
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=40)
     @given(K=stiffness, B=damping, d=st.integers(0, 40))
     def test_the_search_for_any_controller_agrees(self, K: float, B: float, d: int) -> None:
         found = needed_damping(spring_damper(K, B, T), T, d=d)
@@ -117,7 +117,7 @@ def test_a_force_renewed_slowly_makes_as_much_energy_as_the_form_says(K: float, 
 
 
 @given(K=stiffness, every=st.integers(1, 12), periods=st.integers(0, 3))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_spring_renewed_slowly_is_one_with_a_longer_sample(K: float, every: int, periods: int) -> None:
     got = needed_damping(spring_damper(K, 0.0, T), T, d=periods * every, every=every).damping
     assert got == pytest.approx(K * every * T * (0.5 + periods), rel=1e-8, abs=1e-9)
@@ -145,7 +145,7 @@ def loop_radius(K: float, B: float, d: int, m: float, b: float, k: float, c: flo
     return float(np.abs(np.linalg.eigvals(loop)).max())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(K=st.floats(1.0, 5e3), B=st.floats(-1.0, 3.0), d=st.integers(0, 6), m=st.floats(5e-3, 2.0),
        k=st.floats(1.0, 5e3))
 def test_whatever_passive_hand_holds_a_passive_wall_the_loop_is_stable(

@@ -181,7 +181,7 @@ class TestWaves:
         assert free == pytest.approx(0.8 * np.tanh(0.05 * s))
         assert clamped[:2] == pytest.approx(0.8 / np.tanh(0.05 * s[:2]))
 
-    @settings(max_examples=15, deadline=None)
+    @settings(max_examples=15)
     @given(b=st.floats(0.1, 20.0), K=st.floats(10.0, 5e3), T=st.floats(0.001, 0.5),
            ratio=st.floats(0.0, 0.9) | st.floats(1.1, 5.0))
     def test_in_continuous_time_they_are_passive_at_every_delay(

@@ -153,7 +153,7 @@ class TestLeftOut:
     def test_a_cap_on_driving_force_may_take_braking_force_within_a_tick(self, limit: dict[str, float]) -> None:
         assert one_port(replace(wall(), cap=Cap(f_max=2.0, **limit))).passive is None
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(x=st.lists(st.floats(-5e-3, 5e-3), min_size=5, max_size=40), d=st.integers(0, 2), f_max=st.floats(0.1, 3.0))
     def test_a_capped_spring_makes_no_more_than_its_bound(self, x: list[float], d: int, f_max: float) -> None:
         """Over a closed path, from and to rest: straight from the samples, at constant velocity between them."""

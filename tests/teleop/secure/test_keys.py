@@ -140,7 +140,7 @@ class TestReading:
         with pytest.raises(Refused, match="unencrypted"):
             load_key(made[0])
 
-    @settings(max_examples=200, deadline=None)
+    @settings(max_examples=200)
     @given(st.sampled_from(["cut", "tail", "zero", "turned"]), st.floats(0.0, 1.0, exclude_max=True))
     def test_a_damaged_file_is_refused_or_still_the_same_key(
         self, whole: Path, damage: str, part: float

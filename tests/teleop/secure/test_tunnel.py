@@ -278,7 +278,7 @@ class TestStrangers:
             assert end.dropped == {Dropped.EPOCH: 2}
         assert opened(other, sealed(one, b"x")) == [b"x"]
 
-    @settings(max_examples=400, deadline=None)
+    @settings(max_examples=400)
     @given(st.data())
     def test_no_change_of_any_byte_goes_unnoticed(self, standing: Any, data: st.DataObject) -> None:
         one, other = standing

@@ -123,7 +123,7 @@ def under_fire(seed: int, noise: list[bytes], shots: int) -> tuple[int, int]:
     return shots, taken
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.integers(0, 2**32), st.lists(st.binary(max_size=200), min_size=1, max_size=5))
 def test_no_bytes_raise_or_are_played_that_are_no_packet_of_this_session(seed: int, noise: list[bytes]) -> None:
     under_fire(seed, noise, 60)

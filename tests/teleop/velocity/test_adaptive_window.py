@@ -47,7 +47,7 @@ def by_trying(kind: type, readings: list[int], noise: Fraction, most: int) -> tu
 
 @KINDS
 @given(readings=counts, noise=st.sampled_from([Fraction(1, 2), Fraction(1), Fraction(5, 2)]), most=st.integers(1, 20))
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_it_is_the_longest_line_that_passes_by_every_reading(
     kind: type, readings: list[int], noise: Fraction, most: int
 ) -> None:
@@ -72,14 +72,14 @@ def test_its_lines_are_those_of_numpy(kind: type, n: int) -> None:
 
 @KINDS
 @given(readings=counts)
-@settings(derandomize=True, max_examples=50)
+@settings(max_examples=50)
 def test_a_window_of_one_tick_is_the_backward_difference(kind: type, readings: list[int]) -> None:
     xs = [1e-5 * y for y in readings]
     assert velocities(kind(noise=1e-5, most=1), xs) == velocities(BackwardDifference(), xs)
 
 
 @given(v=st.floats(-2.0, 2.0), phase=st.floats(0.0, 0.999), most=st.integers(2, 30))
-@settings(derandomize=True, max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_on_a_quantised_ramp_the_end_fit_keeps_its_longest_window(v: float, phase: float, most: int) -> None:
     """So it is off by less than one step over the whole window, however the encoder rounds."""
     found = velocities(EndFit(noise=STEP, most=most), floored(ramp(v, 3 * most), STEP, phase))
@@ -93,7 +93,7 @@ def test_on_a_quantised_ramp_the_end_fit_keeps_its_longest_window(v: float, phas
     v=st.floats(-0.3, 0.3),
     phase=st.floats(0.0, 0.999),
 )
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_error_is_within_the_bound_of_the_window_that_was_chosen(
     kind: type, pushes: list[tuple[float, int]], v: float, phase: float
 ) -> None:

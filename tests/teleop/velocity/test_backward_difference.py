@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import floor
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.velocity.backward_difference import BackwardDifference
@@ -16,7 +16,6 @@ accelerations = st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=100)
 
 
 @given(x0=st.floats(-1.0, 1.0), x1=st.floats(-1.0, 1.0), span=st.sampled_from([1e-4, 1e-3, 0.5]))
-@settings(derandomize=True)
 def test_it_is_the_difference_over_the_span(x0: float, x1: float, span: float) -> None:
     estimator = BackwardDifference()
     v, s = estimator.step(estimator.coefficients(T), estimator.start(x0), x1, span)
@@ -25,7 +24,6 @@ def test_it_is_the_difference_over_the_span(x0: float, x1: float, span: float) -
 
 
 @given(a=accelerations, v=st.floats(-1.0, 1.0))
-@settings(derandomize=True)
 def test_it_lags_by_half_a_tick_exactly(a: list[float], v: float) -> None:
     xs, vs = driven(a, v)
     found = velocities(BackwardDifference(), xs)

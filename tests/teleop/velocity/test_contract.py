@@ -161,7 +161,7 @@ def scaled(estimator: Any, length: float, time: float) -> Any:
 
 @every
 @given(walk=walks)
-@settings(derandomize=True, max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_it_does_not_depend_on_the_units(estimator: Any, walk: list[int]) -> None:
     """Lengths by 16 and times by 4, powers of four, so that nothing is rounded: bit for bit."""
     readings = [sum(walk[:k]) * 1e-5 for k in range(len(walk))]
@@ -171,7 +171,7 @@ def test_it_does_not_depend_on_the_units(estimator: Any, walk: list[int]) -> Non
 
 @every
 @given(walk=walks, offset=st.integers(-(2**20), 2**20))
-@settings(derandomize=True, max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_it_does_not_depend_on_the_place_or_the_direction(estimator: Any, walk: list[int], offset: int) -> None:
     """Readings in whole steps of 2^-17 m, so that moving them rounds nothing."""
     step = 2.0**-17

@@ -24,7 +24,7 @@ bounds = st.sampled_from([0.1, 1.0, 30.0])
     off=st.floats(-1e-2, 1e-2) | st.floats(-2e-6, 2e-6),
     span=st.sampled_from([1e-4, 1e-3, 5e-3]),
 )
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_a_step_solves_the_implicit_equations(L: float, z0: float, z1: float, off: float, span: float) -> None:
     """Both right sides at the end of the step; the sign is one number, of [-1, 1] where sigma is zero."""
     x = z0 + span * z1 - off
@@ -61,7 +61,7 @@ def test_for_a_short_tick_it_is_the_differential_equation(L: float) -> None:
 
 
 @given(L=bounds, v=st.floats(0.01, 1.0))
-@settings(derandomize=True, max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_it_comes_to_a_ramp_in_finite_time(L: float, v: float) -> None:
     """1.25 v/L, measured, and from there on the slope to rounding."""
     ticks = int(1.3 * v / L / T) + 5
@@ -92,7 +92,7 @@ def test_the_worst_constant_acceleration_takes_ten_times_v_over_L(L: float) -> N
 
 
 @given(L=bounds, shares=st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=100))
-@settings(derandomize=True, max_examples=100)
+@settings(max_examples=100)
 def test_once_there_it_is_off_by_half_a_tick_of_acceleration_at_most(L: float, shares: list[float]) -> None:
     """From rest, which it knows: it slides from the first tick, and no acceleration within L ends that."""
     xs, vs = driven([share * L for share in shares])
@@ -105,7 +105,7 @@ def test_once_there_it_is_off_by_half_a_tick_of_acceleration_at_most(L: float, s
     steps=st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), min_size=3, max_size=100),
     share=st.floats(0.0, 0.024),
 )
-@settings(derandomize=True, max_examples=100)
+@settings(max_examples=100)
 def test_a_noise_far_below_the_acceleration_of_a_tick_does_not_end_the_sliding(
     L: float, steps: list[tuple[float, float]], share: float
 ) -> None:

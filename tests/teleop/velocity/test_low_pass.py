@@ -6,7 +6,7 @@ from math import expm1, pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete, freqz, lfilter
 
@@ -55,7 +55,6 @@ def test_the_cutoff_is_where_half_of_the_power_is_left() -> None:
 
 
 @given(cutoff=st.floats(0.1, 100.0), v=st.floats(-1.0, 1.0))
-@settings(derandomize=True, deadline=None)
 def test_it_comes_to_a_ramp_exponentially(cutoff: float, v: float) -> None:
     found = velocities(LowPass(cutoff=cutoff), ramp(v, 200))
     for k in range(1, 200):
@@ -63,7 +62,6 @@ def test_it_comes_to_a_ramp_exponentially(cutoff: float, v: float) -> None:
 
 
 @given(cutoff=cutoffs, d=st.floats(-1.0, 1.0), v=st.floats(-1.0, 1.0), n=st.integers(1, 10))
-@settings(derandomize=True)
 def test_one_long_span_is_as_many_short_ones(cutoff: float, d: float, v: float, n: int) -> None:
     estimator = LowPass(cutoff=cutoff)
     c = estimator.coefficients(T)
@@ -75,7 +73,6 @@ def test_one_long_span_is_as_many_short_ones(cutoff: float, d: float, v: float, 
 
 
 @given(cutoff=cutoffs, a=st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=200), phase=st.floats(0.0, 0.99))
-@settings(derandomize=True, deadline=None)
 def test_the_error_is_at_most_the_lag_and_the_share_of_the_step(cutoff: float, a: list[float], phase: float) -> None:
     step, r, most = 1e-5, rate(cutoff), max(map(abs, a))
     xs, vs = driven(a)
