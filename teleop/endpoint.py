@@ -289,7 +289,8 @@ class Endpoint:
         return tuple([kind(*payload[i * n : i * n + n]) for i in self._axes])
 
     def _datagram(self, k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
-        payload = tuple(tx[0]) if len(tx) == 1 else tuple([number for message in tx for number in message])
+        # Floats alone: a law may give an int or one of numpy's, which the peer would take for a malformed packet.
+        payload = tuple(map(float, tx[0] if len(tx) == 1 else [number for message in tx for number in message]))
         session = self.session
         if not all(map(isfinite, payload)):
             self.message_failed = True
@@ -298,5 +299,5 @@ class Endpoint:
             return None
         newest = self._newest
         echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))
-        stamp = None if self._E_in is None or not isfinite(row[self._E_in]) else row[self._E_in]
+        stamp = None if self._E_in is None or not isfinite(row[self._E_in]) else float(row[self._E_in])
         return encode(Packet(self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp), self._size)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from math import isfinite, isnan
-from typing import Protocol
+from math import inf, isfinite, isnan
+from numbers import Real
+from typing import Any, Protocol
 
 from teleop.endpoint import Axes, Reading
 from teleop.errors import DeviceError, Refused
 
 DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
+_FLOAT = frozenset((float,))
 
 
 class Device(Protocol):
@@ -18,7 +20,10 @@ class Device(Protocol):
     """
 
     def read(self, k: int) -> Reading:
-        """What it reads at tick k; the force held since the last reading acted until now."""
+        """What it reads at tick k; the force held since the last reading acted until now.
+
+        A number may be of any real type (int, numpy's scalars); what is none (bool, str, None, complex) is refused.
+        """
         ...
 
     def hold(self, force: Axes) -> None:
@@ -41,9 +46,10 @@ class Stand:
         self._sound_ns: int | None = None  # when it was last well, or first asked
 
     def read(self, k: int, now: int) -> Reading | None:
-        """What it reads at tick k; None: it could not, or a velocity, a force or NaN among it is not finite.
+        """What it reads at tick k, in floats; None: it could not, or a velocity, a force or NaN among it is not finite.
 
-        A position that is infinite is let through: it is a body that has left, which ends the run.
+        A position that is infinite is let through: it is a body that has left, which ends the run. Raises `Refused` if
+        its first reading is not made of numbers; a later one that is not is no reading.
         """
         if self._sound_ns is None:
             self._sound_ns = now
@@ -52,8 +58,14 @@ class Stand:
         except (DeviceError, OSError) as error:
             self.trouble = str(error) or type(error).__name__
             return None
-        if not self._known:
-            self._check(reading)
+        try:
+            reading = _in_floats(reading, len(self._zero))
+        except Refused as refused:
+            if not self._known:
+                raise
+            self.trouble = str(refused)
+            return None
+        self._known = True
         if not self.trusted and not self._is_sound(reading):
             self.trouble = "what it reads is not finite"
             return None
@@ -77,16 +89,37 @@ class Stand:
         """Has it failed for so long that it is not worth waiting for?"""
         return self._sound_ns is not None and now - self._sound_ns > DEAD_NS
 
-    def _check(self, reading: Reading) -> None:
-        """Refuse a device that reads something else than it should, at its first reading."""
-        axes, self._known = len(self._zero), True
-        parts = [part for part in reading if part is not None] if isinstance(reading, Reading) else []
-        if not parts or any(not isinstance(part, tuple) or len(part) != axes for part in parts):
-            x, v = (f"({letter}{',' if axes == 1 else f', {letter}2' * (axes - 1)})" for letter in "xv")
-            raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "
-                          f"{axes}, in m, m/s and N, f None without a force sensor; this one gave {str(reading)[:99]}; "
-                          f"write for example Reading({x}, {v}, None)")
-
     @staticmethod
     def _is_sound(reading: Reading) -> bool:
         return all(map(isfinite, reading.v + (reading.f or ()))) and not any(map(isnan, reading.x))
+
+
+def _in_floats(reading: Any, axes: int) -> Reading:
+    """`reading` with every number as a float. Raises `Refused` if it is not made of numbers, one for each axis."""
+    if type(reading) is Reading:
+        x, v, f = reading
+        if (type(x) is type(v) is tuple and len(x) == len(v) == axes and _FLOAT.issuperset(map(type, x + v))
+                and (f is None or (type(f) is tuple and len(f) == axes and _FLOAT.issuperset(map(type, f))))):
+            return reading  # nearly always
+        if all(isinstance(part, tuple) and len(part) == axes and all(map(_is_number, part))
+               for part in (x, v, *(() if f is None else (f,)))):
+            return Reading(_floats(x), _floats(v), None if f is None else _floats(f))
+    sample_x, sample_v = (f"({letter}{',' if axes == 1 else f', {letter}2' * (axes - 1)})" for letter in "xv")
+    raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "
+                  f"{axes}, in m, m/s and N, f None without a force sensor; this one gave {str(reading)[:99]}; "
+                  f"write for example Reading({sample_x}, {sample_v}, None)")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _floats(part: Any) -> Axes:
+    return tuple(map(_to_float, part))
+
+
+def _to_float(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:  # a whole number beyond all floats
+        return inf if value > 0 else -inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from math import inf, nan
 from typing import Any
 
@@ -106,6 +107,38 @@ def test_anything_else_that_it_raises_is_a_bug_and_not_swallowed() -> None:
         Stand(device, 1).read(0, 0)
 
 
+@pytest.mark.parametrize("number", [int, np.float32, np.float16, np.int16, np.float64, Fraction], ids=repr)
+@pytest.mark.parametrize("trusted", [False, True])
+def test_numbers_of_any_real_type_are_read_as_floats(number: Any, trusted: bool) -> None:
+    device = Device()
+    device.reads = Reading((number(1),), (number(-2),), (number(3),))
+    reading = Stand(device, 1, trusted=trusted).read(0, 0)
+    assert reading == Reading((1.0,), (-2.0,), (3.0,))
+    assert {type(part[0]) for part in reading if part is not None} == {float}
+    device.reads = Reading((10**400,), (0,), None)
+    assert Stand(device, 1).read(0, 0) == Reading((inf,), (0.0,), None), "a body that has left"
+
+
+def test_a_reading_of_floats_is_taken_as_it_is_and_costs_no_copy() -> None:
+    assert Stand(Device(), 1).read(0, 0) is WELL
+
+
+@pytest.mark.parametrize("wrong", [True, np.bool_(True), "1.0", None, 1j, (1.0,), np.array([1.0]), b"1"], ids=repr)
+def test_what_is_no_number_is_refused_at_first_and_no_reading_later(wrong: Any) -> None:
+    well = (0.0,)
+    for reading in (Reading((wrong,), well, None), Reading(well, (wrong,), None), Reading(well, well, (wrong,))):
+        device = Device()
+        device.reads = reading
+        with pytest.raises(Refused, match=r"each a tuple with a number for each axis.*write for example"):
+            Stand(device, 1).read(0, 0)
+        device.reads = WELL
+        stand = Stand(device, 1)
+        assert stand.read(0, 0) == WELL
+        device.reads = reading
+        assert stand.read(1, MS) is None
+        assert "a number for each axis" in str(stand.trouble)
+
+
 # In a live run
 
 SCENE = load_scene("hard_wall", duration=1.2, link="delay(0.002)")
@@ -195,3 +228,24 @@ def test_a_device_that_reads_something_else_is_told_so_at_once_and_how_to_write_
     device.reads = wrong
     with pytest.raises(Refused, match=words):
         Stand(device, axes).read(0, 0)
+
+
+class Coarse(SimulatedMaster):
+    """Reads what its driver unpacks: single precision, and an int where nothing moves."""
+
+    def read(self, k: int) -> Reading:
+        x, v, f = super().read(k)
+        return Reading(tuple(map(np.float32, x)), tuple(np.float32(n) if n else 0 for n in v), f)  # type: ignore[misc]
+
+
+@pytest.mark.live
+def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end(pair: Callable[..., Any]) -> None:
+    """The other end took its messages for malformed, dropped them all, and told of silence."""
+    scene = replace(SCENE, link=None)
+    both = pair(scene, parts={"m": {"device": Coarse(scene)}, "s": {}}).run()
+    assert both.errors == {"m": None, "s": None}
+    assert both.status() == {"m": "ok", "s": "ok"}
+    slave = both.shells["s"].endpoint
+    assert "malformed" not in slave.rejected
+    assert slave.inbox.played > 100
+    both.write()

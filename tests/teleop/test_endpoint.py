@@ -509,3 +509,36 @@ def test_a_stepped_end_plays_what_the_schedule_says() -> None:
         for packet in (k, k, max(0, k - 40), 0):  # copies, old and new, are no harm
             box.put(packet, 0, f"packet {packet}")  # type: ignore[arg-type]
     assert len(box._held) <= plan.lag + 3
+
+
+class Whole(NamedTuple):
+    x: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counting:
+    """A law whose messages and forces are whole numbers, or numpy's, as a formula may give them."""
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def master_start(self, at: At) -> tuple[tuple[()], Whole]:
+        return (), Whole(0)
+
+    def slave_start(self, at: At) -> tuple[tuple[()], Whole]:
+        return (), Whole(0)
+
+    def master(self, s: tuple[()], at: At, rx: Whole) -> tuple[float, Whole, tuple[()]]:
+        return 0, Whole(1), s
+
+    def slave(self, s: tuple[()], at: At, rx: Whole) -> tuple[float, Whole, tuple[()]]:
+        return np.float32(rx.x), Whole(np.float32(2)), s  # type: ignore[arg-type]
+
+
+def test_messages_of_ints_and_float32_are_no_malformed_packets_to_the_peer() -> None:
+    both = Both(scene(Counting(), link=parse_link("delay(0)"), energy=False)).run()
+    for e in "ms":
+        assert not both.ends[e].rejected
+        assert both.ends[e].received > 300
+    packet = decode(both.sent["s"][-1], 1)
+    assert isinstance(packet, Packet)
+    assert packet.payload == (2.0,)
