@@ -7,8 +7,7 @@ from typing import NoReturn
 from zlib import crc32
 
 from teleop.errors import Refused
-
-_LARGEST = 64 * 2**20  # bytes; a day of ping at 10 Hz is 60 MB, the LTE recordings are half a MB
+from teleop.files import read_bytes
 
 
 def read(name: str, path: str | PathLike[str]) -> tuple[str, list[str], int]:
@@ -20,15 +19,10 @@ def read(name: str, path: str | PathLike[str]) -> tuple[str, list[str], int]:
         raise Refused(f"path must name a recording, not {path!r}; write for example {name}(\"file.txt\")")
     where = fspath(path)
     try:
-        with open(where, "rb") as file:
-            data = file.read(_LARGEST + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise Refused(f"{where} cannot be read ({reason}): {name} replays a recording; "
-                      "give the path of one") from None
-    if len(data) > _LARGEST:
-        raise Refused(f"{where} is larger than {_LARGEST >> 20} MB, so it is hardly a recording for {name}; "
-                      "cut out the part to be replayed")
+        data = read_bytes(where)
+    except OSError as error:
+        raise Refused(f"{where} cannot be read ({error.strerror or error}): {name} replays a recording; "
+                      "give the path of a file, or of a part of it that is to be replayed") from None
     try:
         lines = data.decode("utf-8").splitlines()
     except UnicodeDecodeError as error:

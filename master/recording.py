@@ -7,6 +7,7 @@ from math import isfinite
 from zlib import crc32
 
 from teleop.errors import Refused, number
+from teleop.files import read_bytes
 
 Row = tuple[float, ...]
 HEADERS = (("t", "x"), ("t", "x", "y", "z"))
@@ -88,8 +89,7 @@ def _lines(path: str) -> list[str]:
     if not isinstance(path, str):
         raise Refused(f"path must be the name of a CSV file, not {path!r}; write path='reach.csv'")
     try:
-        with open(path, encoding="utf-8-sig") as file:
-            return file.read().splitlines()
+        return read_bytes(path).decode("utf-8-sig").splitlines()
     except OSError as error:
         raise Refused(f"cannot read the recording {path!r}: {error.strerror}; name a CSV file") from None
     except ValueError:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
+from teleop.files import read_bytes
 from teleop.plugins import find, known
 
 if TYPE_CHECKING:
@@ -78,11 +79,16 @@ def _claim(package: str) -> None:
 
 
 def _from_path(path: Path) -> Any:
-    if not path.is_file():
+    try:
+        source = read_bytes(path)
+    except FileNotFoundError:
         named = ", ".join(built_in_scenes())
-        raise Refused(f"there is no file {path}; a scene is named ({named}) or a path to a .py file")
+        raise Refused(f"there is no file {path}; a scene is named ({named}) or a path to a .py file") from None
+    except OSError as error:
+        raise Refused(f"the scene {path} cannot be read ({error.strerror or error}); give the path of a .py "
+                      "file") from None
     # One module for each content of each file: all that ask have the same law, and an edited file is another.
-    content = f"{path.resolve()}\0".encode() + path.read_bytes()
+    content = f"{path.resolve()}\0".encode() + source
     name = f"teleop_scene_{path.stem}_{sha256(content).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
@@ -139,8 +145,8 @@ def _imported(path: Path) -> set[str]:
     import ast
 
     try:
-        tree = ast.parse(path.read_bytes())
-    except (SyntaxError, ValueError, RecursionError):
+        tree = ast.parse(read_bytes(path))
+    except (OSError, SyntaxError, ValueError, RecursionError):
         return set()
     whole = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     parts = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and not node.level}

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
+from teleop.errors import Refused
 from teleop.law import law_name
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def manifest(scene: Scene) -> dict[str, str]:
 
 
 def fingerprint(value: object) -> str:
-    """A knob as text; a file by its name and what is in it."""
+    """A knob as text; a file by its name and what is in it. Raises `Refused` if that file cannot be read."""
     from os import PathLike
 
     if not isinstance(value, PathLike):
@@ -51,8 +52,15 @@ def fingerprint(value: object) -> str:
     from hashlib import sha256
     from pathlib import Path
 
+    from teleop.files import read_bytes
+
     path = Path(value)
-    return f"{path.name} ({sha256(path.read_bytes()).hexdigest()[:12]})"
+    try:
+        content = read_bytes(path)
+    except OSError as error:
+        raise Refused(f"{path} cannot be read ({error.strerror or error}), and both ends compare what it holds; give "
+                      "the path of a file") from None
+    return f"{path.name} ({sha256(content).hexdigest()[:12]})"
 
 
 def _own_source(law: object) -> str:

@@ -15,6 +15,8 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
+from teleop.files import read_bytes
+
 VERSIONED = frozenset({*sys.stdlib_module_names, "numpy", "numba", "llvmlite"}) - {"__main__"}
 
 
@@ -37,7 +39,7 @@ def constants(parts: Iterable[Any]) -> list[str]:
 
 def file_digest(path: Path) -> str:
     """That of a file."""
-    return sha256(path.read_bytes()).hexdigest()[:20]
+    return sha256(read_bytes(path)).hexdigest()[:20]
 
 
 def named_in(function: FunctionType) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 
 from teleop.batch.runner import prepare
 from teleop.errors import Refused, nearest, number, whole_number
+from teleop.files import read_bytes
 from teleop.library import ROOT
 from teleop.scene import load_scene
 
@@ -115,8 +116,8 @@ def read_matrix(path: Path | str = BUILT_IN) -> tuple[Block, ...]:
 
     path = Path(path)
     try:
-        held = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+        held = tomllib.loads(read_bytes(path).decode())
+    except (OSError, ValueError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise Refused(f"the matrix {path} cannot be read ({why}); give a file of TOML with [[block]] tables, or none "
                       "for the built-in matrix") from None

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from teleop.errors import Refused
+from teleop.files import read_bytes
 from teleop.library import ROOT, beside
 
 
@@ -52,9 +53,9 @@ def digest_of(path: str) -> str | None:
     from hashlib import sha256
 
     try:
-        found = sha256(Path(path).read_bytes())
+        found = sha256(read_bytes(path))
         for name, file in beside(Path(path)).items():
-            found.update(f"\0{name}\0".encode() + file.read_bytes())
+            found.update(f"\0{name}\0".encode() + read_bytes(file))
         return found.hexdigest()
     except OSError:
         return None

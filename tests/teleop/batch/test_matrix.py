@@ -217,7 +217,7 @@ class TestTheCommand:
 
     @pytest.mark.parametrize(("words", "said"), [
         (["nowhere.toml"], "No such file"), (["m.toml", "--out", "m.toml"], "m.toml"), (["wrong.toml"], "did you mean"),
-        (["."], "directory"),
+        (["."], "it is a folder"),
     ])
     def test_refuses_in_one_sentence(self, words: list[str], said: str, tmp_path: Path) -> None:
         (tmp_path / "m.toml").write_text(SMALL)
