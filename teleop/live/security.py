@@ -44,6 +44,9 @@ def line(e: str, args: Namespace) -> tuple[Line | None, bool]:
     from teleop.secure.line import Line  # not before: it cannot be imported without the extra
 
     own, peer = load_key(args.key), parse_fingerprint(args.peer_fingerprint)
+    if own.fingerprint == peer:
+        raise Refused(f"--peer-fingerprint is the fingerprint of this end's own key {args.key}, and each end has a "
+                      "key of its own; give the one that `teleop keygen` printed at the other end")
     return (Line.calling(own, peer, at) if e == "m" else Line.listening(own, peer, token_bytes(32))), False
 
 

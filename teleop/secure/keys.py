@@ -104,8 +104,8 @@ def keygen(path: str | Path) -> tuple[Path, str]:
 def load_key(path: str | Path) -> Key:
     """The key in a file that `keygen` wrote. Raises `Refused`, in whose text nothing of the key is ever shown.
 
-    Refused are a file that anybody but its owner may read or change, and one that is not a P-256 key and, after
-    it, the certificate of that key.
+    Refused are a file that another user owns, one that others than its owner may read or change, and one that is not a
+    P-256 key and, after it, the certificate of that key.
     """
     need_secure()
     from cryptography.exceptions import UnsupportedAlgorithm
@@ -182,6 +182,11 @@ def _read(path: Path) -> bytes:
         found = os.fstat(file)  # of what was opened: the name may lead elsewhere by now
         if not stat.S_ISREG(found.st_mode):
             raise Refused(f"{path} is no file; give the {SUFFIX} file that `teleop keygen` wrote")
+        if os.name == "posix" and found.st_uid != os.geteuid():
+            # Whoever owns a file may read and replace it at any time, whatever its mode says.
+            raise Refused(f"{path} is owned by the user with the number {found.st_uid}, and this process runs as user "
+                          f"{os.geteuid()}, so its owner can read and replace the key; make one of your own with: "
+                          f"teleop keygen NAME, or if the file is yours: sudo chown {os.geteuid()} {path}")
         if os.name == "posix" and found.st_mode & 0o077:
             raise Refused(f"others than its owner may read or change {path}, so it may not be secret any more; make a "
                           f"new key, or if you know that nobody has: chmod 600 {path}")

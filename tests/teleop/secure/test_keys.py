@@ -105,6 +105,15 @@ class TestReading:
         with pytest.raises(Refused, match="chmod 600"):
             load_key(made[0])
 
+    def test_a_file_that_another_user_owns_is_refused_whatever_its_mode(
+        self, made: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Its owner could read the key and put another in its place."""
+        owner = made[0].stat().st_uid
+        monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+        with pytest.raises(Refused, match=f"owned by the user with the number {owner}.*sudo chown {owner + 1}"):
+            load_key(made[0])
+
     def test_a_stricter_mode_will_do(self, made: tuple[Path, str]) -> None:
         made[0].chmod(0o400)
         assert load_key(made[0]).fingerprint == made[1]
@@ -230,6 +239,16 @@ class TestTheCommand:
         monkeypatch.setattr(keys, "find_spec", lambda _: None)
         typed("keygen", "hand").assert_refused("pip install 'bilateral-teleop[secure]'")
         assert not Path("hand.key").exists()
+
+    @pytest.mark.parametrize("name", ["slave", "master"])
+    def test_an_end_that_is_given_its_own_fingerprint_as_the_peers_is_refused(
+        self, name: str, process: Callable[..., subprocess.Popen[str]], ended: Callable[..., Any], tmp_path: Path
+    ) -> None:
+        """It waited for itself, and then said that the other end had shown another certificate."""
+        path, own = keygen(tmp_path / "hand")
+        at = "--listen" if name == "slave" else "--peer"
+        words = ("hard_wall", at, "127.0.0.1:9", "--key", str(path), "--peer-fingerprint", own)
+        ended(process("-m", name, *words)).assert_refused("this end's own key", "printed at the other end")
 
     @pytest.mark.parametrize("name", ["slave", "master"])
     def test_without_the_extra_an_end_that_is_given_a_key_says_what_to_install(
