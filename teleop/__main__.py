@@ -279,9 +279,11 @@ def _say_object(value: dict[str, Any]) -> None:
 
 
 def _say(text: str) -> None:
-    """Print `text`; what the terminal's encoding does not know is escaped, and stops nothing."""
+    """Print `text`; what a terminal would obey, or its encoding does not know, is written out, and stops nothing."""
+    from teleop.terminal import printable
+
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
-    print(text.encode(encoding, "backslashreplace").decode(encoding))
+    print(printable(text, lines=True).encode(encoding, "backslashreplace").decode(encoding))
 
 
 def _out(args: Namespace) -> Path:

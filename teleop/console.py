@@ -7,6 +7,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TextIO
 
+from teleop.terminal import printable
+
 if TYPE_CHECKING:
     from teleop.result import Packets, Result
 
@@ -47,7 +49,7 @@ def table(result: Result) -> str:
         *(("note", note) for note in result.notes),
     ]
     width = max(len(label) for label, _ in rows)
-    return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
+    return "\n".join(f"{label:<{width}}   {printable(text)}" for label, text in rows)
 
 
 def heading(result: Result) -> str:
@@ -58,8 +60,7 @@ def heading(result: Result) -> str:
 
 def verdict(result: Result) -> str:
     """The status and its sentence, which may begin with the status itself."""
-    said = result.sentence.startswith(result.status)
-    return result.sentence if said else f"{result.status}: {result.sentence}"
+    return result.sentence if result.sentence.startswith(result.status) else f"{result.status}: {result.sentence}"
 
 
 def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:

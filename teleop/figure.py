@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.console import PREFIX, heading, verdict
 from teleop.errors import Refused
+from teleop.files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -86,15 +87,12 @@ def draw(result: Result, path: Path) -> None:
 
 def save(figure: Figure, path: Path) -> None:
     """Write `figure` as the PNG file `path`, whole or not at all. Raises `Refused` if it cannot be written."""
-    part = path.with_name(f".{path.name}.part")
     try:
-        figure.savefig(part, format="png", metadata={"Software": None})  # the same run gives the same bytes
-        part.replace(path)
+        with replacing(path) as file:
+            figure.savefig(file, format="png", metadata={"Software": None})  # the same run gives the same bytes
     except OSError as error:
         why = error.strerror or error
         raise Refused(f"could not write {path} ({why}); make room there, or make it writable") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _fill(axes: Axes, panel: Panel, trace: Mapping[str, Any]) -> None:

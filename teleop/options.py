@@ -90,7 +90,9 @@ def guarded(work: Callable[[], int]) -> int:
 
 
 def _complain(sentence: str, code: int) -> int:
-    print("teleop:", " ".join(sentence.splitlines()), file=sys.stderr)
+    from teleop.terminal import printable
+
+    print("teleop:", printable(" ".join(sentence.splitlines())), file=sys.stderr)
     return code
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
+from teleop.files import replacing
 from teleop.metrics import UNITS, metrics
 from teleop.scene import Scene
 
@@ -105,14 +106,16 @@ class Result:
         return replace(self, path=folder)
 
     def write(self, folder: Path, command: Sequence[str] = ()) -> None:
-        """Write the files of the run into a folder that is there."""
+        """Write the files of the run into a folder that is there, each in the place of one that it may hold."""
         import json
 
         import numpy as np
 
-        np.savez(folder / "trace.npz", **self.trace)
         text = json.dumps(self.summary(command), indent=2, allow_nan=False, default=str)
-        (folder / "summary.json").write_text(text + "\n")
+        with replacing(folder / "trace.npz") as file:
+            np.savez(file, **self.trace)
+        with replacing(folder / "summary.json") as file:
+            file.write(text.encode() + b"\n")
 
 
 def parameters(scene: Scene) -> dict[str, object]:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.catalogue import units_of
 from teleop.errors import Refused
+from teleop.files import replacing
+from teleop.terminal import printable
 
 if TYPE_CHECKING:
     from teleop.batch.table import Table
@@ -48,10 +50,9 @@ def joined(told: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]
 
 def write(told: Mapping[str, Any], folder: Path) -> None:
     """Write summary.json, whole or not at all. Raises `Refused` if that cannot be."""
-    part = folder / f".{SUMMARY}.part"
     try:
-        part.write_text(json.dumps(told, indent=2, default=str) + "\n")
-        part.replace(folder / SUMMARY)
+        with replacing(folder / SUMMARY) as file:
+            file.write(json.dumps(told, indent=2, default=str).encode() + b"\n")
     except OSError as error:
         raise Refused(f"cannot write to {folder} ({error.strerror or error}); the rows are kept, and the same "
                       "command goes on") from error
@@ -70,12 +71,12 @@ def status_lines(table: Table) -> list[str]:
     """How many rows ended how, why some were refused, and which of a user's own metrics failed."""
     from teleop.console import whole
 
-    counts = ", ".join(f"{whole(count)} {status}" for status, count in table.counts().items())
+    counts = ", ".join(f"{whole(count)} {printable(status)}" for status, count in table.counts().items())
     lines = [f"status   {whole(len(table))} done: {counts or 'none'}"]
     for label, refused in (("refused", True), ("metrics", False)):
         every = [*sentences(table, refused=refused).items()]
         for i, (sentence, count) in enumerate(every[:SENTENCES]):
-            lines.append(f"{'' if i else label:<8} {whole(count)} row{'s' * (count > 1)}: {sentence}")
+            lines.append(f"{'' if i else label:<8} {whole(count)} row{'s' * (count > 1)}: {printable(sentence)}")
         if len(every) > SENTENCES:
             rest = every[SENTENCES:]
             lines.append(f"         and {whole(len(rest))} more sentence{'s' * (len(rest) > 1)} in "
@@ -92,9 +93,10 @@ def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     table, stored = store.table(), summary_of(folder)
     told = {**store.definition, **stored, "done": len(table), "counts": table.counts(), "path": str(folder)}
     rows = f"{whole(told['rows'])} rows" if "rows" in told else "rows"
-    lines = [f"sweep    {told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}", *status_lines(table)]
+    lines = [printable(f"sweep    {told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"),
+             *status_lines(table)]
     if "engine" in told:
-        lines.append(f"engine   {told['engine']}: {told.get('why')}")
+        lines.append(printable(f"engine   {told['engine']}: {told.get('why')}"))
     calls = len(told.get("runs", ()))
     lines += [f"         {calls} calls ran rows; {SUMMARY} has each"] if calls > 1 else []
     return told, "\n".join([*lines, str(table)]), table

@@ -19,13 +19,13 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
 from teleop.batch.grid import plain
 from teleop.errors import Refused
+from teleop.files import is_part, replacing
 from teleop.folder import new_folder, numbered
 
 if TYPE_CHECKING:
     from teleop.batch.table import Table
 
 DEFINITION, ROWS = "sweep.json", "rows.jsonl"
-_PART = f".{DEFINITION}.part"
 _ABSENT = object()
 _STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # and ASCII, whatever a knob's text holds
 
@@ -98,7 +98,7 @@ class Store:
             if not os.path.lexists(at):
                 with new_folder(at) as inside:
                     _define(inside, definition)
-            elif at.is_dir() and all(path.name == _PART for path in at.iterdir()):  # empty, or a kill left it so
+            elif at.is_dir() and all(is_part(path, DEFINITION) for path in at.iterdir()):  # empty, or left by a kill
                 _define(at, definition)
             there = _definition(at)
             _same(at, there, wanted)
@@ -211,12 +211,9 @@ class Store:
             else:
                 self.done._add(row["row"])
         if not sound:  # written anew beside it and put in its place, so that no row is ever at risk
-            part, whole = path.with_name(f".{ROWS}.part"), 0
-            with part.open("wb") as file:
+            with replacing(path, settle=True) as file:
                 whole = sum(file.write(line) for line, row in self._lines() if row is not None)
-                _settle(file)
-            part.replace(path)
-        self._file, self._size = FileIO(path, "a"), whole
+        self._file, self._size = FileIO(path, "a", opener=_no_link), whole
         if self._file.tell() != whole:
             self._file.truncate(whole)
 
@@ -260,18 +257,13 @@ def _jsonable(value: object) -> object:
 
 
 def _define(inside: Path, definition: Mapping[str, Any]) -> None:
-    part = inside / _PART
-    with part.open("w", encoding="utf-8") as file:
-        json.dump(json.loads(_text(definition)), file, indent=1)
-        file.write("\n")
-        _settle(file)
-    part.replace(inside / DEFINITION)
+    with replacing(inside / DEFINITION, settle=True) as file:
+        file.write(json.dumps(json.loads(_text(definition)), indent=1).encode() + b"\n")
 
 
-def _settle(file: IO[Any]) -> None:
-    """Wait until the disk has the file: a rename must never be on it before what it names."""
-    file.flush()
-    os.fsync(file.fileno())
+def _no_link(path: str, flags: int) -> int:
+    """What opens a file of the folder to be written: never another one that it may link to."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _definition(folder: Path) -> dict[str, Any]:
@@ -312,7 +304,7 @@ def _short(value: object) -> str:
 
 def _locked(folder: Path) -> IO[bytes]:
     """The open definition, with a lock on it that goes when the process does, however it ends."""
-    file = (folder / DEFINITION).open("r+b")
+    file = open(folder / DEFINITION, "r+b", opener=_no_link)  # noqa: SIM115 (it is open as long as the lock)
     lock: Callable[[IO[bytes], int], None] | None = None
     with suppress(ImportError):
         import fcntl

@@ -6,11 +6,11 @@ metric that it has, and `sentence` where it was refused. A million rows of 5 kno
 
 from __future__ import annotations
 
-import os
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
+from io import TextIOWrapper
 from math import isfinite, isnan, nan
 from numbers import Real
 from pathlib import Path
@@ -18,6 +18,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 from teleop.batch.grid import plain
 from teleop.errors import Refused, nearest
+from teleop.files import replacing
+from teleop.terminal import printable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -222,7 +224,8 @@ class Table:
             return first
         ended = ", ".join(f"{count} {status}" for status, count in self.counts().items())
         names = [name for name in self._columns if name != "sentence"]
-        lines = [names, *([*map(_short, values)] for _, values in self._values(names, min(SHOWN, len(self))))]
+        lines = [[printable(name, most=60) for name in names],
+                 *([*map(_short, values)] for _, values in self._values(names, min(SHOWN, len(self))))]
         widths = [max(len(line[i]) for line in lines) for i in range(len(names))]
         shown = ["  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in lines]
         return "\n".join([f"{first}: {ended}", *shown, *[f"... and {len(self) - SHOWN} more"] * (len(self) > SHOWN)])
@@ -310,21 +313,18 @@ def _cell(value: Any) -> Any:
 
 
 def _short(value: Any) -> str:
-    text = f"{value:.4g}".replace("nan", "") if type(value) is float else str(value)
+    text = f"{value:.4g}".replace("nan", "") if type(value) is float else printable(str(value), most=24)
     return text if len(text) <= 24 else f"{text[:21]}..."
 
 
 @contextmanager
 def _whole(path: Path) -> Iterator[IO[str]]:
     """A file to write into that takes the place of `path` when all went well, and is gone when it did not."""
-    hidden = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with hidden.open("w", encoding="utf-8", newline="") as file:
-            yield file
-        hidden.replace(path)
+        with replacing(path) as file:
+            text = TextIOWrapper(file, encoding="utf-8", newline="")
+            yield text
+            text.detach()  # having written the rest
     except OSError as error:
         raise Refused(f"could not write {path} ({error.strerror or error}), so it is as it was; free some space, or "
                       "write to another path") from error
-    finally:
-        with suppress(OSError):
-            hidden.unlink()

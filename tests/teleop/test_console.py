@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import Result, load_scene, run
+from teleop import Refused, Result, load_scene, run
 from teleop.console import PREFIX, Progress, RowsProgress, duration, si, table, whole
+from teleop.options import guarded
 from teleop.result import Packets
+from teleop.terminal import printable
 
 
 class TestSI:
@@ -330,3 +332,28 @@ class TestProgressElsewhere:
             progress.show(k, k * 0.01)
         progress.end()
         assert stream.getvalue() == ""
+
+
+NASTY = "\x1b]0;owned\x07\x1b[2J\r\nstatus   ok\x9b31m\u202egnp.exe\ud800\x00"
+
+
+class TestText:
+    def test_that_a_file_holds_gives_the_terminal_no_orders(self) -> None:
+        result = run(load_scene("canonical", duration=0.01))
+        shown = table(replace(result, scene=NASTY, sentence=NASTY, notes=(NASTY, "a\nnote   forged")))
+        assert all(line.isprintable() for line in shown.split("\n"))
+        assert not any(line.startswith(("status   ok", "note   forged")) for line in shown.split("\n"))
+        assert r"\x1b[2J" in shown
+
+    def test_of_a_refusal_gives_the_terminal_no_orders_either(self, capsys: pytest.CaptureFixture[str]) -> None:
+        def refuse() -> int:
+            raise Refused(NASTY + "x" * 10_000)
+
+        assert guarded(refuse) == 2
+        said = capsys.readouterr().err
+        assert said.removesuffix("\n").isprintable()
+        assert len(said) < 5000
+
+    def test_that_is_told_at_length_is_cut_and_lines_stay_where_they_are_wanted(self) -> None:
+        assert printable("x" * 10, most=5) == "xx..."
+        assert printable("a\nb\x1b", lines=True, most=2) == "a\nb\\x1b"

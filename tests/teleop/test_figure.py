@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
@@ -108,8 +108,8 @@ class TestTheFile:
     ) -> None:
         (tmp_path / "figure.png").write_bytes(b"the old one")
 
-        def full(_: Any, file: Path, **__: Any) -> None:
-            file.write_bytes(b"half")
+        def full(_: Any, file: BinaryIO, **__: Any) -> None:
+            file.write(b"half")
             raise OSError(errno.ENOSPC, "No space left on device")
 
         monkeypatch.setattr(figures.Figure, "savefig", full)
@@ -124,3 +124,11 @@ class TestTheFile:
         with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[plot\]'"):
             draw(wave, tmp_path / "figure.png")
         assert not list(tmp_path.iterdir())
+
+    def test_takes_the_place_of_a_link_and_leaves_what_it_leads_to_alone(self, wave: Result, tmp_path: Path) -> None:
+        (tmp_path / "precious").write_bytes(b"precious")
+        for name in ("figure.png", ".figure.png.part"):
+            (tmp_path / name).symlink_to("precious")
+        draw(wave, tmp_path / "figure.png")
+        assert (tmp_path / "precious").read_bytes() == b"precious"
+        assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")

@@ -108,3 +108,13 @@ class TestStored:
         break_it(tmp_path / "run")
         with pytest.raises(Refused, match="holds no complete run"):
             load_result(tmp_path / "run")
+
+    def test_written_into_a_folder_of_links_leaves_what_they_lead_to_alone(self, wan: Result, tmp_path: Path) -> None:
+        (tmp_path / "precious").write_bytes(b"precious")
+        folder = tmp_path / "run"
+        folder.mkdir()
+        for name in ("trace.npz", "summary.json"):
+            (folder / name).symlink_to("../precious")
+        wan.write(folder)
+        assert (tmp_path / "precious").read_bytes() == b"precious"
+        assert load_result(folder).ticks == wan.ticks

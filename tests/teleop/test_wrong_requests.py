@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
@@ -149,8 +149,8 @@ class TestAWrongRequest:
     ) -> None:
         before = left_in(tmp_path)
 
-        def full(file: Path, **_: object) -> None:
-            file.write_bytes(b"half of it")
+        def full(file: BinaryIO, **_: object) -> None:
+            file.write(b"half of it")
             raise OSError(errno.ENOSPC, "No space left on device")
 
         monkeypatch.setattr(np, "savez", full)

@@ -19,7 +19,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import teleop.batch.store
 from teleop import Refused
 from teleop.batch.store import Done, Store
 
@@ -80,7 +79,7 @@ class TestAFolder:
         assert (tmp_path / "s" / "rows.jsonl").read_bytes().count(b"\n") == 2
 
     def test_goes_on_in_a_folder_that_was_empty(self, tmp_path: Path) -> None:
-        (tmp_path / ".sweep.json.part").write_text('{"sce')  # as a kill may have left it
+        (tmp_path / ".sweep.json.7-0.part").write_text('{"sce')  # as a kill may have left it
         assert list(Store.look(filled(tmp_path)).done) == [0, 1, 2]
 
     def test_is_json_that_others_read(self, tmp_path: Path) -> None:
@@ -199,7 +198,7 @@ class TestAfterAKill:
         def interrupted(*_: object) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(teleop.batch.store, "_settle", interrupted)
+        monkeypatch.setattr(os, "fsync", interrupted)
         with pytest.raises(KeyboardInterrupt):
             Store.open(tmp_path / "s", WHAT)
         assert not list(tmp_path.iterdir())
