@@ -11,7 +11,7 @@ from typing import Any
 
 from channel.link import describe
 from channel.shell import RelayShell
-from teleop.live import realtime
+from teleop.live import output, realtime
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.wire import Wire
@@ -34,7 +34,8 @@ def _run(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     scene = both_ends(load_scene(args.scene, **knobs_from(args)))
     peer = _with_host(peer_address(args.peer), "127.0.0.1")  # answers come from there
-    with bound(address(args.listen, "--listen"), "--listen") as near, towards(peer) as far, Interrupt() as interrupt:
+    listen = address(args.listen, "--listen")
+    with output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt:
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer))
         at = near.getsockname()[:2]
         realtime.asked(args, "channel")

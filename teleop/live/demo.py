@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.library import ROOT
+from teleop.live import output
 from teleop.live.interrupt import Interrupt
 from teleop.live.merge import merge
 from teleop.live.record import fresh_folder, read_noted
@@ -24,6 +26,8 @@ from teleop.scene import Scene, both_ends, load_scene
 
 PATIENCE = 15.0  # s for a process to come up
 FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
+LONGEST_LINE = 1 << 20  # bytes of an event; a longer line is a scene's own print
+KEPT = 1 << 16  # bytes, the last ones, of what a process writes to its standard error
 
 
 class Child:
@@ -42,7 +46,7 @@ class Child:
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-P", "-m", name, *arguments, "--json", stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE, env={**os.environ, "PYTHONPATH": path},
-            start_new_session=True,  # Ctrl-C reaches them through us, once
+            limit=LONGEST_LINE, start_new_session=True,  # Ctrl-C reaches them through us, once
             preexec_fn=_die_with_parent,
         )
         return cls(name, process)
@@ -51,8 +55,8 @@ class Child:
         """Read its events until it ends; its exit code and what it said on stderr."""
         assert self.process.stdout is not None
         assert self.process.stderr is not None
-        trouble = asyncio.create_task(self.process.stderr.read())
-        async for line in self.process.stdout:
+        trouble = asyncio.create_task(_last_of(self.process.stderr))
+        async for line in _lines(self.process.stdout):
             event = _event(line)
             if event["event"] == "listening" and not self.listening.done():
                 self.listening.set_result(event["port"])
@@ -82,6 +86,26 @@ class Child:
         """Ask it to stop cleanly, with the signal that asked us."""
         if self.process.returncode is None:
             self.process.send_signal(signal.Signals[name])
+
+
+async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[bytes]:
+    """The lines of a stream, without those longer than `LONGEST_LINE`."""
+    while True:
+        try:
+            line = await stream.readline()
+        except ValueError:  # too long, and thrown away
+            continue
+        if not line:
+            return
+        yield line
+
+
+async def _last_of(stream: asyncio.StreamReader) -> bytes:
+    """The last `KEPT` bytes of a stream, which is read to its end."""
+    last = b""
+    while part := await stream.read(KEPT):
+        last = (last + part)[-KEPT:]
+    return last
 
 
 def _event(line: bytes) -> dict[str, Any]:
@@ -114,7 +138,7 @@ def demo(
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
     options += ["--realtime"] * realtime
-    with Interrupt() as interrupt, fresh_folder(out) as keep:
+    with output.live(), Interrupt() as interrupt, fresh_folder(out) as keep:
         try:
             channel = asyncio.run(_conduct(scene, options, out, interrupt, show=not json, lockstep=lockstep))
         except Refused as refused:

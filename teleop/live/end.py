@@ -12,14 +12,13 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from secrets import randbits
-from select import select
 from shlex import quote
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
 from teleop.folder import numbered
-from teleop.live import realtime, security
+from teleop.live import output, realtime, security
 from teleop.live.address import address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.record import Recorder, fresh_folder
@@ -48,7 +47,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     endpoint = _endpoint(scene, e, args)
     stand = device(scene)
     sealed, insecure = security.line(e, args)
-    with _wire(e, args, sealed) as wire, Interrupt() as interrupt:
+    with output.live(), _wire(e, args, sealed) as wire, Interrupt() as interrupt:
         folder = Path(args.out) if args.out else numbered(Path("runs"), f"{scene.name}-{NAMES[e]}")
         with fresh_folder(folder) as keep:
             line = _Line(scene)
@@ -184,16 +183,7 @@ def _hint(name: str, sentence: str) -> None:
 
 
 def _said(numbers: dict[str, Any]) -> None:
-    if _is_read(sys.stdout):
-        print(json.dumps({"event": "live", **numbers}), flush=True)
-
-
-def _is_read(stream: TextIO) -> bool:
-    """Is there room for a line? A terminal that was stopped, a pipe that nobody reads, must not hold up a tick."""
-    try:
-        return bool(select([], [stream.fileno()], [], 0.0)[1])
-    except (OSError, ValueError):  # it is no file of the system's
-        return True
+    print(json.dumps({"event": "live", **numbers}), flush=True)
 
 
 def _quiet(numbers: dict[str, Any]) -> None:
@@ -210,8 +200,7 @@ class _Line:
 
     def show(self, numbers: dict[str, Any]) -> None:
         """One set of live numbers."""
-        if _is_read(sys.stderr):
-            self._progress.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
+        self._progress.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
 
     def end(self) -> None:
         """Go on below it."""
