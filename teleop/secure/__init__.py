@@ -2,5 +2,6 @@
 
 `keys` makes and reads the files that say who an end is; `line` is what an end holds: its line to the one peer, over as
 many associations as it takes. Below it, `tunnel` is one association, `gate` lets a stranger begin one without cost to
-the end that listens, `context` is what OpenSSL is asked for, `record` takes datagrams apart.
+the end that listens, `context` is what OpenSSL is asked for, `data` seals what the ends say
+once they have met, `record` takes datagrams apart.
 """

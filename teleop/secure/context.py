@@ -21,6 +21,7 @@ from teleop.secure.record import MTU
 
 SUITE = b"ECDHE-ECDSA-AES128-GCM-SHA256"
 _DTLS_1_2 = 0xFEFD
+_LABEL = b"EXPERIMENTAL-bilateral-teleop-data"  # RFC 5705, 4: a label that is not registered begins like that
 
 
 class Notes:
@@ -78,6 +79,18 @@ def peer_of(made: SSL.Connection) -> str | None:
     """The fingerprint of the certificate that the other end has proved to be its own."""
     certificate = made.get_peer_certificate()
     return None if certificate is None else _fingerprint(certificate)
+
+
+def exported(made: SSL.Connection, size: int, *, server: bool) -> bytes:
+    """Secret bytes that only the two ends of a finished handshake can know (RFC 5705).
+
+    They depend on both certificates, the one of the end that called first.
+    """
+    own, peer = made.get_certificate(), made.get_peer_certificate()
+    assert own is not None
+    assert peer is not None
+    ends = [_fingerprint(certificate) for certificate in ((peer, own) if server else (own, peer))]
+    return made.export_keying_material(_LABEL, size, "|".join(ends).encode())
 
 
 def _fingerprint(certificate: X509) -> str:

@@ -98,14 +98,14 @@ class Line:
             self._retired[Dropped.EARLY] += 1
         before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
         for i, tunnel in enumerate(there):
-            newest = tunnel.newest
+            newest = tunnel.data.newest if tunnel.data is not None else 0
             plain = tunnel.receive(datagram, now)[0]
             if plain:
                 for missed, dropped in zip(there[:i], before, strict=False):
                     missed.dropped = dropped  # it was only meant for another one
                 if tunnel is self._coming:
                     self._change(now)
-                if tunnel is self._use and tunnel.newest > newest:
+                if tunnel is self._use and tunnel.data is not None and tunnel.data.newest > newest:
                     self.address = address
                 self._heard = now
                 return plain, []

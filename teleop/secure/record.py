@@ -15,13 +15,14 @@ from struct import Struct
 from typing import NamedTuple
 
 MTU = 1200  # bytes of a datagram of the handshake: below that of every network in use
-OVERHEAD = 37  # bytes that a sealed record is longer than what it carries: head 13, nonce 8, tag 16 (AES-GCM)
+OVERHEAD = 30  # bytes that a record of data is longer than what it carries: head 13, tag 16 (AES-GCM), what it is 1
 CHANGE, ALERT, HANDSHAKE, DATA = 20, 21, 22, 23  # types
 CLIENT_HELLO, VERIFY_REQUEST = 1, 3  # first bytes of handshake messages
 HEAD = Struct("!BHHHIH")  # type, version, epoch, number (its upper 16 bits, its lower 32), length
-WINDOW = 64  # records: one that so many newer ones overtook is not taken (RFC 6347, 4.1.2.6)
+WINDOW = 2048  # records of data: one that so many newer ones overtook is not taken; two seconds at 1 kHz
 _NUMBER = slice(5, 11)
-_LEAST = OVERHEAD - HEAD.size + 1  # bytes of a sealed record behind its head
+_LEAST_DATA = OVERHEAD - HEAD.size + 1  # bytes of a record of data behind its head
+_LEAST_SEALED = 8 + 16 + 1  # the same of one that OpenSSL has sealed: nonce, tag and a byte
 _VERSIONS = (0xFEFF, 0xFEFD)  # the first hello says 1.0 for the sake of old middle boxes
 
 
@@ -32,8 +33,8 @@ class Dropped(StrEnum):
     EPOCH = "epoch"  # of the handshake after it, or of an epoch that there is not
     EARLY = "early"  # data before the handshake is over
     REPLAYED = "replayed"
-    LATE = "late"  # overtaken by 64 and more: too old to say whether it is a replay
-    FORGED = "forged"  # does not open: changed, of another association, or of somebody without its keys
+    LATE = "late"  # overtaken by `WINDOW` and more: too old to say whether it is a replay
+    FORGED = "forged"  # does not open: changed, of another association, or sealed without its keys
     OVER = "over"  # came when the association had ended
 
 
@@ -66,7 +67,7 @@ def records(datagram: bytes) -> list[Record] | None:
         kind, version, epoch, upper, lower, length = HEAD.unpack_from(datagram, at)
         end = at + HEAD.size + length
         # Some releases of OpenSSL (3.5.2) break an association over a sealed record that is too short to be one.
-        short = length < (_LEAST if epoch else 1)
+        short = length < (1 if epoch == 0 else _LEAST_DATA if kind == DATA else _LEAST_SEALED)
         if not CHANGE <= kind <= DATA or version not in _VERSIONS or short or end > size:
             return found if found and not datagram[at:].strip(b"\0") else None
         found.append(Record(kind, epoch, upper << 32 | lower, datagram[at:end]))

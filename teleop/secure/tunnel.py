@@ -22,7 +22,8 @@ from collections import Counter
 
 from OpenSSL import SSL
 
-from teleop.secure.context import connection, context, peer_of, seen_by
+from teleop.secure.context import connection, context, exported, peer_of, seen_by
+from teleop.secure.data import MATERIAL, PACKET, DataRecords
 from teleop.secure.keys import Key
 from teleop.secure.record import (
     ALERT,
@@ -31,7 +32,6 @@ from teleop.secure.record import (
     HANDSHAKE,
     HEAD,
     OVERHEAD,
-    WINDOW,
     Dropped,
     Record,
     packed,
@@ -42,7 +42,6 @@ MOST = 8192  # bytes that one record carries here
 AGAIN_NS, SLOWEST_NS = 50_000_000, 250_000_000  # between two sendings of a flight: first, and after doubling
 LIMIT_NS = 5_000_000_000  # a handshake that takes longer is given up
 _ENOUGH = 65_536  # bytes: more than OpenSSL ever has to say at once
-_MASK = (1 << WINDOW) - 1
 _UNTRUSTED = (42, 43, 44, 45, 46, 48)  # alerts about a certificate
 _VERSION = 0xFEFD
 
@@ -51,20 +50,19 @@ class Tunnel:
     """One DTLS association, from its first hello to its end.
 
     `ready`: both ends are authenticated. `confirmed`: and the other end knows, for it has sent data. `failure`: why
-    it is over. `hint`: what the other end seems to say is wrong; nothing proves that it is from there. `newest`: the
-    number of the newest record taken, which a copy of an old one sent from elsewhere does not change.
+    it is over. `hint`: what the other end seems to say is wrong; nothing proves that it is from there.
     """
 
     def __init__(self, tls: SSL.Connection, peer: str, now: int, *, server: bool) -> None:
         self.ready = self.confirmed = False
         self.failure: str | None = None
         self.hint: str | None = None
-        self.newest = 0
+        self.data: DataRecords | None = None  # when it is ready
+        self.words: list[bytes] = []  # what came that is no packet, each with the byte that says what it is
         self.dropped: Counter[str] = Counter()
         self._peer, self._server, self._tls = peer, server, tls
         self._write, self._read = self._tls.bio_write, self._tls.recv
-        self._seal, self._sealed = self._tls.send, self._tls.bio_read
-        self._seen = 1  # bit i: newest - i has come; the number 0 is the handshake's last
+        self._sealed = self._tls.bio_read
         self._began = now
         self._again: int | None = None  # when the flight is to be sent again
         self._wait = AGAIN_NS
@@ -94,16 +92,14 @@ class Tunnel:
                 return ([] if plain is None else [plain]), []
         return self._take(datagram, now)
 
-    def send(self, plain: bytes) -> bytes | None:
+    def send(self, plain: bytes, what: bytes = PACKET) -> bytes | None:
         """`plain` sealed, one datagram of `OVERHEAD` more bytes; None if it cannot be sent: see `ready`, `failure`."""
-        if not self.ready or self.failure is not None or not 0 < len(plain) <= MOST:
+        if self.data is None or self.failure is not None or not 0 < len(plain) <= MOST:
             return None
-        try:
-            self._seal(plain)
-            return self._sealed(len(plain) + OVERHEAD)
-        except SSL.Error as error:
-            self._fail(error)
-            return None
+        sealed = self.data.seal(plain, what)
+        if sealed is None:
+            self.failure = "the association has used all its numbers; another one begins"
+        return sealed
 
     def due(self, now: int) -> list[bytes]:
         """What has not been answered by `now`, to be sent again."""
@@ -149,9 +145,11 @@ class Tunnel:
                 self.dropped[Dropped.OVER] += 1
             elif record.epoch > 1 or (self.ready and (record.epoch == 0 or record.type in (HANDSHAKE, CHANGE))):
                 self.dropped[Dropped.EPOCH] += 1  # a copy of the handshake, or a wish for a new one
-            elif self.ready:
+            elif self.ready and record.type == DATA:
                 got = self._open(record.number, record.data)
                 plain += [] if got is None else [got]
+            elif self.ready:
+                self._hear_sealed(record)
             elif record.epoch == 0 and record.type == ALERT:
                 self._hear(record)
             elif record.type == DATA:
@@ -164,33 +162,32 @@ class Tunnel:
         return plain, back
 
     def _open(self, number: int, record: bytes) -> bytes | None:
-        """What one sealed record carries, if it is from the other end and new."""
-        ahead = number - self.newest
-        if ahead <= 0 and self._cause(ahead) is not Dropped.FORGED:
-            self.dropped[self._cause(ahead)] += 1  # OpenSSL would say the same at twice the price
+        """The packet in one record of data, if it is from the other end and new."""
+        assert self.data is not None
+        opened = self.data.open(number, record)
+        if isinstance(opened, Dropped):
+            self.dropped[opened] += 1
             return None
+        self.confirmed = True
+        if opened[-1:] != PACKET:
+            self.words.append(opened)
+            return None
+        return opened[:-1]
+
+    def _hear_sealed(self, alert: Record) -> None:
+        """An alert under the keys of DTLS: a farewell, unless it does not open."""
         try:
-            self._write(record)
-            plain = self._read(len(record))
+            self._write(alert.data)
+            self._read(1)
         except SSL.WantReadError:
-            self.dropped[self._cause(ahead)] += 1
-            return None
+            self.dropped[Dropped.FORGED] += 1
         except SSL.ZeroReturnError:
             self.failure = "the other end has ended the association"
-            return None
         except Exception as error:
             if self._is_alive():
-                self.dropped[self._cause(ahead)] += 1
+                self.dropped[Dropped.FORGED] += 1
             else:
                 self._fail(error)
-            return None
-        if ahead > 0:
-            self._seen = (self._seen << ahead | 1) & _MASK if ahead < WINDOW else 1
-            self.newest = number
-        else:
-            self._seen |= 1 << -ahead
-        self.confirmed = True
-        return plain
 
     def _is_alive(self) -> bool:
         """Does OpenSSL wait for more? An error that another association left in its queue is none of ours."""
@@ -202,11 +199,6 @@ class Tunnel:
             return False
         return False
 
-    def _cause(self, ahead: int) -> Dropped:
-        if -ahead >= WINDOW:
-            return Dropped.LATE
-        return Dropped.REPLAYED if ahead <= 0 and self._seen >> -ahead & 1 else Dropped.FORGED
-
     def _step(self, now: int) -> list[bytes]:
         """Let OpenSSL go on with the handshake, and send what it has to say."""
         try:
@@ -217,7 +209,9 @@ class Tunnel:
             self._fail(error)
         else:
             self.ready = peer_of(self._tls) == self._peer
-            if not self.ready:
+            if self.ready:
+                self.data = DataRecords(exported(self._tls, MATERIAL, server=self._server), server=self._server)
+            else:
                 self.failure = "the other end has shown no certificate that could be checked"
         said = records(self._taken_out())
         if said is None:

@@ -209,7 +209,7 @@ class TestDatagrams:
         self, associated: Associated, seed: int
     ) -> None:
         one, other = associated()
-        water = Stream(parse_link(BAD_WATER), 0, seed, 137)
+        water = Stream(parse_link(BAD_WATER), 0, seed, 100 + OVERHEAD)
         seen, came = [], []
         for k in range(500):
             (data,) = sealed(one, k.to_bytes(2, "big") + bytes(98))
@@ -218,7 +218,7 @@ class TestDatagrams:
                 came.append(arrived.packet)
                 seen += [int.from_bytes(plain[:2], "big") for plain in opened(other, [arrived.load])]
         newest, due = -1, []
-        for number in came:  # what a window of 64 lets through
+        for number in came:  # what the window lets through
             if number not in due and number > newest - WINDOW:
                 due.append(number)
             newest = max(newest, number)
@@ -226,13 +226,29 @@ class TestDatagrams:
         assert sum(other.dropped.values()) == len(came) - len(seen)
         assert not other.dropped[Dropped.FORGED]
 
-    def test_that_63_newer_ones_overtook_are_taken_and_of_64_not(self, associated: Associated) -> None:
-        for overtaking, taken in ((63, True), (64, False)):
+    def test_that_newer_ones_overtook_are_taken_as_far_as_the_window_reaches(self, associated: Associated) -> None:
+        assert WINDOW >= 1024
+        for overtaking, taken in ((WINDOW - 1, True), (WINDOW, False)):
             one, other = associated()
-            data = sealed(one, *[bytes((i,)) for i in range(1, 66)])
+            data = sealed(one, *[i.to_bytes(2, "big") for i in range(WINDOW + 1)])
             assert len(opened(other, data[1 : overtaking + 1])) == overtaking
             assert bool(opened(other, data[:1])) is taken
             assert other.dropped == ({} if taken else {Dropped.LATE: 1})
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_that_reordering_delays_by_150_ms_are_not_lost_at_1_khz(self, associated: Associated, seed: int) -> None:
+        """With the 64 places of OpenSSL's window 45 % of them were."""
+        one, other = associated()
+        water = Stream(parse_link("uniform(0.15)"), 0, seed, 100 + OVERHEAD)
+        came = taken = 0
+        for k in range(3000):
+            (data,) = sealed(one, bytes(100))
+            water.send(k, k * MS, data)
+            for arrived in water.deliver(k * MS):
+                came += 1
+                taken += len(opened(other, [arrived.load]))
+        assert taken == came > 2800
+        assert other.dropped == {}
 
     def test_of_several_records_are_taken_apart(self, associated: Associated) -> None:
         one, other = associated()
@@ -249,10 +265,10 @@ class TestDatagrams:
 class TestStrangers:
     def test_a_replay_never_surfaces(self, associated: Associated) -> None:
         one, other = associated()
-        data = sealed(one, *[bytes((i,)) for i in range(200)])
+        data = sealed(one, *[i.to_bytes(2, "big") for i in range(WINDOW + 100)])
         opened(other, data)
         assert opened(other, data) == []
-        assert other.dropped == {Dropped.REPLAYED: WINDOW, Dropped.LATE: 200 - WINDOW}
+        assert other.dropped == {Dropped.REPLAYED: WINDOW, Dropped.LATE: 100}
         assert opened(other, sealed(one, b"next")) == [b"next"]
 
     def test_nor_does_a_record_of_another_association_of_the_same_ends(self, associated: Associated) -> None:
@@ -306,7 +322,7 @@ class TestStrangers:
             for number in (1, 1000, 2**48 - 1):
                 head = HEAD.pack(kind, 0xFEFD, 1, number >> 32, number & 0xFFFFFFFF, length)
                 assert other.receive(head + bytes(length), 0) == ([], [])
-        assert other.dropped[Dropped.NO_RECORD] >= 3 * 25  # OpenSSL has not seen them
+        assert other.dropped[Dropped.NO_RECORD] >= 3 * (18 if kind == DATA else 25)  # OpenSSL has not seen them
         assert opened(other, sealed(one, b"x")) == [b"x"]
 
     def test_a_certificate_that_is_none_raises_nothing(self, keys: list[Key]) -> None:
