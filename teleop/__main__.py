@@ -42,12 +42,11 @@ def _run(args: Namespace) -> None:
 
     scene = load_scene(args.scene, **knobs_from(args))
     _check_plot(args)
-    out = _out(args)
-    with new_folder(out) as inside:  # before the run: a folder that cannot be written is found at once
+    with new_folder(args.out, _stem(args)) as new:  # before the run: a folder that cannot be written is found at once
         result = run(scene, seed=args.seed, clock=perf_counter_ns)
-        result.write(inside, args.typed)
-        _plot(args, result, inside)
-    _tell(args, replace(result, path=out))
+        result.write(new.inside, args.typed)
+        _plot(args, result, new.inside)
+    _tell(args, replace(result, path=new.path))
 
 
 def _precision(args: Namespace) -> None:
@@ -55,33 +54,32 @@ def _precision(args: Namespace) -> None:
 
     from teleop.console import Progress
     from teleop.figure import drawable
-    from teleop.folder import new_folder, numbered
+    from teleop.folder import new_folder
     from teleop.precision.measure import measure
     from teleop.precision.report import summary, table, write
     from teleop.scene import load_scene
 
     scene = load_scene(args.scene, **knobs_from(args))
-    out = Path(args.out) if args.out is not None else numbered(Path("runs"), f"{scene.name}-precision")
     line = Progress(sys.stderr, 1.0)
 
     def show(part: float, text: str) -> None:
         if not args.json:
             line.show(part, monotonic(), text)
 
-    with new_folder(out) as inside:
+    with new_folder(args.out, f"{scene.name}-precision") as new:
         try:
             got = measure(scene, seed=args.seed, clock=perf_counter_ns, rounds=args.rounds, show=show)
         finally:
             line.end()
-        write(got, inside, args.typed)
+        write(got, new.inside, args.typed)
         if drawable():
             from teleop.precision.figure import draw
 
-            draw(got, inside / "precision.png")
+            draw(got, new.inside / "precision.png")
     if args.json:
-        _say_object({**summary(got, args.typed), "path": str(out)})
+        _say_object({**summary(got, args.typed), "path": str(new.path)})
     else:
-        _say(f"{table(got)}\nwritten to {out}")
+        _say(f"{table(got)}\nwritten to {new.path}")
 
 
 def _stability(args: Namespace) -> None:
@@ -164,7 +162,7 @@ def _demo(args: Namespace) -> None:
     from teleop.live.demo import demo
 
     _check_plot(args)
-    result = demo(args.scene, knobs_from(args), seed=args.seed, out=_out(args), json=args.json,
+    result = demo(args.scene, knobs_from(args), seed=args.seed, out=args.out, stem=_stem(args), json=args.json,
                   lockstep=args.lockstep, command=args.typed, realtime=args.realtime)
     _tell(args, result)
     if result.path is not None:  # a live run takes its time anyway
@@ -238,11 +236,10 @@ def _put_together(args: Namespace) -> None:
 
     result = merge(scene_of(Path(args.run)), Path(args.run), Path(args.slave))
     args.scene = result.scene
-    out = _out(args)
-    with new_folder(out) as inside:
-        result.write(inside, args.typed)
-    _tell(args, replace(result, path=out))
-    _draw_if_possible(args, result, out)
+    with new_folder(args.out, _stem(args)) as new:
+        result.write(new.inside, args.typed)
+    _tell(args, replace(result, path=new.path))
+    _draw_if_possible(args, result, new.path)
 
 
 def _draw_if_possible(args: Namespace, result: Result, folder: Path) -> None:
@@ -286,12 +283,9 @@ def _say(text: str) -> None:
     print(printable(text, lines=True).encode(encoding, "backslashreplace").decode(encoding))
 
 
-def _out(args: Namespace) -> Path:
-    from teleop.folder import numbered
-
-    if args.out is not None:
-        return Path(args.out)
-    return numbered(Path("runs"), Path(args.scene).name.removesuffix(".py"))
+def _stem(args: Namespace) -> str:
+    """What the numbered folder of a run is called before its number."""
+    return Path(args.scene).name.removesuffix(".py")
 
 
 def _check_plot(args: Namespace) -> None:

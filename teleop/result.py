@@ -101,8 +101,8 @@ class Result:
         """Write summary.json and trace.npz as the new `folder`, all of it or nothing."""
         from teleop.folder import new_folder
 
-        with new_folder(folder) as inside:
-            self.write(inside, command)
+        with new_folder(folder) as new:
+            self.write(new.inside, command)
         return replace(self, path=folder)
 
     def write(self, folder: Path, command: Sequence[str] = ()) -> None:

@@ -10,24 +10,21 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from io import FileIO
 from math import isfinite
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
-from teleop.batch.grid import plain
+from teleop.batch.definition import DEFINITION, STRICT, begun, check_same, locked, no_link, read_definition, text
 from teleop.errors import Refused
-from teleop.files import is_part, replacing
-from teleop.folder import new_folder, numbered
+from teleop.files import replacing
 
 if TYPE_CHECKING:
     from teleop.batch.table import Table
 
-DEFINITION, ROWS = "sweep.json", "rows.jsonl"
-_ABSENT = object()
-_STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # and ASCII, whatever a knob's text holds
+ROWS = "rows.jsonl"
 
 
 class Done:
@@ -93,17 +90,13 @@ class Store:
         Raises `Refused` if the folder holds something else or another sweep (naming the first difference), if
         another process writes there, or if it cannot be written to.
         """
-        at, wanted = Path(folder), json.loads(_text(definition))
+        at, wanted = Path(folder), json.loads(text(definition))
         try:
-            if not os.path.lexists(at):
-                with new_folder(at) as inside:
-                    _define(inside, definition)
-            elif at.is_dir() and all(is_part(path, DEFINITION) for path in at.iterdir()):  # empty, or left by a kill
-                _define(at, definition)
-            there = _definition(at)
-            _same(at, there, wanted)
+            lock = begun(at, definition)
+            there = read_definition(at)
+            check_same(at, there, wanted)
             store = cls(at, there)
-            store._lock = _locked(at)
+            store._lock = lock or locked(at / DEFINITION, "r+b")
             try:
                 store._mend()
             except BaseException:
@@ -118,7 +111,7 @@ class Store:
     def look(cls, folder: Path | str) -> Store:
         """The sweep in `folder`, to read from, also while it is being written. Raises `Refused` if there is none."""
         at = Path(folder)
-        store = cls(at, _definition(at))
+        store = cls(at, read_definition(at))
         try:
             for _, row in store._lines():
                 if row is not None:
@@ -213,7 +206,7 @@ class Store:
         if not sound:  # written anew beside it and put in its place, so that no row is ever at risk
             with replacing(path, settle=True) as file:
                 whole = sum(file.write(line) for line, row in self._lines() if row is not None)
-        self._file, self._size = FileIO(path, "a", opener=_no_link), whole
+        self._file, self._size = FileIO(path, "a", opener=no_link), whole
         if self._file.tell() != whole:
             self._file.truncate(whole)
 
@@ -229,94 +222,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
 
 def _line(row: Mapping[str, Any], metrics: frozenset[str]) -> bytes:
     try:
-        text = _STRICT.encode(row)
+        line = STRICT.encode(row)
     except (TypeError, ValueError):
-        text = _text({k: v for k, v in row.items() if k not in metrics or (v is not None and isfinite(v))})
-    return text.encode() + b"\n"
-
-
-def _text(value: object) -> str:
-    """`value` as JSON of one line that any reader takes."""
-    try:
-        return _STRICT.encode(value)
-    except (TypeError, ValueError):
-        return _STRICT.encode(_jsonable(value))
-
-
-def _jsonable(value: object) -> object:
-    """`value` in JSON's types: a numpy number as one of Python's, what JSON has no word for as text."""
-    if isinstance(value, Mapping):
-        return {str(key): _jsonable(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_jsonable(item) for item in value]
-    if hasattr(value, "tolist"):  # numpy's scalars and arrays
-        return _jsonable(value.tolist())
-    if isinstance(value, float):
-        return value if isfinite(value) else str(value)
-    return plain(value)
-
-
-def _define(inside: Path, definition: Mapping[str, Any]) -> None:
-    with replacing(inside / DEFINITION, settle=True) as file:
-        file.write(json.dumps(json.loads(_text(definition)), indent=1).encode() + b"\n")
-
-
-def _no_link(path: str, flags: int) -> int:
-    """What opens a file of the folder to be written: never another one that it may link to."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
-
-
-def _definition(folder: Path) -> dict[str, Any]:
-    try:
-        got = json.loads((folder / DEFINITION).read_bytes())
-        if not isinstance(got, dict):
-            raise ValueError(f"{DEFINITION} is no definition")
-    except (OSError, ValueError, RecursionError) as error:
-        why = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-        raise Refused(f"{folder} holds no sweep ({DEFINITION}: {why}); give the folder of one, or with --out one "
-                      f"that is not there yet") from error
-    return got
-
-
-def _same(folder: Path, there: object, wanted: object) -> None:
-    for name, old, new in _differences("", there, wanted):
-        was, now = ("absent" if value is _ABSENT else _short(value) for value in (old, new))
-        raise Refused(f"{folder} holds another sweep: {name or DEFINITION} is {was} there and {now} here; write "
-                      f"--out '{numbered(folder.parent, folder.name)}', or ask for the same sweep to go on with it")
-
-
-def _differences(name: str, old: Any, new: Any) -> Iterator[tuple[str, object, object]]:
-    if isinstance(old, dict) and isinstance(new, dict):
-        for key in dict.fromkeys([*new, *old]):
-            yield from _differences(f"{name}.{key}".lstrip("."), old.get(key, _ABSENT), new.get(key, _ABSENT))
-    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        for i, (a, b) in enumerate(zip(old, new, strict=True)):
-            yield from _differences(f"{name}[{i}]", a, b)
-    elif old != new or isinstance(old, bool) != isinstance(new, bool):
-        yield name, old, new
-
-
-def _short(value: object) -> str:
-    text = _text(value)
-    many = f" ({len(value)} values)" if isinstance(value, (list, dict)) else ""
-    return (text if len(text) <= 60 else text[:57] + "...") + many
-
-
-def _locked(folder: Path) -> IO[bytes]:
-    """The open definition, with a lock on it that goes when the process does, however it ends."""
-    file = open(folder / DEFINITION, "r+b", opener=_no_link)  # noqa: SIM115 (it is open as long as the lock)
-    lock: Callable[[IO[bytes], int], None] | None = None
-    with suppress(ImportError):
-        import fcntl
-
-        lock, how = fcntl.flock, fcntl.LOCK_EX | fcntl.LOCK_NB
-    if lock is not None:
-        try:
-            lock(file, how)
-        except BlockingIOError:
-            file.close()
-            raise Refused(f"another process is writing to {folder}; wait for its end or end it, or give another "
-                          f"folder with --out") from None
-        except OSError:  # a file system that has no locks
-            pass
-    return file
+        line = text({k: v for k, v in row.items() if k not in metrics or (v is not None and isfinite(v))})
+    return line.encode() + b"\n"

@@ -126,10 +126,10 @@ def _die_with_parent() -> None:
 
 
 def demo(
-    scene_name: str, knobs: dict[str, str], *, seed: int, out: Path, json: bool, lockstep: bool, command: list[str],
-    realtime: bool = False,
+    scene_name: str, knobs: dict[str, str], *, seed: int, out: str | None, stem: str, json: bool, lockstep: bool,
+    command: list[str], realtime: bool = False,
 ) -> Result:
-    """Run a scene live on loopback and write its folder. Raises `Refused`.
+    """Run a scene live on loopback and write its folder, `out` or runs/STEM-N. Raises `Refused`.
 
     `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself.
     """
@@ -138,19 +138,19 @@ def demo(
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
     options += ["--realtime"] * realtime
-    with output.live(), Interrupt() as interrupt, fresh_folder(out) as keep:
+    with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as (folder, keep):
         try:
-            channel = asyncio.run(_conduct(scene, options, out, interrupt, show=not json, lockstep=lockstep))
+            channel = asyncio.run(_conduct(scene, options, folder, interrupt, show=not json, lockstep=lockstep))
         except Refused as refused:
-            raise Refused(f"{refused}; what was recorded is in {out}" if _ran(out) else str(refused)) from refused
+            raise Refused(f"{refused}; what was recorded is in {folder}" if _ran(folder) else str(refused)) from refused
         finally:
-            if _ran(out):
+            if _ran(folder):
                 keep()
-        if interrupt.name is not None and not _ran(out):
+        if interrupt.name is not None and not _ran(folder):
             raise KeyboardInterrupt
-        result = merge(scene, out / "master", out / "slave", channel=channel)
-        result.write(out, command)
-    return replace(result, path=out)
+        result = merge(scene, folder / "master", folder / "slave", channel=channel)
+        result.write(folder, command)
+    return replace(result, path=folder)
 
 
 async def _conduct(

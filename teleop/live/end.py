@@ -10,14 +10,12 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from secrets import randbits
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
-from teleop.folder import numbered
 from teleop.live import output, realtime, security
 from teleop.live.address import address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
@@ -48,8 +46,8 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     stand = device(scene)
     sealed, insecure = security.line(e, args)
     with output.live(), _wire(e, args, sealed) as wire, Interrupt() as interrupt:
-        folder = Path(args.out) if args.out else numbered(Path("runs"), f"{scene.name}-{NAMES[e]}")
-        with fresh_folder(folder) as keep:
+        stem = f"{scene.name}-{NAMES[e]}"
+        with fresh_folder(args.out, stem) as (folder, keep):
             line = _Line(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else line.show
             command = ["python", "-m", NAMES[e], *argv]

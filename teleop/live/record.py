@@ -8,8 +8,6 @@ tick, goes to a file beside it as it happens, one line of JSON each.
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import sys
 import warnings
 from array import array
@@ -19,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from teleop.errors import Refused
+from teleop.folder import claim
 from teleop.guard import Event
 from teleop.scene import Scene
 from teleop.tick import columns
@@ -135,24 +134,17 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
 
 
 @contextmanager
-def fresh_folder(folder: Path) -> Iterator[Callable[[], None]]:
-    """Make the folder of a live run; it is gone again in the end, parents too, if nobody called what this gives.
+def fresh_folder(out: Path | str | None, stem: str = "run") -> Iterator[tuple[Path, Callable[[], None]]]:
+    """The folder of a live run, claimed as `teleop.folder.claim` does, and what to call to have it kept.
 
-    It cannot be written beside and renamed as a whole: what a killed process leaves has to be found.
+    Without that call it is gone again in the end. It cannot be written beside and moved as a whole: what a killed
+    process leaves has to be found.
     """
-    if os.path.lexists(folder):
-        raise Refused(f"{folder} is there already; give another folder with --out, or remove it")
-    missing = [parent for parent in folder.parents if not parent.exists()]  # innermost first
+    claimed = claim(out, stem)
     kept: list[bool] = []
     try:
-        try:
-            folder.mkdir(parents=True)
-        except OSError as error:
-            raise Refused(f"cannot write to {folder} ({error.strerror or error}); give another with --out") from error
-        yield lambda: kept.append(True)
+        yield claimed.path, lambda: kept.append(True)
     finally:
         if not kept:
-            shutil.rmtree(folder, ignore_errors=True)
-            with suppress(OSError):  # a parent in use by somebody else stays
-                for parent in missing:
-                    parent.rmdir()
+            claimed.drop()
+        claimed.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 
@@ -13,7 +12,7 @@ def passivity(name: str, knobs: Mapping[str, object], *, seed: int = 0, span: st
 
     With `out` or `plot` summary.json and curves.npz go into a new folder, with `plot` passivity.png too.
     """
-    from teleop.folder import new_folder, numbered
+    from teleop.folder import new_folder
     from teleop.passivity.report import ask, summary, table, write
     from teleop.scene import load_scene
 
@@ -22,11 +21,10 @@ def passivity(name: str, knobs: Mapping[str, object], *, seed: int = 0, span: st
     told, text = summary(answer, command), table(answer)
     if out is None and not plot:
         return told, text
-    folder = Path(out) if out is not None else numbered(Path("runs"), f"{scene.name}-passivity")
-    with new_folder(folder) as inside:
-        write(answer, inside, command)
+    with new_folder(out, f"{scene.name}-passivity") as new:
+        write(answer, new.inside, command)
         if plot:
             from teleop.passivity.figure import draw
 
-            draw(answer, inside / "passivity.png")
-    return {**told, "path": str(folder)}, f"{text}\nwritten to {folder}"
+            draw(answer, new.inside / "passivity.png")
+    return {**told, "path": str(new.path)}, f"{text}\nwritten to {new.path}"

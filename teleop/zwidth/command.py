@@ -24,17 +24,16 @@ def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, ra
     then, and no file by half. Raises `Refused`, and KeyboardInterrupt if nothing was done yet.
     """
     from teleop.console import Progress
-    from teleop.folder import new_folder, numbered
+    from teleop.folder import new_folder
     from teleop.scene import load_scene
     from teleop.zwidth.assess import assess, span
     from teleop.zwidth.report import write
 
     scene = load_scene(name, **knobs)
     spans = span("--range-k", range_k), span("--range-b", range_b)
-    folder = Path(out) if out is not None else numbered(Path("runs"), f"{scene.name}-zwidth")
     line = None if stream is None else Progress(stream, 1.0)
 
-    with _interrupts() as finger, new_folder(folder) as inside:
+    with _interrupts() as finger, new_folder(out, f"{scene.name}-zwidth") as new:
 
         def show(part: float, text: str) -> None:
             if part >= 1.0:
@@ -51,13 +50,13 @@ def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, ra
             if line is not None:
                 line.end()
         finger.came -= min(finger.came, int(got.interrupted))  # that one has had its effect
-        write(got, inside, command)
-        left_out = _draw(got, inside, finger)
+        write(got, new.inside, command)
+        left_out = _draw(got, new.inside, finger)
         if finger.came:
             note = [f"interrupted before it was drawn: {', '.join(left_out)}"] if left_out else []
             got = replace(got, interrupted=True, notes=[*got.notes, *note])
-            write(got, inside, command)
-    return got, folder
+            write(got, new.inside, command)
+    return got, new.path
 
 
 def _draw(got: ZWidth, folder: Path, finger: _Interrupts) -> list[str]:

@@ -174,7 +174,7 @@ def test_a_disk_that_is_full_at_the_end_is_remembered_too(tmp_path: Path) -> Non
 
 
 def test_a_folder_that_nobody_kept_is_gone_with_its_parents(tmp_path: Path) -> None:
-    with fresh_folder(tmp_path / "a" / "b" / "c") as _:
+    with fresh_folder(tmp_path / "a" / "b" / "c"):
         (tmp_path / "a" / "b" / "c" / "file").write_text("")
     assert list(tmp_path.iterdir()) == []
 
@@ -191,7 +191,7 @@ def test_a_parent_that_was_there_or_is_in_use_stays(tmp_path: Path) -> None:
 
 def test_a_folder_that_was_kept_stays_whatever_happens_then(tmp_path: Path) -> None:
     def work() -> Any:
-        with fresh_folder(tmp_path / "mine") as keep:
+        with fresh_folder(tmp_path / "mine") as (_, keep):
             keep()
             raise ZeroDivisionError
 

@@ -22,6 +22,7 @@ from scenarios.__main__ import main as console_entry
 from teleop import load_result, load_scene, run
 from teleop.__main__ import main
 from teleop.catalogue import details
+from teleop.folder import claim
 from teleop.law import BUILT_IN
 from teleop.library import ROOT, built_in_scenes
 
@@ -175,8 +176,8 @@ class TestDemo:
 
         def demo(scene_name: str, knobs: dict[str, str], **rest: Any) -> Any:
             asked.append((scene_name, knobs, rest))
-            rest["out"].mkdir(parents=True)
-            return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=rest["out"])
+            folder = claim(rest["out"], rest["stem"]).path
+            return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=folder)
 
         monkeypatch.setitem(sys.modules, "teleop.live.demo", types.SimpleNamespace(demo=demo))
         answer = typed("demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep")
@@ -184,7 +185,7 @@ class TestDemo:
         assert "live in lockstep" in answer.out
         assert answer.out.endswith("written to runs/hard_wall-1\n")
         command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep"]
-        rest = {"seed": 3, "out": Path("runs/hard_wall-1"), "json": False, "lockstep": True, "command": command,
+        rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "lockstep": True, "command": command,
                 "realtime": False}
         if find_spec("matplotlib"):
             assert Path("runs/hard_wall-1/figure.png").is_file()

@@ -403,6 +403,61 @@ class TestTwoWriters:
         first.close()
         Store.open(tmp_path / "s", WHAT).close()
 
+    CHILD = """
+import json, sys
+from pathlib import Path
+from teleop.batch.store import Store
+from teleop.errors import Refused
+
+for turn in sys.stdin:  # all start at the same line
+    folder, definition = turn.split(" ", 1)
+    try:
+        store = Store.open(folder, json.loads(definition))
+        print(store.definition["scene"], flush=True)
+        sys.stdin.readline()
+        store.close()
+    except Refused as refused:
+        print("refused:", refused, flush=True)
+        sys.stdin.readline()
+"""
+
+    @pytest.mark.parametrize("there", [False, True], ids=["new", "an empty folder"])
+    def test_of_many_that_start_at_once_one_writes_its_own_definition(self, tmp_path: Path, there: bool) -> None:
+        root = str(Path(__file__).resolve().parents[3])
+        children = [
+            subprocess.Popen([sys.executable, "-c", self.CHILD], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                             text=True, env={**os.environ, "PYTHONPATH": root})
+            for _ in range(6)
+        ]
+        try:
+            for turn in range(40):
+                folder = tmp_path / f"s{turn}"
+                if there:
+                    folder.mkdir()
+                said = self.ask(children, [f"{folder} {json.dumps({**WHAT, 'scene': str(i)})}" for i in range(6)])
+                winners = [(i, one) for i, one in enumerate(said) if not one.startswith("refused:")]
+                assert [one for _, one in winners] == [str(i) for i, _ in winners]
+                assert len(winners) == 1, said
+                assert Store.look(folder).definition["scene"] == winners[0][1]
+                assert {*os.listdir(folder)} == {"rows.jsonl", "sweep.json"}
+                for child in children:
+                    self.tell(child, "close")
+        finally:
+            for child in children:
+                child.kill()
+                child.communicate()
+
+    @staticmethod
+    def tell(child: subprocess.Popen[str], line: str) -> None:
+        assert child.stdin is not None
+        child.stdin.write(line + "\n")
+        child.stdin.flush()
+
+    def ask(self, children: list[subprocess.Popen[str]], lines: list[str]) -> list[str]:
+        for child, line in zip(children, lines, strict=True):
+            self.tell(child, line)
+        return [child.stdout.readline().strip() for child in children if child.stdout is not None]
+
 
 class TestDone:
     @given(st.sets(st.one_of(st.integers(0, 70), st.integers(0, 5000))), st.lists(st.integers(0, 200), max_size=4),
