@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from teleop.bodies import held_master, master_plant, reference_samples
+from teleop.deadline import DEADLINE
 from teleop.endpoint import Axes, Reading
 from teleop.plant import grip_force, move_free, move_gripped
 from teleop.scene import Scene
@@ -14,9 +15,12 @@ from teleop.tick import features
 class SimulatedMaster:
     """Reads where the master is at a tick, and holds the motor's force until the next one is read.
 
+    A force that is not renewed within its deadline lapses: the motion goes on without it.
     It has a force sensor if the scene's law reads f_h and no observer stands in for one, and where the motion has an
     inner state, since the hand's force cannot be told afterwards then.
     """
+
+    deadline = DEADLINE
 
     def __init__(self, scene: Scene) -> None:
         has = features(scene)
@@ -29,18 +33,21 @@ class SimulatedMaster:
         self._f = [0.0] * scene.axes
         self._dt = scene.dt_ns / 1e9
         self._sensor = "felt_m" in has
-        self._k = 0
+        self._k = self._renewed = 0
+        self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # ticks
 
     def read(self, k: int) -> Reading:
         """Position, velocity and hand force, the left limit at tick k. Ticks may be left out, not taken twice."""
         while self._k < k:
+            if self._k - self._renewed >= self._lapse:
+                self._f = [0.0] * len(self._f)
             self._move(self._k)
             self._k += 1
         return Reading(tuple(self._x), tuple(self._v), self._hand() if self._sensor else None)
 
     def hold(self, force: Axes) -> None:
         """Hold `force` (N, against the hand) from now on."""
-        self._f = list(force)
+        self._f, self._renewed = list(force), self._k
 
     def _move(self, k: int) -> None:
         for i, (x, v, f) in enumerate(zip(self._x, self._v, self._f, strict=True)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from teleop.bodies import slave_plants
+from teleop.deadline import DEADLINE
 from teleop.endpoint import Axes, Reading
 from teleop.scene import Scene
 from teleop.tick import features
@@ -11,8 +12,11 @@ from teleop.tick import features
 class SimulatedSlave:
     """Reads where the slave is at a tick, and holds the motor's force until the next one is read.
 
+    A force that is not renewed within its deadline lapses: the motion goes on without it.
     It has a force sensor if the scene's law reads f_env.
     """
+
+    deadline = DEADLINE
 
     def __init__(self, scene: Scene) -> None:
         self._plants = slave_plants(scene)
@@ -22,11 +26,14 @@ class SimulatedSlave:
         self._inner = "inner_s" in features(scene)
         self._z = [plant.start for plant in self._plants]
         self._sensor = "felt_s" in features(scene)
-        self._k = 0
+        self._k = self._renewed = 0
+        self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # ticks
 
     def read(self, k: int) -> Reading:
         """Position, velocity and contact force, the left limit at tick k. Ticks may be left out."""
         while self._k < k:
+            if self._k - self._renewed >= self._lapse:
+                self._f = [0.0] * len(self._f)
             for i, (move, _, c, *_) in enumerate(self._plants):
                 state = c, self._x[i], self._v[i], self._f[i]
                 if self._inner:
@@ -42,4 +49,4 @@ class SimulatedSlave:
 
     def hold(self, force: Axes) -> None:
         """Hold `force` (N) from now on."""
-        self._f = list(force)
+        self._f, self._renewed = list(force), self._k

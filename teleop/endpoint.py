@@ -194,6 +194,8 @@ class Endpoint:
             self._begin(k, reading)
         got = self._rates.take(self.inbox, self._tick, k)
         gain = self.guard.step(k, got is not None, trouble, came=self._came if self._newest_wins else None)
+        if self.guard.lapsed:
+            self._held = (0.0,) * self.scene.axes
         seq, rx = (-1, None) if got is None else (got[0], got[1].rx)
         x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
         own, newest = k // self.every, seq if self.every == 1 else seq / self.every

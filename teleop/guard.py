@@ -10,13 +10,15 @@ begins, for its law begins from rest. A law that gives what is not finite ends t
 does not come back by itself.
 
 In a stall the force was held all the while, so the ramp counts the time that has passed, not the ticks that ran: after
-one that was longer than the ramp the first force is zero.
+one that was longer than the ramp the first force is zero. Of a device whose force lapses by itself it is zero after a
+stall of nearly its deadline, since it was let go in the meantime: what comes next must not jump.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from teleop.deadline import LAPSING
 from teleop.safety import Watchdog, watch
 
 UNNAMED = Watchdog(timeout=0.8)
@@ -50,6 +52,8 @@ class Guard:
         self._dog = None if stepped and not named else (watchdog or UNNAMED)
         self._c = None if self._dog is None else self._dog.limits(dt)
         self._dt, self._every = dt, every
+        self.lapsed = False  # was the force let go by the device before this tick
+        self._lapses = float("inf")  # own ticks from one that ran to the next, and it was
         self._calm = float("inf")
         self._waits = False  # for the first packet since the cause was over: from that one on calm is counted
         self._k = -every  # the last tick that ran
@@ -59,6 +63,10 @@ class Guard:
     def lets_go_ns(self) -> int:
         """How long after the last packet there is no force any more."""
         return 0 if self._dog is None else round((self._dog.timeout + self._dog.ramp) * 1e9)
+
+    def lapse_after(self, deadline: float) -> None:
+        """The device sets a force to zero by itself that is not renewed for `deadline` seconds."""
+        self._lapses = max(1.0, LAPSING * deadline / self._dt)
 
     def begin(self, k: int, why: str) -> None:
         """The law begins anew at tick `k`: from zero force, and only after packets have come for a while."""
@@ -78,11 +86,14 @@ class Guard:
             return 1.0
         passed, self._k = (k - self._k) // self._every, k
         patience = self._c.patience
+        self.lapsed = passed > self._lapses
+        if self.lapsed:
+            self.gain = 0.0
         if got:
             self._heard = max(self._heard, k if came is None else min(k, came))
             self._waits = self._waits and (k - self._heard) // self._every > patience
         silent = (k - self._heard) // self._every
-        if trouble is None and passed - 1 > patience:
+        if trouble is None and (passed - 1 > patience or self.lapsed):
             trouble = f"a stall: no tick for {(passed - 1) * self._dt:.3f} s"
         if trouble is None and silent > patience:
             trouble = f"silence: no fresh packet for {self._dog.timeout:g} s"

@@ -14,7 +14,7 @@ from teleop.live.hearing import Hearing
 from teleop.live.interrupt import Interrupt
 from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
-from teleop.live.stand import Device, Stand
+from teleop.live.stand import Device, Stand, deadline_of
 from teleop.live.summary import live_numbers
 from teleop.live.ticker import Alarm
 from teleop.live.wire import DRAIN, SHARE, Wire
@@ -35,6 +35,8 @@ class Shell:
         self.endpoint, self.wire, self.recorder = endpoint, wire, recorder
         self.hearing = Hearing(endpoint, wire)
         self.stand = Stand(device, endpoint.scene.axes, trusted=endpoint.stepped)
+        if (deadline := deadline_of(device, endpoint)) is not None:
+            endpoint.guard.lapse_after(deadline)
         self.scene: Scene = endpoint.scene
         self.status, self.sentence = "stopped", "did not start"
         self.ticks = self.skipped = self.data_sent = 0

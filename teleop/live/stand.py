@@ -6,8 +6,8 @@ from math import inf, isfinite, isnan
 from numbers import Real
 from typing import Any, Protocol
 
-from teleop.endpoint import Axes, Reading
-from teleop.errors import DeviceError, Refused
+from teleop.endpoint import Axes, Endpoint, Reading
+from teleop.errors import DeviceError, Refused, number
 
 DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
 _FLOAT = frozenset((float,))
@@ -15,6 +15,13 @@ _FLOAT = frozenset((float,))
 
 class Device(Protocol):
     """A master device or a slave robot, as the live loop uses it.
+
+    **A force that `hold` has set has to lapse to zero at the device itself when it is not renewed for a stated time.**
+    Of a process that is killed or stopped, or that hangs in a driver, no line runs any more that could let go; it would
+    push the hand for ever. A device whose hardware lapses has an attribute `deadline`, that time in s (0.15, say: a
+    machine may stall for 0.07); the end renews at every tick and takes a longer stall of its own for a force that was
+    let go. A device whose hardware cannot has an attribute `watchdog`, a `teleop.live.heartbeat.DeviceWatchdog`: a
+    process beside the end that does it. The summary of a device that has neither says so.
 
     What cannot be read or held raises `DeviceError`, or an OSError: the end is safe until it can again.
     """
@@ -29,6 +36,21 @@ class Device(Protocol):
     def hold(self, force: Axes) -> None:
         """Hold this force (N, per axis) from now on: at the slave along +x, at the master against the hand, -x."""
         ...
+
+
+def deadline_of(device: Device, endpoint: Endpoint) -> float | None:
+    """After how long (s) a force that is not renewed lapses; None: never, or it does not matter. Raises `Refused`.
+
+    Ends that go by packets have none: their ticks take as long as packets do, and their devices are simulated.
+    """
+    deadline: float | None = getattr(device, "deadline", None)
+    if deadline is None or endpoint.stepped:
+        return None
+    number("a device's deadline", deadline, above=0.0)
+    if endpoint.own.dt > deadline / 2:
+        raise Refused(f"the device's force lapses after {deadline:g} s, and this end would renew it every "
+                      f"{endpoint.own.dt:g} s; tick at least every {deadline / 2:g} s, by --rate or the scene's dt")
+    return deadline
 
 
 class Stand:

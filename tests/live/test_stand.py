@@ -13,11 +13,12 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.endpoint import Reading
+from teleop.endpoint import Endpoint, Reading, Stepped
 from teleop.errors import DeviceError, Refused
 from teleop.live.merge import merge
-from teleop.live.stand import DEAD_NS, Stand
+from teleop.live.stand import DEAD_NS, Stand, deadline_of
 from teleop.scene import load_scene
+from teleop.session import Session
 
 MS = 1_000_000
 WELL = Reading((0.1,), (0.2,), (0.3,))
@@ -137,6 +138,33 @@ def test_what_is_no_number_is_refused_at_first_and_no_reading_later(wrong: Any) 
         device.reads = reading
         assert stand.read(1, MS) is None
         assert "a number for each axis" in str(stand.trouble)
+
+
+@pytest.mark.parametrize(("dt", "every", "stepped", "refused"), [
+    (1e-3, 1, False, False), (1e-3, 75, False, False), (1e-3, 80, False, True), (0.1, 1, False, True),
+    (0.1, 1, True, False),
+])
+def test_an_end_that_would_renew_the_force_too_seldom_for_its_device_is_refused(
+    dt: float, every: int, stepped: bool, refused: bool
+) -> None:
+    scene = load_scene("free_motion", dt=dt)
+    device = SimulatedMaster(scene)
+    session = Session(master=True, manifest={}, number=1, every=every)
+    end = Endpoint(scene, "m", session, Stepped(None) if stepped else None)
+    if refused:
+        with pytest.raises(Refused, match=r"lapses after 0.15 s.*every 0.(08|1) s; tick at least every 0.075 s"):
+            deadline_of(device, end)
+    else:
+        assert deadline_of(device, end) == (None if stepped else device.deadline)
+
+
+def test_a_device_without_a_deadline_is_taken_and_one_whose_deadline_is_no_time_is_not() -> None:
+    end = Endpoint(load_scene("free_motion"), "m", Session(master=True, manifest={}, number=1))
+    device: Any = Device()
+    assert deadline_of(device, end) is None
+    device.deadline = 0.0
+    with pytest.raises(Refused, match="deadline must be above 0"):
+        deadline_of(device, end)
 
 
 # In a live run

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from master.device import SimulatedMaster
 from master.hand import Grip, Reach, Sine
+from teleop.deadline import DEADLINE
 from teleop.endpoint import Reading
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
@@ -109,3 +110,32 @@ def test_it_can_be_read_one_tick_beyond_the_last() -> None:
 @pytest.mark.parametrize("other", [{"law": Wave()}, {"observer": 200.0}], ids=["wave", "pfra with an observer"])
 def test_without_a_use_for_a_force_sensor_it_has_none(other: dict[str, Any]) -> None:
     assert SimulatedMaster(scene(**other)).read(5).f is None
+
+
+def test_a_force_that_is_not_renewed_lapses_at_its_deadline_and_ticks_left_out_before_it_keep_it() -> None:
+    """As hardware that lets go by itself: of an end that was killed or hangs, no line runs any more."""
+    last = round(DEADLINE / scene().dt)
+    long = scene(duration=0.6)
+    renewed, forgotten, let_go = SimulatedMaster(long), SimulatedMaster(long), SimulatedMaster(long)
+    for device in (renewed, forgotten, let_go):
+        device.read(3)
+        device.hold((1.5,))
+    for k in range(4, 3 + last):
+        renewed.read(k)
+        renewed.hold((1.5,))
+    assert forgotten.read(3 + last) == renewed.read(3 + last), "to the bit, until the deadline"
+    let_go.read(3 + last)
+    let_go.hold((0.0,))
+    assert forgotten.read(3 + 2 * last) == let_go.read(3 + 2 * last) != renewed.read(3 + 2 * last)
+    forgotten.hold((1.5,))
+    assert forgotten.read(5 + 2 * last) != let_go.read(5 + 2 * last), "and it takes hold again"
+
+
+def test_a_force_that_is_renewed_at_every_tick_never_lapses_however_long_a_tick_is() -> None:
+    slow = scene(dt=0.4, duration=4.0, law=Wave(), hand=None)
+    device, still = SimulatedMaster(slow), SimulatedMaster(slow)
+    for k in range(3):
+        device.read(k)
+        device.hold((1.5,))
+        still.read(k)
+    assert device.read(3) != still.read(3)

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from slave.robot import SimulatedSlave
 from slave.tissue import Tissue
 from slave.wall import Wall
+from teleop.deadline import DEADLINE
 from teleop.endpoint import Reading
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
@@ -85,3 +86,32 @@ def test_over_ticks_that_are_left_out_the_force_goes_on() -> None:
 
 def test_without_a_use_for_a_force_sensor_it_has_none() -> None:
     assert SimulatedSlave(scene(law=Wave())).read(5).f is None
+
+
+def test_a_force_that_is_not_renewed_lapses_at_its_deadline_and_ticks_left_out_before_it_keep_it() -> None:
+    """As hardware that lets go by itself: of an end that was killed or hangs, no line runs any more."""
+    last = round(DEADLINE / scene().dt)
+    long = scene(duration=0.6)
+    renewed, forgotten, let_go = SimulatedSlave(long), SimulatedSlave(long), SimulatedSlave(long)
+    for device in (renewed, forgotten, let_go):
+        device.read(3)
+        device.hold((1.5,))
+    for k in range(4, 3 + last):
+        renewed.read(k)
+        renewed.hold((1.5,))
+    assert forgotten.read(3 + last) == renewed.read(3 + last), "to the bit, until the deadline"
+    let_go.read(3 + last)
+    let_go.hold((0.0,))
+    assert forgotten.read(3 + 2 * last) == let_go.read(3 + 2 * last) != renewed.read(3 + 2 * last)
+    forgotten.hold((1.5,))
+    assert forgotten.read(5 + 2 * last) != let_go.read(5 + 2 * last), "and it takes hold again"
+
+
+def test_a_force_that_is_renewed_at_every_tick_never_lapses_however_long_a_tick_is() -> None:
+    slow = scene(dt=0.4, duration=4.0)
+    device, still = SimulatedSlave(slow), SimulatedSlave(slow)
+    for k in range(3):
+        device.read(k)
+        device.hold((1.5,))
+        still.read(k)
+    assert device.read(3) != still.read(3)

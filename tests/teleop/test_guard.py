@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -128,6 +129,30 @@ def test_after_a_stall_it_is_safe_before_it_puts_out_any_force_and_the_ramp_has_
     slow = guard(replace(DOG, ramp=1.0))
     play(slow, range(100))
     assert slow.step(100 + 20, True) == pytest.approx(1.0 - 21 / 100)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_after_a_stall_in_which_the_device_let_go_the_force_begins_at_zero_and_does_not_jump(every: int) -> None:
+    """The device lapses after 0.15 s, the scene's watchdog waits for 0.8 s: the gain was 1, and the force came back."""
+    one = Guard(replace(DOG, timeout=0.8, ramp=0.5), DT * every, every=every)
+    one.lapse_after(0.15)
+    ticks = range(0, 300, every)
+    assert {one.step(k, True) for k in ticks} == {1.0}
+    short = ticks[-1] + 12
+    assert (one.step(short, True), one.safe, one.lapsed) == (1.0, False, False), "shorter: the force is still there"
+    back = short + 18
+    assert (one.step(back, True), one.safe, one.lapsed) == (0.0, True, True)
+    assert one.events[-1].why.startswith("a stall: no tick for 0.1")
+    rising = [one.step(k, True) for k in range(back + every, back + 180, every)]
+    assert not one.lapsed
+    assert max(b - a for a, b in pairwise(rising)) == pytest.approx(DT * every / 0.5)
+    assert rising[-1] == 1.0
+
+
+def test_an_end_whose_tick_is_as_long_as_the_deadline_does_not_take_every_tick_for_a_stall() -> None:
+    one = Guard(DOG, 0.2)
+    one.lapse_after(0.15)
+    assert {one.step(k, True) for k in range(20)} == {1.0}
 
 
 def test_a_short_stall_on_the_way_down_does_not_slow_it_and_on_the_way_up_does_not_hurry_it() -> None:

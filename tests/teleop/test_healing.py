@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop.deadline import DEADLINE, LAPSING
 from teleop.device import Device, Encoder
 from teleop.guard import Event
 from teleop.laws.direct import Direct
@@ -45,7 +46,8 @@ def check(world: World) -> None:
             if now.first:
                 before, heard = None, now.k  # noqa: PLW2901 - another process
             passed = 1 if before is None else now.k - before.k
-            step = now.force - (0.0 if before is None else before.force)
+            lapsed = passed * scene.dt > LAPSING * DEADLINE  # and the device let go meanwhile
+            step = now.force - (0.0 if before is None or lapsed else before.force)
             assert abs(step) <= slew * scene.dt * passed + 1e-9, f"{e} at tick {now.k}"
             heard = now.k if now.played >= 0 else heard
             silent = (now.k - heard) * scene.dt
@@ -242,6 +244,24 @@ def test_the_law_begins_from_rest_at_both_ends_with_each_session_ledgers_too() -
             assert world.done[e][200].row[at] > 1e-2
     assert world.end("m").session.met == 1
     assert world.end("s").session.met == 2
+
+
+@pytest.mark.parametrize("who", WHO.values(), ids=WHO)
+def test_an_end_that_stood_still_until_its_device_let_go_takes_hold_along_the_ramp(who: str) -> None:
+    """Shorter than its watchdog's patience: the device had lapsed, the gain was 1, and the force came back at once."""
+    world = running(healing(cap=None, watchdog=replace(DOG, timeout=3.0)))
+    ran = {e: len(world.done[e]) for e in who}
+    for e in who:
+        world.pause(e, True)
+    world.run(0.3)
+    for e in who:
+        world.pause(e, False)
+    world.run(1.0)
+    for e in who:
+        after = world.done[e][ran[e]:]
+        assert (after[0].safe, after[0].gain, after[0].force) == (True, 0.0, 0.0)
+        assert max(b.gain - a.gain for a, b in pairwise(after)) == pytest.approx(0.1)
+        assert after[-1].gain == 1.0
 
 
 @pytest.mark.parametrize("timeout", [0.1, 3.0])

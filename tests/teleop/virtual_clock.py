@@ -201,7 +201,10 @@ class World:
         number = self.dice.getrandbits(64) if e == "m" else None
         session = Session(master=e == "m", manifest=(scene or self.scene).manifest(), number=number,
                           every=self.every[e])
-        self.processes[e] = Process(self, e, Endpoint(scene or self.scene, e, session))
+        end = Endpoint(scene or self.scene, e, session)
+        if not self.still:
+            end.guard.lapse_after(self.devices[e].deadline)
+        self.processes[e] = Process(self, e, end)
         self.wakes[e] = self.true
 
     def kill(self, e: str) -> None:
