@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 from teleop.errors import Refused, nearest
 
-DONE, WRONG, INTERRUPTED = 0, 2, 130  # exit codes
+DONE, FAULT, WRONG, FORCED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes; FORCED: a device's force may still be on
 
 
 class Parser(ArgumentParser):
@@ -77,19 +77,20 @@ def guarded(work: Callable[[], int]) -> int:
         print(end="", flush=True)  # what fails here would otherwise fail after us, where nobody can say it
         return code
     except Refused as refused:
-        return _complain(str(refused), WRONG)
+        return complain(str(refused), WRONG)
     except KeyboardInterrupt:
-        return _complain("interrupted; nothing half-written is left, so just type it again", INTERRUPTED)
+        return complain("interrupted; nothing half-written is left, so just type it again", INTERRUPTED)
     except BrokenPipeError:
         return _let_go_of_output(DONE)
     except MemoryError:
-        return _complain("out of memory; a shorter duration or a greater dt needs less", WRONG)
+        return complain("out of memory; a shorter duration or a greater dt needs less", WRONG)
     except OSError as error:
-        code = _complain(f"the system refused ({error}); see to that and type it again", WRONG)
+        code = complain(f"the system refused ({error}); see to that and type it again", WRONG)
         return _let_go_of_output(code)
 
 
-def _complain(sentence: str, code: int) -> int:
+def complain(sentence: str, code: int) -> int:
+    """Say `sentence` on stderr; returns `code`."""
     from teleop.terminal import printable
 
     print("teleop:", printable(" ".join(sentence.splitlines())), file=sys.stderr)

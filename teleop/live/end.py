@@ -8,23 +8,25 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
+from pathlib import Path
 from secrets import randbits
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
-from teleop.live import output, realtime, security
+from teleop.live import fault, output, realtime, security
 from teleop.live.address import address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
+from teleop.live.leaving import UNRELEASED
 from teleop.live.record import Recorder, fresh_folder
 from teleop.live.shell import Shell
 from teleop.live.stand import Device
 from teleop.live.summary import NAMES, write_end
 from teleop.live.wire import Wire
-from teleop.options import guarded, knobs_from, scene_options
+from teleop.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
 from teleop.scene import Scene, both_ends, load_scene
 from teleop.session import MOST_EVERY, Session
 
@@ -43,9 +45,9 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
         number("--wait", args.wait, above=0.0)
     scene = both_ends(load_scene(args.scene, **knobs_from(args)))
     endpoint = _endpoint(scene, e, args)
-    stand = device(scene)
     sealed, insecure = security.line(e, args)
-    with output.live(), _wire(e, args, sealed) as wire, Interrupt() as interrupt:
+    with output.live(), Interrupt() as interrupt, _wire(e, args, sealed) as wire:
+        stand = device(scene)
         stem = f"{scene.name}-{NAMES[e]}"
         with fresh_folder(args.out, stem) as (folder, keep):
             line = _Line(scene)
@@ -64,12 +66,16 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                 asyncio.run(shell.run())
             finally:
                 line.end()
-                if shell.ticks:
-                    keep()
-                    result = write_end(shell, folder, args.seed, command)
-            if not shell.ticks and interrupt.name is not None:
+            if shell.ticks:
+                keep()
+            code = _said_of_faults(shell, folder)
+            if shell.ticks:
+                result = write_end(shell, folder, args.seed, command)
+            elif code != DONE:
+                return code
+            elif interrupt.name is not None:
                 raise KeyboardInterrupt
-            if not shell.ticks:
+            else:
                 raise Refused(shell.sentence)
     if args.json:
         summary = result.summary(command)
@@ -78,7 +84,20 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
         from teleop.console import table
 
         print(f"{table(result)}\nwritten to {folder}; `teleop report MASTER SLAVE` puts the two ends together")
-    return 0
+    return code
+
+
+def _said_of_faults(shell: Shell, folder: Path) -> int:
+    """The exit code; what is not DONE is said on stderr, before anything else may fail."""
+    if shell.fault is None and shell.status != UNRELEASED:
+        return DONE
+    where = ""
+    if shell.fault is not None and not isinstance(shell.fault, Refused) and shell.ticks:
+        with suppress(OSError):
+            fault.write(shell.fault, folder)
+            where = f"; its traceback is in {folder / fault.FILE}"
+    code = WRONG if isinstance(shell.fault, Refused) else FAULT
+    return complain(shell.sentence + where, FORCED if shell.status == UNRELEASED else code)
 
 
 def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
+from teleop.live.leaving import UNRELEASED
 from teleop.live.record import FILE, read_events, read_noted
 from teleop.live.summary import NAMES, WAYS, end_result, lateness, spread_us
 from teleop.lockstep import packet_counts, standing_notes
@@ -170,7 +171,7 @@ def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[s
 def _verdict(ends: dict[str, dict[str, Any]]) -> tuple[str, str]:
     """The status of the whole: what one end found out, the other was told."""
     silent = [end for end in ends.values() if _killed(end)]
-    for status in ("diverged", "stopped"):
+    for status in (UNRELEASED, "diverged", "stopped"):
         for end in (*silent, *ends.values()):  # that one was killed comes before what the others say of it
             if end["status"] == status:
                 return status, str(end["sentence"])

@@ -10,8 +10,10 @@ from typing import Any
 
 from teleop.endpoint import Axes, Endpoint, Reading, Stepped
 from teleop.guard import Event
+from teleop.live.fault import sentence
 from teleop.live.hearing import Hearing
 from teleop.live.interrupt import Interrupt
+from teleop.live.leaving import UNRELEASED, leave
 from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
 from teleop.live.stand import Device, Stand, deadline_of
@@ -56,7 +58,7 @@ class Shell:
         self._say, self.patience, self.interrupt = say, patience, interrupt
         self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is nobody, while that is waited for
         self.over = asyncio.Event()
-        self.broken: Exception | None = None  # what a callback of the loop raised
+        self.fault: BaseException | None = None  # what a part of it raised, of which the run has ended
         self.last = -endpoint.every  # the last tick that was due
         self.ran = 0  # the last tick that ran
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
@@ -64,9 +66,9 @@ class Shell:
         self._said_ns = 0
 
     async def run(self) -> None:
-        """The whole run: first exchange, ticks, farewell. An interrupt ends it cleanly; what is a bug raises."""
+        """The whole run: first exchange, ticks, farewell. Whatever is raised on the way ends it: see `fault`."""
         loop = asyncio.get_running_loop()
-        loop.add_reader(self.wire.sock, self._guarded, self._drain)
+        loop.add_reader(self.wire.sock, self.guarded, self._drain)
         try:
             if await meet(self):
                 gc.collect()
@@ -80,30 +82,19 @@ class Shell:
                     await self._by_clock(loop)
                 self.run_time = (time.monotonic_ns() - began) / 1e9
                 self.cpu = (time.process_time_ns() - used) / 1e9 / max(1e-9, self.run_time)
-            if self.broken is not None:
-                raise self.broken
-        except Exception as error:
-            self.over.clear()
-            self.stop(f"it failed with {type(error).__name__}: {error}")
-            raise
+        except BaseException as error:
+            self._fail(error)
+            if (task := asyncio.current_task()) is not None and task.cancelling():
+                raise  # it was this task that was cancelled, from elsewhere
         finally:
             loop.remove_reader(self.wire.sock)
-            try:
-                self.stand.let_go()
-            finally:  # whatever its driver raises
-                self._note()
-                self.recorder.close()
-                for _ in range(3):  # a farewell may be lost too
-                    self.send(self.bye())
-                    await asyncio.sleep(0.002)
-                self.dropped = self.wire.dropped
-                self.wire.end()
+            await leave(self)
 
     async def _by_clock(self, loop: asyncio.AbstractEventLoop) -> None:
         """Tick when the timer rings. Messages matter at ticks alone, so the socket is read there: see `Wire`."""
         loop.remove_reader(self.wire.sock)
         self.hearing.begin()
-        self._alarm = Alarm(loop, lambda: self._guarded(self._wake), self.spin_ns)
+        self._alarm = Alarm(loop, lambda: self.guarded(self._wake), self.spin_ns)
         if self.endpoint.session.joined:
             self._join(self._due() + 1)
         elif (reading := self.stand.read(0, time.monotonic_ns())) is not None:
@@ -143,19 +134,32 @@ class Shell:
 
     def stop(self, why: str) -> None:
         """End the run now, as a stop that is none of the scene's doing."""
-        self.end("stopped", f"stopped at t = {(self.last + 1) * self.scene.dt_ns / 1e9:.3f} s: {why}")
+        self.end("stopped", f"stopped at t = {self._now():.3f} s: {why}")
 
     def bye(self) -> list[bytes]:
         """The farewell that says how the run ended for this end."""
         return self.endpoint.session.bye(HUSH if self.status == "ok" else self.sentence, time.monotonic_ns())
 
-    def _guarded(self, callback: Callable[[], None]) -> None:
-        """Call `callback`; what it raises ends the run. The event loop itself would only log it and go on."""
+    def guarded(self, callback: Callable[[], None]) -> None:
+        """Call `callback`; whatever it raises ends the run: see `teleop.live.fault`."""
         try:
             callback()
-        except Exception as error:
-            self.broken = self.broken or error
-            self.over.set()
+        except BaseException as error:
+            self._fail(error)
+
+    def _fail(self, error: BaseException) -> None:
+        """Hold no force from this moment on: something was raised. The first such error is what the run ended of."""
+        self.stand.let_go()
+        if self.fault is None:
+            self.fault = error
+            why = sentence(error, {Shell.announce.__code__: "the live line", meet.__code__: "the first exchange"})
+            if self.status != UNRELEASED:  # which weighs more
+                self.status, self.sentence = "stopped", f"stopped at t = {self._now():.3f} s: {why}"
+        self.over.set()
+
+    def _now(self) -> float:
+        """The time of the run (s) up to which this end has come."""
+        return (self.last + 1) * self.scene.dt_ns / 1e9
 
     def send(self, datagrams: list[bytes]) -> None:
         for data in datagrams:
@@ -247,7 +251,7 @@ class Shell:
         if reading is None:
             self.endpoint.left_out(k, str(trouble))
             stand.let_go()
-            self._note()
+            self.note()
             return
         if self.ticks and self.beyond(reading):
             return
@@ -271,9 +275,9 @@ class Shell:
             stand.let_go()
             self.endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
             self.end("diverged", divergence(self.scene, k, f"{failed} is not finite"))
-        self._note()
+        self.note()
 
-    def _note(self) -> None:
+    def note(self) -> None:
         """Write down what has happened since the last time."""
         events = self.endpoint.guard.events
         while self._noted < len(events):
@@ -291,7 +295,7 @@ class Shell:
             return False
         self.stand.let_go()
         self.endpoint.guard.tell(self.ran, "safe", f"the motion: x_{self.endpoint.e} passed {limit:g} m")
-        self._note()
+        self.note()
         self.end("diverged", divergence(self.scene, self.ran, f"x_{self.endpoint.e} passed {limit:g} m"))
         return True
 

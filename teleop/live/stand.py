@@ -63,6 +63,7 @@ class Stand:
     def __init__(self, device: Device, axes: int, *, trusted: bool = False) -> None:
         self.device, self.trusted = device, trusted
         self.trouble: str | None = None
+        self.forced = False  # has it been given a force, and not taken zero since
         self._zero = (0.0,) * axes
         self._held_well, self._known = True, False
         self._sound_ns: int | None = None  # when it was last well, or first asked
@@ -96,16 +97,25 @@ class Stand:
         return reading
 
     def hold(self, force: Axes) -> None:
-        """Have it hold `force` (N, per axis)."""
+        """Have it hold `force` (N, per axis). What is neither DeviceError nor OSError comes through: it is a fault."""
+        pushes = any(force)
+        self.forced = self.forced or pushes
         try:
             self.device.hold(force)
-            self._held_well = True
+            self._held_well, self.forced = True, pushes
         except (DeviceError, OSError) as error:
-            self._held_well, self.trouble = False, str(error) or type(error).__name__
+            self._failed(error)
 
-    def let_go(self) -> None:
-        """Have it hold no force."""
-        self.hold(self._zero)
+    def let_go(self) -> bool:
+        """Have it hold no force, whatever it raises; True if it took that."""
+        try:
+            self.hold(self._zero)
+        except BaseException as error:
+            self._failed(error)
+        return self._held_well
+
+    def _failed(self, error: BaseException) -> None:
+        self._held_well, self.trouble = False, str(error) or type(error).__name__
 
     def dead(self, now: int) -> bool:
         """Has it failed for so long that it is not worth waiting for?"""

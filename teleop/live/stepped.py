@@ -31,7 +31,7 @@ async def by_packets(shell: Shell, inbox: Stepped) -> None:
     else:
         shell.finish()
     for _ in range(LINGER):  # the peer may still wait for the last packets
-        if shell.endpoint.session.farewell is not None or shell.broken is not None:
+        if shell.endpoint.session.farewell is not None or shell.fault is not None:
             return
         shell.send([*shell.recent, *shell.bye()])
         await asyncio.sleep(AGAIN)

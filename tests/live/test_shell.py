@@ -87,12 +87,13 @@ def test_what_a_device_raises_ends_the_run_and_the_other_end_is_told(e: str, see
     both = pair(SCENE, seed=seed, parts={**{"m": {}, "s": {}}, e: {"device": device}})
     both.run()
     other = "sm"["ms".index(e)]
-    error = both.errors.pop(e)
+    error = both.shells[e].fault
     assert isinstance(error, RuntimeError)
     assert error.__traceback__ is not None
-    assert both.errors == {other: None}
+    assert both.errors == {"m": None, "s": None}
+    assert both.shells[other].fault is None
     assert both.status() == {"m": "stopped", "s": "stopped"}
-    assert "it failed with RuntimeError: the cable is off" in both.shells[e].sentence
+    assert "the device, asked for a reading, raised RuntimeError: the cable is off" in both.shells[e].sentence
     assert "the cable is off" in both.shells[other].sentence
     assert device.held[-1] == (0.0,)
     assert len(read_record(both.write()["ms".index(e)])[1].ticks) == both.shells[e].ticks > 50

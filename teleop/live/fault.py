@@ -1,0 +1,50 @@
+"""What ended a run that nothing should have ended: which part raised it, in one sentence, and its traceback in a file.
+
+The event loop logs an exception out of a callback and goes on, and passes KeyboardInterrupt and SystemExit through
+everything; CancelledError and the panics of compiled extensions are no `Exception`. So a live end takes whatever is
+raised, of any type, for a fault: no force at once, the end of the run, this sentence.
+"""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+from types import CodeType
+from typing import Any
+
+from teleop.endpoint import Endpoint
+from teleop.errors import Refused
+from teleop.live.record import Recorder
+from teleop.live.stand import Stand
+from teleop.packet import one_line
+
+FILE = "error.txt"
+PARTS: dict[CodeType, str] = {
+    Stand.read.__code__: "the device, asked for a reading,",
+    Stand.hold.__code__: "the device, given a force,",
+    Endpoint.tick.__code__: "the law",
+    Endpoint.receive.__code__: "the reading of a packet",
+    **{part.__code__: "the record" for part in (Recorder.add, Recorder.note, Recorder.flush)},
+}
+
+
+def sentence(error: BaseException, others: dict[CodeType, str]) -> str:
+    """Which part raised `error`, and what it said. `others`: names of parts beside `PARTS`, by their code."""
+    if isinstance(error, Refused):
+        return str(error)
+    known = others | PARTS
+    found = [known[frame.f_code] for frame, _ in traceback.walk_tb(error.__traceback__) if frame.f_code in known]
+    said = f": {text}" if (text := one_line(_text(error))) else ""
+    return f"{found[-1] if found else 'the live loop'} raised {type(error).__name__}{said}"
+
+
+def _text(error: Any) -> str:
+    try:
+        return str(error)
+    except BaseException:  # an exception's own __str__ may be what is broken
+        return ""
+
+
+def write(error: BaseException, folder: Path) -> None:
+    """The traceback, for whoever mends the part; raises OSError if the disk takes no more."""
+    (folder / FILE).write_text("".join(traceback.format_exception(error)), errors="backslashreplace")

@@ -1,0 +1,281 @@
+"""Whatever is raised, by whichever part, of whatever type: no force at once, both ends stop, the record is whole."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from master.device import SimulatedMaster
+from slave.robot import SimulatedSlave
+from teleop.endpoint import Endpoint, Reading
+from teleop.errors import DeviceError
+from teleop.live import fault, leaving
+from teleop.live.leaving import RETRY_NS, UNRELEASED
+from teleop.live.merge import merge
+from teleop.live.record import read_record
+from teleop.live.stand import Stand
+from teleop.scene import load_scene
+from tests.live.conftest import summary
+
+pytestmark = pytest.mark.live
+Make = Callable[..., Any]
+SCENE = replace(load_scene("canonical", duration=0.6, wall=0.005), link=None)
+DEVICES: dict[str, Any] = {"m": SimulatedMaster, "s": SimulatedSlave}
+AT = 200  # the tick of it
+
+
+class PanicError(BaseException):
+    """As a Rust extension raises it."""
+
+
+class Probe:
+    """A device that acts at a tick, and keeps the forces that it is given; `raises`: what `hold` raises then."""
+
+    def __init__(self, e: str, act: Callable[[], object], raises: BaseException | None = None) -> None:
+        self.inner, self.act, self.raises = DEVICES[e](SCENE), act, raises
+        self.held: list[float] = []
+        self.since: int | None = None  # how many forces it had been given when it acted
+
+    def read(self, k: int) -> Reading:
+        if k >= AT and self.since is None:
+            self.since = len(self.held)
+            self.act()
+        reading: Reading = self.inner.read(k)
+        return reading
+
+    def hold(self, force: tuple[float, ...]) -> None:
+        if self.raises is not None and self.since is not None and any(force):
+            raise self.raises.with_traceback(None)
+        self.held.append(force[0])
+        self.inner.hold(force)
+
+
+def thrown(error: BaseException) -> Callable[[], object]:
+    def act() -> None:
+        raise error.with_traceback(None)
+
+    return act
+
+
+def ended_of(both: Any, e: str, device: Probe, error: BaseException, part: str) -> None:
+    """Both ends stopped, in order, and the device had no force from the moment of the error on."""
+    own, other = both.shells[e], both.shells["sm"["ms".index(e)]]
+    assert both.errors == {"m": None, "s": None}, "the loop itself has come to its end"
+    assert both.status() == {"m": "stopped", "s": "stopped"}
+    assert own.fault is error
+    assert f"{part} raised {type(error).__name__}" in own.sentence
+    assert f"the other end left: {own.sentence}" in other.sentence, "the truth"
+    assert device.since is not None
+    assert max(map(abs, device.held[: device.since])) > 0.1, "there was force"
+    after = device.held[device.since :]
+    assert after, "it was let go"
+    assert not any(after), after
+    folder = both.write()["ms".index(e)]
+    assert summary(folder)["sentence"] == own.sentence
+    assert len(read_record(folder)[1].ticks) == own.ticks > 50
+    assert merge(SCENE, *[both.out / name for name in ("master", "slave")]).status == "stopped"
+
+
+ERRORS = [asyncio.CancelledError("by a library"), PanicError("index out of bounds"), KeyboardInterrupt(),
+          SystemExit(0), GeneratorExit(), MemoryError(), ZeroDivisionError("float division by zero")]
+
+
+@pytest.mark.parametrize("seed", [None, 1], ids=["by the clock", "stepped"])
+@pytest.mark.parametrize("e", ["m", "s"])
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_a_driver_whose_exception_the_event_loop_swallows_holds_no_force(
+    error: BaseException, e: str, seed: int | None, pair: Make
+) -> None:
+    device = Probe(e, thrown(error))
+    both = pair(SCENE, seed=seed, parts={**{"m": {}, "s": {}}, e: {"device": device}}).run()
+    ended_of(both, e, device, error, "the device, asked for a reading,")
+
+
+@pytest.mark.parametrize("error", ERRORS[:4], ids=lambda error: type(error).__name__)
+def test_a_driver_that_raises_when_it_is_given_a_force_is_given_none(error: BaseException, pair: Make) -> None:
+    device = Probe("s", lambda: None, error)
+    both = pair(SCENE, parts={"m": {}, "s": {"device": device}}).run()
+    ended_of(both, "s", device, error, "the device, given a force,")
+
+
+@pytest.mark.parametrize("e", ["m", "s"])
+@pytest.mark.parametrize("error", ERRORS[:4], ids=lambda error: type(error).__name__)
+def test_a_law_whose_exception_the_event_loop_swallows_holds_no_force(
+    error: BaseException, e: str, pair: Make
+) -> None:
+    class Law:
+        send = staticmethod(lambda _told: thrown(error)())
+
+    device = Probe(e, lambda: setattr(both.shells[e].endpoint, "_started", Law))
+    both = pair(SCENE, parts={**{"m": {}, "s": {}}, e: {"device": device}})
+    ended_of(both.run(), e, device, error, "the law")
+
+
+def test_a_record_that_raises_ends_the_run_without_force(pair: Make) -> None:
+    error = PanicError()
+
+    class Rows(list[float]):
+        def __iadd__(self, other: Any) -> Any:
+            raise error
+
+    device = Probe("m", lambda: setattr(both.shells["m"].recorder, "_rows", Rows()))
+    both = pair(SCENE, parts={"m": {"device": device}, "s": {}})
+    both.run()
+    own = both.shells["m"]
+    assert (own.fault, own.status, both.shells["s"].status) == (error, "stopped", "stopped")
+    assert "the record raised PanicError" in own.sentence
+    assert device.held[-1] == 0.0
+
+
+def test_a_live_line_that_raises_ends_the_run_without_force(pair: Make) -> None:
+    error = SystemExit(3)
+    device = Probe("m", lambda: None)
+    both = pair(SCENE, parts={"m": {"device": device, "say": lambda _numbers: thrown(error)()}, "s": {}}).run()
+    assert both.shells["m"].fault is error
+    assert "the live line raised SystemExit: 3" in both.shells["m"].sentence
+    assert "the live line raised SystemExit: 3" in both.shells["s"].sentence
+    assert device.held[-1] == 0.0
+
+
+def test_a_task_that_is_cancelled_lets_go_and_stays_cancelled(pair: Make) -> None:
+    tasks: list[asyncio.Task[Any]] = []
+    device = Probe("m", lambda: tasks[0].cancel() or None)
+    both = pair(SCENE, parts={"m": {"device": device}, "s": {}})
+
+    async def run() -> list[Any]:
+        tasks.extend(asyncio.create_task(both.shells[e].run()) for e in "ms")
+        return await asyncio.gather(*tasks, return_exceptions=True)
+
+    ended = asyncio.run(run())
+    assert isinstance(ended[0], asyncio.CancelledError)
+    assert ended[1] is None
+    assert both.shells["s"].status == "stopped"
+    assert device.held[-1] == 0.0
+    for shell in both.shells.values():
+        shell.wire.sock.close()
+
+
+# The last zero
+
+
+class Stuck:
+    """Takes no zero force so and so many times."""
+
+    def __init__(self, times: int, raises: BaseException) -> None:
+        self.inner, self.times, self.raises = SimulatedMaster(SCENE), times, raises
+        self.held, self.tried = 0.0, 0
+        self.read = self.inner.read
+
+    def hold(self, force: tuple[float, ...]) -> None:
+        if not any(force) and self.held:
+            self.tried += 1
+            if self.tried <= self.times:
+                raise self.raises
+        self.held = force[0]
+        self.inner.hold(force)
+
+
+@pytest.mark.parametrize("raises", [DeviceError("the bus is busy"), OSError(5, "Input/output error"), SystemExit(1)],
+                         ids=lambda error: type(error).__name__)
+def test_a_last_zero_that_fails_is_tried_again(raises: BaseException, pair: Make) -> None:
+    device = Stuck(10, raises)
+    both = pair(SCENE, parts={"m": {"device": device}, "s": {}}).run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    assert device.held == 0.0
+    assert device.tried == 11
+
+
+def test_a_force_that_stays_on_is_said_and_is_not_ok(pair: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was exit 0, status ok, and the force on."""
+    monkeypatch.setattr(leaving, "RETRY_NS", RETRY_NS // 5)
+    device = Stuck(10**9, DeviceError("the amplifier does not answer"))
+    both = pair(SCENE, parts={"m": {"device": device}, "s": {}}).run()
+    own = both.shells["m"]
+    assert own.status == UNRELEASED
+    assert "THE FORCE MAY STILL BE ON" in own.sentence
+    assert "the amplifier does not answer" in own.sentence
+    assert own.sentence.startswith("ran to its end")
+    assert device.tried >= 3
+    whole = merge(SCENE, *both.write())
+    assert (whole.status, whole.sentence) == (UNRELEASED, own.sentence)
+
+
+def test_a_device_that_never_had_a_force_is_asked_once_and_nothing_is_said_of_it() -> None:
+    class Gone:
+        asked = 0
+
+        def hold(self, force: tuple[float, ...]) -> None:
+            self.asked += 1
+            raise OSError("no such device")
+
+    stand = Stand(Gone(), 1)  # type: ignore[arg-type]  # it is never read
+    assert not stand.let_go()
+    assert not stand.forced
+
+
+# As a process
+
+DEVICE = """
+import asyncio, sys
+from slave.robot import SimulatedSlave
+from teleop.errors import DeviceError
+from teleop.live.end import end_main
+
+
+class Robot(SimulatedSlave):
+    def read(self, k):
+        if k >= 300:
+            {act}
+        return super().read(k)
+
+    def hold(self, force):
+        if {stuck} and not any(force) and any(self._f):
+            raise DeviceError("the amplifier does not answer")
+        super().hold(force)
+
+
+if __name__ == "__main__":
+    raise SystemExit(end_main("s", Robot))
+"""
+
+
+@pytest.mark.parametrize(("act", "stuck", "code", "words"), [
+    ("raise asyncio.CancelledError", False, 1, ["the device, asked for a reading, raised CancelledError"]),
+    ("sys.exit(0)", False, 1, ["raised SystemExit: 0", "its traceback is in"]),
+    ("raise KeyboardInterrupt", False, 1, ["raised KeyboardInterrupt"]),
+    ("raise DeviceError('gone')", True, 3, ["the device fails: gone", "THE FORCE MAY STILL BE ON"]),
+], ids=["cancelled", "exit", "interrupt", "stuck"])
+def test_an_end_whose_driver_breaks_says_so_in_one_sentence_and_its_exit_code(
+    act: str, stuck: bool, code: int, words: list[str], command: Make, tmp_path: Path
+) -> None:
+    (tmp_path / "robot.py").write_text(DEVICE.format(act=act, stuck=stuck))
+    scene = ("canonical", "--set", "duration=20", "--set", "delay=0.002")
+    slave = command("robot", *scene, "--listen", "127.0.0.1:0", "--json", "--out", "s")
+    master = command("master", *scene, "--peer", f"127.0.0.1:{slave.port()}", "--json", "--out", "m")
+    ended, _, err = slave.end()
+    assert (ended, err.count("\n")) == (code, 1), err
+    for word in words:
+        assert word in err
+    assert master.end()[0] == 0
+    told, heard = summary(tmp_path / "s"), summary(tmp_path / "m")
+    assert told["sentence"] in err
+    assert told["sentence"] in heard["sentence"], "the peer is told the truth"
+    assert len(read_record(tmp_path / "s")[1].ticks) == told["ticks"] > 200
+    if "traceback" in err:
+        assert act.rpartition(".")[2].removeprefix("raise ") in (tmp_path / "s" / fault.FILE).read_text()
+
+
+def test_a_fault_whose_own_text_cannot_be_had_has_a_sentence() -> None:
+    class Nameless(Exception):
+        def __str__(self) -> str:
+            raise self
+
+    assert fault.sentence(Nameless(), {}) == "the live loop raised Nameless"
+    with pytest.raises(AttributeError) as caught:
+        Endpoint.tick(None, 0, 0, None)  # type: ignore[arg-type]
+    assert fault.sentence(caught.value, {}).startswith("the law raised AttributeError: ")
