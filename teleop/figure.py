@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.console import PREFIX, heading, verdict
 from teleop.errors import Refused
 from teleop.files import replacing
+from teleop.terminal import printable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -74,7 +75,7 @@ def draw(result: Result, path: Path) -> None:
     panels = [panel for panel in PANELS if any(curve.name in result.trace for curve in panel.curves)]
     figure = Figure(figsize=(9.5, 2.3 * len(panels) + 0.9), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(f"{heading(result)}\n{verdict(result)}", fontsize=11)
+    figure.suptitle(f"{literal(heading(result))}\n{literal(verdict(result))}", fontsize=11)
     every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(every, panels, strict=True):
         _fill(axes, panel, result.trace)
@@ -83,6 +84,15 @@ def draw(result: Result, path: Path) -> None:
     every[-1].set_xlabel("time (s)")
     figure.align_ylabels()
     save(figure, path)
+
+
+def literal(text: str, *, most: int = 300) -> str:
+    r"""`text` as a label shows it, letter for letter: a dollar sign begins no formula, and it is not too long to place.
+
+    >>> print(literal("5 $ a$"))
+    5 \$ a\$
+    """
+    return printable(text, most=most).replace("$", r"\$")
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
-from teleop.files import replacing
+from teleop.files import read_bytes, replacing
 from teleop.metrics import UNITS, metrics
 from teleop.scene import Scene
+from teleop.stored import Misshapen, parse
 
 if TYPE_CHECKING:
     from teleop.playout import Plan
+
+LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
 
 
 def versions() -> dict[str, str]:
@@ -147,20 +150,33 @@ def load_result(folder: Path | str) -> Result:
     except Refused:
         raise
     except Exception as error:  # no folder, no JSON, no zip, cut short, of another version
+        why = error.strerror if isinstance(error, OSError) else error if isinstance(error, Misshapen) else None
         raise Refused(
-            f"{at} holds no complete run ({type(error).__name__}: {error}); give the folder that `teleop run` "
-            f"printed"
+            f"{at} holds no complete run ({why or f'{type(error).__name__}: {error}'}); give the folder that "
+            f"`teleop run` printed"
         ) from error
 
 
-def _read(at: Path) -> Result:
-    import json
+def stored_summary(folder: Path) -> dict[str, Any]:
+    """What the summary.json in `folder` holds, its shape checked. Raises `OSError` or `Misshapen`."""
+    from teleop.shapes import RUN
 
+    summary: dict[str, Any] = parse(read_bytes(folder / "summary.json", links=False))
+    RUN(summary, "summary.json")
+    return summary
+
+
+def _read(at: Path) -> Result:
     import numpy as np
 
-    summary = json.loads((at / "summary.json").read_text())
-    with np.load(at / "trace.npz", allow_pickle=False) as arrays:
-        trace = dict(arrays)
+    from teleop.archive import read_arrays
+
+    summary = stored_summary(at)
+    trace = read_arrays(at / "trace.npz", summary["ticks"])
+    t = trace.get("t")
+    if t is None or t.ndim != 1 or not (np.isfinite(t).all() and (np.diff(t) > 0.0).all() and
+                                         (np.abs(t) <= LATEST).all()):
+        raise Misshapen(f"trace.npz has no times t that grow from row to row, up to {LATEST:g} s")
     known = {"status", "sentence", "scene", "mode", "parameters", "seed", "dt", "ticks", "run_time"}
     rest = {"versions", "command", "metrics", "packets", "notes"}
     return Result(

@@ -8,6 +8,7 @@ from itertools import product
 from math import prod
 from typing import TYPE_CHECKING, Any
 
+from teleop.figure import literal
 from teleop.metrics import UNITS
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Knob:
 
     @property
     def label(self) -> str:
-        return f"{self.name} ({self.unit})" if self.unit else self.name
+        return literal(f"{self.name} ({self.unit})" if self.unit else self.name, most=80)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -131,7 +132,7 @@ def panels_of(table: Table, knobs: list[Knob]) -> tuple[list[Panel], str]:
         rest = key
         for knob in reversed(knobs):
             rest, place = divmod(rest, len(knob.values))
-            said.insert(0, f"{knob.name} {text_of(knob.values[place])} {knob.unit}".rstrip())
+            said.insert(0, literal(f"{knob.name} {text_of(knob.values[place])} {knob.unit}".rstrip(), most=80))
         narrow = sum(map(len, said)) > 30  # more would run into the next panel's
         panels.append(Panel(title=("\n" if narrow else ", ").join(said), rows=np.flatnonzero(code == key)))
     return panels, ", ".join(left)

@@ -21,6 +21,7 @@ from teleop.batch.layout import (
     spacing,
     unit_of,
 )
+from teleop.figure import literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -104,8 +105,9 @@ def draw_maps(
         ended = float((table["status"][panel.rows] == "ok").mean())
         between = "" if not panel.title else "\n" if "\n" in panel.title else ": "
         axes.set_title(f"{panel.title}{between}{100.0 * ended:.3g} % ok", fontsize=10)
+    shown_words = sorted(drawn, key=[*STATUS, *sorted(drawn)].index)
     handles = [Line2D([], [], marker="s", markersize=9, linestyle="none", color=STATUS.get(word, OTHER),
-                      label=words.get(word, word)) for word in sorted(drawn, key=[*STATUS, *sorted(drawn)].index)]
+                      label=literal(words.get(word, word), most=80)) for word in shown_words]
     if edged:
         half = "boundary" if by_status else "half of the runs end ok"
         handles.append(Line2D([], [], color=BLACK, linewidth=1.4, label=half))
@@ -114,7 +116,7 @@ def draw_maps(
     if not by_status:
         label = f"share of runs that end {words.get('ok', 'ok')}"
         if metric is not None:
-            label = f"{metric}{unit_of(metric)}, median of the runs ok"
+            label = literal(f"{metric}{unit_of(metric)}, median of the runs ok")
         figure.colorbar(ScalarMappable(norm, colours), ax=[axes for axes, _ in shown], label=label)
     return ""
 

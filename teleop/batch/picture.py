@@ -25,7 +25,7 @@ from teleop.batch.layout import (
 )
 from teleop.batch.maps import draw_maps
 from teleop.errors import Refused, nearest
-from teleop.figure import need_plot, save
+from teleop.figure import literal, need_plot, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,13 +82,13 @@ def draw(
         left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words or {})
     for at, (axes, _) in enumerate(shown):
         if at % columns == 0:
-            axes.set_ylabel(axes_knobs[1].label if kind != "curves" else f"{metric}{unit_of(str(metric))}")
+            axes.set_ylabel(axes_knobs[1].label if kind != "curves" else literal(f"{metric}{unit_of(str(metric))}"))
         if at + columns >= len(panels):  # the lowest of its column, maybe above an empty place
             axes.set_xlabel(axes_knobs[0].label)
             axes.tick_params(axis="x", labelbottom=True)
     ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
     told = (title, f"{len(table)} rows: {ended}", *notes, note, left)
-    figure.suptitle(" · ".join(part for part in told if part), fontsize=11)
+    figure.suptitle(literal(" · ".join(part for part in told if part)), fontsize=11)
     save(figure, path)
 
 
@@ -144,7 +144,7 @@ def _curves(
             under = 0 if gradient else len(places) - 1 - i  # wider below others, so that equal ones are both seen
             axes.plot(at, five[2], color=colour, marker="o", markersize=3.0 + 0.4 * under if x.numeric else 5.0,
                       linewidth=1.3 + 0.4 * under if x.numeric else 0.0,
-                      label=None if by is None else f"{by.name} {text_of(by.values[place])}")
+                      label=None if by is None else literal(f"{by.name} {text_of(by.values[place])}", most=80))
             bad = np.unique(x.place[rows][~ok])
             if len(bad):  # above the axis, in heights of the panel
                 (crosses,) = axes.plot(at[bad], np.full(len(bad), 0.025 + 0.035 * crossed), color=colour,
@@ -155,7 +155,7 @@ def _curves(
         if x.numeric:
             scale(axes, "x", x.values)
         else:
-            texts = [text_of(value) for value in x.values]
+            texts = [literal(text_of(value)) for value in x.values]
             long = sum(map(len, texts)) > 36
             axes.set_xticks(where_x, texts, rotation=20.0 if long else 0.0, ha="right" if long else "center")
         axes.set_title(panel.title, fontsize=10)

@@ -132,3 +132,7 @@ class TestTheFile:
         draw(wave, tmp_path / "figure.png")
         assert (tmp_path / "precious").read_bytes() == b"precious"
         assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+    def test_a_sentence_with_dollar_signs_is_drawn_and_is_no_formula(self, wave: Result, tmp_path: Path) -> None:
+        draw(replace(wave, sentence=r"$\frac$ \x1b[2J $", scene="$" * 1001), tmp_path / "figure.png")
+        assert (tmp_path / "figure.png").stat().st_size > 1000
