@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
 from teleop.live import fault, output, realtime, security
-from teleop.live.address import address, bound, peer_address, shown, towards
+from teleop.live.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.leaving import UNRELEASED
 from teleop.live.record import Recorder, fresh_folder
@@ -45,8 +45,10 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
         number("--wait", args.wait, above=0.0)
     scene = both_ends(load_scene(args.scene, **knobs_from(args)))
     endpoint = _endpoint(scene, e, args)
-    sealed, insecure = security.line(e, args)
-    with output.live(), Interrupt() as interrupt, _wire(e, args, sealed) as wire:
+    # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
+    at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
+    sealed, insecure = security.line(e, args, at)
+    with output.live(), Interrupt() as interrupt, _wire(e, at, sealed) as wire:
         stand = device(scene)
         stem = f"{scene.name}-{NAMES[e]}"
         with fresh_folder(args.out, stem) as (folder, keep):
@@ -165,12 +167,8 @@ def _parser(e: str) -> ArgumentParser:
 
 
 @contextmanager
-def _wire(e: str, args: Namespace, line: Line | None) -> Iterator[Wire]:
-    if e == "m":
-        peer = peer_address(args.peer)
-        wire = Wire(towards(peer), peer, line)
-    else:
-        wire = Wire(bound(address(args.listen, "--listen"), "--listen"), None, line)
+def _wire(e: str, at: Address, line: Line | None) -> Iterator[Wire]:
+    wire = Wire(towards(at), at, line) if e == "m" else Wire(bound(at, "--listen"), None, line)
     try:
         yield wire
     finally:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
 from teleop.errors import Refused
-from teleop.live.address import Address, address, peer_address, shown
+from teleop.live.address import Address, shown
 
 if TYPE_CHECKING:
     from teleop.secure.line import Line
@@ -23,9 +23,11 @@ def options(parser: ArgumentParser) -> None:
                         help="go beyond this machine without keys: whoever is on the way can read and change all of it")
 
 
-def line(e: str, args: Namespace) -> tuple[Line | None, bool]:
-    """The line of an end with keys, None of one without; and whether that is in the open. Raises `Refused`."""
-    at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
+def line(e: str, args: Namespace, at: Address) -> tuple[Line | None, bool]:
+    """The line of an end with keys, None of one without; and whether that is in the open. Raises `Refused`.
+
+    `at`: the address of --peer or --listen, as it was resolved.
+    """
     if args.key is None and args.peer_fingerprint is None:
         return None, _open(at, args)
     if args.insecure:

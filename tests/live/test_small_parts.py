@@ -6,8 +6,12 @@ import asyncio
 import os
 import signal
 import socket
+import threading
 import time
 from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -207,3 +211,44 @@ def test_the_live_line_fits_a_terminal_and_says_first_that_an_end_is_safe(cause:
     else:
         assert line.startswith(f"SAFE 37%, {cause.split(':')[0]}  x ")
     assert live_text({**numbers, "delay": None, "cause": None}).endswith("nothing heard")
+
+
+@pytest.mark.parametrize(("name", "options"), [
+    ("master", ["--peer", "flips.example:{port}"]), ("slave", ["--listen", "flips.example:0"]),
+    ("channel", ["--listen", "flips.example:0", "--peer", "127.0.0.1:{port}"]),
+    ("channel", ["--listen", "127.0.0.1:0", "--peer", "flips.example:{port}"]),
+])
+def test_a_name_whose_address_changes_between_two_look_ups_leads_nowhere_outside_unasked(
+    name: str, options: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The first answer is on this machine and is judged; whatever the next would be, nothing is sent there."""
+    asked: list[str] = []
+    known = socket.getaddrinfo
+
+    def flips(host: str, *arguments: Any) -> Any:
+        asked.append(host)
+        number = host if host != "flips.example" else "127.0.0.1" if asked.count(host) == 1 else "203.0.113.9"
+        return known(number, *arguments)
+
+    monkeypatch.setattr(socket, "getaddrinfo", flips)
+    monkeypatch.chdir(tmp_path)
+    main: Callable[[list[str]], int] = import_module(f"{name}.__main__").main
+    over = threading.Event()
+
+    def stop() -> None:
+        while not over.wait(0.5):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)  # for what comes before its own handler, and after it
+    ending = threading.Thread(target=stop)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+            there.bind(("127.0.0.1", 0))
+            ending.start()
+            main(["canonical", *(word.format(port=there.getsockname()[1]) for word in options)])
+    finally:
+        over.set()
+        ending.join()
+        signal.signal(signal.SIGTERM, before)
+    assert asked.count("flips.example") == 1
+    assert "203.0.113.9" not in "".join(capsys.readouterr())
