@@ -148,7 +148,8 @@ def test_last_words_wait_for_a_reader_that_comes_and_not_for_ever_for_one_that_d
 def test_a_process_in_the_background_of_a_terminal_is_not_stopped_by_its_own_line() -> None:
     """With `stty tostop` a terminal stops whoever writes to it from the background: a force would be held for good."""
     code = """
-import fcntl, os, subprocess, sys, termios
+import fcntl, os, signal, subprocess, sys, termios
+signal.signal(signal.SIGTTOU, signal.SIG_DFL)  # whatever this process was started with
 os.setsid()
 its = os.open(sys.argv[1], os.O_RDWR)
 fcntl.ioctl(its, termios.TIOCSCTTY, 0)
