@@ -25,13 +25,13 @@ from teleop.live.address import bound
 from teleop.live.interrupt import Interrupt
 from teleop.live.record import Recorder
 from teleop.live.shell import Shell
-from teleop.live.summary import write_end
+from teleop.live.summary import WAYS, write_end
 from teleop.live.wire import Wire
 from teleop.lockstep import link_plans
 from teleop.scene import Scene
 from teleop.session import Session
+from tests.waiting import PATIENCE
 
-PATIENCE = 30.0  # s that nothing in here takes, however busy the machine is
 DEVICES: dict[str, Callable[[Scene], Any]] = {"m": SimulatedMaster, "s": SimulatedSlave}
 
 
@@ -87,6 +87,12 @@ class Pair:
             write_end(shell, self.out / name, self.seed or 0, [])
         return self.out / "master", self.out / "slave"
 
+    def share_received(self, e: str) -> float:
+        """The share of the messages sent to end `e` that it received: what the machine left out was never sent."""
+        inbox = self.shells[e].endpoint.inbox
+        received = self.shells[e].endpoint.counted["received"] + inbox.received
+        return float(received / self.shells["ms"[e == "m"]].data_sent)
+
     def status(self) -> dict[str, str]:
         return {e: shell.status for e, shell in self.shells.items()}
 
@@ -113,6 +119,12 @@ class Command:
             if found["event"] == name:
                 return found
         pytest.fail(f"it ended without the event {name}: {self.process.communicate()[1]}")
+
+    def live(self, shows: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Read on to the next live line whose numbers show this."""
+        while not shows(numbers := self.event("live")):
+            pass
+        return numbers
 
     def port(self) -> int:
         """The port that it listens on."""
@@ -162,6 +174,14 @@ def summary(folder: Path) -> dict[str, Any]:
     """The summary.json in a folder."""
     found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
     return found
+
+
+def share_received(sender: Path, receiver: Path) -> float:
+    """The share of its messages that came to the other end, by the summaries in both ends' folders."""
+    way = WAYS[summary(receiver)["end"][0]][1]
+    received, sent = (summary(folder)["packets"][way][what] for folder, what in (
+        (receiver, "received"), (sender, "sent")))
+    return float(received / sent)
 
 
 def pair_of_keys(folder: Path) -> dict[str, list[str]]:
