@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import os
 import signal
@@ -74,6 +75,8 @@ class Pair:
             done = await asyncio.wait_for(asyncio.gather(*ends, return_exceptions=True), PATIENCE)
             self.errors = dict(zip("sm", done, strict=True))
 
+        gc.collect()
+        gc.freeze()  # all that the tests hold is no matter of an end's own collection, just before its first tick
         try:
             asyncio.run(both())
         finally:
