@@ -208,11 +208,11 @@ def _report(args: Namespace) -> None:
         _report_sweep(args)
         return
     check_run(Path(args.run), Wish(args.picture, args.metric))
-    result = load_result(args.run)
+    result = load_result(args.run, trust=args.trust)
     if args.json:
-        from json import loads
+        from teleop.result import stored_summary
 
-        _say_json(loads((Path(args.run) / "summary.json").read_text()), result)
+        _say_json(stored_summary(Path(args.run)), result)
         return
     _tell(args, result)
     _draw_if_possible(args, result, Path(args.run))
@@ -234,7 +234,7 @@ def _put_together(args: Namespace) -> None:
     from teleop.folder import new_folder
     from teleop.live.merge import merge, scene_of
 
-    result = merge(scene_of(Path(args.run)), Path(args.run), Path(args.slave))
+    result = merge(scene_of(Path(args.run), trust=args.trust), Path(args.run), Path(args.slave))
     args.scene = result.scene
     with new_folder(args.out, _stem(args)) as new:
         result.write(new.inside, args.typed)

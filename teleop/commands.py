@@ -159,6 +159,8 @@ def _report(added: ArgumentParser) -> None:
     added.add_argument("slave", metavar="SLAVE", nargs="?",
                        help="the folder of the slave of that master: puts the two ends together, as a new run")
     added.add_argument("--out", metavar="DIR", help="with SLAVE: the new folder to write; default runs/SCENE-NUMBER")
+    added.add_argument("--trust", action="store_true", help="run the scene's own file, and read the files, that the "
+                       "folder names: for folders of your own, or that you have read")
     _picture(added, " (of a sweep)")
     _json(added, "print the stored summary and nothing else")
 

@@ -18,6 +18,7 @@ from typing import BinaryIO
 MOST = 64 * 2**20  # bytes of a file that is read as a whole: a day of ping at 10 Hz is 60 MB
 _KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISLNK, "a link"), (stat.S_ISSOCK, "a socket"),
           (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"))
+_BLOCK = 1 << 18  # bytes that are read at a time
 _ATTEMPTS = 1000  # at a name that is not taken
 
 
@@ -45,11 +46,12 @@ def open_regular(path: str | os.PathLike[str], *, links: bool = True) -> BinaryI
 def read_bytes(path: str | os.PathLike[str], *, most: int = MOST, links: bool = True) -> bytes:
     """All bytes of the regular file at `path`, at most `most` of them. Raises `OSError`, as `open_regular` does."""
     with open_regular(path, links=links) as file:
-        size = os.fstat(file.fileno()).st_size
-        data = file.read(most + 1) if size <= most else b""
-    if size > most or len(data) > most:
+        size, data = os.fstat(file.fileno()).st_size, bytearray()
+        while size <= most and len(data) <= most and (block := file.read(_BLOCK)):  # it may grow meanwhile
+            data += block
+    if max(size, len(data)) > most:
         raise OSError(errno.EFBIG, f"it is larger than {_size(most)}", str(path))
-    return data
+    return bytes(data)
 
 
 @contextmanager

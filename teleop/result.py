@@ -138,14 +138,18 @@ def parameters(scene: Scene) -> dict[str, object]:
     return plain
 
 
-def load_result(folder: Path | str) -> Result:
-    """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none."""
+def load_result(folder: Path | str, *, trust: bool = False) -> Result:
+    """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none.
+
+    The folder may be of unknown origin: nothing in it is run, no link is followed, and memory goes with the size of its
+    files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.trust`.
+    """
     at = Path(folder)
     try:
-        if not (at / "summary.json").is_file() and any(at.glob("**/record.bin")):
+        if not (at / "summary.json").is_file() and has_record(at):
             from teleop.live.merge import recover
 
-            recover(at)  # a live run whose process was killed
+            recover(at, trust=trust)  # a live run whose process was killed
         return _read(at)
     except Refused:
         raise
@@ -155,6 +159,11 @@ def load_result(folder: Path | str) -> Result:
             f"{at} holds no complete run ({why or f'{type(error).__name__}: {error}'}); give the folder that "
             f"`teleop run` printed"
         ) from error
+
+
+def has_record(folder: Path) -> bool:
+    """Is the record of a live end in `folder`, or in a folder of it, or one below that?"""
+    return any(any(folder.glob(f"{level}record.bin")) for level in ("", "*/", "*/*/"))
 
 
 def stored_summary(folder: Path) -> dict[str, Any]:

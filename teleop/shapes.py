@@ -49,6 +49,11 @@ def end(value: object, name: str) -> None:
         record({"jitter": real, "lost": whole(), "reordered": whole()})(value, name)
 
 
+def of_end(name: str, *ways: str) -> Check:
+    """The summary of the run of one end, "master" or "slave", with the counts of the directions `ways`."""
+    return record({name: end, "packets": record(dict.fromkeys(ways, packets))})
+
+
 RUN = record({
     "status": text, "sentence": text, "scene": text, "mode": text, "seed": whole(low=0, high=MOST_SEED),
     "parameters": record({}, {"law": either(text, record({"name": text}))}),

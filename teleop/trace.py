@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene import Scene
@@ -12,6 +13,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+
+AHEAD = 1_000_000  # ticks without a row that a record may have, 17 min at 1 kHz ...
+AHEAD_EACH = 100  # ... and so many more for each row, for what is worked out at every tick in between
+UNKNOWN = ("its rows lie so far apart that the forces that were not recorded, and how late ticks were, are not worked "
+           "out in between")
 
 Reference = tuple[list[float], ...] | None  # the hand's, per axis at the ticks 0 .. n
 
@@ -44,11 +50,25 @@ def end_arrays(
         at += width
     if record.played is not None:
         out[f"seq_{e}"] = np.array(record.played, dtype=np.int64)
+    until, unknown = _until(scene, record.ticks), np.full_like(out[f"x_{e}"], np.nan)
     if e == "m" and "f_h" not in out:
-        out["f_h"] = _hand_force(scene, record.ticks, out, reference)
+        out["f_h"] = unknown if until is None else _hand_force(until, record.ticks, out, reference)
     if e == "s" and "f_env" not in out:
-        out["f_env"] = _touch(scene, out)
+        out["f_env"] = unknown if until is None else _touch(until, out)
     return out
+
+
+def far_apart(ticks: Sequence[int], first: int = 0) -> bool:
+    """Do these ticks, of which `first` was the first that was due, leave out too many to look at each of those?"""
+    return len(ticks) > 0 and ticks[-1] - first >= AHEAD + AHEAD_EACH * len(ticks)
+
+
+def _until(scene: Scene, ticks: Sequence[int]) -> Scene | None:
+    """The scene as far as these ticks go; None if that is too far for as few as they are."""
+    if far_apart(ticks):
+        return None
+    last = ticks[-1] if len(ticks) else 0
+    return scene if last >= scene.ticks - 1 else replace(scene, duration=(last + 1) * scene.dt_ns / 1e9)
 
 
 def assemble(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.catalogue import units_of
 from teleop.errors import Refused
 from teleop.files import replacing
+from teleop.result import has_record
 from teleop.terminal import printable
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def check_run(at: Path, wish: Wish) -> None:
     """Refuse what is no run's folder, in the words of what is there, and a wish for another picture than a run has."""
     if not at.is_dir():
         raise Refused(f"there is no folder {at}; give the one that `teleop run` or `teleop sweep` printed")
-    if not (at / "trace.npz").is_file() and not any(at.glob("**/record.bin")):
+    if not (at / "trace.npz").is_file() and not has_record(at):
         inside = sorted(each.parent for each in [*at.glob("*/trace.npz"), *at.glob("*/sweep.json")])
         cure = f"one of the folders in it, such as {inside[-1]}" if inside else \
             "the folder that `teleop run` or `teleop sweep` printed"

@@ -29,6 +29,7 @@ from teleop.live.wire import Wire
 from teleop.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
 from teleop.scene import Scene, both_ends, load_scene
 from teleop.session import MOST_EVERY, Session
+from teleop.trust import asks_for_trust
 
 if TYPE_CHECKING:
     from teleop.secure.line import Line
@@ -85,7 +86,8 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     else:
         from teleop.console import table
 
-        print(f"{table(result)}\nwritten to {folder}; `teleop report MASTER SLAVE` puts the two ends together")
+        trust = " --trust" if asks_for_trust(args.scene, knobs_from(args)) else ""
+        print(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two ends together")
     return code
 
 

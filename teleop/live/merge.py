@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
+from teleop.live.header import check_fits
 from teleop.live.leaving import UNRELEASED
 from teleop.live.record import FILE, read_events, read_noted
 from teleop.live.summary import NAMES, WAYS, end_result, lateness, spread_us
 from teleop.lockstep import packet_counts, standing_notes
-from teleop.result import Packets, Result
-from teleop.scene import Scene, load_scene
-from teleop.trace import EndRecord, assemble
+from teleop.result import Packets, Result, stored_summary
+from teleop.scene import Scene
+from teleop.shapes import of_end
+from teleop.stored import Misshapen
+from teleop.trace import UNKNOWN, EndRecord, assemble, far_apart
+from teleop.trust import stored_scene
 
 ALONE = 1.0  # s that one end may be there before or after the other, and what both counted still belongs together
 
 
-def scene_of(folder: Path) -> Scene:
-    """The scene that the live end in `folder` ran. Raises `Refused`."""
-    return _scene(_noted(folder)[0])
+def scene_of(folder: Path, *, trust: bool = False) -> Scene:
+    """The scene that the live end in `folder` ran, see `teleop.trust`. Raises `Refused`."""
+    return _scene(_noted(folder)[0], trust)
 
 
 def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | None = None) -> Result:
@@ -39,7 +42,8 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         if headers[e]["end"] != e:
             other = NAMES[headers[e]["end"]]
             raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
-        ends[e] = _summary(folder)
+        check_fits(scene, headers[e], records[e].ticks, folder)
+        ends[e] = _summary(folder, scene, e)
     ours, theirs = headers["m"], headers["s"]
     stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
     if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
@@ -61,7 +65,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         trace.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
     status, sentence = _verdict(ends)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
-    notes = standing_notes(scene)
+    notes = [*standing_notes(scene), *[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
     if apart:
         packets = {}
         own = {NAMES[e]: _within(span, own[NAMES[e]], headers[e], records[e], late[e]) for e in ends}
@@ -78,22 +82,27 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
                        ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
 
 
-def recover(folder: Path) -> None:
-    """Make the summary.json and trace.npz of a live folder whose process did not come to it. Raises `Refused`."""
+def recover(folder: Path, scene: Scene | None = None, *, trust: bool = False) -> None:
+    """Make the summary.json and trace.npz of a live folder whose process did not come to it. Raises `Refused`.
+
+    `scene`: the one that was run; left out: that which the folder names, see `teleop.trust`.
+    """
     ends = [folder / name for name in NAMES.values()]
     if all((end / FILE).is_file() for end in ends):
-        result = merge(scene_of(ends[0]), *ends)
+        result = merge(scene or scene_of(ends[0], trust=trust), *ends)
         command: list[str] = []
     else:
         header, record, late, notes = _noted(folder)
         if not record.ticks:
             raise Refused(f"{folder} holds the record of a run that never came to its first tick")
-        e, scene = header["end"], _scene(header)
+        e, scene = header["end"], scene or _scene(header, trust)
+        check_fits(scene, header, record.ticks, folder)
         sentence = f"the process ended without a word after tick {record.ticks[-1]}; this is made from its record"
         every = header.get("every", 1)
         events = read_events(folder)
         first = _first(events)
         skipped = (record.ticks[-1] - first) // every + 1 - len(record.ticks)
+        notes += [UNKNOWN] * far_apart(record.ticks)
         sends, hears = WAYS[e]
         came = sum(1 for packet in record.played or () if packet >= 0)
         result = end_result(
@@ -101,23 +110,32 @@ def recover(folder: Path) -> None:
             told={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
             packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=came)},
         )
-        command = header["command"]
+        command = header.get("command", [])
     result.write(folder, command)
 
 
-def _scene(header: dict[str, Any]) -> Scene:
-    return load_scene(header["scene"], **header["knobs"])
+def _scene(header: dict[str, Any], trust: bool) -> Scene:
+    return stored_scene(header["scene"], header["knobs"], trust=trust)
 
 
-def _summary(folder: Path) -> dict[str, Any]:
+def _summary(folder: Path, scene: Scene, e: str) -> dict[str, Any]:
+    """What the end `e` of a run of `scene` told of itself."""
     if not (folder / "summary.json").is_file():
-        recover(folder)
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+        recover(folder, scene)
+    try:
+        summary = stored_summary(folder)
+        of_end(NAMES[e], *WAYS[e])(summary, "summary.json")
+    except (OSError, Misshapen) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise Refused(f"{folder} holds no summary of an end ({why}); remove its summary.json, and `teleop report "
+                      f"{folder}` makes another from the record") from error
     return summary
 
 
 def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float], list[str]]:
-    """What an end wrote into `folder`; `Refused`, naming a folder that somebody did write into, if none did."""
+    """What an end wrote into `folder`; `Refused`, naming a folder that an end did write into, if none did."""
+    if folder.is_symlink() and folder.name in NAMES.values():
+        raise Refused(f"{folder} is a link, and what a folder links to is not opened; give the folder itself")
     if not (folder / FILE).is_file():
         inside = [path.parent for path in folder.glob(f"**/{FILE}")]
         whole = {at.parent if at.name in NAMES.values() and at.parent != folder else at for at in inside}

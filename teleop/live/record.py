@@ -17,17 +17,19 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from teleop.errors import Refused
+from teleop.files import open_regular, read_bytes
 from teleop.folder import claim
 from teleop.guard import Event
+from teleop.live.header import OWN, header_columns, read_header, sound_rows
 from teleop.scene import Scene
-from teleop.tick import columns
+from teleop.shapes import EVENT
+from teleop.stored import Misshapen, parse_line
 from teleop.trace import EndRecord
 
 FILE = "record.bin"
 EVENTS = "events.jsonl"
 EVERY = 250  # rows between two writes, at most
 EVERY_NS = 250_000_000  # and so much time, by the scene's clock
-OWN = 3  # columns before the end's: tick, lateness, packet played
 
 
 class TruncatedRecord(UserWarning):
@@ -39,9 +41,8 @@ class Recorder:
 
     def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any]) -> None:
         """`about` says which run this is, as `teleop.live.merge` reads it: scene, knobs, seed, mode, command."""
-        names = [n for name in columns(scene, e) for n in ([name] * scene.axes if "@" in name else [name])]
         header = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about,
-                  "columns": ["k", "late_ns", "seq", *[n.removesuffix("@") for n in names]]}
+                  "columns": header_columns(scene, e)}
         self.trouble: str | None = None
         self._rows: list[float] = []
         self._count = 0
@@ -95,21 +96,21 @@ def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float]]:
     import numpy as np
 
     try:
-        data = (folder / FILE).read_bytes()
-        line, _, body = data.partition(b"\n")
-        header: dict[str, Any] = json.loads(line)
-        width = len(header["columns"])
-    except (OSError, ValueError, TypeError, KeyError) as error:  # no file, no JSON, or JSON of something else
-        why = f"{type(error).__name__}: {error}"
+        with open_regular(folder / FILE, links=False) as file:
+            header = read_header(file)
+            width, start = len(header["columns"]), file.tell()
+            rows, rest = sound_rows(file, width)
+            file.seek(start)
+            table = np.frombuffer(file.read(8 * width * rows), dtype="<f8").reshape(-1, width)
+    except (OSError, Misshapen) as error:  # no file, or one of something else
+        why = error.strerror if isinstance(error, OSError) else error
         raise Refused(f"{folder} holds no record of a live end ({why}); give the folder of one") from error
-    whole = len(body) // (8 * width) * 8 * width
-    if whole != len(body):
-        warnings.warn(f"{folder / FILE} is cut off in the middle of a row, as by a killed process: row "
-                      f"{whole // (8 * width)} and what came after it are lost", TruncatedRecord, stacklevel=2)
-    table = np.frombuffer(body[:whole], dtype="<f8").reshape(-1, width)
+    if rest:
+        warnings.warn(f"{folder / FILE} is {rest}: row {rows} and what came after it are lost", TruncatedRecord,
+                      stacklevel=2)
     ticks: list[int] = table[:, 0].astype(np.int64).tolist()
     played: list[int] = table[:, 2].astype(np.int64).tolist()
-    return header, EndRecord(ticks, table[:, OWN:].ravel().tolist(), played), table[:, 1].tolist()
+    return header, EndRecord(ticks, table[:, len(OWN):].ravel().tolist(), played), table[:, 1].tolist()
 
 
 def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float], list[str]]:
@@ -123,13 +124,15 @@ def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float], li
 def read_events(folder: Path) -> list[dict[str, Any]]:
     """What happened to the end whose record is in `folder`; a line that was cut off is left out."""
     try:
-        lines = (folder / EVENTS).read_text(errors="replace").splitlines()
+        lines = read_bytes(folder / EVENTS, links=False).splitlines()
     except OSError:
         return []
     events = []
     for line in lines:
-        with suppress(ValueError):
-            events.append(json.loads(line))
+        with suppress(Misshapen):
+            event = parse_line(line)
+            EVENT(event, "event")
+            events.append(event)
     return events
 
 

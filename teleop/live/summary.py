@@ -12,6 +12,7 @@ from teleop.estimates import LinkEstimates, Times
 from teleop.live.realtime import sentence
 from teleop.live.record import FILE, read_events, read_noted
 from teleop.result import Packets, Result
+from teleop.trace import far_apart
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell
@@ -99,11 +100,13 @@ def lateness(
     """How late (ns) each tick was that was due, those that were skipped for a late one included.
 
     `late` is that of the ticks that ran, each against its own instant; the skipped ones before it were due
-    that much and one tick more, two ticks more, ... before.
+    that much and one tick more, two ticks more, ... before. Nothing is told where too many were (`far_apart`).
 
     >>> lateness([0, 3], [5.0, 7.0], 100)
     [5.0, 7.0, 107.0, 207.0]
     """
+    if far_apart(ticks, first):
+        return []
     out = []
     for before, k, own in zip((first - every, *ticks), ticks, late, strict=False):
         out += [own + missed * every * dt_ns for missed in range((k - before) // every)]
