@@ -136,7 +136,7 @@ def _sweep(args: Namespace) -> None:
                       engine=args.engine, out=args.out, yes=args.yes, clock=perf_counter, wish=wish,
                       stream=None if args.json else sys.stderr)
     told = swept.write(args.typed)
-    where = "" if wish is None else "\n" + drawn(swept.table, swept.folder, told, wish)
+    where = "" if wish is None else "\n" + drawn(swept.table, swept.folder, told, wish, trust=True)
     if args.json:
         _say_object({**swept.summary(args.typed), "runs": told["runs"]})
     else:
@@ -221,7 +221,7 @@ def _report(args: Namespace) -> None:
 def _report_sweep(args: Namespace) -> None:
     from teleop.batch.report import Wish, report
 
-    told, text = report(Path(args.run), Wish(args.picture, args.metric), quiet=args.json)
+    told, text = report(Path(args.run), Wish(args.picture, args.metric), quiet=args.json, trust=args.trust)
     if args.json:
         _say_object(told)
     else:

@@ -12,8 +12,9 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 MOST = 64 * 2**20  # bytes of a file that is read as a whole: a day of ping at 10 Hz is 60 MB
 _KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISLNK, "a link"), (stat.S_ISSOCK, "a socket"),
@@ -71,6 +72,15 @@ def replacing(path: Path, *, settle: bool = False) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):  # it has taken its place
             part.unlink()
+
+
+@contextmanager
+def replacing_text(path: Path) -> Iterator[IO[str]]:
+    """The same for text in UTF-8, whose line ends stay as they are written."""
+    with replacing(path) as file:
+        lines = TextIOWrapper(file, encoding="utf-8", newline="")
+        yield lines
+        lines.detach()  # having written the rest
 
 
 def is_part(path: Path, name: str) -> bool:

@@ -6,18 +6,30 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from math import isfinite
+from math import isfinite, prod
 from pathlib import Path
+from sys import maxsize
 from typing import IO, Any
 
+from teleop import stored
 from teleop.batch.grid import plain
 from teleop.errors import Refused
-from teleop.files import is_part
+from teleop.files import is_part, read_bytes
 from teleop.folder import claim, numbered
+from teleop.stored import Misshapen, anything, each, either, named, parse, record, whole
 
 DEFINITION = "sweep.json"
 PART = f".{DEFINITION}.part"
+MOST_COLUMNS = 1000  # knobs, and metrics
 _ABSENT = object()
+_LISTED = either(each(anything), record({"count": whole(low=0)}))  # of many values the definition has the digest
+_SHAPE = record({}, {
+    "scene": stored.text, "fixed": named(anything), "metrics": each(stored.text, most=MOST_COLUMNS),
+    "grid": record({}, {
+        "axes": each(record({"knobs": each(stored.text, most=MOST_COLUMNS)}, {"values": _LISTED}), most=MOST_COLUMNS),
+        "seeds": _LISTED,
+    }),
+})
 STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # and ASCII, whatever a knob's text holds
 
 
@@ -94,14 +106,22 @@ def _define(folder: Path, definition: Mapping[str, Any]) -> IO[bytes] | None:
 def read_definition(folder: Path) -> dict[str, Any]:
     """The definition of the sweep in `folder`. Raises `Refused` if there is none."""
     try:
-        got = json.loads((folder / DEFINITION).read_bytes())
-        if not isinstance(got, dict):
-            raise ValueError(f"{DEFINITION} is no definition")
-    except (OSError, ValueError, RecursionError) as error:
-        why = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        got: dict[str, Any] = parse(read_bytes(folder / DEFINITION, links=False))
+        _SHAPE(got, "it")
+    except (OSError, Misshapen) as error:
+        why = error.strerror if isinstance(error, OSError) else error
         raise Refused(f"{folder} holds no sweep ({DEFINITION}: {why}); give the folder of one, or with --out one "
                       f"that is not there yet") from error
     return got
+
+
+def rows_of(definition: Mapping[str, Any]) -> int:
+    """How many rows the sweep of a definition has; as many as can be numbered if it does not say."""
+    grid = definition.get("grid", {})
+    if not {"axes", "seeds"} <= grid.keys():
+        return maxsize
+    lists = [*(axis["values"] for axis in grid["axes"] if "values" in axis), grid["seeds"]]
+    return min(prod(each["count"] if isinstance(each, dict) else len(each) for each in lists), maxsize)
 
 
 def check_same(folder: Path, there: object, wanted: object) -> None:

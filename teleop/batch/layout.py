@@ -8,6 +8,7 @@ from itertools import product
 from math import prod
 from typing import TYPE_CHECKING, Any
 
+from teleop.errors import Refused
 from teleop.figure import literal
 from teleop.metrics import UNITS
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from teleop.batch.table import Table
 
+_WAYS = 1_000_000  # to choose the values that are shown
 PANELS = 6  # at most, in one picture
 # Okabe and Ito's colours, which colour-blind eyes tell apart.
 BLUE, SKY, RED, GREEN, ORANGE, PINK = "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#E69F00", "#CC79A7"
@@ -152,6 +154,9 @@ def thinned(counts: list[int], most: int, numeric: list[bool]) -> list[int]:
         texts = sum(gone and not number for gone, number in zip(less, numeric, strict=True))
         return sum(less), texts, sum(n == 1 for n in way), -prod(way)
 
+    if prod(min(count, most) for count in counts) > _WAYS:
+        raise Refused(f"{len(counts)} knobs vary beside those on the axes, too many for the panels of one picture; "
+                      "sweep fewer of them at once")
     ways = product(*(range(1, min(count, most) + 1) for count in counts))
     best = min((way for way in ways if prod(way) <= most), key=lost)
     return [*best]

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
     from teleop.batch.table import Table
 
+CELLS = 4_000_000  # of a map; of more, which no picture has room for, the points are drawn as those of a sample
+
+
 def _edges(axis: Any, values: tuple[Any, ...]) -> NDArray[Any]:
     """Between neighbours the middle, as the axis shows it; the outer cells are as wide as their inner half twice."""
     import numpy as np
@@ -83,7 +86,8 @@ def draw_maps(
 
     x, y = knobs
     found = [_found(table, panel.rows, x, y, metric) for _, panel in shown]
-    sampled = all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < len(x.values) * len(y.values) for one in found)
+    cells = len(x.values) * len(y.values)
+    sampled = cells > CELLS or all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in found)
     by_status = metric is None and all((one.status != "").all() for one in found)
     norm, colours = Normalize(0.0, 1.0), LinearSegmentedColormap.from_list("share", (RED, "#F5EFE6", SKY))
     if metric is not None:

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop import stored
 from teleop.catalogue import units_of
 from teleop.errors import Refused
-from teleop.files import replacing
+from teleop.files import read_bytes, replacing
 from teleop.result import has_record
+from teleop.stored import Misshapen, parse
 from teleop.terminal import printable
 
 if TYPE_CHECKING:
@@ -19,6 +21,10 @@ if TYPE_CHECKING:
 SUMMARY = "summary.json"
 OF_A_CALL = ("command", "engine", "why", "engines", "ran", "seconds", "interrupted", "cluster", "versions")
 SENTENCES = 3  # that are shown
+_SHAPE = stored.record({}, {
+    "scene": stored.text, "rows": stored.whole(low=0), "engine": stored.text, "why": stored.optional(stored.text),
+    "runs": stored.each(stored.record({})), "limits": stored.named(stored.real),
+})
 
 
 class Wish(NamedTuple):
@@ -31,10 +37,11 @@ class Wish(NamedTuple):
 def summary_of(folder: Path) -> dict[str, Any]:
     """What summary.json of a sweep's folder holds; nothing if there is none that can be read."""
     try:
-        got = json.loads((folder / SUMMARY).read_bytes())
-    except (OSError, ValueError, RecursionError):
+        got: dict[str, Any] = parse(read_bytes(folder / SUMMARY, links=False))
+        _SHAPE(got, SUMMARY)
+    except (OSError, Misshapen):
         return {}
-    return got if isinstance(got, dict) else {}
+    return got
 
 
 def joined(told: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,8 +98,10 @@ def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     from teleop.console import whole
 
     store = Store.look(folder)
-    table, stored = store.table(), summary_of(folder)
-    told = {**store.definition, **stored, "done": len(table), "counts": table.counts(), "path": str(folder)}
+    table = store.table()
+    told = {**summary_of(folder), **store.definition, "done": len(table), "counts": table.counts(), "path": str(folder)}
+    if "scene" not in told:
+        raise Refused(f"{folder} holds a sweep of no scene; give the folder that `teleop sweep` printed")
     rows = f"{whole(told['rows'])} rows" if "rows" in told else "rows"
     lines = [printable(f"sweep    {told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"),
              *status_lines(table)]
@@ -103,9 +112,13 @@ def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     return told, "\n".join([*lines, str(table)]), table
 
 
-def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish) -> Path:
-    """Draw sweep.png into a sweep's folder; where it is. Raises `Refused` if that cannot be."""
+def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> Path:
+    """Draw sweep.png into a sweep's folder; where it is. Raises `Refused` if that cannot be.
+
+    `trust`: the scene's own file may be run, for the units of its knobs.
+    """
     from teleop.batch.picture import draw
+    from teleop.library import known_scenes
 
     name = str(told["scene"])
     limits = told.get("limits") or {}
@@ -116,33 +129,34 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish) -> 
         within = f"within {limits['x_limit']:g} m for " if "x_limit" in limits else ""
         words["ok"] = f"ok: {within}{limits['duration']:g} s"
     draw(table, folder / "sweep.png", wish.kind, metric=wish.metric, title=Path(name).stem,
-         units=units_of(name, table.knobs), words=words)
+         units=units_of(name, table.knobs) if trust or name in known_scenes() else {}, words=words)
     return folder / "sweep.png"
 
 
-def drawn(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish) -> str:
+def drawn(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> str:
     """Draw a sweep and say where; that it cannot be is no error, for its rows are there."""
     if not len(table):
         return "no figure: no row is there yet"
     try:
-        return f"drawn in {picture(table, folder, told, wish)}"
+        return f"drawn in {picture(table, folder, told, wish, trust=trust)}"
     except Refused as refused:
         return f"no figure: {refused}"
 
 
-def report(folder: Path, wish: Wish, *, quiet: bool) -> tuple[dict[str, Any], str]:
+def report(folder: Path, wish: Wish, *, quiet: bool, trust: bool = False) -> tuple[dict[str, Any], str]:
     """What `teleop report` says of a sweep, as JSON can hold it and as text; it is drawn if that can be.
 
-    A picture that is wished for must be (`Refused`); without a wish, and `quiet`, there is none.
+    A picture that is wished for must be (`Refused`); without a wish, and `quiet`, there is none. `trust`: see
+    `picture`.
     """
     from teleop.figure import drawable, need_plot
 
     told, text, table = told_of(folder)
     if any(wish):
         need_plot()
-        return told, f"{text}\ndrawn in {picture(table, folder, told, wish)}"
+        return told, f"{text}\ndrawn in {picture(table, folder, told, wish, trust=trust)}"
     if not quiet and drawable() and len(table):
-        text += "\n" + drawn(table, folder, told, wish)
+        text += "\n" + drawn(table, folder, told, wish, trust=trust)
     return told, text
 
 

@@ -12,65 +12,100 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from errno import EFBIG
 from io import FileIO
 from math import isfinite
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, BinaryIO
+from typing import IO, TYPE_CHECKING, Any
 
-from teleop.batch.definition import DEFINITION, STRICT, begun, check_same, locked, no_link, read_definition, text
+from teleop.batch.definition import (
+    DEFINITION,
+    STRICT,
+    begun,
+    check_same,
+    locked,
+    no_link,
+    read_definition,
+    rows_of,
+    text,
+)
 from teleop.errors import Refused
-from teleop.files import replacing
+from teleop.files import open_regular, replacing
+from teleop.stored import DEEPEST, Misshapen, parse_line
 
 if TYPE_CHECKING:
     from teleop.batch.table import Table
 
 ROWS = "rows.jsonl"
+LONGEST = 1 << 20  # bytes of a row
 
 
 class Done:
-    """The numbers of the rows that are there, a bit for each: a sweep of 1e9 rows takes 125 MB."""
+    """The numbers of the rows that are there, a bit for each in pages of 4096: a sweep of 1e9 rows takes 165 MB.
+
+    A page is there from its first row on, so that a number alone, however large, asks for no more than one.
+    """
 
     def __init__(self) -> None:
-        self._bits = bytearray()
+        self._pages: dict[int, bytearray] = {}
         self._count = 0
 
     def __contains__(self, row: int) -> bool:
-        return 0 <= row < 8 * len(self._bits) and bool(self._bits[row >> 3] >> (row & 7) & 1)
+        page = self._pages.get(row >> 12)
+        return page is not None and bool(page[(row & 4095) >> 3] >> (row & 7) & 1)
 
     def __len__(self) -> int:
         return self._count
 
     def __iter__(self) -> Iterator[int]:
-        return (8 * at + bit for at, byte in enumerate(self._bits) if byte for bit in range(8) if byte >> bit & 1)
+        for number in sorted(self._pages):
+            for at, byte in enumerate(self._pages[number]):
+                yield from ((number << 12) + 8 * at + bit for bit in range(8) if byte >> bit & 1)
 
     def gaps(self, stop: int) -> Iterator[range]:
         """The rows below `stop` that are missing, as the longest ranges there are, in order."""
-        begin, top = None, min(stop, 8 * len(self._bits))
-        for run in re.finditer(rb"\x00+|\xff+|[^\x00\xff]", self._bits):
-            byte = self._bits[run.start()]
-            whole = byte in (0, 255)  # bytes that are all alike need no look at each bit
-            for row in (8 * run.start(),) if whole else range(8 * run.start(), 8 * run.end()):
-                if row >= top:
-                    break
-                if row not in self:
+        begin: int | None = None
+        top = 0  # all below has been looked at
+        for number in sorted(self._pages):
+            if number << 12 >= stop:
+                break
+            if number << 12 > top and begin is None:
+                begin = top
+            for gap, row in self._changes(number, stop):
+                if gap:
                     begin = row if begin is None else begin
                 elif begin is not None:
                     yield range(begin, row)
                     begin = None
+            top = min((number + 1) << 12, stop)
         begin = top if begin is None else begin
         if begin < stop:
             yield range(begin, stop)
 
+    def _changes(self, number: int, stop: int) -> Iterator[tuple[bool, int]]:
+        """Is the row missing, and its number: the rows below `stop` of a page, of equal bytes in a row the first."""
+        base = number << 12
+        for run in re.finditer(rb"\x00+|\xff+|[^\x00\xff]", self._pages[number]):
+            begin, byte = base + 8 * run.start(), self._pages[number][run.start()]
+            if byte in (0, 255):  # bytes that are all alike need no look at each bit
+                if begin < stop:
+                    yield byte == 0, begin
+                continue
+            for bit in range(8):
+                if begin + bit < stop:
+                    yield not byte >> bit & 1, begin + bit
+
     def _add(self, row: int) -> None:
         if row not in self:
-            if row >> 3 >= len(self._bits):
-                self._bits.extend(bytes(max((row >> 3) + 1 - len(self._bits), len(self._bits) >> 3)))
-            self._bits[row >> 3] |= 1 << (row & 7)
+            page = self._pages.get(row >> 12)
+            if page is None:
+                page = self._pages[row >> 12] = bytearray(512)
+            page[(row & 4095) >> 3] |= 1 << (row & 7)
             self._count += 1
 
     def _discard(self, row: int) -> None:
         if row in self:
-            self._bits[row >> 3] &= ~(1 << (row & 7))
+            self._pages[row >> 12][(row & 4095) >> 3] &= ~(1 << (row & 7))
             self._count -= 1
 
 
@@ -79,6 +114,7 @@ class Store:
 
     def __init__(self, folder: Path, definition: Mapping[str, Any]) -> None:
         self.folder, self.definition, self.done = folder, definition, Done()
+        self._most = rows_of(definition)
         self._file: FileIO | None = None  # none: only looked at
         self._lock: IO[bytes] | None = None
         self._size = 0  # bytes of whole lines
@@ -180,15 +216,17 @@ class Store:
         """Each line with its newline, and its row: none where the line is damaged, or the twin of one before."""
         seen = Done()
         try:
-            file: BinaryIO = (self.folder / ROWS).open("rb")
+            file = open_regular(self.folder / ROWS, links=False)
         except FileNotFoundError:  # no row yet
             return
         with file:
-            for line in file:
+            while line := file.readline(LONGEST):
                 if not line.endswith(b"\n"):  # the torn last one, or one just being written
+                    if len(line) == LONGEST:
+                        raise OSError(EFBIG, f"it has a line of more than {LONGEST >> 20} MB")
                     return
                 row = _row(line)
-                if row is not None and row["row"] in seen:
+                if row is not None and (row["row"] in seen or row["row"] >= self._most):
                     row = None
                 if row is not None:
                     seen._add(row["row"])
@@ -214,10 +252,18 @@ class Store:
 def _row(line: bytes) -> dict[str, Any] | None:
     """The row of a line, or none if it holds no row."""
     try:
-        row = json.loads(line.decode())
-        return row if type(row["row"]) is int and row["row"] >= 0 else None
-    except (ValueError, TypeError, KeyError, RecursionError):  # no JSON, or JSON of something else
+        row = parse_line(line)
+        sound = type(row["row"]) is int and row["row"] >= 0 and all(map(_is_cell, row.values()))
+        return row if sound else None
+    except (Misshapen, TypeError, KeyError):  # no JSON, or JSON of something else
         return None
+
+
+def _is_cell(value: object, level: int = 0) -> bool:
+    """Is it a number, a text or a truth, or lists of such as a knob may have?"""
+    if isinstance(value, list):
+        return level < DEEPEST and all(_is_cell(each, level + 1) for each in value)
+    return not isinstance(value, dict)
 
 
 def _line(row: Mapping[str, Any], metrics: frozenset[str]) -> bytes:

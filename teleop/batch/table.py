@@ -10,7 +10,6 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import TextIOWrapper
 from math import isfinite, isnan, nan
 from numbers import Real
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from teleop.batch.grid import plain
 from teleop.errors import Refused, nearest
-from teleop.files import replacing
+from teleop.files import replacing_text
 from teleop.terminal import printable
 
 if TYPE_CHECKING:
@@ -104,6 +103,9 @@ class TableBuilder:
             value, low = row[name], 0 if code == "Q" else -(1 << 63)
             if type(value) is not int or not low <= value < low + (1 << 64):
                 raise Refused(f"{name} must be a whole number of 64 bits, not {value!r}; write for example {name}=0")
+        for name in ("status", "sentence"):
+            if not isinstance(row.get(name), str | None):
+                raise Refused(f"row {row['row']} has a {name} that is no text; write it as one")
         figures = [(columns[name], self._figure(name, row.get(name))) for name in self.metrics]
         for name in _WHOLE:
             columns[name].cells.append(row[name])
@@ -213,19 +215,18 @@ class Table:
 
         with _whole(Path(path)) as file:
             for names, values in self._values(self._told()):
-                row = {name: None if type(value) is float and not isfinite(value) else plain(value)
-                       for name, value in zip(names, values, strict=True)}
-                file.write(dumps(row, allow_nan=False) + "\n")
+                told = (None if type(value) is float and not isfinite(value) else plain(value) for value in values)
+                file.write(dumps(dict(zip(names, told, strict=True)), allow_nan=False) + "\n")
 
     def __str__(self) -> str:
         """How many rows ended how, and the first of them."""
         first = f"{len(self)} rows, {len(self.knobs)} knobs, {len(self.metrics)} metrics"
         if not len(self):
             return first
-        ended = ", ".join(f"{count} {status}" for status, count in self.counts().items())
+        ended = ", ".join(f"{count} {printable(status)}" for status, count in self.counts().items())
         names = [name for name in self._columns if name != "sentence"]
-        lines = [[printable(name, most=60) for name in names],
-                 *([*map(_short, values)] for _, values in self._values(names, min(SHOWN, len(self))))]
+        rows = self._values(names, min(SHOWN, len(self)))
+        lines = [[printable(name, most=60) for name in names], *([*map(_short, values)] for _, values in rows)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(names))]
         shown = ["  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in lines]
         return "\n".join([f"{first}: {ended}", *shown, *[f"... and {len(self) - SHOWN} more"] * (len(self) > SHOWN)])
@@ -321,10 +322,8 @@ def _short(value: Any) -> str:
 def _whole(path: Path) -> Iterator[IO[str]]:
     """A file to write into that takes the place of `path` when all went well, and is gone when it did not."""
     try:
-        with replacing(path) as file:
-            text = TextIOWrapper(file, encoding="utf-8", newline="")
-            yield text
-            text.detach()  # having written the rest
+        with replacing_text(path) as file:
+            yield file
     except OSError as error:
         raise Refused(f"could not write {path} ({error.strerror or error}), so it is as it was; free some space, or "
                       "write to another path") from error

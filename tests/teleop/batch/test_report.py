@@ -156,8 +156,9 @@ class TestAFolder:
         monkeypatch.setattr("teleop.batch.picture.draw", lambda *given, **named: asked.append((given, named)))
         told, _, table = told_of(folder)
         limits = {"x_limit": 0.3, "duration": 5.0}
-        assert picture(table, folder, {**told, "limits": limits}, Wish("metric", "x_err_max")) == folder / "sweep.png"
-        picture(table, folder, told, Wish())
+        wish, drawn_in = Wish("metric", "x_err_max"), folder / "sweep.png"
+        assert picture(table, folder, {**told, "limits": limits}, wish, trust=False) == drawn_in
+        picture(table, folder, told, Wish(), trust=True)
         (first, named), (second, bare) = asked
         assert first[1:] == (folder / "sweep.png", "metric")
         assert second[2] is None
