@@ -1,10 +1,19 @@
-"""The door of the end that listens: a stranger is asked to show its address first, and costs nothing until then.
+"""The door of the end that listens: only the end with the pinned key begins anything here.
 
 A hello is answered with a cookie (RFC 6347, 4.2.1), a digest under a secret of the address and of the hello itself,
-and forgotten. Only the hello that comes back with its cookie begins an association, and only one with the pinned
-certificate comes out of the gate:
+and forgotten. The hello that comes back with its cookie has a proof beside it, a signature by the pinned key
+(`teleop.secure.proof`), and begins an association; only one with the pinned certificate comes out of the gate:
 
     tunnel, back = gate.receive(datagram, address, now)
+
+What senders without that key can use up is processor time. A cookie costs 10 us. A signature costs 0.1 ms to look at,
+so only one in `CHECKED_NS` is looked at of each address, and 1,000 a second of all together. Senders from fewer than a
+hundred addresses cannot use that up; where more do, who all have to show cookies that are good at their addresses and
+the pinned certificate, the peer gets its share of it each time that it asks again.
+
+A hello begins one association, so a copy of the peer's own costs nothing. What it began is given up for another that
+the peer itself begins and for nothing else, or after `LIMIT_NS`. Not kept off is an observer who sends from the peer's
+own address: it can break a handshake, as in all of DTLS, by records in the clear.
 
 An end that listens holds the association in use beside the gate, and hands each datagram to one of them by what
 `is_for_gate` says: so a peer that was restarted, or that wants new keys, begins anew while the old association goes
@@ -18,22 +27,24 @@ from contextlib import suppress
 from hashlib import sha256
 from hmac import compare_digest
 from hmac import digest as hmac_digest
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from OpenSSL import SSL
 
 from teleop.secure.context import connection, context
 from teleop.secure.keys import Key
-from teleop.secure.record import CHANGE, HANDSHAKE, HEAD, VERIFY_REQUEST, Dropped, Record, records
-from teleop.secure.tunnel import LIMIT_NS, Tunnel
+from teleop.secure.proof import Verifier
+from teleop.secure.record import ALERT, CHANGE, HANDSHAKE, HEAD, VERIFY_REQUEST, Dropped, Record, records
+from teleop.secure.tunnel import LIMIT_NS, Tunnel, another_certificate
 
 Where = tuple[str, int]
 
-MOST_BEGUN = 8  # associations that have begun and are not authenticated yet; of more, the oldest gives way
-APART_NS = 10_000_000  # between two that begin: each costs about 1 ms, and strangers can begin them too
+MOST_BEGUN = 4  # associations that have begun and are not authenticated yet, all by the holder of the pinned key
+CHECKED_NS = 100_000_000  # between two signatures of one address that are looked at
+CHECK_NS, BURST = 1_000_000, 100  # between two of any addresses, on the average and for all but so many
 _SLOT_NS = 30_000_000_000  # a cookie is good for one to two of these
-_SAYS_1_0 = 0xFEFF
-_RANDOM = slice(HEAD.size + 14, HEAD.size + 46)  # of a hello: the same 32 bytes with and without the cookie
+_SAYS_1_0, _SAYS_1_2 = 0xFEFF, 0xFEFD
+_BAD_CERTIFICATE = 42
 
 
 def is_for_gate(datagram: bytes) -> bool:
@@ -50,7 +61,7 @@ class _Begun(NamedTuple):
 class Gate:
     """Lets in the end whose certificate has the fingerprint `peer`. `secret`: 32 random bytes of this process.
 
-    `refused`: how the last association that failed here did, as a sentence; it may have been a stranger's.
+    `refused`: why the last that was not let in was not, as a sentence; nothing proves that it was the peer.
     """
 
     def __init__(self, key: Key, peer: str, secret: bytes) -> None:
@@ -59,8 +70,10 @@ class Gate:
         self._peer, self._secret = peer, secret
         self._settings = context(key, peer)
         self._begun: dict[Where, _Begun] = {}  # oldest first
-        self._last: int | None = None  # when one last began
-        self._let_in = b""  # the random of the last that was: late copies of its hello begin nothing
+        self._used: dict[bytes, int] = {}  # the randoms of hellos that have begun one, and when; oldest first
+        self._checked: dict[Where, int] = {}  # whose signatures were looked at, and when; oldest first
+        self._free_ns: int | None = None  # when the time of all that were looked at is made up for
+        self._verifier = Verifier(peer)
 
     def receive(self, datagram: bytes, address: Where, now: int) -> tuple[Tunnel | None, list[bytes]]:
         """Take a datagram of a handshake; the association that it completes, and what to send back to `address`."""
@@ -70,12 +83,12 @@ class Gate:
             return None, []
         hello = found[0] if found[0].is_hello else None
         begun = self._begun.get(address)
-        if begun is not None and (hello is None or hello.data[_RANDOM] == begun.random):
+        if begun is not None and (hello is None or hello.random == begun.random):
             return self._go_on(begun, datagram, address, now)
-        if hello is None or len(found) > 1 or hello.data[_RANDOM] == self._let_in:
+        if hello is None or hello.random in self._used:
             self.dropped[Dropped.EPOCH] += 1
             return None, []
-        return None, self._greet(hello, len(datagram), address, now)
+        return None, self._greet(hello, found[1:], len(datagram), address, now)
 
     def _go_on(
         self, begun: _Begun, datagram: bytes, address: Where, now: int
@@ -88,38 +101,53 @@ class Gate:
         if tunnel.failure is not None:
             self.refused = tunnel.failure
             return None, back
-        if tunnel.ready:
-            self._let_in = begun.random
-            return tunnel, back
-        return None, back
+        return tunnel if tunnel.ready else None, back
 
-    def _greet(self, hello: Record, came: int, address: Where, now: int) -> list[bytes]:
-        """Answer a hello: with a cookie, or if it has brought a good one with an association.
-
-        OpenSSL sees nothing of it before its cookie is good.
-        """
-        brought = _cookie(hello.data)
+    def _greet(self, hello: Record, behind: list[Record], came: int, address: Where, now: int) -> list[bytes]:
+        """Answer a hello: with a cookie, or if it has brought a good one and its proof with an association."""
+        brought = hello.cookie
         if brought is None:
             self.dropped[Dropped.NO_RECORD] += 1
             return []
-        asks = f"{address[0]}|{address[1]}|".encode() + hello.data[_RANDOM]
+        asks = f"{address[0]}|{address[1]}|".encode() + hello.random
         slot = now // _SLOT_NS
         due, before = (hmac_digest(self._secret, asks + b"%d" % when, sha256) for when in (slot, slot - 1))
-        if compare_digest(brought, due) or compare_digest(brought, before):
-            return self._begin(hello, came, address, now)
-        reply = _verify_request(hello.number, due)
-        return [reply] if len(reply) <= came else []
+        if not compare_digest(brought, due) and not compare_digest(brought, before):
+            reply = _verify_request(hello.number, due)
+            return [reply] if len(reply) <= came else []
+        shown = self._verifier.shown(behind[0]) if behind and behind[0].is_proof else None
+        if shown is None:
+            self.dropped[Dropped.UNPROVED] += 1
+            return []
+        if shown != self._peer:
+            self.refused = another_certificate(shown, self._peer)
+            return [_alert(hello.number, _BAD_CERTIFICATE)]
+        if not self._may_check(address, now):
+            return []  # it will ask again
+        if not self._verifier.is_good(behind[0], hello):
+            self.dropped[Dropped.FORGED] += 1
+            return []
+        return self._begin(hello, came, address, now)
+
+    def _may_check(self, address: Where, now: int) -> bool:
+        """Is there time for a signature from this address?"""
+        _forget(self._checked, now - CHECKED_NS)
+        free = now if self._free_ns is None else max(now, self._free_ns)
+        if address in self._checked or free - now >= BURST * CHECK_NS:
+            return False
+        self._checked[address], self._free_ns = now, free + CHECK_NS
+        return True
 
     def _begin(self, hello: Record, came: int, address: Where, now: int) -> list[bytes]:
-        if self._last is not None and now - self._last < APART_NS:
-            return []  # it will ask again
-        self._last = now
+        """An association with the holder of the pinned key, in place of what it began from there before."""
+        _forget(self._used, now - 2 * _SLOT_NS)
+        self._used[hello.random] = now
         accepted = connection(self._settings)
         accepted.set_accept_state()
         try:
             accepted.bio_write(hello.data)
             accepted.DTLSv1_listen()
-        except SSL.Error:  # the cookie is good and nothing else
+        except SSL.Error:
             self.dropped[Dropped.NO_RECORD] += 1
             with suppress(SSL.Error):
                 accepted.do_handshake()  # clears OpenSSL's queue of errors, where listening leaves its own for others
@@ -129,21 +157,20 @@ class Gate:
                 del self._begun[where]
         while len(self._begun) >= MOST_BEGUN:
             del self._begun[next(iter(self._begun))]
-        tunnel = Tunnel(accepted, self._peer, now, server=True)
-        self._begun[address] = _Begun(tunnel, hello.data[_RANDOM], now)
+        tunnel = Tunnel(accepted, self._peer, now)
+        self._begun[address] = _Begun(tunnel, hello.random, now)
         # The client has seen numbers up to its own: a cookie goes out under the number of its hello.
         return tunnel.begin(now, first=hello.number + 1, credit=came)
 
 
-def _cookie(hello: bytes) -> bytes | None:
-    """The cookie that a hello brings, behind its random and its session; None if it is no hello."""
-    at = _RANDOM.stop
-    if len(hello) <= at:
-        return None
-    at += 1 + hello[at]
-    if len(hello) <= at:
-        return None
-    return hello[at + 1 : at + 1 + hello[at]]
+def _forget(kept: dict[Any, int], before: int) -> None:
+    """Leave out what is older than `before`; `kept` is in the order of time."""
+    while kept and next(iter(kept.values())) <= before:
+        del kept[next(iter(kept))]
+
+
+def _alert(number: int, what: int) -> bytes:
+    return HEAD.pack(ALERT, _SAYS_1_2, 0, number >> 32, number & 0xFFFFFFFF, 2) + bytes((2, what))
 
 
 def _verify_request(number: int, cookie: bytes) -> bytes:

@@ -18,9 +18,11 @@ MTU = 1200  # bytes of a datagram of the handshake: below that of every network 
 OVERHEAD = 30  # bytes that a record of data is longer than what it carries: head 13, tag 16 (AES-GCM), what it is 1
 CHANGE, ALERT, HANDSHAKE, DATA = 20, 21, 22, 23  # types
 CLIENT_HELLO, VERIFY_REQUEST = 1, 3  # first bytes of handshake messages
+PROOF = 0xF0  # the same of the record that goes with a hello; no message of DTLS has it: see `teleop.secure.proof`
 HEAD = Struct("!BHHHIH")  # type, version, epoch, number (its upper 16 bits, its lower 32), length
 WINDOW = 2048  # records of data: one that so many newer ones overtook is not taken; two seconds at 1 kHz
 _NUMBER = slice(5, 11)
+_RANDOM = slice(HEAD.size + 14, HEAD.size + 46)  # of a hello
 _LEAST_DATA = OVERHEAD - HEAD.size + 1  # bytes of a record of data behind its head
 _LEAST_SEALED = 8 + 16 + 1  # the same of one that OpenSSL has sealed: nonce, tag and a byte
 _VERSIONS = (0xFEFF, 0xFEFD)  # the first hello says 1.0 for the sake of old middle boxes
@@ -35,6 +37,7 @@ class Dropped(StrEnum):
     REPLAYED = "replayed"
     LATE = "late"  # overtaken by `WINDOW` and more: too old to say whether it is a replay
     FORGED = "forged"  # does not open: changed, of another association, or sealed without its keys
+    UNPROVED = "unproved"  # a hello with a good cookie and no proof of the pinned key
     OVER = "over"  # came when the association had ended
 
 
@@ -50,6 +53,27 @@ class Record(NamedTuple):
     def is_hello(self) -> bool:
         """Does it begin a handshake, in the clear?"""
         return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == CLIENT_HELLO
+
+    @property
+    def is_proof(self) -> bool:
+        """Does it prove who sent the hello before it?"""
+        return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == PROOF
+
+    @property
+    def random(self) -> bytes:
+        """The random bytes of a hello: the same 32 with and without the cookie, others in each handshake."""
+        return self.data[_RANDOM]
+
+    @property
+    def cookie(self) -> bytes | None:
+        """The cookie that a hello brings, behind its random and its session; None if it is no hello."""
+        hello, at = self.data, _RANDOM.stop
+        if len(hello) <= at:
+            return None
+        at += 1 + hello[at]
+        if len(hello) <= at:
+            return None
+        return hello[at + 1 : at + 1 + hello[at]]
 
     @property
     def is_request(self) -> bool:

@@ -25,6 +25,7 @@ from OpenSSL import SSL
 from teleop.secure.context import connection, context, exported, peer_of, seen_by
 from teleop.secure.data import MATERIAL, PACKET, DataRecords
 from teleop.secure.keys import Key
+from teleop.secure.proof import proof
 from teleop.secure.record import (
     ALERT,
     CHANGE,
@@ -53,14 +54,15 @@ class Tunnel:
     it is over. `hint`: what the other end seems to say is wrong; nothing proves that it is from there.
     """
 
-    def __init__(self, tls: SSL.Connection, peer: str, now: int, *, server: bool) -> None:
+    def __init__(self, tls: SSL.Connection, peer: str, now: int, *, key: Key | None = None) -> None:
         self.ready = self.confirmed = False
         self.failure: str | None = None
         self.hint: str | None = None
         self.data: DataRecords | None = None  # when it is ready
         self.words: list[bytes] = []  # what came that is no packet, each with the byte that says what it is
         self.dropped: Counter[str] = Counter()
-        self._peer, self._server, self._tls = peer, server, tls
+        self._peer, self._key, self._tls = peer, key, tls
+        self._server = key is None  # who calls proves with its key that it may
         self._write, self._read = self._tls.bio_write, self._tls.recv
         self._sealed = self._tls.bio_read
         self._began = now
@@ -75,7 +77,7 @@ class Tunnel:
         """One that this end begins, with the end whose certificate has the fingerprint `peer`."""
         tls = connection(context(key, peer))
         tls.set_connect_state()
-        return cls(tls, peer, now, server=False)
+        return cls(tls, peer, now, key=key)
 
     def begin(self, now: int, *, first: int = 0, credit: int = 0) -> list[bytes]:
         """The first flight. For an answer: `first`, a number no record here had; `credit`, the bytes of the hello."""
@@ -143,6 +145,8 @@ class Tunnel:
         for record in found:
             if self.failure is not None:
                 self.dropped[Dropped.OVER] += 1
+            elif record.is_proof:
+                pass  # the `Gate` has looked at it already
             elif record.epoch > 1 or (self.ready and (record.epoch == 0 or record.type in (HANDSHAKE, CHANGE))):
                 self.dropped[Dropped.EPOCH] += 1  # a copy of the handshake, or a wish for a new one
             elif self.ready and record.type == DATA:
@@ -216,6 +220,8 @@ class Tunnel:
         said = records(self._taken_out())
         if said is None:
             return []
+        if self._key is not None and said[0].is_hello and said[0].cookie:
+            said.append(proof(self._key, said[0]))
         self._flight, self._wait = said, AGAIN_NS
         self._again = now + AGAIN_NS if not self._server or self.ready else None
         return self._flown()
@@ -248,10 +254,15 @@ class Tunnel:
     def _fail(self, error: Exception) -> None:
         stranger = seen_by(self._tls)
         if stranger is not None:
-            self.failure = (f"the other end shows the certificate {stranger}, and {self._peer} was asked for: compare "
-                            f"both with what `teleop keygen` printed there, and give --peer-fingerprint the right one")
+            self.failure = another_certificate(stranger, self._peer)
             return
         # OpenSSL's reasons are a list of (library, function, reason); they are fixed texts, which quote no bytes.
         told = error.args[0] if isinstance(error, SSL.Error) and error.args else None
         reasons = ", ".join(str(entry[-1]) for entry in told if entry) if isinstance(told, list) else ""
         self.failure = f"the association broke: {reasons or type(error).__name__}"
+
+
+def another_certificate(shown: str, pinned: str) -> str:
+    """What is told of a peer whose certificate is not the pinned one."""
+    return (f"the other end shows the certificate {shown}, and {pinned} was asked for: compare both with what `teleop "
+            "keygen` printed there, and give --peer-fingerprint the right one")

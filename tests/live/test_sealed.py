@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import pytest
@@ -11,7 +14,8 @@ import pytest
 from tests.live.conftest import share_received, summary
 
 pytest.importorskip("OpenSSL")
-from teleop.secure.keys import keygen  # (with the extra alone)
+from teleop.secure.keys import keygen, load_key  # (with the extra alone)
+from teleop.secure.tunnel import Tunnel
 
 pytestmark = pytest.mark.live
 SCENE = ["hard_wall", "--set", "duration=1", "--json"]
@@ -121,6 +125,59 @@ def test_what_goes_in_the_open_all_the_same_says_so_loudly(command: Callable[...
     assert "INSECURE" in err
     assert any("--insecure" in note for note in summary(tmp_path / "s")["notes"])
     assert not any("--insecure" in note for note in summary(tmp_path / "m")["notes"])
+
+
+def test_a_sender_without_the_key_does_not_keep_the_pinned_master_out(
+    command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
+) -> None:
+    """2,000 datagrams a second from 64 ports, hellos with good cookies most of them, at 0.1 s of round trip."""
+    scene = [*SCENE, "--link", "delay(0.05)"]
+    slave = command("slave", *scene, "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
+                    "--out", str(tmp_path / "s"))
+    port = slave.port()
+    channel = command("channel", *scene, "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
+    with besieged(port, keys) as thrown:
+        master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", *has(keys, "master", "slave"),
+                         "--out", str(tmp_path / "m"))
+        for end in (master, slave):
+            code, out, err = end.end()
+            assert code == 0, (out, err)
+    assert thrown[0] > 1000
+    assert summary(tmp_path / "s")["packets"]["forth"]["received"] > 500
+
+
+@contextmanager
+def besieged(port: int, keys: dict[str, tuple[str, str]]) -> Iterator[list[int]]:
+    """An end that listens on loopback, while 64 ports ask it for cookies and bring them back; how many they sent."""
+    stranger, thrown, over = load_key(keys["stranger"][0]), [0], Event()
+
+    def fire() -> None:
+        sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(64)]
+        says: list[bytes] = []
+        for sock in sockets:
+            sock.connect(("127.0.0.1", port))
+            sock.settimeout(1.0)
+            tunnel = Tunnel.towards(stranger, keys["slave"][1], 0)
+            (hello,) = tunnel.begin(0)
+            sock.send(hello)
+            (says_again,) = tunnel.receive(sock.recv(2048), 0)[1]
+            says.append(says_again)
+        while not over.wait(0.01):
+            for i in range(20):
+                at = (thrown[0] + i) % 64
+                with suppress(OSError):
+                    sockets[at].send(says[at])
+            thrown[0] += 20
+        for sock in sockets:
+            sock.close()
+
+    thread = Thread(target=fire)
+    thread.start()
+    try:
+        yield thrown
+    finally:
+        over.set()
+        thread.join()
 
 
 def test_half_of_the_keys_is_refused(command: Callable[..., Any], keys: dict[str, tuple[str, str]]) -> None:
