@@ -8,7 +8,7 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from secrets import randbits
@@ -19,6 +19,7 @@ from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
 from teleop.live import fault, output, realtime, security
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
+from teleop.live.heartbeat import watched
 from teleop.live.interrupt import Interrupt
 from teleop.live.leaving import UNRELEASED
 from teleop.live.record import Recorder, fresh_folder
@@ -50,9 +51,11 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = security.line(e, args, at)
     with output.live(), Interrupt() as interrupt, _wire(e, at, sealed) as wire:
-        stand = device(scene)
+        made = device(scene)
         stem = f"{scene.name}-{NAMES[e]}"
-        with fresh_folder(args.out, stem) as (folder, keep):
+        granted = realtime.asked(args, NAMES[e])  # before the watchdog of the device, which takes it over
+        with (fresh_folder(args.out, stem) as (folder, keep),
+              nullcontext(made) if args.lockstep else watched(made, folder) as stand):
             line = _Line(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else line.show
             command = ["python", "-m", NAMES[e], *argv]
@@ -60,7 +63,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
             recorder = Recorder(scene, e, folder, about)
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
-            shell.realtime, shell.insecure = realtime.asked(args, NAMES[e]), insecure
+            shell.realtime, shell.insecure = granted, insecure
             shell.spin_ns = realtime.SPIN_NS if args.spin else 0
             if not (args.json or args.quiet):
                 shell.hint = partial(_hint, NAMES[e])
