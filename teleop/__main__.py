@@ -270,9 +270,9 @@ def _say_json(summary: dict[str, Any], result: Result) -> None:
 
 
 def _say_object(value: dict[str, Any]) -> None:
-    from json import dumps
+    from teleop.stored import written
 
-    _say(dumps(value, allow_nan=False, default=str))
+    _say(written(value))
 
 
 def _say(text: str) -> None:

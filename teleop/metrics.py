@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from teleop.scene import Scene
@@ -32,13 +33,21 @@ TINY = 1e-300
 
 
 def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
+    """Those of `worked_out` that are finite."""
+    return finite(worked_out(scene, trace))
+
+
+def finite(every: dict[str, float]) -> dict[str, float]:
+    """Those that are finite."""
+    return {name: value for name, value in every.items() if isfinite(value)}
+
+
+def worked_out(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
     """Every figure of `UNITS` that the scene has, by name; of one end's trace, those that it is enough for.
 
     Tracking error is `|x_s(k) - x_m(k - d)|` with d the median age, in ticks, at which forward messages were
     played; force error is `|f_m(k) - f_env(k - d)|` with that of the backward ones. Without a link d is 1.
     """
-    import numpy as np
-
     if not len(trace["t"]):
         return {}
     dt = scene.dt_ns / 1e9
@@ -59,7 +68,7 @@ def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
         if {f"E_in_{way}", f"E_out_{way}", f"seq_{e}"} <= trace.keys():
             out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
     out |= {f"{g}_min": float(trace[g].min()) for g in ("g_m", "g_s") if g in trace}
-    return {name: value for name, value in out.items() if np.isfinite(value)}
+    return out
 
 
 def of_plan(way: str, play: Sequence[int], dt: float) -> dict[str, float]:

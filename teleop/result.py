@@ -5,15 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
 from teleop.files import read_bytes, replacing
-from teleop.metrics import UNITS, metrics
+from teleop.metrics import UNITS, finite, worked_out
 from teleop.scene import Scene
-from teleop.stored import Misshapen, parse
+from teleop.stored import Misshapen, parse, plain, written
 
 if TYPE_CHECKING:
     from teleop.playout import Plan
@@ -81,16 +80,19 @@ class Result:
         trace: dict[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
         extra: Mapping[str, object] | None = None,
     ) -> Result:
-        """The result of a run of `scene`, its figures worked out from the trace."""
+        """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite."""
+        every = worked_out(scene, trace)
+        lost = ", ".join(sorted(every.keys() - finite(every).keys()))
+        notes = [*notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
         return cls(
             scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=status, sentence=sentence,
-            ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=metrics(scene, trace), packets=packets,
+            ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=finite(every), packets=packets,
             notes=tuple(notes), extra=extra or {}, trace=trace,
         )
 
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
-        """What goes into summary.json."""
-        return {
+        """What goes into summary.json: a number that is not finite as the text "inf", "-inf" or "nan"."""
+        summary: dict[str, Any] = plain({
             "status": self.status, "sentence": self.sentence, "scene": self.scene, "mode": self.mode,
             "parameters": dict(self.parameters), "seed": self.seed,
             "versions": versions(),
@@ -98,7 +100,8 @@ class Result:
             "metrics": {k: {"value": v, "unit": UNITS[k]} for k, v in self.metrics.items()},
             "packets": {way: asdict(counts) for way, counts in self.packets.items()},
             "notes": list(self.notes), **self.extra,
-        }
+        })
+        return summary
 
     def save(self, folder: Path, command: Sequence[str] = ()) -> Result:
         """Write summary.json and trace.npz as the new `folder`, all of it or nothing."""
@@ -110,11 +113,9 @@ class Result:
 
     def write(self, folder: Path, command: Sequence[str] = ()) -> None:
         """Write the files of the run into a folder that is there, each in the place of one that it may hold."""
-        import json
-
         import numpy as np
 
-        text = json.dumps(self.summary(command), indent=2, allow_nan=False, default=str)
+        text = written(self.summary(command), indent=2)
         with replacing(folder / "trace.npz") as file:
             np.savez(file, **self.trace)
         with replacing(folder / "summary.json") as file:
@@ -131,8 +132,6 @@ def parameters(scene: Scene) -> dict[str, object]:
     for key, value in {**scene.knobs, "law": scene.law}.items():
         if key == "law" and is_dataclass(value):
             plain[key] = {"name": law_name(value), **{f.name: getattr(value, f.name) for f in fields(value)}}
-        elif isinstance(value, float) and not isfinite(value):  # JSON has no word for these
-            plain[key] = str(value)
         else:
             plain[key] = value if isinstance(value, int | float | str | list | tuple | None) else str(value)
     return plain

@@ -50,6 +50,24 @@ def parse_line(data: bytes | str) -> Any:
         raise Misshapen(f"it is no JSON: {error}") from None
 
 
+def written(value: Any, *, indent: int | None = None) -> str:
+    """`value` as JSON that every reader takes, `parse` too. Never raises over a number."""
+    return json.dumps(plain(value), indent=indent, allow_nan=False, default=str)
+
+
+def plain(value: Any) -> Any:
+    """`value` in numbers that JSON has: one that is not finite becomes the text "inf", "-inf" or "nan".
+
+    >>> plain({"margin": float("-inf"), "ages": (0.1, float("nan"))})
+    {'margin': '-inf', 'ages': [0.1, 'nan']}
+    """
+    if isinstance(value, float):
+        return value if isfinite(value) else str(float(value))
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    return [plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
 def text(value: object, name: str) -> None:
     """A text."""
     if type(value) is not str:

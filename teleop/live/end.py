@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
 import time
 from argparse import ArgumentParser, Namespace
@@ -30,6 +29,7 @@ from teleop.live.wire import Wire
 from teleop.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
 from teleop.scene import Scene, both_ends, load_scene
 from teleop.session import MOST_EVERY, Session
+from teleop.stored import written
 from teleop.trust import asks_for_trust
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                 raise Refused(shell.sentence)
     if args.json:
         summary = result.summary(command)
-        print(json.dumps({"event": "done", "path": str(folder), "summary": summary}, default=str), flush=True)
+        print(written({"event": "done", "path": str(folder), "summary": summary}), flush=True)
     else:
         from teleop.console import table
 
@@ -183,7 +183,7 @@ def _wire(e: str, at: Address, line: Line | None) -> Iterator[Wire]:
 def _greet(e: str, args: Any, wire: Wire) -> None:
     at = wire.sock.getsockname()[:2]
     if args.json:
-        print(json.dumps({"event": "listening", "address": shown(at), "port": at[1]}), flush=True)
+        print(written({"event": "listening", "address": shown(at), "port": at[1]}), flush=True)
     elif e == "m":
         assert wire.peer is not None
         print(f"master: asking {shown(wire.peer)} for a session", flush=True)
@@ -203,7 +203,7 @@ def _hint(name: str, sentence: str) -> None:
 
 
 def _said(numbers: dict[str, Any]) -> None:
-    print(json.dumps({"event": "live", **numbers}), flush=True)
+    print(written({"event": "live", **numbers}), flush=True)
 
 
 def _quiet(numbers: dict[str, Any]) -> None:

@@ -47,6 +47,23 @@ class TestSummary:
         json.dumps(result.summary(), allow_nan=False)
 
 
+    def test_tells_of_a_number_that_is_not_finite_as_a_text_and_is_read_back(self, wan: Result, tmp_path: Path) -> None:
+        """The summary was a traceback instead: JSON has no such number."""
+        extra = {"stamp_margin": -np.inf, "ages": (1.0, np.nan), "deep": [{"f": np.float64(np.inf)}]}
+        replace(wan, extra=extra).save(tmp_path / "run")
+        read = load_result(tmp_path / "run")
+        assert read.extra == {"stamp_margin": "-inf", "ages": [1.0, "nan"], "deep": [{"f": "inf"}]}
+        assert read.metrics == wan.metrics
+
+    def test_names_the_metrics_that_are_not_finite_in_a_note(self, tmp_path: Path) -> None:
+        result = run(load_scene("canonical", duration=0.4, **{"law.b": 1e200, "law.K": 1e300}))
+        told = [note for note in result.notes if note.startswith("not finite, and so left out of the metrics: ")]
+        assert len(told) == 1
+        assert told[0].endswith("metrics: f_err_rms")
+        assert "f_err_rms" not in result.metrics
+        assert load_result(result.save(tmp_path / "run").path or "").notes == result.notes
+
+
 class TestPackets:
     def test_of_every_way_add_up(self, wan: Result) -> None:
         for counts in wan.packets.values():

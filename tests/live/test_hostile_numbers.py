@@ -1,0 +1,80 @@
+"""A peer with a key that sends numbers as large as there are: whatever comes of them, each end leaves a summary."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop import load_result, load_scene
+from teleop.live.merge import merge
+from teleop.scene import Scene
+
+pytestmark = pytest.mark.live
+
+
+def hostile(shell: Any, size: float) -> None:
+    """From tick 100 on, have this end send `size` in every number of its messages, and as the energy that it put in."""
+    end = shell.endpoint
+    honest = end._datagram
+
+    def datagram(k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
+        if k > 100:
+            value = size if k // 20 % 2 else -size
+            tx = tuple(type(message)(*[value] * len(message)) for message in tx)
+            row = tuple(size if i == end._E_in else number for i, number in enumerate(row))
+        data: bytes | None = honest(k, now, tx, row)
+        return data
+
+    end._datagram = datagram
+
+
+def strict(folder: Path) -> dict[str, Any]:
+    """Its summary, no number in which is anything that JSON does not know."""
+    def unknown(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    told: dict[str, Any] = json.loads((folder / "summary.json").read_text(), parse_constant=unknown)
+    return told
+
+
+@pytest.mark.parametrize("size", [1e308, 1e160])
+@pytest.mark.parametrize("e", ["m", "s"])
+@pytest.mark.parametrize("name", ["hard_wall", "rubber"])
+def test_a_peer_that_sends_waves_of_1e308_leaves_a_summary_and_no_traceback(
+    name: str, e: str, size: float, pair: Callable[..., Any], tmp_path: Path
+) -> None:
+    scene: Scene = replace(load_scene(name, duration=0.3, law="wave"), link=None)
+    both = pair(scene)
+    hostile(both.shells[e], size)
+    both.run()
+    assert both.errors == {"m": None, "s": None}
+    folders = both.write()
+    merged = merge(scene, *folders)
+    merged.save(tmp_path / "merged")
+    for folder in (*folders, tmp_path / "merged"):
+        told = strict(folder)
+        assert told["status"] in ("ok", "stopped", "diverged")
+        assert load_result(folder).sentence == told["sentence"]
+    victim = strict(both.out / ("slave" if e == "m" else "master"))
+    assert victim["slave" if e == "m" else "master"]["stamp_margin"] == "-inf" or size < 1e200
+    assert any("not finite, and so left out of the metrics" in note for note in merged.notes)
+
+
+def test_what_a_killed_end_left_of_such_a_run_is_made_whole(pair: Callable[..., Any]) -> None:
+    scene: Scene = replace(load_scene("hard_wall", duration=0.3), link=None)
+    both = pair(scene)
+    hostile(both.shells["m"], 1e308)
+    master, slave = both.run().write()
+    for folder in (master, slave):
+        header, _, rows = (folder / "record.bin").read_bytes().partition(b"\n")
+        about = {**json.loads(header), "scene": "hard_wall", "knobs": {"duration": "0.3", "link": "none"}}
+        (folder / "record.bin").write_bytes(json.dumps(about).encode() + b"\n" + rows)
+        (folder / "summary.json").unlink()
+        (folder / "trace.npz").unlink()
+        assert "without a word" in load_result(folder).sentence
+        strict(folder)
