@@ -25,11 +25,14 @@ def findings() -> dict[str, Any]:
     from teleop import __version__
 
     held = _kept(kernels())
+    from teleop.batch.kept import open_to_others
+
     return {
         "bilateral-teleop": __version__, "python": sys.version.split()[0], "platform": sys.platform,
         "packages": {name: _version(name) for name in ("numpy", "msgpack", *EXTRAS)},
         "kernels": {"folder": str(kernels()), "modules": sum(path.suffix == ".py" for path in held),
-                    "bytes": sum(path.stat().st_size for path in held)},
+                    "bytes": sum(path.stat().st_size for path in held),
+                    "not_kept": open_to_others(kernels()) if kernels().exists() else None},
     }
 
 
@@ -50,6 +53,8 @@ def text(found: dict[str, Any]) -> str:
     held = found["kernels"]
     rows.append(("kernels", f"{held['modules']} compiled, {held['bytes'] / 1e6:.3g} MB in {held['folder']}; "
                  "teleop doctor --clear removes them"))
+    if held["not_kept"]:
+        rows.append(("", f"they are not made use of: {held['not_kept']}"))
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}   {said}" for name, said in rows)
 

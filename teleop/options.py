@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -73,7 +75,9 @@ def guarded(work: Callable[[], int]) -> int:
         if getattr(sys, name) is None:  # closed by whoever started this, as a service manager may: nobody listens
             setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115 (it is open as long as the process)
     try:
-        code = work()
+        with warnings.catch_warnings():
+            warnings.showwarning = partial(_warn, warnings.showwarning)
+            code = work()
         print(end="", flush=True)  # what fails here would otherwise fail after us, where nobody can say it
         return code
     except Refused as refused:
@@ -87,6 +91,14 @@ def guarded(work: Callable[[], int]) -> int:
     except OSError as error:
         code = complain(f"the system refused ({error}); see to that and type it again", WRONG)
         return _let_go_of_output(code)
+
+
+def _warn(python: Callable[..., None], message: Warning | str, category: type[Warning], *where: Any) -> None:
+    """Say a warning of this package as a sentence; any other is told with its place, as Python does."""
+    if category.__module__.startswith("teleop."):
+        complain(str(message), DONE)
+    else:
+        python(message, category, *where)
 
 
 def complain(sentence: str, code: int) -> int:

@@ -3,7 +3,8 @@
 A module imports the functions that its text names and compiles them; nothing of theirs is copied into it. Numba notices
 neither an edit in a function that a cached one calls nor a new version of itself, so the module's name is a hash of the
 text, of the source of every function in it, and of the versions: an edited law makes another module. It is written
-whole, by a rename, so several processes may do so at once. Where the folder cannot be written to, it lives in memory.
+whole, by a rename, so several processes may do so at once. Where the folder cannot be written to, or other users may
+write there (`teleop.batch.kept`), it lives in memory.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib.util import cache_from_source, module_from_spec, spec_from_file_location
 from inspect import signature
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -21,10 +22,12 @@ from typing import Any, Protocol, cast
 
 from teleop.batch.bytecode import unlike_python
 from teleop.batch.digest import constants, digest, named_in, sources
+from teleop.batch.kept import made_private, open_to_others, tell_once
 from teleop.batch.kernel import NotCompiled, kernel_text, names_of, tree_of
 from teleop.batch.leaves import expression, leaves
 from teleop.bodies import Bodies
 from teleop.errors import Refused
+from teleop.files import replacing
 from teleop.scene import Scene
 from teleop.source import record
 
@@ -203,11 +206,15 @@ def _loaded(text: str, name: str) -> ModuleType:
         return sys.modules[full]
     path = folder() / f"{full}.py"
     try:
+        made_private(path.parent)
+        cached = Path(cache_from_source(str(path))).parent  # Python's own
+        why = open_to_others(path.parent, full) or (open_to_others(cached, full) if cached.exists() else None)
+        if why:
+            tell_once(why)
+            return _in_memory(text, full)
         if not path.exists() or path.read_text() != text:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_suffix(f".{os.getpid()}.part")
-            part.write_text(text)
-            part.replace(path)
+            with replacing(path) as file:
+                file.write(text.encode())
     except OSError:
         return _in_memory(text, full)
     spec = spec_from_file_location(full, path)
@@ -220,7 +227,24 @@ def _loaded(text: str, name: str) -> ModuleType:
     except BaseException:
         del sys.modules[full]
         raise
+    if why := _kept_elsewhere(module, full):
+        tell_once(why)
+        return _in_memory(text, full)
     return module
+
+
+def _kept_elsewhere(module: ModuleType, full: str) -> str | None:
+    """Why the pickles that numba keeps of a module may be of another user; nothing has been read of them yet."""
+    own = [folder(), *[Path(each) for each in (os.environ.get("NUMBA_CACHE_DIR"),) if each]]
+    for part in vars(module).values():
+        where = getattr(getattr(part, "stats", None), "cache_path", None)
+        if where is None:
+            continue
+        if not any(Path(where).absolute().is_relative_to(each.absolute()) for each in own):
+            return f"numba keeps them in {where}; unset what tells it so, such as .numba_config.yaml"
+        if why := open_to_others(Path(where), full):
+            return why
+    return None
 
 
 def _in_memory(text: str, full: str) -> ModuleType:

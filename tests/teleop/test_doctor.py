@@ -36,7 +36,7 @@ def test_it_says_what_is_installed_and_what_is_not(
 def test_as_json_it_has_versions_and_sizes(typed: Callable[..., Any], cache: Path) -> None:
     told = json.loads(typed("doctor", "--json").out)
     assert told["packages"]["numpy"] == np.__version__
-    assert told["kernels"] == {"folder": str(cache), "modules": 1, "bytes": 3}
+    assert told["kernels"] == {"folder": str(cache), "modules": 1, "bytes": 3, "not_kept": None}
 
 
 def test_it_clears_the_kernels_and_nothing_else(typed: Callable[..., Any], cache: Path) -> None:
