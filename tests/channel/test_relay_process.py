@@ -19,6 +19,7 @@ from channel.link import parse_link
 from teleop.library import ROOT
 from teleop.packet import Kind, Packet, encode
 from teleop.scene import load_scene
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live
 MANIFEST = load_scene("canonical").manifest()
@@ -32,7 +33,7 @@ class Channel:
         self.master, self.slave, self.stranger = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3))
         for sock in (self.master, self.slave, self.stranger):
             sock.bind(("127.0.0.1", 0))
-            sock.settimeout(5.0)
+            sock.settimeout(PATIENCE)
         own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "channel", "canonical", "--listen", "127.0.0.1:0", "--json",
@@ -55,7 +56,7 @@ class Channel:
     def stop(self) -> dict[str, Any]:
         """Ask it to end; what it counted."""
         self.process.send_signal(signal.SIGTERM)
-        out, err = self.process.communicate(timeout=20.0)
+        out, err = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == 0
         # A test's HELLO may be of another duration than its channel.
         assert all(line.startswith("channel: the master runs another scene") for line in err.splitlines()), err
@@ -86,15 +87,15 @@ def message(session: int, number: int) -> bytes:
     return encode(Packet(Kind.FORTH, session, number, 0, None, (float(number),), 0.0), 100)
 
 
-def all_of(sock: socket.socket, wait: float = 0.3) -> list[bytes]:
-    """What comes in until nothing more does."""
-    got = []
-    sock.settimeout(wait)
+def all_of(sock: socket.socket, expected: int = 0) -> list[bytes]:
+    """What comes in until nothing more does. So many are waited for with patience, what is too much for 0.3 s."""
+    got = [sock.recvfrom(65536)[0] for _ in range(expected)]
+    sock.settimeout(0.3)
     try:
         while True:
             got.append(sock.recvfrom(65536)[0])
     except TimeoutError:
-        sock.settimeout(5.0)
+        sock.settimeout(PATIENCE)
         return got
 
 
@@ -108,10 +109,10 @@ def test_what_the_link_loses_is_lost_and_the_rest_comes_after_its_delay(channel:
         one.master.sendto(message(1, k), one.near)
         one.slave.sendto(message(1, k), far)
     for direction, sock in ((0, one.slave), (1, one.master)):
+        drawn = parse_link(text).arrivals(direction, count, 1_000_000, 9, 100).packet.tolist()
         got = [sock.recvfrom(65536)[0]]
         assert time.monotonic() - began >= 0.14
-        got += all_of(sock)
-        drawn = parse_link(text).arrivals(direction, count, 1_000_000, 9, 100).packet.tolist()
+        got += all_of(sock, len(drawn) - 1)
         assert got == [message(1, k) for k in drawn]
         assert 10 < len(got) < count
     counts = one.stop()["counts"]
@@ -126,7 +127,7 @@ def test_without_a_link_everything_passes(channel: Callable[..., Channel]) -> No
     sent = [message(1, k) for k in range(50)]
     for data in sent:
         one.master.sendto(data, one.near)
-    assert all_of(one.slave) == sent
+    assert all_of(one.slave, len(sent)) == sent
 
 
 def test_only_the_two_ends_of_the_session_are_listened_to(channel: Callable[..., Channel]) -> None:
@@ -155,7 +156,7 @@ def test_a_packet_number_that_no_tick_of_the_scene_has_is_foreign(channel: Calla
     one.meet(1)
     for k in (0, 49, 50, 2**32 - 1):
         one.master.sendto(message(1, k), one.near)
-    assert all_of(one.slave) == [message(1, 0), message(1, 49)]
+    assert all_of(one.slave, 2) == [message(1, 0), message(1, 49)]
     assert one.stop()["foreign"] == 2
 
 
@@ -216,28 +217,28 @@ def test_a_stranger_who_comes_first_does_not_hold_it(channel: Callable[..., Chan
     one = channel("--link", "none")
     for k in range(100):
         one.stranger.sendto(message(5, k), one.near)
-    assert len(all_of(one.slave)) == 100
+    assert len(all_of(one.slave, 100)) == 100
     one.stranger.sendto(message(5, 100), one.near)
     one.meet(1)
     one.stranger.sendto(message(5, 101), one.near)
     one.master.sendto(message(1, 0), one.near)
-    assert message(1, 0) in all_of(one.slave)
+    assert message(1, 0) in all_of(one.slave, 1)
 
 
 def test_the_next_session_finds_fresh_water(channel: Callable[..., Channel]) -> None:
     """When nothing more of a session comes, another master may use the same channel, from another port."""
     one = channel("--link", "delay(0.02) | bernoulli(0.4)", "--seed", "4")
-    drawn = parse_link("bernoulli(0.4)").arrivals(0, 40, 1_000_000, 4, 100).packet.tolist()
+    drawn = parse_link("delay(0.02) | bernoulli(0.4)").arrivals(0, 40, 1_000_000, 4, 100).packet.tolist()
+    assert 10 < len(drawn) < 40
     one.meet(1)
     for k in range(40):
         one.master.sendto(message(1, k), one.near)
-    first = all_of(one.slave)
+    assert len(all_of(one.slave, len(drawn))) == len(drawn)
     time.sleep(1.1)
     one.meet(2, one.stranger)
     for k in range(40):
         one.stranger.sendto(message(2, k), one.near)
-    assert len(first) == len(all_of(one.slave)) > 10
-    assert len(drawn) < 40
+    assert len(all_of(one.slave, len(drawn))) == len(drawn)
     one.master.sendto(message(1, 41), one.near)
     assert all_of(one.slave) == []
     assert one.stop()["counts"]["forth"]["received"] == 82, "of both sessions"
@@ -247,7 +248,7 @@ def test_the_next_session_finds_fresh_water(channel: Callable[..., Channel]) -> 
 def test_a_signal_ends_it_with_what_it_counted(number: signal.Signals, channel: Callable[..., Channel]) -> None:
     one = channel("--link", "delay(0.001)")
     one.process.send_signal(number)
-    out, err = one.process.communicate(timeout=20.0)
+    out, err = one.process.communicate(timeout=PATIENCE)
     assert (one.process.returncode, err) == (0, "")
     assert json.loads(out)["summary"]["foreign"] == 0
 
@@ -261,7 +262,7 @@ def test_a_signal_ends_it_with_what_it_counted(number: signal.Signals, channel: 
 def test_a_wrong_request_is_one_sentence(arguments: Words, words: list[str]) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "channel", "canonical", "--listen", "127.0.0.1:0", "--peer", "127.0.0.1:9", *arguments],
-        capture_output=True, text=True, cwd=ROOT, check=False, timeout=60,
+        capture_output=True, text=True, cwd=ROOT, check=False, timeout=PATIENCE,
     )
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     for word in words:

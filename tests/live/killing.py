@@ -15,6 +15,7 @@ from threading import Thread
 from typing import Any, NamedTuple
 
 from tests.live.conftest import Command
+from tests.waiting import PATIENCE
 
 RAMP, SLEW, F_MAX, DT, DELAY = 0.05, 1000.0, 20.0, 1e-3, 0.01  # of the scene, SI
 SCENE = f"""
@@ -36,7 +37,6 @@ def scene(*, duration: float, timeout: float, law: Law = Wave(), friction: float
     )
 """  # a hand that is never still, on a slave in oil: there is force wherever the law may hold any
 NAMES = ("master", "slave", "channel")
-PATIENCE = 10.0  # s until both hold the law's force again
 SLACK = 0.1  # s, between what these processes do and what this one saw of it
 
 
@@ -191,7 +191,7 @@ class Site:
         for one in self.now.values():  # at once: one that ends because the other left heeds no signal any more
             one.command.signal(signal.SIGTERM)
         for name, one in self.now.items():
-            code = one.command.process.wait(30)
+            code = one.command.process.wait(PATIENCE)
             said = one.command.process.stderr.read() if one.command.process.stderr else ""
             assert (code, said) == (0, ""), (name, code, said)
         assert not [one.name for one in self.every if Path(f"/proc/{one.pid}").exists()]

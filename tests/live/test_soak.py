@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from tests.live.conftest import Command, summary
+from tests.waiting import PATIENCE
 
 pytestmark = [
     pytest.mark.live,
@@ -108,9 +109,9 @@ def test_nothing_grows_and_nothing_drifts(form: Form, command: Callable[..., Any
     time.sleep(2.0)
     waited = {name: kept(process.process.pid) for name, process in processes.items()}
     for end in (master, slave):
-        assert end.process.wait(60 + form.seconds) == 0
+        assert end.process.wait(PATIENCE + form.seconds) == 0
     water.process.terminate()
-    assert water.process.wait(30) == 0
+    assert water.process.wait(PATIENCE) == 0
 
     for name, those in samples.items():
         warm = [one for one in those if one.at > began + form.warm]
@@ -147,4 +148,4 @@ def keeps_time(name: str, folder: Path, seconds: int, waited: float) -> None:
     first, last = (float(np.median(late[some])) for some in (tick < part, tick >= count - part))
     print(f"{name}: late by a median of {first * 1e6:.0f} us first and {last * 1e6:.0f} us last; "
           f"{own['skipped']} of {count} ticks skipped, kept from running for {waited:.2f} s")
-    assert abs(last - first) < 0.5 * DT, "of 0 to DT that it can be"
+    assert abs(last - first) < 0.5 * DT + waited / count, "of 0 to DT that it can be"
