@@ -6,6 +6,7 @@ direction is a number, which means along the first axis, or a tuple with one ent
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from math import pi, sin
 from typing import TYPE_CHECKING
@@ -50,14 +51,14 @@ class Sine:
         vector("amplitude", self.amplitude)
         number("frequency", self.frequency, low=0.0)
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
         if self.frequency * dt_ns > 0.5e9:
             raise Refused(f"a sine of {self.frequency:g} Hz is more than half the tick rate, {0.5e9 / dt_ns:g} Hz; "
                           "write a frequency of at most that, or a smaller dt")
         omega = 2.0 * pi * self.frequency
-        wave = [sin(omega * (k * dt_ns / 1e9)) for k in range(count)]
-        return tuple([a * y for y in wave] for a in along("amplitude", self.amplitude, axes))
+        wave = array("d", (sin(omega * (k * dt_ns / 1e9)) for k in range(count)))
+        return tuple(array("d", (a * y for y in wave)) for a in along("amplitude", self.amplitude, axes))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -81,14 +82,14 @@ class Reach:
         number("duration", self.duration, above=0.0)
         vector("origin", self.origin)
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
         times = ((k * dt_ns / 1e9 - self.start) / self.duration for k in range(count))
-        path = [min(s * s * s * (10.0 + s * (6.0 * s - 15.0)), 1.0) if 0.0 < s < 1.0 else float(s > 0.0)
-                for s in times]
+        path = array("d", (min(s * s * s * (10.0 + s * (6.0 * s - 15.0)), 1.0) if 0.0 < s < 1.0 else float(s > 0.0)
+                           for s in times))
         ends = zip(along("origin", self.origin, axes), along("to", self.to, axes), strict=True)
         # the last point is `to` itself, which origin + (to - origin) need not be
-        return tuple([b if y == 1.0 else a + (b - a) * y for y in path] for a, b in ends)
+        return tuple(array("d", (b if y == 1.0 else a + (b - a) * y for y in path)) for a, b in ends)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -100,9 +101,9 @@ class Hold:
     def __post_init__(self) -> None:
         vector("at", self.at)
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
-        return tuple([a] * count for a in along("at", self.at, axes))
+        return tuple(array("d", [a]) * count for a in along("at", self.at, axes))
 
 
 def vector(name: str, value: Vector) -> tuple[float, ...]:

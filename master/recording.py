@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
 from math import isfinite
 from zlib import crc32
@@ -37,14 +38,14 @@ class Recording:
         object.__setattr__(self, "_rows", rows)
         object.__setattr__(self, "crc", crc32(repr(rows).encode()))
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
         rows, scale = self._rows, float(self.scale)
         had = len(rows[0]) - 1
         if had not in (1, axes):
             raise Refused(f"{self.path} holds a motion along {had} axes, the scene has axes={axes}; set "
                           f"axes={had}, or keep only the columns t and x")
-        out: tuple[list[float], ...] = tuple([] for _ in range(had))
+        out: tuple[array[float], ...] = tuple(array("d") for _ in range(had))
         at, last = 0, len(rows) - 1  # rows[at] is the newest row that is not ahead of the tick
         for k in range(count):
             t = k * dt_ns / 1e9
@@ -55,7 +56,7 @@ class Recording:
             part = (t - here[0]) / (there[0] - here[0]) if t > here[0] and at < last else 0.0
             for axis, values in enumerate(out, start=1):
                 values.append(scale * (here[axis] + (there[axis] - here[axis]) * part))
-        return out + tuple([0.0] * count for _ in range(axes - had))
+        return out + tuple(array("d", [0.0]) * count for _ in range(axes - had))
 
 
 def read(path: str) -> tuple[Row, ...]:

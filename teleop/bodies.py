@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -136,7 +136,7 @@ def _force_beside(force: Force, c: Any, x: float, v: float, z: Any) -> float:  #
     return force(c, x, v)
 
 
-def reference_samples(scene: Scene) -> tuple[list[float], ...] | None:
+def reference_samples(scene: Scene) -> tuple[Sequence[float], ...] | None:
     """Where the hand wants to be, per axis, at the ticks 0 .. n: one more than the run has."""
     if scene.hand is None:
         return None

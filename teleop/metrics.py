@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from teleop.scene import Scene
+from teleop.trace import blocks
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +33,7 @@ MEANING = {
 TINY = 1e-300
 
 
-def metrics(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
+def metrics(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
     """Those of `worked_out` that are finite."""
     return finite(worked_out(scene, trace))
 
@@ -42,28 +43,30 @@ def finite(every: dict[str, float]) -> dict[str, float]:
     return {name: value for name, value in every.items() if isfinite(value)}
 
 
-def worked_out(scene: Scene, trace: dict[str, Any]) -> dict[str, float]:
+def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
     """Every figure of `UNITS` that the scene has, by name; of one end's trace, those that it is enough for.
 
     Tracking error is `|x_s(k) - x_m(k - d)|` with d the median age, in ticks, at which forward messages were
     played; force error is `|f_m(k) - f_env(k - d)|` with that of the backward ones. Without a link d is 1.
     """
-    if not len(trace["t"]):
+    ticks = len(trace["t"])
+    if not ticks:
         return {}
     dt = scene.dt_ns / 1e9
     out: dict[str, float] = {}
     for way, seq in (("fwd", "seq_s"), ("bwd", "seq_m")):
         age = _ages(trace, seq, dt)
         if age is not None:
-            out |= _delays(way, age, len(trace["t"]))
+            out |= _delays(way, age, ticks)
     if "x_m" in trace and "x_s" in trace:
-        for name, size in tracking(scene, trace).items():
-            out |= _worst(name, size)
+        for name in ("x_err", "f_err"):
+            out |= _worst(name, _error(scene, trace, name))
     forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
-    out |= {f"{name}_max": float(magnitude(trace[name]).max()) for name in forces}
+    out |= {f"{name}_max": _greatest(trace[name]) for name in forces}
     for ledger in ("E_link", "E_port"):
         if ledger in trace:
-            out |= {f"{ledger}_min": float(trace[ledger].min()), f"{ledger}_end": float(trace[ledger][-1])}
+            energy = trace[ledger]
+            out |= {f"{ledger}_min": float(energy.min()), f"{ledger}_end": float(energy[-1])}
     for way, e in (("fwd", "s"), ("bwd", "m")):
         if {f"E_in_{way}", f"E_out_{way}", f"seq_{e}"} <= trace.keys():
             out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
@@ -85,31 +88,46 @@ def _delays(way: str, age: NDArray[np.float64], ticks: int) -> dict[str, float]:
     return {**out, f"T_{way}_mean": float(age.mean()), f"T_{way}_max": float(age.max())} if len(age) else out
 
 
-def tracking(scene: Scene, trace: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
+def tracking(scene: Scene, trace: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
     """Tracking error `x_err` (m) and force error `f_err` (N) at every tick, as `metrics` defines them.
 
     NaN at the ticks before the other end's value of one delay ago exists.
     """
+    return {name: _error(scene, trace, name) for name in ("x_err", "f_err")}
+
+
+def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.float64]:
+    """One of the two errors of `tracking`."""
+    mine, theirs, seq = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}[name]
     dt = scene.dt_ns / 1e9
-    ticks = _ticks(trace, dt)
-    forth, back = (_lag(_ages(trace, seq, dt), dt) for seq in ("seq_s", "seq_m"))
-    return {"x_err": _behind(trace["x_s"], trace["x_m"], ticks, forth),
-            "f_err": _behind(trace["f_m"], trace["f_env"], ticks, back)}
+    lag = _lag(_ages(trace, seq, dt), dt)
+    return _behind(trace[mine], trace[theirs], _ticks(trace, dt), lag)
 
 
-def _ticks(trace: dict[str, Any], dt: float) -> NDArray[np.int64]:
+def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:
     import numpy as np
 
-    ticks: NDArray[np.int64] = np.rint(trace["t"] / dt).astype(np.int64)
+    t = trace["t"]
+    ticks = np.empty(len(t), dtype=np.int64)
+    for block in blocks(len(t)):
+        ticks[block] = np.rint(t[block] / dt)
     return ticks
 
 
-def _ages(trace: dict[str, Any], seq: str, dt: float) -> NDArray[np.float64] | None:
+def _ages(trace: Mapping[str, Any], seq: str, dt: float) -> NDArray[np.float64] | None:
     """Ages (s) of the fresh messages when they were played; None without a link."""
+    import numpy as np
+
     if seq not in trace:
         return None
-    fresh = trace[seq] >= 0
-    age: NDArray[np.float64] = (_ticks(trace, dt)[fresh] - trace[seq][fresh]) * dt
+    played, t = trace[seq], trace["t"]
+    age = np.empty(int(np.count_nonzero(played >= 0)))
+    at = 0
+    for block in blocks(len(t)):
+        fresh = played[block] >= 0
+        some = (np.rint(t[block] / dt).astype(np.int64)[fresh] - played[block][fresh]) * dt
+        age[at : at + len(some)] = some
+        at += len(some)
     return age
 
 
@@ -119,7 +137,17 @@ def _lag(age: NDArray[np.float64] | None, dt: float) -> int:
 
     if age is None:
         return 1
-    return int(np.floor(np.sort(age)[len(age) // 2] / dt + 0.5)) if len(age) else 0
+    if not len(age):
+        return 0
+    age.partition(len(age) // 2)
+    return int(np.floor(age[len(age) // 2] / dt + 0.5))
+
+
+def _greatest(column: NDArray[Any]) -> float:
+    """The greatest magnitude; NaN if there is one."""
+    import numpy as np
+
+    return float(np.max([magnitude(column[block]).max() for block in blocks(len(column))]))
 
 
 def magnitude(column: NDArray[Any]) -> NDArray[Any]:
@@ -143,11 +171,12 @@ def _behind(mine: NDArray[Any], theirs: NDArray[Any], ticks: NDArray[np.int64], 
     """Magnitude of `mine(k) - theirs(k - lag)`; NaN before the first tick at which both exist."""
     import numpy as np
 
-    at = np.searchsorted(ticks, ticks - lag, side="right") - 1
     size = np.full(len(ticks), np.nan)
-    has = at >= 0
     with np.errstate(all="ignore"):
-        size[has] = magnitude(mine[has] - theirs[at[has]])
+        for block in blocks(len(ticks)):
+            at = np.searchsorted(ticks, ticks[block] - lag, side="right") - 1
+            has = at >= 0
+            size[block][has] = magnitude(mine[block][has] - theirs[at[has]])
     return size
 
 
@@ -155,26 +184,29 @@ def _worst(name: str, size: NDArray[np.float64]) -> dict[str, float]:
     """RMS and maximum, from the first tick on at which there is an error to speak of."""
     import numpy as np
 
-    has = np.flatnonzero(~np.isnan(size))
-    if not len(has):
+    has = ~np.isnan(size)
+    if not has.any():
         return {}
-    size = size[has[0]:]
+    size = size[has.argmax():]
+    total = 0.0
     with np.errstate(all="ignore"):
-        # summed in the order of the ticks, as a sweep does as it goes
-        return {f"{name}_rms": float(np.sqrt(np.add.accumulate(size * size)[-1] / len(size))),
-                f"{name}_max": float(size.max())}
+        for block in blocks(len(size)):  # summed in the order of the ticks, as a sweep does as it goes
+            total = np.add.accumulate(np.concatenate([[total], size[block] * size[block]]))[-1]
+        return {f"{name}_rms": float(np.sqrt(total / len(size))), f"{name}_max": float(size.max())}
 
 
-def _stamped(trace: dict[str, Any], way: str, e: str, dt: float) -> float:
+def _stamped(trace: Mapping[str, Any], way: str, e: str, dt: float) -> float:
     """Smallest of (energy the sender had put in when it sent) - (energy taken out when it was played)."""
     import numpy as np
 
     played = trace[f"seq_{e}"]
-    ticks = _ticks(trace, dt)
-    row = np.searchsorted(ticks, played)
-    ok = (played >= 0) & (row < len(ticks))
-    ok[ok] = ticks[row[ok]] == played[ok]
-    if not ok.any():
-        return 0.0
+    ticks, sent, taken = _ticks(trace, dt), trace[f"E_in_{way}"], trace[f"E_out_{way}"]
+    least = []
     with np.errstate(all="ignore"):
-        return float((trace[f"E_in_{way}"][row[ok]] - trace[f"E_out_{way}"][ok]).min())
+        for block in blocks(len(ticks)):
+            row = np.searchsorted(ticks, played[block])
+            ok = (played[block] >= 0) & (row < len(ticks))
+            ok[ok] = ticks[row[ok]] == played[block][ok]
+            if ok.any():
+                least.append((sent[row[ok]] - taken[block][ok]).min())
+    return float(np.min(least)) if least else 0.0

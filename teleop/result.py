@@ -6,13 +6,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.files import read_bytes, replacing
 from teleop.metrics import UNITS, finite, worked_out
 from teleop.scene import Scene
 from teleop.stored import Misshapen, parse, plain, written
+from teleop.trace import blocks
 
 if TYPE_CHECKING:
     from teleop.playout import Plan
@@ -77,7 +78,7 @@ class Result:
     @classmethod
     def make(
         cls, scene: Scene, *, seed: int, mode: str, status: str, sentence: str, ticks: int, run_time: float | None,
-        trace: dict[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
+        trace: Mapping[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
         extra: Mapping[str, object] | None = None,
     ) -> Result:
         """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite."""
@@ -113,13 +114,26 @@ class Result:
 
     def write(self, folder: Path, command: Sequence[str] = ()) -> None:
         """Write the files of the run into a folder that is there, each in the place of one that it may hold."""
-        import numpy as np
-
         text = written(self.summary(command), indent=2)
         with replacing(folder / "trace.npz") as file:
-            np.savez(file, **self.trace)
+            write_arrays(file, self.trace)
         with replacing(folder / "summary.json") as file:
             file.write(text.encode() + b"\n")
+
+
+def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
+    """Write arrays to a file as `numpy.savez` does, with one of them in memory at a time."""
+    from zipfile import ZIP_STORED, ZipFile
+
+    import numpy as np
+
+    with ZipFile(file, "w", ZIP_STORED, allowZip64=True) as archive:
+        for name in arrays:
+            array = np.ascontiguousarray(arrays[name])
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array_header_1_0(entry, np.lib.format.header_data_from_array_1_0(array))
+                for block in blocks(len(array)):
+                    entry.write(array[block].data)
 
 
 def parameters(scene: Scene) -> dict[str, object]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -42,7 +42,7 @@ SHAPES = {  # what is asked of a part of a scene, and what to write for one
 class Reference(Protocol):
     """Where a hand wants to be."""
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[Sequence[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
         ...
 

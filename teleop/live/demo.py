@@ -266,6 +266,6 @@ def _ran(out: Path) -> bool:
     """Did an end come to its first tick: is there a record to keep?"""
     for name in NAMES.values():
         with suppress(Refused):
-            if read_noted(out / name)[1].ticks:
+            if len(read_noted(out / name)[1].ticks):
                 return True
     return False

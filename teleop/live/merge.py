@@ -62,7 +62,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     within = span[1:]  # at its first tick there is nothing yet that another session has summed up
     again = any(one.get("what") == "session" and one.get("k") in within for told in events.values() for one in told)
     if again:
-        trace.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
+        trace.makers.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
     status, sentence = _verdict(ends)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = [*standing_notes(scene), *[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
@@ -87,24 +87,27 @@ def recover(folder: Path, scene: Scene | None = None, *, trust: bool = False) ->
 
     `scene`: the one that was run; left out: that which the folder names, see `teleop.trust`.
     """
+    import numpy as np
+
     ends = [folder / name for name in NAMES.values()]
     if all((end / FILE).is_file() for end in ends):
         result = merge(scene or scene_of(ends[0], trust=trust), *ends)
         command: list[str] = []
     else:
         header, record, late, notes = _noted(folder)
-        if not record.ticks:
+        if not len(record.ticks):
             raise Refused(f"{folder} holds the record of a run that never came to its first tick")
         e, scene = header["end"], scene or _scene(header, trust)
         check_fits(scene, header, record.ticks, folder)
-        sentence = f"the process ended without a word after tick {record.ticks[-1]}; this is made from its record"
+        last = _last(record)
+        sentence = f"the process ended without a word after tick {last}; this is made from its record"
         every = header.get("every", 1)
         events = read_events(folder)
         first = _first(events)
-        skipped = (record.ticks[-1] - first) // every + 1 - len(record.ticks)
+        skipped = (last - first) // every + 1 - len(record.ticks)
         notes += [UNKNOWN] * far_apart(record.ticks)
         sends, hears = WAYS[e]
-        came = sum(1 for packet in record.played or () if packet >= 0)
+        came = int((np.asarray(record.played) >= 0).sum())
         result = end_result(
             scene, e, record, late, seed=header["seed"], mode=header["mode"], status="stopped", sentence=sentence,
             told={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
@@ -132,7 +135,7 @@ def _summary(folder: Path, scene: Scene, e: str) -> dict[str, Any]:
     return summary
 
 
-def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float], list[str]]:
+def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Any, list[str]]:
     """What an end wrote into `folder`; `Refused`, naming a folder that an end did write into, if none did."""
     if folder.is_symlink() and folder.name in NAMES.values():
         raise Refused(f"{folder} is a link, and what a folder links to is not opened; give the folder itself")
@@ -151,7 +154,7 @@ def _first(events: Sequence[dict[str, Any]]) -> int:
 
 def _last(record: EndRecord) -> int:
     """The last tick that it ran; -1 of one that ran none."""
-    return record.ticks[-1] if record.ticks else -1
+    return int(record.ticks[-1]) if len(record.ticks) else -1
 
 
 def _killed(end: dict[str, Any]) -> bool:
@@ -159,18 +162,20 @@ def _killed(end: dict[str, Any]) -> bool:
 
 
 def _within(
-    span: range, own: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Sequence[float]
+    span: range, own: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any
 ) -> dict[str, Any]:
     """What there is to tell of an end in the ticks of `span`, out of its record; what it summed up is left out."""
+    import numpy as np
+
     every = header.get("every", 1)
-    here = [(k, ns) for k, ns in zip(record.ticks, late, strict=True) if k in span]
-    ticks = [k for k, _ in here]
+    here = (record.ticks >= span.start) & (record.ticks < span.stop)
+    ticks = record.ticks[here]
     first = -(-span.start // every) * every
     kept: dict[str, Any] = {key: own[key] for key in ("status", "sentence", "sealed", "realtime") if key in own}
     return {
         **kept, "ticks": len(ticks), "skipped": len(range(first, span.stop, every)) - len(ticks),
         "events": [event for event in own.get("events") or () if event.get("k") in span],
-        "late_us": spread_us(lateness(ticks, [ns for _, ns in here], header["dt_ns"], first, every)),
+        "late_us": spread_us(lateness(ticks, np.asarray(late)[here], header["dt_ns"], first, every)),
     }
 
 

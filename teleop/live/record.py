@@ -7,6 +7,7 @@ tick, goes to a file beside it as it happens, one line of JSON each.
 
 from __future__ import annotations
 
+import errno
 import json
 import sys
 import warnings
@@ -14,7 +15,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.files import open_regular, read_bytes
@@ -24,7 +25,11 @@ from teleop.live.header import OWN, header_columns, read_header, sound_rows
 from teleop.scene import Scene
 from teleop.shapes import EVENT
 from teleop.stored import Misshapen, parse_line
-from teleop.trace import EndRecord
+from teleop.trace import EndRecord, blocks
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 FILE = "record.bin"
 EVENTS = "events.jsonl"
@@ -91,29 +96,74 @@ class Recorder:
             self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
 
 
-def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float]]:
-    """The header, the rows and the lateness (ns) of each tick of the record in `folder`. Raises `Refused`."""
+class RecordFile:
+    """The rows of a record on the disk, as many as were there when it was opened: read a part at a time, never kept."""
+
+    def __init__(self, path: Path, offset: int, width: int, count: int) -> None:
+        self._path, self._offset, self._width, self._count = path, offset, width, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def part(self, start: int, stop: int) -> NDArray[np.float64]:
+        """All columns of the rows from `start` up to `stop`, of shape (rows, columns)."""
+        import numpy as np
+
+        size = 8 * self._width
+        with open_regular(self._path, links=False) as file:
+            file.seek(self._offset + size * start)
+            data = file.read(size * (stop - start))
+        if len(data) < size * (stop - start):
+            raise OSError(errno.EIO, "it has become shorter since it was opened", str(self._path))
+        return np.frombuffer(data, dtype="<f8").reshape(stop - start, self._width)
+
+    def table(self, start: int, stop: int) -> NDArray[np.float64]:
+        """The same without the columns before the end's own."""
+        return self.part(start, stop)[:, len(OWN):]
+
+
+class Column:
+    """One of the first columns of a record, which `numpy.asarray` reads as numbers of type `dtype`."""
+
+    def __init__(self, rows: RecordFile, at: int, dtype: str) -> None:
+        self._rows, self._at, self._dtype = rows, at, dtype
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        import numpy as np
+
+        out = np.empty(len(self), dtype=dtype or self._dtype)
+        for block in blocks(len(self)):
+            out[block] = self._rows.part(block.start, block.stop)[:, self._at].astype(self._dtype)
+        return out
+
+
+def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, Column]:
+    """The header, the rows and the lateness (ns) of each tick of the record in `folder`. Raises `Refused`.
+
+    Rows and lateness are read when they are asked for, as they were then: the file may be growing.
+    """
     import numpy as np
 
+    path = folder / FILE
     try:
-        with open_regular(folder / FILE, links=False) as file:
+        with open_regular(path, links=False) as file:
             header = read_header(file)
             width, start = len(header["columns"]), file.tell()
-            rows, rest = sound_rows(file, width)
-            file.seek(start)
-            table = np.frombuffer(file.read(8 * width * rows), dtype="<f8").reshape(-1, width)
+            count, rest = sound_rows(file, width)
     except (OSError, Misshapen) as error:  # no file, or one of something else
         why = error.strerror if isinstance(error, OSError) else error
         raise Refused(f"{folder} holds no record of a live end ({why}); give the folder of one") from error
     if rest:
-        warnings.warn(f"{folder / FILE} is {rest}: row {rows} and what came after it are lost", TruncatedRecord,
-                      stacklevel=2)
-    ticks: list[int] = table[:, 0].astype(np.int64).tolist()
-    played: list[int] = table[:, 2].astype(np.int64).tolist()
-    return header, EndRecord(ticks, table[:, len(OWN):].ravel().tolist(), played), table[:, 1].tolist()
+        warnings.warn(f"{path} is {rest}: row {count} and what came after it are lost", TruncatedRecord, stacklevel=2)
+    rows = RecordFile(path, start, width, count)
+    ticks = np.asarray(Column(rows, 0, "int64"))
+    return header, EndRecord(ticks, rows, Column(rows, 2, "int64")), Column(rows, 1, "float64")
 
 
-def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, list[float], list[str]]:
+def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Column, list[str]]:
     """The same as `read_record`, with what it warns of as sentences for the summary."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")

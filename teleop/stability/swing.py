@@ -37,7 +37,7 @@ class Staying:
         pulse = [KICK * min(i, 2 * rise - i) / rise for i in range(1, 2 * rise)]
         tail = [[place[-1]] * (count - self.until - 1) for place in moved]
         tail[0] = [at + extra for at, extra in zip(tail[0], pulse + [0.0] * len(tail[0]), strict=False)]
-        return tuple((place + rest)[:count] for place, rest in zip(moved, tail, strict=True))
+        return tuple([*place, *rest][:count] for place, rest in zip(moved, tail, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from teleop.console import table
@@ -26,6 +27,7 @@ from teleop.live.record import (
 from teleop.live.summary import NAMES, WAYS
 from teleop.scene import Scene, load_scene
 from teleop.tick import columns
+from teleop.trace import EndRecord
 
 SCENE = load_scene("hard_wall", duration=1.0)
 WIDTH = len(columns(SCENE, "m"))
@@ -43,14 +45,20 @@ def recorded(folder: Path, count: int, scene: Scene = SCENE) -> Recorder:
     return recorder
 
 
+def table_of(record: EndRecord) -> Any:
+    """All rows of a record that was read."""
+    rows: Any = record.rows
+    return rows.table(0, len(record.ticks))
+
+
 def test_what_was_added_is_read_back_to_the_bit(tmp_path: Path) -> None:
     recorded(tmp_path, 3 * EVERY + 17).close()
     header, record, late = read_record(tmp_path)
     count = 3 * EVERY + 17
     assert list(record.ticks) == [2 * k for k in range(count)]
-    assert record.played == [k - 5 for k in range(count)]
-    assert late == [1000 + k for k in range(count)]
-    assert list(record.rows) == [number for k in range(count) for number in row(k)]
+    assert np.asarray(record.played).tolist() == [k - 5 for k in range(count)]
+    assert np.asarray(late).tolist() == [1000 + k for k in range(count)]
+    assert table_of(record).tolist() == [[*row(k)] for k in range(count)]
     assert (header["end"], header["scene"], header["dt_ns"]) == ("m", "hard_wall", 10**6)
     assert len(header["columns"]) == WIDTH + 3
 
@@ -85,7 +93,7 @@ def test_a_row_that_was_cut_off_is_left_out(cut: int, tmp_path: Path) -> None:
     with pytest.warns(TruncatedRecord, match="row 39 and what came after it are lost"):
         record = read_record(tmp_path)[1]
     assert list(record.ticks) == [2 * k for k in range(39)]
-    assert len(record.rows) == 39 * WIDTH
+    assert table_of(record).shape == (39, WIDTH)
 
 
 def test_a_folder_whose_record_was_cut_off_is_made_whole_and_says_so(tmp_path: Path) -> None:

@@ -33,10 +33,11 @@ def rows_of(one: One) -> Rows | None:
             header, record, _ = read_record(one.folder)
         except Refused:
             return None
-    if not record.ticks and not one.said:
+    if not len(record.ticks) and not one.said:
         return None
     names = header["columns"][3:]
-    table = np.array(record.rows).reshape(len(record.ticks), len(names))
+    rows: Any = record.rows
+    table = rows.table(0, len(record.ticks))
     k, e = np.array(record.ticks, dtype=np.int64), header["end"]
     # a line comes a little after its tick; of one that said nothing no instant is known, and nothing compares
     zero = min((when - event["k"] * DT for when, event in one.said), default=float("nan"))

@@ -57,8 +57,8 @@ def test_reach_has_less_jerk_than_its_neighbours() -> None:
 
 
 def test_hold_stays() -> None:
-    assert Hold(at=0.02).samples(1, 3, MS) == ([0.02, 0.02, 0.02],)
-    assert Hold().samples(1, 2, MS) == ([0.0, 0.0],)
+    assert [*Hold(at=0.02).samples(1, 3, MS)[0]] == [0.02, 0.02, 0.02]
+    assert [*Hold().samples(1, 2, MS)[0]] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("reference", [
@@ -67,7 +67,7 @@ def test_hold_stays() -> None:
 def test_a_number_lies_along_the_first_axis(reference: Hold) -> None:
     x, y, z = reference.samples(3, 2, MS)
     assert x[1] == 0.2
-    assert y == z == [0.0, 0.0]
+    assert [*y] == [*z] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("reference", [

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import teleop.trace
 from channel.delay import Delay
 from master.hand import Grip, Sine
 from slave.wall import Wall
@@ -16,7 +17,7 @@ from teleop.laws.wave import Wave
 from teleop.lockstep import run
 from teleop.plant import MassDamper
 from teleop.scene import Scene
-from teleop.trace import EndRecord, assemble, end_arrays
+from teleop.trace import Columns, EndRecord, assemble, end_columns
 
 SINE = Sine(amplitude=0.05, frequency=1.0)
 SCENE = Scene(
@@ -103,7 +104,32 @@ def test_ends_that_share_no_tick_leave_empty_columns() -> None:
 
 
 def test_one_end_alone_has_its_own_columns() -> None:
-    got = end_arrays(SCENE, "s", EndRecord(range(3), rows(range(3)), [-1, 0, 1]))
+    got = end_columns(SCENE, "s", EndRecord(range(3), rows(range(3)), [-1, 0, 1]))
     assert set(got) == {"x_s", "v_s", "f_s", "seq_s", "f_env"}
     assert got["x_s"].tolist() == [0.0, 1.0, 2.0]
     assert got["seq_s"].dtype == np.int64
+
+
+@pytest.mark.parametrize("size", [1, 7, 20, 1000])
+def test_a_trace_is_the_same_to_the_bit_however_many_rows_are_worked_on_at_a_time(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = replace(SCENE, energy=True, axes=3, environment=(Wall(k=5e3, d=5.0, at=0.03), None, None), duration=0.02)
+    whole = run(scene)
+    monkeypatch.setattr(teleop.trace, "BLOCK", size)
+    parts = run(scene)
+    assert whole.metrics == parts.metrics
+    assert {name: column.tobytes() for name, column in whole.trace.items()} == \
+        {name: column.tobytes() for name, column in parts.trace.items()}
+
+
+def test_a_column_is_made_when_it_is_asked_for_and_not_kept() -> None:
+    asked: list[str] = []
+    got = Columns({"x_m": lambda: (asked.append("x_m"), np.zeros(3))[1], "v_m": lambda: np.ones(3)})
+    assert list(got) == ["x_m", "v_m"]
+    assert "x_m" in got
+    assert "t" not in got
+    assert got.keys() >= {"v_m"}
+    assert asked == []
+    assert len(got["x_m"]) == len(got["x_m"])
+    assert asked == ["x_m", "x_m"]

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
 import pytest
 
 import teleop.figure
 import teleop.lockstep
+import teleop.result
 
 Typed = Callable[..., Any]
 SHORT = ("--set", "duration=0.2")
@@ -149,11 +149,11 @@ class TestAWrongRequest:
     ) -> None:
         before = left_in(tmp_path)
 
-        def full(file: BinaryIO, **_: object) -> None:
+        def full(file: BinaryIO, _: object) -> None:
             file.write(b"half of it")
             raise OSError(errno.ENOSPC, "No space left on device")
 
-        monkeypatch.setattr(np, "savez", full)
+        monkeypatch.setattr(teleop.result, "write_arrays", full)
         answer = typed("run", "canonical", *SHORT, "--out", "new/folders/run")
         answer.assert_refused("No space left", "nothing was left", "--out")
         assert left_in(tmp_path) == before
