@@ -51,6 +51,7 @@ class PeerClock:
         self.band_ns = band_ns
         self._best: tuple[int, int, int] | None = None  # of this window: round trip, theta, when
         self._until = 0  # when it is over, our clock
+        self.since_ns = self.seen_ns = 0  # when the best of the first window came, and of the newest
         self._first = (0, 0)  # the round trip and theta of the first window
         self._base = (0, 0)  # those that the shift counts from
         self._moved = 0
@@ -90,7 +91,8 @@ class PeerClock:
     def _close(self, rtt: int, theta: int, when: int) -> None:
         if self.offset_ns is None:
             self._base = self._first = (rtt, theta)
-        self.offset_ns = theta
+            self.since_ns = when
+        self.offset_ns, self.seen_ns = theta, when
         self._windows.append((rtt, theta, when))
         base_rtt, base = self._base
         ways = abs(rtt - base_rtt) // 2

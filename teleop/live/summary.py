@@ -7,8 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from teleop.endpoint import SLEW
 from teleop.errors import Refused
-from teleop.estimates import LinkEstimates, Times
+from teleop.estimates import LinkEstimates, PeerClock, Times
 from teleop.live.realtime import sentence
 from teleop.live.record import FILE, read_events, read_noted
 from teleop.result import Packets, Result
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from teleop.trace import EndRecord
 
 INSECURE = "the link was neither authenticated nor encrypted, beyond loopback, as --insecure asked"
+UNWATCHED = ("the device has neither a deadline nor a watchdog: had this process been killed, stopped or hung, its "
+             "force would have stayed on")
+FEWEST_NS = 3_000_000_000  # of two clocks beside each other, before their rates are judged
 NAMES = {"m": "master", "s": "slave"}
 WAYS = {"m": ("forth", "back"), "s": ("back", "forth")}  # the direction an end sends in, and the other
 
@@ -70,7 +74,8 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
         status=shell.status, sentence=shell.sentence, told=told,
         packets={sends: Packets(sent=shell.data_sent), hears: heard}, first=shell.first, every=endpoint.every,
-        notes=[*cut, *[INSECURE] * shell.insecure, *filter(None, [shell.recorder.trouble]),
+        notes=[*cut, *[INSECURE] * shell.insecure, *[UNWATCHED] * _holds_on(shell),
+               *filter(None, [shell.recorder.trouble, clock_note(endpoint.link.clock)]),
                *([sentence(shell.realtime)] if shell.realtime else [])],
     )
 
@@ -144,6 +149,29 @@ def _estimates(link: LinkEstimates, every: int) -> dict[str, Any]:
             "lost": link.lost(every), "reordered": link.reordered,
             "peer_clock": None if offset is None else {
                 "offset": offset / 1e9, "drift": link.clock.drift, "moved": link.clock.shift_ns / 1e9}}
+
+
+def clock_note(clock: PeerClock) -> str | None:
+    """A sentence if the peer's clock goes at another rate than a slave's grid can follow; None if it does not.
+
+    Judged by what of the change of the offset the ways cannot explain, so a link whose delays change is not taken for a
+    clock; before `FEWEST_NS` have been seen nothing is said.
+    """
+    seen = clock.seen_ns - clock.since_ns
+    apart = abs(clock.shift_ns) - seen // SLEW
+    if seen < FEWEST_NS or apart <= clock.band_ns:
+        return None
+    rate = clock.drift if clock.drift is not None else clock.shift_ns / seen
+    pace = "faster" if rate > 0.0 else "slower"
+    return (f"the other end's clock goes {abs(rate) * 1e6:,.0f} ppm {pace} than this one's, and a slave's grid of "
+            f"ticks follows {1e6 / SLEW:.0f} ppm: in {seen / 1e9:.0f} s the two grids came apart by {apart / 1e6:.1f} "
+            "ms, by which delays and ages as told, a fixed playout and the tracking error are wrong; have a time "
+            "service (NTP, PTP) keep both clocks, or mend the one that is off")
+
+
+def _holds_on(shell: Shell) -> bool:
+    """Does nothing let go of its device if this process cannot? Simulated devices of stepped ends need nothing."""
+    return not shell.endpoint.stepped and getattr(shell.stand.device, "deadline", None) is None
 
 
 def live_numbers(shell: Shell) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -17,6 +18,7 @@ from teleop.endpoint import Endpoint, Reading, Stepped
 from teleop.errors import DeviceError, Refused
 from teleop.live.merge import merge
 from teleop.live.stand import DEAD_NS, Stand, deadline_of
+from teleop.live.summary import UNWATCHED
 from teleop.scene import load_scene
 from teleop.session import Session
 
@@ -277,3 +279,19 @@ def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end(pair: Ca
     assert "malformed" not in slave.rejected
     assert slave.inbox.played > 100
     both.write()
+
+
+class Bare:
+    """A device without a deadline."""
+
+    def __init__(self, scene: Any) -> None:
+        inner = SimulatedMaster(scene)
+        self.read, self.hold = inner.read, inner.hold
+
+
+@pytest.mark.live
+def test_a_device_whose_force_nothing_would_let_go_of_is_told_of_in_the_summary(pair: Callable[..., Any]) -> None:
+    scene = replace(SCENE, link=None, duration=0.2)
+    both = pair(scene, parts={"m": {"device": Bare(scene)}, "s": {}}).run()
+    told = [json.loads((folder / "summary.json").read_text())["notes"] for folder in both.write()]
+    assert [UNWATCHED in notes for notes in told] == [True, False]

@@ -1,0 +1,96 @@
+"""Clocks whose rates differ by more than a slave's grid can follow: the summary says so, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from teleop.endpoint import SLEW
+from teleop.live.summary import clock_note
+from teleop.live.wire import Wire
+from teleop.packet import DATA, Packet, decode, encode
+from teleop.scene import load_scene
+from tests.live.conftest import summary
+from tests.teleop.virtual_clock import MS, Clock, World, healing
+
+SECONDS = 100.0
+
+
+def world(ppm: float, **other: Any) -> World:
+    """Two ends, the slave's clock so much faster, that have run for a while."""
+    made = World(healing(duration=120.0), clocks={"m": Clock(), "s": Clock(7_777_777_777, ppm)}, **other)
+    return made.run(SECONDS)
+
+
+@pytest.mark.parametrize("ppm", [700.0, -700.0, 2000.0, -2000.0, 5000.0])
+def test_clocks_of_2000_ppm_are_told_with_their_rate_and_by_how_much_the_grids_came_apart(ppm: float) -> None:
+    both = world(ppm)
+    for e, sign in (("m", 1), ("s", -1)):
+        clock = both.end(e).link.clock
+        note = clock_note(clock)
+        assert note is not None
+        told = float(note.split("clock goes ")[1].split(" ppm")[0].replace(",", ""))
+        assert told == pytest.approx(abs(ppm), rel=0.02)
+        assert ("faster" if ppm * sign > 0 else "slower") in note
+        apart = float(note.split("apart by ")[1].split(" ms")[0])
+        seconds = (clock.seen_ns - clock.since_ns) / 1e9
+        assert apart == pytest.approx((abs(ppm) - 1e6 / SLEW) * seconds / 1e3, abs=abs(ppm) / 1e3 + 5.0)
+    slave = both.end("s")
+    behind = abs(slave.link.clock.shift_ns + slave._shifted) / MS
+    assert behind == pytest.approx(apart, abs=abs(ppm) / 1e3 + 5.0), "as far as the slave's grid really stayed behind"
+
+
+@pytest.mark.parametrize("ppm", [0.0, 200.0, -450.0])
+@pytest.mark.parametrize("jitter", [0, 15 * MS])
+def test_clocks_that_the_grid_can_follow_are_no_note_however_the_link_jitters(ppm: float, jitter: int) -> None:
+    both = world(ppm, jitter=jitter)
+    assert [clock_note(both.end(e).link.clock) for e in "ms"] == [None, None]
+
+
+def test_a_way_that_grows_is_not_taken_for_a_clock() -> None:
+    """By 80 ms in one direction alone, as a clock of 2,000 ppm does in 40 s."""
+    both = World(healing())
+    for _ in range(40):
+        both.delay["m"] += 2 * MS
+        both.run(1.0)
+    assert [clock_note(both.end(e).link.clock) for e in "ms"] == [None, None]
+
+
+class Fast(Wire):
+    """For this end the other's clock goes faster by 3,000 ppm."""
+
+    began: int | None = None
+    width, size = (0, 0), 0
+
+    def receive(self) -> Any:
+        got = super().receive()
+        packet = None if got is None or got[0] is None else decode(got[0], self.width[0])
+        if got is None or not isinstance(packet, Packet) or packet.kind not in DATA:
+            return got
+        self.began = self.began or packet.sent_ns
+        sent = self.began + round((packet.sent_ns - self.began) * 1.003)
+        return (encode(packet._replace(sent_ns=sent), self.size), *got[1:])
+
+    def send(self, data: bytes) -> None:
+        packet = decode(data, self.width[1])
+        if isinstance(packet, Packet) and packet.kind in DATA and packet.echo is not None and self.began is not None:
+            sent = self.began + round((packet.echo.sent_ns - self.began) / 1.003)
+            data = encode(packet._replace(echo=packet.echo._replace(sent_ns=sent)), self.size)
+        super().send(data)
+
+
+@pytest.mark.live
+def test_the_summary_has_the_note(pair: Callable[..., Any]) -> None:
+    scene = replace(load_scene("hard_wall", duration=6.5), link=None)
+    both = pair(scene, wire=Fast)
+    slave, master = both.shells["s"], both.shells["m"]
+    slave.wire.width = slave.endpoint._width, master.endpoint._width
+    slave.wire.size = slave.endpoint._size
+    both.run()
+    assert both.errors == {"m": None, "s": None}
+    told = [[note for note in summary(folder)["notes"] if "ppm" in note] for folder in both.write()]
+    assert [len(notes) for notes in told] == [0, 1]
+    assert "faster than this one's, and a slave's grid of ticks follows 500 ppm" in told[1][0]
