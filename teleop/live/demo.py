@@ -85,7 +85,7 @@ class Child:
     def interrupt(self, name: str = "SIGTERM") -> None:
         """Ask it to stop cleanly, with the signal that asked us."""
         if self.process.returncode is None:
-            self.process.send_signal(signal.Signals[name])
+            self.process.send_signal(getattr(signal, name, signal.SIGTERM))
 
 
 async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[bytes]:
@@ -170,11 +170,14 @@ async def _conduct(
         return child
 
     async def pass_on() -> None:
-        while interrupt.name is None:
+        passed = 0
+        while True:
             await asyncio.sleep(0.05)
-        for child in children:
-            if child.name != "channel":
-                child.interrupt(interrupt.name)
+            if interrupt.name is not None and interrupt.count > passed:
+                passed = interrupt.count
+                for child in children:
+                    if child.name != "channel":
+                        child.interrupt(interrupt.name)
 
     stepping = ["--lockstep"] * lockstep
     beside = [asyncio.create_task(pass_on()), *([asyncio.create_task(_line(scene, live))] if show else [])]

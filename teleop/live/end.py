@@ -20,6 +20,7 @@ from teleop.live import fault, output, realtime, security
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.heartbeat import watched
 from teleop.live.interrupt import Interrupt
+from teleop.live.lastresort import LastResort
 from teleop.live.leaving import UNRELEASED
 from teleop.live.record import Recorder, fresh_folder
 from teleop.live.shell import Shell
@@ -50,7 +51,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = security.line(e, args, at)
-    with output.live(), Interrupt() as interrupt, _wire(e, at, sealed) as wire:
+    with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
         made = device(scene)
         stem = f"{scene.name}-{NAMES[e]}"
         granted = realtime.asked(args, NAMES[e])  # before the watchdog of the device, which takes it over
@@ -63,6 +64,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
             recorder = Recorder(scene, e, folder, about)
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
+            last.shell = shell
             shell.realtime, shell.insecure = granted, insecure
             shell.spin_ns = realtime.SPIN_NS if args.spin else 0
             if not (args.json or args.quiet):

@@ -8,12 +8,14 @@ raised, of any type, for a fault: no force at once, the end of the run, this sen
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FrameType
 from typing import Any
 
 from teleop.endpoint import Endpoint
 from teleop.errors import Refused
+from teleop.live.meeting import meet
 from teleop.live.record import Recorder
 from teleop.live.stand import Stand
 from teleop.packet import one_line
@@ -24,18 +26,29 @@ PARTS: dict[CodeType, str] = {
     Stand.hold.__code__: "the device, given a force,",
     Endpoint.tick.__code__: "the law",
     Endpoint.receive.__code__: "the reading of a packet",
+    meet.__code__: "the first exchange",
     **{part.__code__: "the record" for part in (Recorder.add, Recorder.note, Recorder.flush)},
 }
 
 
-def sentence(error: BaseException, others: dict[CodeType, str]) -> str:
-    """Which part raised `error`, and what it said. `others`: names of parts beside `PARTS`, by their code."""
+def part_of(frames: Iterable[FrameType]) -> str | None:
+    """The part that the innermost of these frames, which come last, is in; None of no part that has a name here."""
+    found = [PARTS[frame.f_code] for frame in frames if frame.f_code in PARTS]
+    return found[-1] if found else None
+
+
+def sentence(error: BaseException) -> str:
+    """Which part raised `error`, and what it said."""
     if isinstance(error, Refused):
         return str(error)
-    known = others | PARTS
-    found = [known[frame.f_code] for frame, _ in traceback.walk_tb(error.__traceback__) if frame.f_code in known]
+    part = part_of(frame for frame, _ in traceback.walk_tb(error.__traceback__))
     said = f": {text}" if (text := one_line(_text(error))) else ""
-    return f"{found[-1] if found else 'the live loop'} raised {type(error).__name__}{said}"
+    return f"{part or 'the live loop'} raised {type(error).__name__}{said}"
+
+
+def named(function: Any, part: str) -> None:
+    """Call the part that `function` belongs to `part` in sentences."""
+    PARTS[function.__code__] = part
 
 
 def _text(error: Any) -> str:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 RETRY_NS = 1_000_000_000  # zero force is tried for so long
 PAUSE = 0.005  # s between two tries
 UNRELEASED = "unreleased"  # the status of a run whose device did not take zero force
+MAY_BE_ON = "THE FORCE MAY STILL BE ON, switch the device off"
 
 
 async def leave(shell: Shell) -> None:
@@ -32,10 +33,12 @@ async def leave(shell: Shell) -> None:
 
 async def _zero(shell: Shell) -> None:
     stand, until = shell.stand, time.monotonic_ns() + RETRY_NS
+    stand.closed = True
     while not stand.let_go() and stand.forced:
         if time.monotonic_ns() > until:
             shell.status = UNRELEASED
             shell.sentence += (f"; its device did not take zero force in {RETRY_NS / 1e9:g} s ({stand.trouble}): "
-                               "THE FORCE MAY STILL BE ON, switch the device off")
-            return
+                               f"{MAY_BE_ON}")
+            break
         await asyncio.sleep(PAUSE)
+    shell.free = True

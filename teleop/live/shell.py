@@ -10,7 +10,7 @@ from typing import Any
 
 from teleop.endpoint import Axes, Endpoint, Reading, Stepped
 from teleop.guard import Event
-from teleop.live.fault import sentence
+from teleop.live import fault
 from teleop.live.hearing import Hearing
 from teleop.live.interrupt import Interrupt
 from teleop.live.leaving import UNRELEASED, leave
@@ -58,6 +58,7 @@ class Shell:
         self._say, self.patience, self.interrupt = say, patience, interrupt
         self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is nobody, while that is waited for
         self.over = asyncio.Event()
+        self.free = False  # it has let go of its device, or given that up
         self.fault: BaseException | None = None  # what a part of it raised, of which the run has ended
         self.last = -endpoint.every  # the last tick that was due
         self.ran = 0  # the last tick that ran
@@ -134,7 +135,7 @@ class Shell:
 
     def stop(self, why: str) -> None:
         """End the run now, as a stop that is none of the scene's doing."""
-        self.end("stopped", f"stopped at t = {self._now():.3f} s: {why}")
+        self.end("stopped", f"stopped at t = {self.so_far():.3f} s: {why}")
 
     def bye(self) -> list[bytes]:
         """The farewell that says how the run ended for this end."""
@@ -149,15 +150,16 @@ class Shell:
 
     def _fail(self, error: BaseException) -> None:
         """Hold no force from this moment on: something was raised. The first such error is what the run ended of."""
+        self.stand.closed = True
         self.stand.let_go()
         if self.fault is None:
             self.fault = error
-            why = sentence(error, {Shell.announce.__code__: "the live line", meet.__code__: "the first exchange"})
+            why = fault.sentence(error)
             if self.status != UNRELEASED:  # which weighs more
-                self.status, self.sentence = "stopped", f"stopped at t = {self._now():.3f} s: {why}"
+                self.status, self.sentence = "stopped", f"stopped at t = {self.so_far():.3f} s: {why}"
         self.over.set()
 
-    def _now(self) -> float:
+    def so_far(self) -> float:
         """The time of the run (s) up to which this end has come."""
         return (self.last + 1) * self.scene.dt_ns / 1e9
 
@@ -312,3 +314,6 @@ class Shell:
         if not self.over.is_set():
             self.status, self.sentence = status, sentence
             self.over.set()
+
+
+fault.named(Shell.announce, "the live line")

@@ -64,6 +64,7 @@ class Stand:
         self.device, self.trusted = device, trusted
         self.trouble: str | None = None
         self.forced = False  # has it been given a force, and not taken zero since
+        self.closed = False  # is it given zero alone from now on
         self._zero = (0.0,) * axes
         self._held_well, self._known = True, False
         self._sound_ns: int | None = None  # when it was last well, or first asked
@@ -98,6 +99,7 @@ class Stand:
 
     def hold(self, force: Axes) -> None:
         """Have it hold `force` (N, per axis). What is neither DeviceError nor OSError comes through: it is a fault."""
+        force = self._zero if self.closed else force
         pushes = any(force)
         self.forced = self.forced or pushes
         try:

@@ -1,0 +1,123 @@
+"""What ends a live end whose loop stands still, in a driver or a law that does not return: the second signal.
+
+A signal's handler in Python runs between two steps of the interpreter's main thread, so while a driver hangs in a
+system call there is none. The number of each signal is written to a pipe by the system's own handler, and a thread
+waits for it there. It runs as soon as the main thread has not the interpreter to itself: while that sleeps, waits,
+reads, computes in Python, or is in compiled code that has released the interpreter's lock. Compiled code that hangs
+with the lock held stops this thread too; against that, as against SIGKILL and SIGSTOP, stand the deadline of a device
+and a watchdog in a process of its own.
+
+The thread touches the device only where the loop is known to stand still: an end that is well lets go by itself.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from contextlib import suppress
+from threading import Thread, main_thread
+from traceback import walk_stack
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from teleop.guard import Event
+from teleop.live.fault import part_of
+from teleop.live.interrupt import Interrupt, name_of
+from teleop.live.leaving import MAY_BE_ON
+from teleop.options import FAULT, FORCED
+
+if TYPE_CHECKING:
+    from teleop.live.shell import Shell
+
+HEED_S = 2.0  # a signal that was not heeded for so long counts as two
+HUNG_S = 0.3  # so long after the second an end that is well has no force any more
+LEAVE_S = 4.0  # so long after that it has none either, if it heeds the one
+ACT_S = 1.0  # for the device to take zero force, the record to be written and the peer to be told
+
+
+class LastResort:
+    """A thread that sets the device of `shell` to zero force and ends the process, where a signal does not end it."""
+
+    def __init__(self, interrupt: Interrupt) -> None:
+        self.interrupt = interrupt
+        self.shell: Shell | None = None  # there is a device to be let go
+        self._names: list[str] = []
+        self._leaves = False  # it heeds the signal
+        self._done = False
+
+    def __enter__(self) -> LastResort:
+        self._reads, self._writes = os.pipe()
+        os.set_blocking(self._writes, False)
+        self._before = signal.set_wakeup_fd(self._writes, warn_on_full_buffer=False)
+        self._thread = Thread(target=self._wait, name="last resort", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        signal.set_wakeup_fd(self._before)
+        self._done = True
+        os.write(self._writes, b"\0")
+        self._thread.join()
+        os.close(self._reads)
+        os.close(self._writes)
+
+    def _wait(self) -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are the main thread's
+        due = float("inf")  # when this thread acts
+        while not self._done:
+            left = due - time.monotonic()
+            if left > 0.0:
+                ready, _, _ = select.select([self._reads], [], [], None if left == float("inf") else left)
+                came = os.read(self._reads, 64) if ready else b""
+                for number in self.interrupt.taken.intersection(came):
+                    self._names += [name_of(number)] * came.count(number)
+                    due = min(due, time.monotonic() + (HEED_S if len(self._names) == 1 else HUNG_S))
+            elif self.shell is not None and self.shell.free:
+                due = float("inf")
+            elif len(self._names) == 1 and not self._leaves and self.shell is not None and self.shell.over.is_set():
+                self._leaves, due = True, time.monotonic() + LEAVE_S
+            else:
+                self._act()
+
+    def _act(self) -> None:
+        """Zero force, the record, the peer, a sentence, the end; whatever of it hangs."""
+        shell, code, force = self.shell, FAULT, "no force was on"
+        why = f"{' and '.join(self._names[:2])} came, and {self._hung()} does not return"
+        self.interrupt.count += 1  # should it return even so: not along a ramp
+        if shell is not None:
+            forced, took = shell.stand.forced, list[bool]()
+            worker = Thread(target=_let_go, args=(shell, why, took), daemon=True)
+            worker.start()
+            worker.join(ACT_S)
+            if forced and took == [True]:
+                force = "its device was set to zero force"
+            elif forced:
+                code, force = FORCED, f"its device did not take zero force: {MAY_BE_ON}"
+        _say(f"teleop: {why}; {force}; the process ends without a summary\n")
+        os._exit(code)
+
+    @staticmethod
+    def _hung() -> str:
+        """The part that the main thread is in."""
+        frame = sys._current_frames().get(main_thread().ident or 0)
+        frames = [] if frame is None else [each for each, _ in walk_stack(frame)]
+        return part_of(reversed(frames)) or "the live loop"
+
+
+def _let_go(shell: Shell, why: str, took: list[bool]) -> None:
+    shell.stand.closed = True
+    took.append(shell.stand.let_go())
+    shell.status, shell.sentence = "stopped", f"stopped at t = {shell.so_far():.3f} s: {why}"
+    shell.guarded(lambda: shell.recorder.note(Event(shell.ran, "stopped", why)))
+    shell.guarded(shell.recorder.flush)
+    shell.guarded(lambda: shell.send(shell.bye()))
+
+
+def _say(text: str) -> None:
+    """Say it on standard error, if there is room for it."""
+    with suppress(OSError, ValueError):
+        if select.select([], [2], [], 0.0)[1]:
+            os.write(2, text.encode(errors="backslashreplace"))

@@ -1,0 +1,242 @@
+"""Signals: every one that would end or stop a process ends the run instead, and what hangs is ended by the second."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop.library import ROOT
+from teleop.live.interrupt import OTHERS, REAL_TIME, Interrupt
+from teleop.live.lastresort import HUNG_S
+from teleop.live.leaving import MAY_BE_ON
+from teleop.live.record import read_events, read_record
+from tests.live.conftest import PATIENCE, summary
+
+pytestmark = pytest.mark.live
+Make = Callable[..., Any]
+SCENE = ("canonical", "--set", "duration=120", "--set", "delay=0.002")
+UNTAKEN = {  # and why
+    "SIGKILL": "no process can take it", "SIGSTOP": "no process can take it", "SIGCONT": "ends nothing",
+    "SIGSEGV": "a fault", "SIGBUS": "a fault", "SIGFPE": "a fault", "SIGILL": "a fault",
+    "SIGCHLD": "ends nothing", "SIGURG": "ends nothing", "SIGWINCH": "ends nothing",
+    "SIGPIPE": "ignored by Python", "SIGXFSZ": "ignored by Python", "SIGTTOU": "ignored by teleop.live.output",
+}
+DEVICE = """
+import ctypes, os, select, struct, sys, threading, time
+from {module} import {kind}
+from teleop.live.end import end_main
+
+FILE = os.open("force", os.O_RDWR | os.O_CREAT)
+
+
+class Law:
+    @staticmethod
+    def send(told):
+        hang()
+
+
+def hang():
+    {act}
+
+
+class Robot({kind}):
+    '''Its force stands in a file, whatever becomes of this process, as in an amplifier.'''
+
+    def read(self, k):
+        if {hangs} and k >= 500:
+            {where}
+        return super().read(k)
+
+    def hold(self, force):
+        {when}
+        os.pwrite(FILE, struct.pack("d", force[0]), 0)
+        super().hold(force)
+
+
+if __name__ == "__main__":
+    raise SystemExit(end_main("{e}", Robot))
+"""
+
+
+class Force:
+    """What the device in a folder holds."""
+
+    def __init__(self, folder: Path) -> None:
+        self.file = folder / "force"
+
+    def __call__(self) -> float:
+        data = self.file.read_bytes() if self.file.exists() else b""
+        return float(struct.unpack("d", data)[0]) if len(data) == 8 else 0.0
+
+    def until(self, well: Callable[[float], bool]) -> float:
+        """Wait for such a force; how many seconds that took."""
+        began = time.monotonic()
+        while not well(self()):
+            assert time.monotonic() - began < PATIENCE, self()
+            time.sleep(0.001)
+        return time.monotonic() - began
+
+
+def robot(folder: Path, e: str = "s", act: str = "pass", where: str | None = None, when: str = "pass") -> Force:
+    """Write the program of an end with such a device; `act` is what hangs, `where` it is called from."""
+    module, kind = ("slave.robot", "SimulatedSlave") if e == "s" else ("master.device", "SimulatedMaster")
+    (folder / "robot.py").write_text(DEVICE.format(module=module, kind=kind, e=e, act=act, hangs=where is not None,
+                                                   where=where or "pass", when=when))
+    return Force(folder)
+
+
+def as_in_a_terminal() -> None:
+    """What a shell starts in the background has some of these ignored, and stays so."""
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP, signal.SIGTSTP):
+        signal.signal(number, signal.SIG_DFL)
+
+
+def pair(command: Make, e: str = "s") -> tuple[Any, Any]:
+    """The end with that device, and the other."""
+    names = {"m": "master", "s": "slave", e: "robot"}
+    slave = command(names["s"], *SCENE, "--listen", "127.0.0.1:0", "--json", "--out", "s", preexec_fn=as_in_a_terminal)
+    peer = ("--peer", f"127.0.0.1:{slave.port()}")
+    master = command(names["m"], *SCENE, *peer, "--json", "--out", "m", preexec_fn=as_in_a_terminal)
+    return (slave, master) if e == "s" else (master, slave)
+
+
+def test_no_signal_that_a_process_can_take_ends_it() -> None:
+    program = """
+import os, signal, sys
+from teleop.live.interrupt import Interrupt
+for number in (signal.SIGQUIT, signal.SIGHUP):  # whatever the shell that started the tests makes of them
+    signal.signal(number, signal.SIG_DFL)
+before = {number: signal.getsignal(number) for number in signal.valid_signals()}
+with Interrupt() as interrupt:
+    for number in sorted(interrupt.taken):
+        interrupt.name = None
+        os.kill(os.getpid(), number)
+        print(number, interrupt.name, flush=True)
+print({number: was for number, was in before.items() if signal.getsignal(number) is not was})
+"""
+    done = subprocess.run([sys.executable, "-c", program], env={"PYTHONPATH": str(ROOT)}, check=True, text=True,
+                          capture_output=True)
+    *lines, left = done.stdout.splitlines()
+    noted = {int(line.split()[0]): line.split()[1] for line in lines}
+    assert left == "{}", "as it was before"
+    all_of_them = {int(number) for number in signal.valid_signals()} - {int(getattr(signal, name)) for name in UNTAKEN}
+    assert set(noted) == all_of_them
+    assert {noted[int(getattr(signal, name))] for name in OTHERS} == set(OTHERS)
+    assert noted[REAL_TIME[3]] == "SIGRTMIN+3"
+
+
+def test_what_is_ignored_stays_so_as_under_nohup() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interrupt() as interrupt:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert (interrupt.name, signal.SIGHUP in interrupt.taken) == (None, False)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize(("e", "name"), [
+    ("m", "SIGHUP"), ("s", "SIGHUP"), ("m", "SIGQUIT"), ("s", "SIGUSR1"), ("m", "SIGUSR2"), ("s", "SIGABRT"),
+    ("m", "SIGALRM"), ("s", "SIGTSTP"),
+])
+def test_a_terminal_that_drops_leaves_no_force(e: str, name: str, command: Make, tmp_path: Path) -> None:
+    """SIGHUP, SIGQUIT and SIGUSR killed an end with 4.26 N held; Ctrl-Z stopped it so."""
+    force = robot(tmp_path, e)
+    own, other = pair(command, e)
+    force.until(lambda f: abs(f) > 0.1)
+    own.signal(getattr(signal, name))
+    code, _, err = own.end()
+    assert (code, err) == (0, "")
+    assert other.end()[0] == 0
+    assert force() == 0.0
+    left = {each: summary(tmp_path / each) for each in "ms"}
+    assert left[e]["sentence"].endswith(f"it was asked to stop ({name})")
+    assert left[e]["sentence"] in left["sm"["ms".index(e)]]["sentence"]
+
+
+HANGS = {
+    "sleeps": "time.sleep(600)",
+    "computes": "while True: pass",
+    "reads": "os.read(os.pipe()[0], 1)",
+    "waits": "select.select([os.pipe()[0]], [], [])",
+    "locks": "threading.Lock().acquire() and [lock := threading.Lock(), lock.acquire(), lock.acquire()]",
+    "in C": "m, lock = ctypes.create_string_buffer(64), ctypes.CDLL(None).pthread_mutex_lock; lock(m); lock(m)",
+}
+LAW = "sys._getframe(2).f_locals['self'].endpoint._started = Law"
+
+
+@pytest.mark.parametrize(("where", "act", "part"), [
+    *[pytest.param("hang()", act, "the device, asked for a reading,", id=f"driver {name}")
+      for name, act in HANGS.items()],
+    *[pytest.param(LAW, HANGS[name], "the law", id=f"law {name}") for name in ("sleeps", "computes")],
+])
+def test_a_hung_driver_or_law_is_ended_by_the_second_signal(
+    where: str, act: str, part: str, command: Make, tmp_path: Path
+) -> None:
+    """Neither two SIGTERMs nor Ctrl-C ended it, and it held its force."""
+    force = robot(tmp_path, "s", act, where)
+    own, other = pair(command)
+    force.until(lambda f: abs(f) > 0.1)
+    record = tmp_path / "s" / "record.bin"
+    while own.event("live")["k"] < 250:
+        pass
+    before, same = -1, 0
+    while same < 5:  # it stands still
+        time.sleep(0.1)
+        same = same + 1 if record.stat().st_size == before and time.monotonic() else 0
+        before = record.stat().st_size
+    assert force() != 0.0
+    own.signal(signal.SIGTERM)
+    time.sleep(0.05)
+    own.signal(signal.SIGTERM)
+    took = force.until(lambda f: f == 0.0)
+    code, _, err = own.end()
+    assert code == 1
+    assert err.startswith(f"teleop: SIGTERM and SIGTERM came, and {part} does not return; its device was set to zero")
+    assert err.count("\n") == 1
+    assert took < HUNG_S + 2.0
+    rows = len(read_record(tmp_path / "s")[1].ticks)
+    assert rows > 250
+    assert any("does not return" in event["why"] for event in read_events(tmp_path / "s"))
+    assert other.end()[0] == 0
+    assert f"{part} does not return" in summary(tmp_path / "m")["sentence"], "the peer is told the truth"
+
+
+def test_a_hung_driver_is_ended_by_one_signal_that_is_not_heeded(command: Make, tmp_path: Path) -> None:
+    force = robot(tmp_path, "m", "time.sleep(600)", "hang()")
+    own, _ = pair(command, "m")
+    force.until(lambda f: abs(f) > 0.1)
+    while own.event("live")["k"] < 250:
+        pass
+    time.sleep(1.0)
+    own.signal(signal.SIGINT)
+    code, _, err = own.end()
+    assert (code, force()) == (1, 0.0)
+    assert err.startswith("teleop: SIGINT came, and the device, asked for a reading, does not return; ")
+
+
+def test_a_driver_that_hangs_even_for_zero_is_ended_and_the_force_is_said_to_be_on(
+    command: Make, tmp_path: Path
+) -> None:
+    force = robot(tmp_path, "s", "time.sleep(600)", when="self._k >= 500 and hang()")
+    own, _ = pair(command)
+    force.until(lambda f: abs(f) > 0.1)
+    while own.event("live")["k"] < 250:
+        pass
+    time.sleep(1.0)
+    own.signal(signal.SIGTERM)
+    own.signal(signal.SIGINT)
+    code, _, err = own.end()
+    assert code == 3
+    assert "the device, given a force, does not return" in err
+    assert MAY_BE_ON in err
+    assert force() != 0.0
