@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from mmap import mmap
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from teleop.deadline import DEADLINE
 from teleop.endpoint import Axes, Reading
@@ -134,22 +134,28 @@ def watched(device: Device, folder: Path) -> Iterator[Device]:
         yield device
         return
     deadlines = [one for one in (getattr(device, "deadline", None), watchdog.deadline) if one is not None]
-    with TemporaryFile() as file:
-        file.truncate(SIZE)
-        with mmap(file.fileno(), SIZE) as page:
-            process, goodbye = _start(watchdog, file.fileno(), folder)
-            ours = WatchedDevice(device, min(deadlines), page)
-            try:
-                _await(process, page)
-                yield ours
-            finally:
-                with suppress(OSError):  # the watchdog is gone
-                    if ours.lets_go:
-                        os.write(goodbye, GOODBYE)
-                ours.release()
-                os.close(goodbye)
-                with suppress(subprocess.TimeoutExpired):  # it goes on trying, and says what became of it
-                    process.wait(END_S)
+    with _file() as file, mmap(file.fileno(), SIZE) as page:
+        process, goodbye = _start(watchdog, file.fileno(), folder)
+        ours = WatchedDevice(device, min(deadlines), page)
+        try:
+            _await(process, page)
+            yield ours
+        finally:
+            with suppress(OSError):  # the watchdog is gone
+                if ours.lets_go:
+                    os.write(goodbye, GOODBYE)
+            ours.release()
+            os.close(goodbye)
+            with suppress(subprocess.TimeoutExpired):  # it goes on trying, and says what became of it
+                process.wait(END_S)
+
+
+def _file() -> IO[bytes]:
+    """A file of one page, in memory alone if the system can: a page on its way to a disk would hold up a tick."""
+    memory = getattr(os, "memfd_create", None)
+    file: IO[bytes] = os.fdopen(memory("device watchdog"), "r+b") if memory else TemporaryFile()  # noqa: SIM115
+    file.truncate(SIZE)
+    return file
 
 
 def _start(watchdog: DeviceWatchdog, page: int, folder: Path) -> tuple[subprocess.Popen[bytes], int]:
