@@ -148,8 +148,8 @@ def _late_ticks(result: Result) -> Iterator[str]:
 
 def _integration(result: Result) -> Iterator[str]:
     for end, own in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
-        text = f"{end}: error estimated at {si(own['error_estimate_max'], 'm')} a tick"
-        text += f" ({si(own['error_estimate_sum'], 'm')} in all), up to {own['substeps_max']} sub-steps"
+        text = f"{end}: error estimated at {si(float(own['error_estimate_max']), 'm')} a tick"
+        text += f" ({si(float(own['error_estimate_sum']), 'm')} in all), up to {own['substeps_max']} sub-steps"
         over = own["ticks_over_tolerance"]
         yield text + (f"; {over} ticks above {si(own['tolerance'], 'm')}" if over else "")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -175,8 +175,13 @@ def load_result(folder: Path | str, *, trust: bool = False) -> Result:
 
 
 def has_record(folder: Path) -> bool:
-    """Is the record of a live end in `folder`, or in a folder of it, or one below that?"""
-    return any(any(folder.glob(f"{level}record.bin")) for level in ("", "*/", "*/*/"))
+    """Is there any of `records_in`?"""
+    return next(records_in(folder), None) is not None
+
+
+def records_in(folder: Path) -> Iterator[Path]:
+    """The records of live ends in `folder`, in the folders of it, and in those below them."""
+    return (path for level in ("", "*/", "*/*/") for path in folder.glob(f"{level}record.bin"))
 
 
 def stored_summary(folder: Path) -> dict[str, Any]:

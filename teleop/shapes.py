@@ -25,6 +25,7 @@ MOST_SEED = (1 << 64) - 1
 TICK = whole(low=-1, high=MOST_TICKS)
 COUNT = whole(low=0)
 EVENT = record({"k": TICK, "what": text, "why": text})
+_ESTIMATE = either(real, one_of("inf", "-inf", "nan"))  # of a run that diverged, see `teleop.stored.written`
 _TIMES = record({"mean": real})
 _COUNTS: dict[str, Check] = {each.name: COUNT for each in fields(Packets)} | {"rejected": named(COUNT)}
 
@@ -62,7 +63,7 @@ RUN = record({
 }, {
     "versions": named(text), "command": each(text), "end": one_of("master", "slave"), "master": end, "slave": end,
     "integration": optional(named(record({
-        "error_estimate_max": real, "error_estimate_sum": real, "substeps_max": real, "ticks_over_tolerance": real,
-        "tolerance": real,
+        "error_estimate_max": _ESTIMATE, "error_estimate_sum": _ESTIMATE, "substeps_max": real,
+        "ticks_over_tolerance": real, "tolerance": real,
     }))),
 })

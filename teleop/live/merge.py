@@ -13,7 +13,7 @@ from teleop.live.leaving import UNRELEASED
 from teleop.live.record import FILE, read_events, read_noted
 from teleop.live.summary import NAMES, WAYS, end_result, lateness, spread_us
 from teleop.lockstep import packet_counts, standing_notes
-from teleop.result import Packets, Result, stored_summary
+from teleop.result import Packets, Result, records_in, stored_summary
 from teleop.scene import Scene
 from teleop.shapes import of_end
 from teleop.stored import Misshapen
@@ -140,7 +140,7 @@ def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Any, list[str]]:
     if folder.is_symlink() and folder.name in NAMES.values():
         raise Refused(f"{folder} is a link, and what a folder links to is not opened; give the folder itself")
     if not (folder / FILE).is_file():
-        inside = [path.parent for path in folder.glob(f"**/{FILE}")]
+        inside = [path.parent for path in records_in(folder)]
         whole = {at.parent if at.name in NAMES.values() and at.parent != folder else at for at in inside}
         cure = f"one of its folders, for example {max(whole)}" if whole else "the folder that a live end wrote"
         raise Refused(f"{folder} holds no record; give {cure}")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from teleop import Refused, Result, load_result, load_scene, run
+from teleop.console import table
 from teleop.metrics import UNITS
 from teleop.result import Packets, parameters
 
@@ -135,3 +136,11 @@ class TestStored:
         wan.write(folder)
         assert (tmp_path / "precious").read_bytes() == b"precious"
         assert load_result(folder).ticks == wan.ticks
+
+    def test_with_an_estimate_that_is_not_finite_is_read_and_told_like_any_other(
+        self, wan: Result, tmp_path: Path
+    ) -> None:
+        own = {"error_estimate_max": float("inf"), "error_estimate_sum": float("nan"), "substeps_max": 3,
+               "ticks_over_tolerance": 1, "tolerance": 1e-9}
+        replace(wan, extra={"integration": {"slave": own}}).save(tmp_path / "run")
+        assert "error estimated at inf m a tick (nan m in all)" in table(load_result(tmp_path / "run"))
