@@ -18,6 +18,7 @@ from teleop.estimates import LinkEstimates
 from teleop.guard import Guard
 from teleop.packet import DATA, MOST_SEQ, Echo, Kind, Packet, Rejection, Window, check_size, decode, encode, unwrapped
 from teleop.playout import Fixed, Inbox, Plan
+from teleop.presence import Presence
 from teleop.rates import Heard, Messages, Resampling
 from teleop.scene import Scene
 from teleop.session import RENEW_NS, Session
@@ -25,7 +26,6 @@ from teleop.source import beginnings, compiled, live_text
 from teleop.tick import ENDS, columns
 
 Axes = tuple[float, ...]
-EARLY_NS = 1_000_000_000  # a message from further ahead than this is not believed: the two share one grid
 SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
 COUNTED = ("received", "late", "overtaken", "duplicates", "refused", "played")  # of an inbox
 
@@ -104,6 +104,7 @@ class Endpoint:
         self._window = Window()  # so that a copy or a replay is no second measurement
         self._tick = -1
         self._came = 0  # the tick at which a new packet came last
+        self.presence = Presence(session, self.link, scene.dt_ns, self.every, self.guard.timeout_ns)
         self._met = 1  # the session that the law was begun for
         self._placed = False  # is it known where the device was before tick 0
         self._away: Axes | None = None  # how far that is from where the scene begins, if it is not there
@@ -154,34 +155,36 @@ class Endpoint:
                 self.rejected["session"] += 1
                 return []
             return session.receive(packet, now, len(data))
-        if packet.session != session.number or session.start_ns is None or session.meeting:
+        if packet.session != session.number or session.start_ns is None or session.mute():
             self.rejected["session"] += 1
             return []
         if packet.kind is not self.hears:
             self.rejected["direction"] += 1
             return []
-        if session.met != self._met and not self.stepped:
-            session.data_came(now)
-            return []  # its law begins with the next tick, and nothing of it counts as of the session before
         came = -((session.start_ns - now) // self.scene.dt_ns)  # the tick, rounded up
         near = self._tick if self.stepped else max(came, self._tick)
         seq = unwrapped(packet.seq, near)
-        if seq > (self._tick + 1 if self.stepped else near + EARLY_NS // self.scene.dt_ns + 1):
+        if session.met != self._met and not self.stepped:
+            session.data_came(now, session.start_ns + seq * self.scene.dt_ns)
+            return []  # its law begins with the next tick, and nothing of it counts as of the session before
+        if seq > (self._tick + 1 if self.stepped else near + self.presence.most_ahead()):
             self.rejected["early"] += 1
-            session.astray = True
+            self.presence.ahead(self._tick, seq - near, packet.sent_ns, now)
             return []
         if seq < 0 or seq < near - (1 << 30):
             self.rejected["old"] += 1
             return []
         self.received += 1
         if self._window.judge(seq, near) == "new":
-            session.data_came(now)
+            session.data_came(now, session.start_ns + seq * self.scene.dt_ns)
             self._came = came
+            self.presence.in_time()
             if not self.stepped:
                 way = now - session.start_ns - seq * self.scene.dt_ns
                 self.link.heard(seq, packet.sent_ns, packet.echo, way, now)
             if self._newest is None or seq > self._newest[0]:
                 self._newest = (seq, packet.sent_ns, now)
+                self.presence.newest(packet.echo, session.start_ns + seq * self.scene.dt_ns, now)
         self.inbox.put(seq, max(came, self._tick + 1), Heard(self._message(packet.payload), packet.E_in))
         return []
 
@@ -193,7 +196,7 @@ class Endpoint:
         if self._started is None or self._met != self.session.met:
             self._begin(k, reading)
         got = self._rates.take(self.inbox, self._tick, k)
-        gain = self.guard.step(k, got is not None, trouble, came=self._came if self._newest_wins else None)
+        gain = self._gain(k, now, None if got is None else k - got[0], trouble)
         if self.guard.lapsed:
             self._held = (0.0,) * self.scene.axes
         seq, rx = (-1, None) if got is None else (got[0], got[1].rx)
@@ -218,7 +221,12 @@ class Endpoint:
         """Tick k cannot be run, for there is no reading: the device holds no force from now on."""
         self.guard.step(k, False, trouble)
         self.guard.gain = 0.0
+        self.session.let_go = True
         self._held = (0.0,) * self.scene.axes
+
+    def stood_still(self, ns: int) -> None:
+        """This machine was suspended for `ns`: what it has of its peer is older than its clock says."""
+        self.session.end(f"stood still: this machine was suspended for {ns / 1e9:.3f} s")
 
     def place(self, x: Axes) -> None:
         """Where the device is before tick 0. If that is not where the scene begins, the law begins there from rest."""
@@ -251,6 +259,7 @@ class Endpoint:
                 self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
                 self.inbox, self._tick = Inbox(self.scene.playout, self.scene.dt_ns, tick=k - 1), k - 1
                 self._window, self._newest, self._shifted = Window(), None, 0
+                self.presence.begin()
                 self.link.begin(self._rates.theirs)
             self.guard.begin(k, "the law begins from rest, and its positions from here")
         if self._index is not None:
@@ -259,6 +268,21 @@ class Endpoint:
         begins = beginnings(self.own, {self.e: x})
         self._started = self._live(self.own, begins, self.scene.law, self._dt, x, reading.v, reading.f)
         self._started.send(None)
+
+    def _gain(self, k: int, now: int, age: int | None, trouble: str | None) -> float:
+        """The guard's gain at tick k, and whether the session is over. `age`: ticks since its message was sent."""
+        session, came, unheard = self.session, self._rates.played, 0.0
+        if not self.stepped:
+            self.presence.judge(k, now)
+            # What is not released yet waits for the first answer; a run that begins well need not.
+            waits = self.guard.safe and not self.presence.answered
+            unheard = float("inf") if waits else self.presence.unheard_ns / 1e9
+        if self._newest_wins:
+            came = self._came
+        gain = self.guard.step(
+            k, age is not None, trouble, came=came, over=session.ended, unheard=unheard, age=age or 0)
+        session.let_go = gain == 0.0
+        return gain
 
     def _counted_from(self, x: Axes) -> Axes:
         """Where the law's positions count from: here, to a whole step of the encoder if there is one."""
@@ -297,7 +321,7 @@ class Endpoint:
         if not all(map(isfinite, payload)):
             self.message_failed = True
             return None
-        if session.number is None or session.mute(now):
+        if session.number is None or session.mute():
             return None
         newest = self._newest
         echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))

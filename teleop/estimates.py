@@ -48,6 +48,7 @@ class PeerClock:
     def __init__(self, band_ns: int) -> None:
         self.offset_ns: int | None = None
         self.shift_ns = 0
+        self.sure_ns = 0  # so much, at most, is `shift_ns` from what the clocks moved by
         self.band_ns = band_ns
         self._best: tuple[int, int, int] | None = None  # of this window: round trip, theta, when
         self._until = 0  # when it is over, our clock
@@ -100,8 +101,8 @@ class PeerClock:
         if abs(moved) > ways + self.band_ns:
             self.shift_ns += moved - ways if moved > 0 else moved + ways
         # Whatever the ways do, the offset is within half a round trip of theta, now as then.
-        sure, change = (rtt + self._first[0]) // 2, theta - self._first[1]
-        self.shift_ns = max(change - sure, min(change + sure, self.shift_ns))
+        self.sure_ns, change = (rtt + self._first[0]) // 2, theta - self._first[1]
+        self.shift_ns = max(change - self.sure_ns, min(change + self.sure_ns, self.shift_ns))
         self._moved = self._moved + 1 if ways > self.band_ns else 0
         if self._moved >= MOVED:  # from here on the ways are these
             self._base, self._moved = (rtt, theta - self.shift_ns), 0
@@ -123,7 +124,7 @@ class LinkEstimates:
         self.jitter_ns = 0.0
         self.reordered = 0
         self.clock = PeerClock(band_ns)
-        self._transit: int | None = None
+        self.transit_ns: int | None = None  # of the last message, by the two ends' own clocks
         self._first, self._newest = 0, -1
         self._came = 0
         self._lost = 0  # in sessions before this one
@@ -132,9 +133,9 @@ class LinkEstimates:
         """A message that has not come before: its number, send time (peer's clock), echo, and delay over the grid."""
         self.way.add(way_ns)
         transit = now - sent_ns
-        if self._transit is not None:
-            self.jitter_ns += (abs(transit - self._transit) - self.jitter_ns) / 16.0
-        self._transit = transit
+        if self.transit_ns is not None:
+            self.jitter_ns += (abs(transit - self.transit_ns) - self.jitter_ns) / 16.0
+        self.transit_ns = transit
         if not self._came:
             self._first = seq
         self._came += 1
@@ -160,7 +161,7 @@ class LinkEstimates:
     def begin(self, every: int = 1) -> None:
         """A new session: its numbers, its clock; the figures go on."""
         self._lost += self._missing(every)
-        self._came, self._newest, self._transit = 0, -1, None
+        self._came, self._newest, self.transit_ns = 0, -1, None
         self.clock = PeerClock(self.clock.band_ns)
 
     def _missing(self, every: int) -> int:

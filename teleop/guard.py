@@ -4,10 +4,11 @@
 or there. Whatever has gone wrong, the way down is the watchdog's ramp, and the way back is the same for every cause:
 packets for `settle` seconds that were never apart by more than `timeout`, then the ramp.
 
-An end is safe for one of these causes: silence, no fresh packet for `timeout`; a stall, no tick for as long; a device
-that fails, or reads what is not finite; a session after the first, or a first one whose device is not where the scene
-begins, for its law begins from rest. A law that gives what is not finite ends the run, at zero force: an unstable loop
-does not come back by itself.
+An end is safe for one of these causes: silence, no fresh packet for `timeout`; age, none for as long that is younger
+than the watchdog allows; no answer, the other end's packets say that it has heard nothing of this one for as long; a
+stall, no tick for as long; a device that fails, or reads what is not finite; a session that is over, until another
+begins; a session after the first, or a first one whose device is not where the scene begins, for its law begins from
+rest. A law that gives what is not finite ends the run, at zero force: an unstable loop does not come back by itself.
 
 In a stall the force was held all the while, so the ramp counts the time that has passed, not the ticks that ran: after
 one that was longer than the ramp the first force is zero. Of a device whose force lapses by itself it is zero after a
@@ -25,6 +26,7 @@ UNNAMED = Watchdog(timeout=0.8)
 """What a live end has where the scene names no watchdog."""
 
 _NEVER = 1 << 62  # ticks
+_QUIET = ("silence", "no answer", "the session is over", "a new session")  # in the safe state they go without saying
 MOST_EVENTS = 10_000  # kept
 
 
@@ -58,6 +60,8 @@ class Guard:
         self._waits = False  # for the first packet since the cause was over: from that one on calm is counted
         self._k = -every  # the last tick that ran
         self._heard = -every  # when a packet came last; silence counts from the start
+        self.old, self.oldest = 0, 0.0  # how many messages were too old, and how old the oldest was, s
+        self._old_k = -(1 << 62)  # the last tick at which one was
 
     @property
     def lets_go_ns(self) -> int:
@@ -76,11 +80,26 @@ class Guard:
             self.gain, self._calm, self._waits = 0.0, 0.0, True
             self._enter(k, "a new session")
 
-    def step(self, k: int, got: bool, trouble: str | None = None, *, came: int | None = None) -> float:
+    @property
+    def age(self) -> float | None:
+        """How old (s) a message may be; None: of any age."""
+        return None if self._dog is None else self._dog.age
+
+    @property
+    def timeout_ns(self) -> int:
+        """How long a silence it lets pass."""
+        return 0 if self._dog is None else round(self._dog.timeout * 1e9)
+
+    def step(
+        self, k: int, got: bool, trouble: str | None = None, *, came: int | None = None, over: str | None = None,
+        unheard: float = 0.0, age: int = 0,
+    ) -> float:
         """The gain at tick k of the grid. `got`: is there a fresh message; `trouble`: what else keeps it safe.
 
-        `came`: the tick at which a packet came last, if not this one: what waited at an end that stood still is new to
-        it, and says nothing of whether its sender is still there.
+        `came`: the tick at which a packet came last, or was played last, if not this one: neither what waited at an end
+        that stood still, nor a slow peer's message that stands for many ticks, shows that its sender is still there.
+        `over`: why the session is over. `unheard`: for how long (s) the other end had heard nothing of this one when it
+        sent its newest packet. `age`: how many ticks ago that message was sent.
         """
         if self._c is None or self._dog is None:
             return 1.0
@@ -90,19 +109,18 @@ class Guard:
         if self.lapsed:
             self.gain = 0.0
         if got:
-            self._heard = max(self._heard, k if came is None else min(k, came))
-            self._waits = self._waits and (k - self._heard) // self._every > patience
-        silent = (k - self._heard) // self._every
-        if trouble is None and (passed - 1 > patience or self.lapsed):
-            trouble = f"a stall: no tick for {(passed - 1) * self._dt:.3f} s"
-        if trouble is None and silent > patience:
-            trouble = f"silence: no fresh packet for {self._dog.timeout:g} s"
+            self._hear(k, came, age)
+        silent, deaf = (k - self._heard) // self._every, unheard > patience * self._dt
+        if trouble is None:
+            trouble = self._cause_of(k, passed - 1, silent, deaf, over)
         if trouble is not None:
             self._enter(k, trouble)
             self._waits = True
         if self._waits:
             silent = _NEVER
         c = self._c
+        if deaf:  # it is not released before the other end hears this one; what came has settled it all the same
+            self._calm = min(self._calm, c.settle + silent - 1.0)
         falling = silent > patience or self._calm + 1.0 - silent <= c.settle
         if falling and passed > 1:
             c = c._replace(step=min(1.0, c.step * passed))
@@ -112,6 +130,33 @@ class Guard:
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
         return self.gain
 
+    def _hear(self, k: int, came: int | None, age: int) -> None:
+        """A message is there at tick k, sent `age` ticks ago; what `came` is, see `step`."""
+        assert self._c is not None
+        if age / self._every > self._c.age:
+            self._old_k, self.old = k, self.old + 1
+            self.oldest = max(self.oldest, age / self._every * self._dt)
+            return
+        self._heard = max(self._heard, k if came is None else min(k, came))
+        self._waits = self._waits and (k - self._heard) // self._every > self._c.patience
+
+    def _cause_of(self, k: int, missed: int, silent: int, deaf: bool, over: str | None) -> str | None:
+        """Why it has to be safe, if its device does well: `missed` own ticks, `silent` ones, an end that hears none."""
+        assert self._c is not None
+        assert self._dog is not None
+        patience = self._c.patience
+        if missed > patience or self.lapsed:
+            return f"a stall: no tick for {missed * self._dt:.3f} s"
+        if over is not None:
+            return over
+        if silent > patience:
+            if (k - self._old_k) // self._every <= patience:
+                return f"age: messages come more than {self._dog.age:g} s after they were sent"
+            return f"silence: no fresh packet for {self._dog.timeout:g} s"
+        if deaf and (not self.safe or str(self.cause).startswith("no answer")):
+            return f"no answer: the other end has not heard this one for {self._dog.timeout:g} s"
+        return None
+
     def tell(self, k: int, what: str, why: str) -> None:
         """Note an event."""
         if len(self.events) < MOST_EVENTS:
@@ -120,7 +165,7 @@ class Guard:
     def _enter(self, k: int, why: str) -> None:
         kind, before = why.partition(":")[0], (self.cause or "").partition(":")[0]
         self.cause = why
-        if not self.safe or kind not in (before, "silence", "a new session"):  # these go without saying
+        if not self.safe or kind not in (before, *_QUIET):
             self.entries += not self.safe
             self.safe = True
             self.tell(k, "safe", why)

@@ -59,6 +59,8 @@ def run(
     packets = {} if scene.slave is None else packets
     notes = standing_notes(scene)
     notes += [f"{capped} ticks had more contact events than are followed in one tick"] * (capped > 0)
+    for end, plan in (("master", back), ("slave", forth)):
+        notes += too_old(scene, end, plan, ran)
     told = integration(scene, bodies, inner)
     notes += [f"{own['ticks_over_tolerance']} ticks of the {end} are not within {own['tolerance']:g} m: the figures "
               "may be off by the estimate; a smaller dt may help" for end, own in told.get("integration", {}).items()
@@ -85,6 +87,25 @@ def standing_notes(scene: Scene) -> list[str]:
     if scene.has_waves and repeats(scene.playout):
         return ["playout holds waves in the gaps, which is active: E_link may fall below zero"]
     return []
+
+
+def too_old(scene: Scene, end: str, plan: Plan | None, ran: int) -> list[str]:
+    """What a reader has to know if messages were too old for the watchdog: how many, how old, and what to write."""
+    age = getattr(scene.watchdog, "age", None)
+    if plan is None or age is None:
+        return []
+    import numpy as np
+
+    ages = (np.arange(ran) - plan.played_at[:ran])[plan.played_at[:ran] >= 0] * scene.dt
+    old = ages[ages > age + 0.5 * scene.dt]
+    return [age_note(end, len(old), float(old.max()), age)] if len(old) else []
+
+
+def age_note(end: str, count: int, most: float, age: float) -> str:
+    """The sentence for messages that were too old for the watchdog of an end."""
+    return (f"{count} messages were more than the watchdog's age of {age:g} s old when the {end} played them, up to "
+            f"{most:g} s, so it let go; for a link as long as that write watchdog=Watchdog(age={2.0 * most:.2g}) in "
+            "the scene, or age=None to let a message be of any age")
 
 
 def check_seed(seed: int) -> int:

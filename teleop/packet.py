@@ -23,10 +23,10 @@ from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
 
-VERSION = 2
+VERSION = 3
 MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments
 MOST_CONTROL = 8192
-MOST_SENTENCE = 1000  # characters of a REFUSE or BYE
+MOST_SENTENCE = 1000  # characters of a REFUSE, BYE or RENEW
 MOST_SEQ = 2**32 - 1
 _MOST_NS = 2**63 - 1
 _MAGIC = b"BT"  # "B" cannot begin a DTLS record (RFC 7983), so the two can share a port
@@ -47,6 +47,7 @@ class Kind(IntEnum):
     REFUSE = 4  # a sentence
     START = 5  # the time of tick 0, ns
     BYE = 6  # a sentence
+    RENEW = 7  # slave to master: the session is over, and why; begin another
 
 
 class Rejection(StrEnum):
@@ -96,9 +97,9 @@ _LAST_DATA = int(Kind.BACK)
 def encode(packet: Packet, size: int | None = None) -> bytes:
     """The datagram of `packet`, padded to `size` bytes (None: no padding).
 
-    `decode` gives the same packet back to the bit. The sentence of a REFUSE or BYE is sent as `one_line`
-    makes it. Raises `Refused` if the packet does not fit or a manifest has unprintable text. What a DATA
-    packet carries is not checked here, at every tick: the peer rejects what is not finite floats.
+    `decode` gives the same packet back to the bit. A sentence is sent as `one_line` makes it. Raises `Refused` if the
+    packet does not fit or a manifest has unprintable text. What a DATA packet carries is not checked here, at every
+    tick: the peer rejects what is not finite floats.
     """
     kind, payload = packet.kind, packet.payload
     if isinstance(payload, str):
@@ -186,7 +187,7 @@ def _is_message(payload: Any, width: int) -> bool:
 def _is_control(kind: Kind, payload: Any) -> bool:
     if kind is Kind.START:
         return _is_time(payload)
-    if kind in (Kind.REFUSE, Kind.BYE):
+    if kind in (Kind.REFUSE, Kind.BYE, Kind.RENEW):
         return type(payload) is str and len(payload) <= MOST_SENTENCE and payload.isprintable()
     return type(payload) is dict and _is_manifest(payload)
 

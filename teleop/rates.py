@@ -35,6 +35,11 @@ class Resampling:
         self._kind, self._wave = kind, wave
         self._last: tuple[int, tuple[int, Heard]] | None = None  # when a message was played last, and which
 
+    @property
+    def played(self) -> int | None:
+        """The tick of the grid at which a packet was played last; None where every tick plays its own, or none."""
+        return None if self._last is None else self._last[0]
+
     def begin(self, theirs: int) -> None:
         """A session with a peer that ticks at every `theirs`-th tick."""
         self.theirs, self._last = theirs, None

@@ -22,6 +22,7 @@ class DogLimits(NamedTuple):
     patience: float  # ticks without a fresh packet that are still fine
     step: float  # change of the gain a tick
     settle: float  # ticks from the first packet after a silence to the last, before the gain rises again
+    age: float  # ticks: a message that is older when it is played is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,21 +33,30 @@ class Watchdog:
     back over the same time; until then the ramp to zero goes on. The time is from the first of these packets to the
     last, so one by itself lifts nothing, save with `settle=0`, where it is enough. Silence counts from the start of
     the run, so over a link slower than `timeout` the first thing that happens is a ramp.
+
+    A message that is older than `age` seconds at the tick that plays it counts as none here: packets that come one
+    after another over a delay that has grown say that the link is there, not that the hand still is where they say.
+    The law gets it all the same, so what lets go is the ramp alone. None: a message may be of any age.
     """
 
     timeout: float = 0.1
     ramp: float = 0.05
     settle: float = 0.1
+    age: float | None = 2.5
 
     def __post_init__(self) -> None:
         number("timeout", self.timeout, above=0.0)
         number("ramp", self.ramp, low=0.0)
         number("settle", self.settle, low=0.0)
+        if self.age is not None:
+            number("age", self.age, above=0.0)
 
     def limits(self, dt: float) -> DogLimits:
         # Half a tick of grace, so that a time of n ticks means n whatever n*dt rounds to.
         step = min(1.0, dt / self.ramp) if self.ramp > 0.0 else 1.0
-        return DogLimits(self.timeout / dt + 0.5, step, self.settle / dt + 0.5 if self.settle > 0.0 else 0.0)
+        settle = self.settle / dt + 0.5 if self.settle > 0.0 else 0.0
+        age = float("inf") if self.age is None else self.age / dt + 0.5
+        return DogLimits(self.timeout / dt + 0.5, step, settle, age)
 
 
 def watch(c: DogLimits, gain: float, calm: float, silent: int) -> tuple[float, float]:
@@ -54,7 +64,7 @@ def watch(c: DogLimits, gain: float, calm: float, silent: int) -> tuple[float, f
 
     A run begins with the gain at 1 and `calm` at infinity: nothing has gone wrong yet.
     """
-    patience, step, settle = c
+    patience, step, settle, _ = c
     calm = 0.0 if silent > patience else calm + 1.0
     if calm - silent > settle:  # up to the last packet: waiting for another one proves nothing
         return (gain + step if gain < 1.0 - step else 1.0), calm

@@ -6,6 +6,7 @@
       START  time of tick 0  ->
                         <-   START                 (the same, to say it has come)
       FORTH ...         <->  BACK ...
+                        <-   RENEW  why     (of a slave whose session is over)
       BYE    a reason   <->  BYE
 
 The master repeats what is not answered. Each WELCOME echoes its HELLO, which bounds the slave's clock
@@ -13,11 +14,14 @@ against the master's: the offset is taken from the fastest round trip and is unc
 The master places tick 0 a little ahead on its own clock and sends it as a time on the slave's, so that
 both ends count the same ticks: a packet's number is the tick it was sent at.
 
-A session that has been silent for `RENEW_NS` is over, the run is not: the master asks anew under the next number, and
-a slave takes up a HELLO again, of this master or of one that was started anew. Whoever was running already has the
-grid: a master that joins a running slave takes tick 0 from its WELCOME, a slave that joins a running master is told a
-tick 0 that has passed. `met` counts the sessions; with each of them both ends begin their law from rest.
-Runs that go by packets have no silence to heal: they are made with `heals=False`.
+A session can be over for one of the ends while the run goes on: if nothing came for `RENEW_NS`; if its own packets did
+not arrive at the other end for as long, as the echoes of that one say; if it stood still without noticing; or if it is
+told so. From then on it sends no message of the session and takes none, and only another session releases it. The
+master asks for that under the next number, which tells the slave as well; the slave asks with RENEW. Neither gives up
+the session that is over before it has let go of its device, so that no force is cut off. A slave takes up a master that
+was started anew in the same way. Whoever was running already has the grid: a master that joins a running slave takes
+tick 0 from its WELCOME, a slave that joins a running master is told a tick 0 that has passed. `met` counts sessions;
+with each of them both ends begin their law from rest. Runs that go by packets have no silence to heal: `heals=False`.
 
 A HELLO is as long as its answer at least, so that nobody can have a third party flooded with answers. A START echoes
 the send time of a WELCOME, and counts only if this very slave has sent it: who has not seen that cannot start a
@@ -40,6 +44,8 @@ AHEAD_NS = LEAD_NS + 3 * MOST_RTT_NS  # the furthest that tick 0 can be ahead
 MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
 FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
+OVER = "the session is over"
+NEXT = 16  # numbers: a HELLO of one of these after a session's own is of its master, who renews it
 ROOM = 96  # bytes: what a WELCOME says beyond its HELLO
 SHORTEST = 1200  # bytes of a HELLO: the sentence of a REFUSE fits, whole if it is in English
 MOST_WELCOMED = 1024  # answers that a slave remembers, to know a START by
@@ -71,16 +77,20 @@ class Session:
         self.met = 0  # sessions that this end has begun
         self.joined = False  # was the other end running already when this one came
         self.meeting = True  # is the exchange still to be done
-        self.astray = False  # are the peer's messages of ticks that are far ahead of ours
+        self.ended: str | None = None  # why the session is over for this end, which waits for another
+        self.let_go = True  # does this end hold no force: before that no session takes the place of one that is over
         self._rounds, self._since_ns = 0, 0  # of the exchange, and when the first of them was over
         self._acknowledged = not master
         self._next_ns: int | None = None
         self._asking: int | None = None  # the session of the HELLO that this slave has answered last
         self._welcomed: dict[tuple[int, int], int] = {}  # by session and send time of a WELCOME: the master's `every`
         self._welcome_ns = 0  # send time of the last that this master has had
-        self._heard_ns = 0  # when the peer last spoke in the session
+        self.begun_ns = 0  # when the session began: before that nothing can have come
+        self._heard_ns: int | None = None  # when the newest message came in it
+        self._answered = False  # did one come that shows that the peer hears this end
         self._heals = heals
-        self._patience_ns = self._first_ns = FIRST_NS
+        self._first_ns = FIRST_NS
+        self.start_rtt_ns = 0  # at most as long took the round trip with which a slave was started
         self.renew_ns = RENEW_NS  # longer for an end that takes longer to let go
 
     def receive(self, packet: Packet, now: int, room: int = MOST_CONTROL) -> list[bytes]:
@@ -91,8 +101,8 @@ class Session:
             return self._welcome(packet, now, room)
         if packet.kind is Kind.START and isinstance(packet.payload, int) and not self.master:
             return self._start(packet, packet.payload, now, room)
-        if self.master:
-            self._heard_ns = now
+        if packet.kind is Kind.RENEW:
+            self.end(f"{OVER}: {packet.payload}")
         if packet.kind is Kind.WELCOME and self.master and self.meeting:
             return self._measure(packet, now)
         if packet.kind is Kind.START:
@@ -108,51 +118,90 @@ class Session:
 
         One session at a time: one that is heard is not taken over.
         """
-        if packet.kind is Kind.BYE and self.meeting and self._former is not None:
+        if packet.kind in (Kind.BYE, Kind.RENEW) and self.meeting and self._former is not None:
             return packet.session in (self.number, self._former)
         if self.master or packet.kind not in (Kind.HELLO, Kind.START, Kind.BYE):
-            return packet.session == self.number and packet.kind is not Kind.HELLO
-        if packet.kind is Kind.BYE and self.met:
-            return packet.session == self.number
-        free = self.number is None or self.silent(now)
+            return packet.session == self.number and packet.kind is not (Kind.RENEW if not self.master else Kind.HELLO)
         if packet.kind is Kind.HELLO:
-            return free
+            return self._free(now) or self._renews(packet)
         if packet.kind is Kind.BYE:
-            return packet.session == self._asking
+            return packet.session == (self.number if self.met else self._asking)
         answers = packet.echo is not None and (packet.session, packet.echo.sent_ns) in self._welcomed
-        return packet.session == self.number or (free and answers)
+        return packet.session == self.number or (answers and self._free(now))
 
     def silent(self, now: int) -> bool:
-        """Has the peer said nothing for so long that the session is over?"""
-        patience = max(self._patience_ns, self.renew_ns) if self.master else self.renew_ns
-        return self._heals and now - self._heard_ns > patience
+        """Is the session over, or has nothing come in it for so long that it is no longer kept?"""
+        if not self._heals:
+            return False
+        if self.ended is not None:
+            return True
+        if self._heard_ns is None and self.master:
+            return now - self.begun_ns > max(self._first_ns, self.renew_ns)
+        return now - (self.begun_ns if self._heard_ns is None else self._heard_ns) > self.renew_ns
 
-    def mute(self, now: int) -> bool:
-        """Is nothing of the law's to be sent? Nor to a peer that alone finds the grid shared: it has to notice."""
-        return self.meeting or (self.astray and self.silent(now))
+    def judge(self, now: int) -> None:
+        """See whether the session is over for this end: to be asked at every tick."""
+        if self.meeting or self.ended is not None:
+            return
+        if self.silent(now):
+            if self.master or self._heard_ns is not None:  # before its first message a link may just be long
+                self.end(f"{OVER}: nothing came for {self.renew_ns / 1e9:g} s")
+        elif self.master and not self._answered and now - self.begun_ns > 2 * max(self._first_ns, self.renew_ns):
+            self.end(f"{OVER}: nothing of this end arrives at the other")  # there and back it takes twice as long
 
-    def data_came(self, now: int) -> None:
-        """A new message of the peer: it has had START, and it is there."""
-        self._acknowledged, self._heard_ns, self.astray = True, now, False
-        self._patience_ns, self._first_ns = RENEW_NS, FIRST_NS
+    def end(self, why: str) -> None:
+        """The session is over for this end: it sends and takes no messages, and is released by another one alone."""
+        if self._heals and self.met and not self.meeting and self.ended is None:
+            self.ended, self._next_ns = why, None
+
+    def mute(self) -> bool:
+        """Is nothing of the law's to be sent? Nor in a session that is over: the peer has to notice."""
+        return self.meeting or self.ended is not None
+
+    def data_came(self, now: int, sent_ns: int | None = None) -> None:
+        """A new message of the peer: it has had START, and it is there. `sent_ns`: when it was sent, by our clock."""
+        first = self._heard_ns is None
+        self._acknowledged, self._heard_ns = True, now
+        if first and sent_ns is not None and sent_ns - self.begun_ns > self.renew_ns:
+            self.end(f"{OVER}: its first {self.renew_ns / 1e9:g} s did not arrive")
+
+    def answer_came(self, echo: Echo) -> None:
+        """What the peer's newest message says of ours: which one arrived last, and how long before it was sent."""
+        first, self._answered = not self._answered, True
+        if first and echo.sent_ns - self.begun_ns > self.renew_ns:
+            self.end(f"{OVER}: nothing of its first {self.renew_ns / 1e9:g} s arrived at the other end")
+        elif echo.held_ns > self.renew_ns:
+            self.end(f"{OVER}: nothing of this end arrived at the other for {self.renew_ns / 1e9:g} s")
+
+    def _free(self, now: int) -> bool:
+        """May a slave be taken up?"""
+        return self.number is None or (self.let_go and self.silent(now))
+
+    def _renews(self, hello: Packet) -> bool:
+        """Is this HELLO of the master of this session, who begins another?"""
+        return bool(self.met) and self.number is not None and 0 < (hello.session - self.number) % 2**64 <= NEXT
 
     def begin(self, start_ns: int, now: int) -> None:
         """The two have met: the session begins, on the grid whose tick 0 is at `start_ns`."""
-        self.start_ns, self.meeting, self.astray = start_ns, False, False
-        self._heard_ns = max(now, min(start_ns, now + MOST_RTT_NS)) + (self.rtt_ns or 0)  # nothing can come before
+        self.start_ns, self.meeting, self.ended = start_ns, False, None
+        self._heard_ns, self._answered = None, False
+        self.begun_ns = max(now, min(start_ns, now + MOST_RTT_NS)) + (self.rtt_ns or 0)
         self.met += 1
 
     def due(self, now: int) -> list[bytes]:
         """What is to be sent now because it was not answered."""
-        if not self.master or self.failure:
+        if self.failure:
             return []
-        if not self.meeting and self.silent(now):
-            self._renew(now)
-        if not self.meeting and self._acknowledged:
+        self.judge(now)
+        if self.master and self.ended is not None and self.let_go and not self.meeting:
+            self._renew()
+        if self.ended is None and not (self.master and (self.meeting or not self._acknowledged)):
             return []
         if self._next_ns is not None and now < self._next_ns:
             return []
         self._next_ns = now + AGAIN_NS
+        if not self.master:
+            return [self._packet(Kind.RENEW, now, str(self.ended))]
         if self.meeting:
             return [self._hello(now)]
         assert self.start_ns is not None
@@ -163,15 +212,13 @@ class Session:
         numbers = [self._asking if self.number is None else self.number, self._former if self.meeting else None]
         return [self._packet(Kind.BYE, now, reason, number=each) for each in numbers if each is not None]
 
-    def _renew(self, now: int) -> None:
+    def _renew(self) -> None:
         assert self.number is not None
         self._former = self.number
         self.number = (self.number + 1) % 2**64
         self.meeting, self.rtt_ns, self._rounds, self._acknowledged = True, None, 0, False
-        self._heard_ns = now
-        if self._patience_ns != RENEW_NS:
-            self._first_ns = min(2 * self._first_ns, MOST_RTT_NS)
-        self._patience_ns = self._first_ns
+        self._first_ns = FIRST_NS if self._answered else min(2 * self._first_ns, MOST_RTT_NS)
+        self._next_ns = None
 
     def _hello(self, now: int) -> bytes:
         hello = self._packet(Kind.HELLO, now, self._told())
@@ -187,6 +234,9 @@ class Session:
         return {**self.manifest, **own}
 
     def _welcome(self, hello: Packet, now: int, room: int) -> list[bytes]:
+        if not self._free(now):
+            self.end(f"{OVER}: the master asks for another")
+            return []
         theirs, told = _parted(hello.payload)
         difference = manifest_difference(self.manifest, theirs)
         if difference is None:
@@ -214,6 +264,7 @@ class Session:
             self.number = start.session
             assert start.echo is not None  # it would not belong
             self.peer_every = self._welcomed[start.session, start.echo.sent_ns]
+            self.start_rtt_ns = max(0, now - start.echo.sent_ns)
             self.begin(tick_0, now)
         reply = self._packet(Kind.START, now, tick_0)
         return [reply] if len(reply) <= room else []
@@ -244,9 +295,9 @@ class Session:
             return []  # likewise
         if self._rounds < ROUNDS:
             return [self._hello(now)]
-        grids = [] if self.start_ns is None else [self.start_ns]
+        grids = [self.start_ns] if self.start_ns is not None else []
         if TICK_0 in told:
-            self.joined = self.joined or not grids
+            self.joined |= not grids
             grids.append(told[TICK_0] - self.offset_ns)
         # Of two grids that came apart the one that is further on: ticks cannot be taken back, only left out.
         tick_0 = min(grids) if grids else now + LEAD_NS + 2 * self.rtt_ns

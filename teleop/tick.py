@@ -38,7 +38,7 @@ f_{e}@ = {zero}
 line_{e}@ = given.line_{e}                                     #? late_{e}
 every_{e} = given.every_{e}; slow_{e}@ = {zero}                #? slow_{e}
 c_pc = given.c_pc; E_po@ = 0.0                                 #? popc_{e}
-newest_{e} = -1                                                #? age_{e}
+newest_{e} = -1                                                #? newest_{e}
 heard_{e} = -1; g_{e} = 1.0; calm_{e} = inf                    #? watchdog !live
 c_dog = given.c_dog                                            #? watchdog !live
 c_cap = given.c_cap                                            #? cap
@@ -71,8 +71,10 @@ push@, s_{e}@ = law_{e}(law, s_{e}@, at@)                      #? alone
 line_{e}@ = line_{e}@ + (push@,); push@ = line_{e}@[0]; line_{e}@ = line_{e}@[1:]  #? late_{e}
 push@ = slow_{e}@ = slow_{e}@ if k % every_{e} else push@      #? slow_{e}
 push@ = push@ + damp(c_pc, E_po@, {v})                         #? popc_{e}
-heard_{e} = k if got_{e} else heard_{e}                        #? watchdog !compiled !live
-heard_{e} = where(got_{e}, k, heard_{e})                       #? watchdog compiled
+heard_{e} = k if got_{e} else heard_{e}                        #? watchdog !aged !compiled !live
+heard_{e} = k if got_{e} and k - newest_{e} <= c_dog.age else heard_{e}  #? aged !compiled !live
+heard_{e} = where(got_{e}, k, heard_{e})                       #? watchdog !aged compiled
+heard_{e} = where(k - newest_{e} <= c_dog.age, where(got_{e}, k, heard_{e}), heard_{e})  #? aged compiled
 g_{e}, calm_{e} = watch(c_dog, g_{e}, calm_{e}, k - heard_{e})  #? watchdog !live
 push@ = g_{e} * push@                                          #? watched
 push@ = push@ + 0.0 * push@                                    #? cap
@@ -148,8 +150,8 @@ def loop(given, law, dt, count, x_limit, start_m, start_s, play_m, play_s, size,
         # 2. what the link delivers at this tick
         [DELIVER]                                              #? link
         got_m = got_s = k > 0                                  #? !link slave
-        newest_m = k - 1                                       #? !link age_m
-        newest_s = k - 1                                       #? !link age_s
+        newest_m = k - 1                                       #? !link newest_m
+        newest_s = k - 1                                       #? !link newest_s
         rx_m@ = tx_s@; rx_s@ = tx_m@                           #? !link slave
         # 3. the two ends
         [END m]
@@ -186,11 +188,11 @@ ring_m = [{first_m}] * size; ring_s = [{first_s}] * size
 DELIVER = """
 seq = play_m[k]; got_m = seq >= 0
 if got_m:
-    newest_m = seq                                             #? age_m
+    newest_m = seq                                             #? newest_m
     <<rx_m@>> = ring_s[seq % size]
 seq = play_s[k]; got_s = seq >= 0
 if got_s:
-    newest_s = seq                                             #? age_s
+    newest_s = seq                                             #? newest_s
     <<rx_s@>> = ring_m[seq % size]
 """
 
@@ -229,6 +231,7 @@ def features(scene: Scene) -> frozenset[str]:
         parts = ("link", "hand", "watchdog", "cap", "passivity", "slave", "observer", "electrical")
         has = frozenset([name for name in parts if getattr(scene, name) is not None])
         has |= {name for name in ("v_max", "power") if getattr(scene.cap, name, None) is not None}
+        has |= {"aged"} if getattr(scene.watchdog, "age", None) is not None else set()
         inner_m = scene.master.friction > 0.0 or scene.electrical is not None
         inner_s = scene.slave is not None and (
             scene.slave.friction > 0.0 or any(getattr(one, "inner", False) for one in scene.environments))
@@ -254,13 +257,14 @@ def _features(law: Any, parts: frozenset[str], hold: bool, energy: bool, waves: 
     named = {
         "repeats": hold, "energy": energy, "waves": waves, "alone": alone, "popc_m": "passivity" in parts,
         "inner_m": inner_m, "inner_s": inner_s, "watched": "watchdog" in parts,
-        **{name: name in parts for name in ("link", "hand", "watchdog", "cap", "v_max", "power", "slave")},
+        **{name: name in parts for name in ("link", "hand", "watchdog", "aged", "cap", "v_max", "power", "slave")},
     }
     for end, stages in ((MASTER, stages_m), (SLAVE, stages_s))[: 1 if alone else 2]:
         wanted = reads(law.force if alone else getattr(law, end.end))
         wanted |= reads(getattr(law, f"{end.end}_sums", None) or len)
         named[f"sums_{end.e}"] = hasattr(law, f"{end.end}_sums")
         named[f"age_{end.e}"] = "age" in wanted and not alone
+        named[f"newest_{end.e}"] = named[f"age_{end.e}"] or named["aged"]
         named[f"touch_{end.e}"] = "f" in wanted
         named |= {f"{name}_{end.e}": name in stages for name in ("encoder", "velocity", "late", "slow")}
         named[f"dx_{end.e}"] = ("dx" in wanted or (energy and not named[f"encoder_{end.e}"])

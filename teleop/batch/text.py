@@ -59,10 +59,10 @@ ring_m@ = ring(rx_s@, size); ring_s@ = ring(rx_m@, size)
 
 COMPILED_DELIVER = """
 seq = packet(play_m, k); got_m = came(seq)
-newest_m = where(got_m, seq, newest_m)                         #? age_m
+newest_m = where(got_m, seq, newest_m)                         #? newest_m
 rx_m@ = received(ring_s@, seq, rx_m@)
 seq = packet(play_s, k); got_s = came(seq)
-newest_s = where(got_s, seq, newest_s)                         #? age_s
+newest_s = where(got_s, seq, newest_s)                         #? newest_s
 rx_s@ = received(ring_m@, seq, rx_s@)
 """
 

@@ -109,6 +109,12 @@ def of_session(number: int, size: int, heard: Kind) -> tuple[Shape, ...]:
                  for kind, (least, most) in sizes.items())
 
 
+def of_next(number: int) -> tuple[Shape, ...]:
+    """The HELLO with which the master of this session asks for the one after it."""
+    inside = (6, b"\x96" + packb((number + 1) % 2**64))
+    return (Shape(has=((0, b"BT" + bytes((VERSION, Kind.HELLO))), inside), most=MOST_CONTROL),)
+
+
 def of_records(*, handshakes: bool = True) -> tuple[Shape, ...]:
     """Sealed datagrams (DTLS 1.2, RFC 6347): one record of data of epoch 1, as long as it says that it is.
 

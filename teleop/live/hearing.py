@@ -6,7 +6,7 @@ import time
 
 from teleop.endpoint import Endpoint
 from teleop.live.address import Address
-from teleop.live.filter import of_records, of_session
+from teleop.live.filter import of_next, of_records, of_session
 from teleop.live.wire import Wire
 from teleop.packet import Kind, peek
 from teleop.session import RENEW_NS
@@ -41,15 +41,15 @@ class Hearing:
             if self.open or heard[1] != before[1]:
                 self._keep_to_peer()
             self._heard_ns, self.open = now, False
-        elif not self.open and (now - self._heard_ns > OPEN_NS or self.endpoint.session.meeting):
+        elif not self.open and (now - self._heard_ns > OPEN_NS or self.endpoint.session.mute()):
             self.open = True
             self.wire.listen_to_all()
 
     def is_strange(self, data: bytes, address: Address) -> bool:
         """Is this from somebody else than the peer of the session, which in the open is fixed, and of no use to it?
 
-        From elsewhere comes only what may begin another session. If it was the peer, it has to notice that nobody
-        hears it: then this end falls silent.
+        From elsewhere comes only what may begin another session. If it was the peer, it notices that nothing of it
+        arrives: the echoes that it gets stand still.
         """
         session = self.endpoint.session
         if address == self.wire.peer or self.wire.line is not None or not session.met or session.meeting:
@@ -57,7 +57,6 @@ class Hearing:
         if not session.master and peek(data)[0] in (Kind.HELLO, Kind.START):
             return False
         self.endpoint.rejected["address"] += 1
-        session.astray = True
         return True
 
     def _keep_to_peer(self) -> None:
@@ -65,4 +64,5 @@ class Hearing:
         if self.wire.line is not None:
             self.wire.keep_to_peer(of_records())
         elif number is not None:
-            self.wire.keep_to_peer(of_session(number, endpoint.scene.wire_size, endpoint.hears))
+            shapes = of_session(number, endpoint.scene.wire_size, endpoint.hears)
+            self.wire.keep_to_peer(shapes if endpoint.session.master else shapes + of_next(number))

@@ -18,6 +18,7 @@ from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
 from teleop.live.stand import Device, Stand, deadline_of
 from teleop.live.summary import live_numbers
+from teleop.live.suspension import Suspension, boottime
 from teleop.live.ticker import Alarm
 from teleop.live.wire import DRAIN, SHARE, Wire
 from teleop.lockstep import divergence
@@ -36,6 +37,7 @@ class Shell:
     ) -> None:
         self.endpoint, self.wire, self.recorder = endpoint, wire, recorder
         self.hearing = Hearing(endpoint, wire)
+        self.suspension = Suspension(boottime())
         self.stand = Stand(device, endpoint.scene.axes, trusted=endpoint.stepped)
         if (deadline := deadline_of(device, endpoint)) is not None:
             endpoint.guard.lapse_after(deadline)
@@ -95,6 +97,7 @@ class Shell:
         """Tick when the timer rings. Messages matter at ticks alone, so the socket is read there: see `Wire`."""
         loop.remove_reader(self.wire.sock)
         self.hearing.begin()
+        self.suspension.passed()  # before there was a session it cost nothing
         self._alarm = Alarm(loop, lambda: self.guarded(self._wake), self.spin_ns)
         if self.endpoint.session.joined:
             self._join(self._due() + 1)
@@ -203,6 +206,8 @@ class Shell:
 
     def _wake(self) -> None:
         session, scene = self.endpoint.session, self.scene
+        if (slept := self.suspension.passed()):
+            self.endpoint.stood_still(slept)
         now = time.monotonic_ns()
         before = self.hearing.heard()
         self._drain()  # first, for it tells of what came while this process was away, and of where the grid is

@@ -12,6 +12,7 @@ from teleop.errors import Refused
 from teleop.estimates import LinkEstimates, PeerClock, Times
 from teleop.live.realtime import sentence
 from teleop.live.record import FILE, read_events, read_noted
+from teleop.lockstep import age_note
 from teleop.result import Packets, Result
 from teleop.trace import far_apart
 
@@ -70,11 +71,13 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         "refused": earlier["refused"] + getattr(inbox, "refused", 0),
         **_security(shell), **({} if shell.realtime is None else {"realtime": shell.realtime}),
     }
+    guard = endpoint.guard
+    old = [age_note(NAMES[endpoint.e], guard.old, guard.oldest, guard.age)] if guard.old and guard.age else []
     return end_result(
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
         status=shell.status, sentence=shell.sentence, told=told,
         packets={sends: Packets(sent=shell.data_sent), hears: heard}, first=shell.first, every=endpoint.every,
-        notes=[*cut, *[INSECURE] * shell.insecure, *[UNWATCHED] * _holds_on(shell),
+        notes=[*old, *cut, *[INSECURE] * shell.insecure, *[UNWATCHED] * _holds_on(shell),
                *filter(None, [shell.recorder.trouble, clock_note(endpoint.link.clock)]),
                *([sentence(shell.realtime)] if shell.realtime else [])],
     )

@@ -201,7 +201,9 @@ def foreign() -> list[bytes]:
     hello = master.due(0)[0]
     packet = decode(hello, 0)
     assert isinstance(packet, Packet)
-    said = [*run.said["m"], *run.said["s"], hello, *refused.receive(packet, 5, len(hello))]
+    run.ends["s"].session.end("the session is over")
+    asked = run.ends["s"].session.due(run.now)
+    said = [*run.said["m"], *run.said["s"], hello, *refused.receive(packet, 5, len(hello)), *asked]
     kinds = {packet.kind for data in said if isinstance(packet := decode(data, 1), Packet)}
     assert kinds == set(Kind)
     return said

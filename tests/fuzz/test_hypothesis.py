@@ -42,7 +42,7 @@ def packets(draw: st.DrawFn, kinds: tuple[Kind, ...] = tuple(Kind)) -> Packet:
         payload = tuple(draw(st.lists(finite, max_size=12)))
     elif kind is Kind.START:
         payload = draw(times)
-    elif kind in (Kind.REFUSE, Kind.BYE):
+    elif kind in (Kind.REFUSE, Kind.BYE, Kind.RENEW):
         payload = " ".join(draw(texts).split())[:MOST_SENTENCE]
     else:
         payload = draw(manifests)
@@ -106,7 +106,7 @@ def keeps_its_word(data: bytes, width: int) -> None:
         again = decode(encode(packet), width)
         assert isinstance(again, Packet)
         # A sentence is shortened to one line where it is sent.
-        sentence = packet.kind in (Kind.REFUSE, Kind.BYE)
+        sentence = packet.kind in (Kind.REFUSE, Kind.BYE, Kind.RENEW)
         assert again == (packet._replace(payload=again.payload) if sentence else packet)
         assert decode(encode(again), width) == again
 
@@ -197,7 +197,7 @@ class OneEnd(RuleBasedStateMachine):
     def message(self) -> None:
         self.end.data_came(self.now)
 
-    @rule(packet=packets((Kind.HELLO, Kind.WELCOME, Kind.REFUSE, Kind.START, Kind.BYE)))
+    @rule(packet=packets((Kind.HELLO, Kind.WELCOME, Kind.REFUSE, Kind.START, Kind.BYE, Kind.RENEW)))
     def other(self, packet: Packet) -> None:
         if packet.session != self.end.number:
             self.tell(packet, len(encode(packet)))
@@ -221,13 +221,13 @@ class OneEnd(RuleBasedStateMachine):
             assert self.state() == before
 
     @precondition(lambda self: self.end.number is not None)
-    @rule(kind=st.sampled_from([Kind.HELLO, Kind.WELCOME, Kind.REFUSE, Kind.START]), sent=times, echo=echoes,
-          when=times, told=st.sampled_from(TOLD))
+    @rule(kind=st.sampled_from([Kind.HELLO, Kind.WELCOME, Kind.REFUSE, Kind.START, Kind.RENEW]), sent=times,
+          echo=echoes, when=times, told=st.sampled_from(TOLD))
     def forged(self, kind: Kind, sent: int, echo: Echo | None, when: int, told: dict[str, str]) -> None:
         """In the session's own name."""
         number = self.end.number
         assert number is not None
-        payload: Any = when if kind is Kind.START else "no" if kind is Kind.REFUSE else told
+        payload: Any = when if kind is Kind.START else "no" if kind in (Kind.REFUSE, Kind.RENEW) else told
         packet = Packet(kind, number, 0, sent, echo, payload)
         before, heard = self.state(), self.end.met > 0 and not self.end.silent(self.now) and not self.end.meeting
         self.tell(packet, len(encode(packet)))
@@ -240,7 +240,7 @@ class OneEnd(RuleBasedStateMachine):
         assert len(end._welcomed) <= MOST_WELCOMED
         assert end.failure is None or len(end.failure) < 2000
         assert end.start_ns is None or abs(end.start_ns) < 2**64
-        assert end._patience_ns <= 60_000_000_000
+        assert end._first_ns <= 60_000_000_000
         said = end.bye("done", self.now)
         assert len(said) <= 1 + (end.master and end.meeting), "while it asks anew, to the session before as well"
 

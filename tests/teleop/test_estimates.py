@@ -219,7 +219,7 @@ def test_a_clock_that_is_set_makes_no_force_jump_and_they_go_on(step: float, who
         assert all(a.k < b.k for a, b in pairwise(world.done[e])), "no tick is taken twice"
     other = [done.true for done in world.done["s" if who == "m" else "m"]]
     assert max(b - a for a, b in pairwise(other)) < 0.05 * S, "and whose clock was left alone goes on ticking"
-    assert world.end("m").session.met == world.end("s").session.met == (1 if abs(step) < 1.0 else 2)
+    assert world.end("m").session.met == world.end("s").session.met == 2, "one of them stood still"
 
 
 def test_the_noise_of_the_stamps_is_no_drift() -> None:

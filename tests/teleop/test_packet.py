@@ -52,6 +52,7 @@ payloads = {
     Kind.REFUSE: sentences,
     Kind.START: times,
     Kind.BYE: sentences,
+    Kind.RENEW: sentences,
 }
 
 
@@ -110,7 +111,7 @@ def test_the_two_ways_are_two_kinds_and_both_carry_messages_alone() -> None:
         assert got.kind is kind
         assert decode(framed(GOOD, kind, padding=bytes(MOST_DATA)), WIDTH) is Rejection.OVERSIZE
     assert len(encode(HELLO, MOST_DATA + 1)) == MOST_DATA + 1, "a word of the session itself may be longer"
-    assert [int(kind) for kind in Kind] == [0, 1, 2, 3, 4, 5, 6], "they are on the wire: a new order is a new version"
+    assert [int(kind) for kind in Kind] == [*range(8)], "they are on the wire: a new order is a new version"
 
 
 @given(st.integers(0, 2**40), st.integers(-(2**31), 2**31 - 1))
@@ -240,7 +241,7 @@ def test_fields_of_the_wrong_type_shape_or_range_are_malformed(changes: dict[str
         (Kind.WELCOME, "k"), (Kind.WELCOME, ["k"]), (Kind.WELCOME, None), (Kind.WELCOME, {"k": {}}),
         (Kind.REFUSE, 1), (Kind.REFUSE, b"no"), (Kind.REFUSE, "\x1b[2J"), (Kind.BYE, "two\nlines"),
         (Kind.BYE, "x" * (MOST_SENTENCE + 1)), (Kind.BYE, None), (Kind.START, "now"), (Kind.START, 1.0),
-        (Kind.START, 2**63), (Kind.START, True), (7, "x"), (255, [0.0] * WIDTH), (Kind.FORTH, "x"),
+        (Kind.START, 2**63), (Kind.START, True), (Kind.RENEW, 5), (8, "x"), (255, [0.0] * WIDTH), (Kind.FORTH, "x"),
         (Kind.BACK, "x"), (Kind.BACK, {}), (Kind.BACK, [0.0] * (WIDTH + 1)),
     ],
 )

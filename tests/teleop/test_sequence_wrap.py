@@ -32,7 +32,7 @@ class Joined:
         sent: dict[str, list[bytes]] = {"m": [], "s": []}
         devices: dict[str, Any] = {"m": SimulatedMaster(given), "s": SimulatedSlave(given)}
         for end in self.ends.values():
-            end.session.start_ns = START - base * MS
+            end.session.begin(START - base * MS, START)
             end.join(base)
             self.width = end._width
         for k in range(COUNT):

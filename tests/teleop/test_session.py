@@ -266,8 +266,9 @@ def test_a_running_session_is_not_taken_over_while_it_is_heard() -> None:
     slave, start = talk.slave, talk.slave.start_ns
     for i in range(10):
         now = talk.now + (i + 1) * RENEW_NS // 2
-        for packet in (hello(8), hello(8, {"scene": "other"}), start_of(8, now), Packet(Kind.START, 8, 0, 0, None, 5),
-                       Packet(Kind.BYE, 8, 0, 0, None, "go"), Packet(Kind.REFUSE, 8, 0, 0, None, "no")):
+        for packet in (hello(100), hello(100, {"scene": "other"}), start_of(100, now),
+                       Packet(Kind.START, 100, 0, 0, None, 5),
+                       Packet(Kind.BYE, 100, 0, 0, None, "go"), Packet(Kind.REFUSE, 100, 0, 0, None, "no")):
             assert not slave.belongs(packet, now)
             assert slave.receive(packet, now) == []
         slave.data_came(now)
@@ -285,18 +286,18 @@ def test_words_that_are_not_messages_do_not_keep_a_slave_from_being_taken_up() -
 
 def test_a_second_master_waits_until_the_first_has_been_silent() -> None:
     slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
-    assert slave.receive(hello(2), RENEW_NS // 2) == []
-    assert slave.receive(hello(2, {"scene": "other"}), RENEW_NS // 2) == []  # nor can it stop the slave
+    assert slave.receive(hello(200), RENEW_NS // 2) == []
+    assert slave.receive(hello(200, {"scene": "other"}), RENEW_NS // 2) == []  # nor can it stop the slave
     slave.data_came(RENEW_NS // 2)
-    assert slave.receive(hello(2), RENEW_NS) == []
+    assert slave.receive(hello(200), RENEW_NS) == []
     assert (slave.number, slave.failure) == (1, None)
-    assert slave.receive(hello(2), 2 * RENEW_NS)
+    assert slave.receive(hello(200), 2 * RENEW_NS)
     assert (slave.number, slave.met) == (1, 1), "it is asked, and goes on in the session it has until START"
-    assert slave.receive(Packet(Kind.START, 2, 0, 0, Echo(2 * RENEW_NS + 1, 0), 5), 2 * RENEW_NS) == []
-    assert slave.receive(start_of(2, 2 * RENEW_NS), 2 * RENEW_NS)
-    assert (slave.number, slave.met, slave.start_ns) == (2, 2, 5)
+    assert slave.receive(Packet(Kind.START, 200, 0, 0, Echo(2 * RENEW_NS + 1, 0), 5), 2 * RENEW_NS) == []
+    assert slave.receive(start_of(200, 2 * RENEW_NS), 2 * RENEW_NS)
+    assert (slave.number, slave.met, slave.start_ns) == (200, 2, 5)
     assert slave.receive(start_of(1, 0), 2 * RENEW_NS) == [], "and what is old of the first one is over"
-    assert (slave.number, slave.met, slave.start_ns) == (2, 2, 5)
+    assert (slave.number, slave.met, slave.start_ns) == (200, 2, 5)
 
 
 def test_of_two_masters_who_ask_at_once_the_one_that_starts_has_the_slave() -> None:

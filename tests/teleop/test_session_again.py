@@ -112,17 +112,20 @@ def test_a_session_without_any_message_has_twice_the_time_of_the_one_before_for_
 def test_two_ends_meet_and_stay_met_however_long_the_link(way: int) -> None:
     talk = Talk(there=way * MS, back=way * MS)
     talk.messages = False
-    heard: list[tuple[int, Session]] = []
+    heard: list[tuple[int, Session, int | None, bool]] = []
+    reached: dict[bool, int | None] = {}  # by who it is, master or slave: the session of which a message has come to it
     while talk.now < 120_000 * MS:
         talk.run(talk.now + 20 * MS)
         for end, other in ((talk.master, talk.slave), (talk.slave, talk.master)):  # messages are as late as all else
             if not end.meeting and end.start_ns is not None and talk.now > end.start_ns:
-                heard.append((talk.now + way * MS, other))
-                heard[-1] += (end.number,)  # type: ignore[assignment]
+                heard.append((talk.now + way * MS, other, end.number, reached.get(end.master) == end.number))
         while heard and heard[0][0] <= talk.now:
-            _, end, number = heard.pop(0)  # type: ignore[misc]
+            _, end, number, answers = heard.pop(0)
             if end.number == number and not end.meeting:
                 end.data_came(talk.now)
+                reached[end.master] = number
+                if answers:
+                    end.answer_came(Echo(end.begun_ns, 0))
     assert talk.master.number == talk.slave.number
     met = talk.master.met
     assert met <= 4

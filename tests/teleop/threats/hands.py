@@ -16,7 +16,7 @@ from teleop.scene import Scene
 from teleop.tick import columns
 from tests.teleop.test_endpoint import MS, START, Both, scene
 
-OURS, OTHER = 7, 8  # session numbers
+OURS, OTHER = 7, 700  # session numbers
 LINK = parse_link("delay(0.01)")
 WATCHED = scene(link=LINK, watchdog=Watchdog(timeout=0.05, ramp=0.02))
 MANIFEST = WATCHED.manifest()

@@ -194,10 +194,10 @@ def test_with_keys_a_record_that_is_thrown_back_at_its_sender_is_dropped_by_the_
 
 
 def test_packets_for_later_do_not_keep_honest_ones_out() -> None:
-    """No more than one of each number, and none of them further ahead than a second."""
+    """No more than one of each number, and none of them further ahead than the watchdog's timeout."""
     end = met(WATCHED)["s"]
     for i in range(5000):
-        end.receive(data(100 + i % 100, 0.0), at(0))
+        end.receive(data(10 + i % 40, 0.0), at(0))
     assert ticks(end, range(1, 260), lambda k: [data(k - 1)]) == list(range(259))
     inbox: Any = end.inbox
     assert (inbox.refused, inbox.duplicates) == (0, 5000)
@@ -213,7 +213,8 @@ def test_without_keys_packets_for_later_fill_the_inbox_where_a_second_has_more_t
         end.receive(data(k - 1), START + k * tick)
         played.append(end.tick(k, START + k * tick, STILL).played)
     inbox: Any = end.inbox
-    assert inbox.refused > 4000
+    assert inbox.refused > 3000
+    assert end.rejected["early"] > 900
     assert played[100:] == list(range(100, 399)), "what was forged, each at its tick"
 
 
@@ -230,13 +231,13 @@ def test_a_forged_time_of_sending_is_no_round_trip_and_changes_nothing_of_the_ru
     assert both.ends["s"].session.start_ns == START
 
 
-def test_without_keys_numbers_that_climb_are_believed_no_further_than_a_second_ahead(plain: Both) -> None:
+def test_without_keys_numbers_that_climb_are_believed_no_further_than_a_timeout_ahead(plain: Both) -> None:
     """Not from the newest one that came, so none of them is a step for the next."""
     climb = [("s", data(seq)) for seq in range(1000, 6000, 1000)]
     both = Both(WATCHED, intruder=lambda k, _both: climb if k == 50 else []).run()
     assert both.rows == plain.rows
-    assert dict(both.ends["s"].rejected) == {"early": 4}
-    assert both.ends["s"].way.count == plain.ends["s"].way.count + 1
+    assert dict(both.ends["s"].rejected) == {"early": 5}
+    assert both.ends["s"].way.count == plain.ends["s"].way.count
 
 
 def test_without_keys_a_stranger_who_starts_a_session_has_the_slave_as_long_as_he_sends_messages() -> None:

@@ -58,7 +58,7 @@ def test_raven_not_any_sender_is_accepted_but_the_session_number_alone(session: 
     assert dict(end.rejected) == {"session": 49}
 
 
-@pytest.mark.parametrize("gap", [1, 14, 300, 3000])
+@pytest.mark.parametrize("gap", [1, 14, 300, 900])
 @pytest.mark.parametrize("playout", PLAYOUTS, ids=str)
 def test_raven_the_good_packet_after_a_gap_is_played(playout: Playout, gap: int) -> None:
     end = met(replace(WATCHED, playout=playout))["s"]
@@ -67,6 +67,15 @@ def test_raven_the_good_packet_after_a_gap_is_played(playout: Playout, gap: int)
     played = ticks(end, range(11, gap + 60), lambda k: [data(k - 1)] if k > 10 + gap else [])
     assert played[10 + gap + later - 11] == 10 + gap
     assert played[10 + gap + later - 11 :] == list(range(10 + gap, gap + 60 - later))
+
+
+@pytest.mark.parametrize("playout", PLAYOUTS, ids=str)
+def test_after_a_gap_that_is_longer_than_a_session_lives_nothing_of_it_is_played(playout: Playout) -> None:
+    end = met(replace(WATCHED, playout=playout))["s"]
+    ticks(end, range(11), lambda k: [data(k - 1)] if k else [])
+    played = ticks(end, range(11, 1200), lambda k: [data(k - 1)] if k > 1100 else [])
+    assert max(played[30:]) == -1
+    assert (end.session.ended or "").startswith("the session is over")
 
 
 @pytest.mark.parametrize("seq", [2**32 - 1, 10**9])
