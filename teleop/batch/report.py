@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -60,7 +59,7 @@ def write(told: Mapping[str, Any], folder: Path) -> None:
     """Write summary.json, whole or not at all. Raises `Refused` if that cannot be."""
     try:
         with replacing(folder / SUMMARY) as file:
-            file.write(json.dumps(told, indent=2, default=str).encode() + b"\n")
+            file.write(stored.written(told, indent=2).encode() + b"\n")
     except OSError as error:
         raise Refused(f"cannot write to {folder} ({error.strerror or error}); the rows are kept, and the same "
                       "command goes on") from error
