@@ -11,10 +11,12 @@ from mmap import mmap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from teleop import load_result
 from teleop.bench.motor import HANG, Motor
 from teleop.bench.watchdog import BLOWS, FORCE, SCENE, trial
 from teleop.deadline import DEADLINE
@@ -356,6 +358,30 @@ def test_an_end_that_was_stopped_goes_on_in_the_safe_state_and_its_watchdog_is_a
     assert whats.count("watchdog") >= 2
     assert sum("watchdog has set its force to zero" in why for why in whys) >= 2
     assert whats.count("released") >= 2
+
+
+@pytest.mark.live
+def test_an_end_that_was_stopped_for_longer_than_its_device_holds_a_force_begins_at_zero(
+    command: Callable[..., Command], tmp_path: Path
+) -> None:
+    """Shorter than the watchdog of the link waits, 0.8 s: its force came back at once, to a device that had let go."""
+    slave = command("slave", *SCENE, "--listen", "127.0.0.1:0", "--json", "--out", str(tmp_path / "slave"))
+    command("master", *SCENE, "--peer", f"127.0.0.1:{slave.port()}", "--json", "--out", str(tmp_path / "master"))
+    while not (slave.event("live")["k"] > 300 and slave.event("live")["gain"] == 1.0):
+        pass
+    slave.signal(signal.SIGSTOP)
+    time.sleep(0.4)
+    slave.signal(signal.SIGCONT)
+    while slave.event("live")["gain"] < 1.0:
+        pass
+    slave.signal(signal.SIGTERM)
+    assert slave.end()[0] == 0
+    trace = load_result(tmp_path / "slave").trace
+    after = int(np.argmax(np.diff(trace["t"]))) + 1
+    assert trace["t"][after] - trace["t"][after - 1] > 0.35
+    assert abs(trace["f_s"][after - 1]) > 0.1
+    assert (trace["g_s"][after], trace["f_s"][after]) == (0.0, 0.0)
+    assert max(np.diff(trace["g_s"][after:])) < 0.1
 
 
 @pytest.mark.live
