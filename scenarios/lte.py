@@ -31,6 +31,7 @@ def scene(
     wall: float = 0.03,  # m, where its surface is
     to: float = 0.06,  # m, where the hand reaches, beyond the wall
     timeout: float = 0.5,  # s of silence after which the watchdogs let go
+    age: float | None = 2.5,  # s, from which on a message that is played is no sign of the other end; none: at any age
     f_max: float = 20.0,  # N, most force of either end
     slew: float = 2000.0,  # N/s, most change of either force
     v_max: float | None = None,  # m/s, speed from which on an end only brakes; none: it drives at any
@@ -52,7 +53,7 @@ def scene(
         playout=playout,
         slave=MassDamper(mass=0.5, damping=1.0),
         environment=Wall(k=k_e, d=d_e, at=wall),
-        watchdog=Watchdog(timeout=timeout),
+        watchdog=Watchdog(timeout=timeout, age=age),
         cap=Cap(f_max=f_max, slew=slew, v_max=v_max, power=power),
         observer=observer,
         energy=energy,

@@ -103,9 +103,10 @@ def too_old(scene: Scene, end: str, plan: Plan | None, ran: int) -> list[str]:
 
 def age_note(end: str, count: int, most: float, age: float) -> str:
     """The sentence for messages that were too old for the watchdog of an end."""
+    enough = f"{2.0 * most:.2g}"
     return (f"{count} messages were more than the watchdog's age of {age:g} s old when the {end} played them, up to "
-            f"{most:g} s, so it let go; for a link as long as that write watchdog=Watchdog(age={2.0 * most:.2g}) in "
-            "the scene, or age=None to let a message be of any age")
+            f"{most:g} s, so it let go; for a link as long as that type --set age={enough}, or in a scene of your own "
+            f"watchdog=Watchdog(age={enough}); with none in place of a number a message may be of any age")
 
 
 def check_seed(seed: int) -> int:

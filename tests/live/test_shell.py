@@ -326,7 +326,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
 ) -> None:
     """As after a channel was restarted. Without keys, messages of the session before may be anybody's from there.
 
-    Even if the master goes on hearing the slave, it has to notice: the slave falls silent, so that both ask anew.
+    Even if the master goes on hearing the slave: that one falls silent, and asks for another session.
     """
     for name in ("teleop.live.hearing.OPEN_NS", "teleop.session.RENEW_NS"):
         monkeypatch.setattr(name, 400_000_000)
@@ -345,7 +345,6 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
     assert both.errors == {"m": None, "s": None}
     assert slave.wire.peer == moved.sock.getsockname()
     moved.sock.close()
-    assert (slave.endpoint.rejected["address"] > 0) or not hears
     for shell in (master, slave):
         assert shell.endpoint.session.met >= 2
         assert shell.wire.kept, "to the peer alone again"

@@ -276,3 +276,76 @@ def test_a_hello_as_short_as_it_can_be_is_answered_with_nothing_longer() -> None
     for manifest in (MANIFEST, {}, {"a": "b"}):
         short = hello(1, manifest)
         assert slave.receive(short, 0, len(encode(short))) == []
+
+
+# A session that is over for one end
+
+
+@pytest.mark.parametrize("master", [True, False])
+def test_an_end_that_the_other_has_not_heard_for_as_long_as_a_session_lives_is_in_none(master: bool) -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    end = talk.master if master else talk.slave
+    end.data_came(talk.now)
+    end.answer_came(Echo(end.begun_ns, 0))
+    end.answer_came(Echo(talk.now, RENEW_NS))
+    assert not end.mute()
+    end.answer_came(Echo(talk.now, RENEW_NS + 1))
+    assert end.mute()
+    assert "nothing of this end arrived" in str(end.ended)
+    (data,) = end.due(talk.now)
+    packet = decode(data, 1)
+    assert isinstance(packet, Packet)
+    assert (packet.kind, packet.session) == ((Kind.HELLO, 8) if master else (Kind.RENEW, 7))
+    assert end.due(talk.now + 1) == [], "and again after a while"
+
+
+@pytest.mark.parametrize("master", [True, False])
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_session_whose_first_second_was_lost_either_way_is_over_when_something_comes(late: int, master: bool) -> None:
+    """A long link is another thing: over that the first message comes late, and was sent in time."""
+    for answers in (False, True):
+        talk = Talk(messages=False)
+        talk.run(1000 * MS)
+        end = talk.master if master else talk.slave
+        sent, now = end.begun_ns + RENEW_NS + late, end.begun_ns + 2 * RENEW_NS
+        end.data_came(now, end.begun_ns if answers else sent)
+        end.answer_came(Echo(sent if answers else end.begun_ns, 0))
+        assert (end.ended is not None) == bool(late)
+
+
+def test_a_slave_that_asks_for_another_session_has_it_and_its_asking_for_the_one_before_changes_nothing() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.slave.end("the session is over: its end stood still")
+    (asks,) = talk.slave.due(talk.now)
+    packet = decode(asks, 1)
+    assert isinstance(packet, Packet)
+    for _ in range(3):
+        assert talk.master.receive(packet, talk.now) == []
+        assert str(talk.master.ended).startswith("the session is over")
+        talk.master.due(talk.now)
+        assert (talk.master.number, talk.master.meeting) == (8, True)
+    talk.run(talk.now + 500 * MS)
+    assert talk.master.number == talk.slave.number == 8
+    assert talk.master.receive(packet, talk.now) == []
+    assert (talk.master.ended, talk.slave.ended) == (None, None)
+    assert not talk.slave.belongs(packet._replace(session=8), talk.now), "only a slave says it"
+
+
+def test_neither_end_takes_another_session_before_it_has_let_go() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.master.let_go = talk.slave.let_go = False
+    talk.master.end("the session is over: as a test has it")
+    talk.run(talk.now + 500 * MS)
+    assert not talk.master.meeting
+    talk.master.let_go = True
+    talk.run(talk.now + 500 * MS)
+    assert talk.master.meeting
+    assert str(talk.slave.ended).startswith("the session is over"), "the master's next number tells it"
+    assert talk.slave.number == 7
+    talk.slave.let_go = True
+    talk.run(talk.now + 500 * MS)
+    assert talk.master.number == talk.slave.number == 8
+    assert (talk.master.meeting, talk.slave.ended) == (False, None)
