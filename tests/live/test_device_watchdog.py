@@ -27,9 +27,9 @@ from teleop.live.heartbeat import ACKED, BEAT, DONE, FIRED, GONE_NS, SEEN, SIZE,
 from teleop.live.record import read_events
 from teleop.live.stand import Stand
 from tests.live.conftest import Command, summary
+from tests.waiting import PATIENCE, until
 
 MS = 1_000_000
-BOUND = 30.0  # s that nothing in here takes, however busy the machine is
 ONE, ZERO = (1.0,), (0.0,)
 
 
@@ -277,18 +277,11 @@ def test_a_watchdog_that_names_no_function_or_no_time_is_refused(wrong: dict[str
 # Live
 
 
-def until(what: Callable[[], object], why: str) -> None:
-    end = time.monotonic() + BOUND
-    while not what():
-        assert time.monotonic() < end, why
-        time.sleep(0.005)
-
-
 @pytest.mark.live
 @pytest.mark.parametrize("blow", BLOWS)
 def test_the_force_of_an_end_that_no_signal_reaches_ends_at_zero(blow: str, tmp_path: Path) -> None:
     took, _ = trial(BLOWS[blow][0], tmp_path)
-    assert 0.0 < took < BOUND
+    assert 0.0 < took < PATIENCE
     events = [event for event in read_events(tmp_path / "slave") if event["what"] == "watchdog"]
     assert "its force was set to zero" in events[-1]["why"]
     assert events[-1]["k"] > 100

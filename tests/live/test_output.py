@@ -23,6 +23,7 @@ from teleop.live.output import END_S, Output
 from teleop.packet import Kind, Packet, encode
 from teleop.scene import load_scene
 from tests.live.conftest import summary
+from tests.waiting import PATIENCE
 
 LINE = b"%05d " + b"x" * 90 + b"\n"
 
@@ -165,7 +166,8 @@ sys.exit(3 if os.WIFSTOPPED(status) else os.waitstatus_to_exitcode(status))
 """
     for how, expected in (("plain", 3), ("live", 0)):
         ours, its = pty.openpty()
-        done = subprocess.run([sys.executable, "-c", code, os.ttyname(its), how], cwd=ROOT, check=False, timeout=60)
+        done = subprocess.run([sys.executable, "-c", code, os.ttyname(its), how], cwd=ROOT, check=False,
+                              timeout=PATIENCE)
         assert done.returncode == expected
         os.close(ours)
         os.close(its)
@@ -224,7 +226,7 @@ def hello(number: int, **knobs: Any) -> bytes:
     return encode(Packet(Kind.HELLO, number, 0, 0, None, manifest), 2000)
 
 
-def asked(sock: socket.socket, port: int, data: bytes, patience: float = 30.0) -> bytes:
+def asked(sock: socket.socket, port: int, data: bytes, patience: float = PATIENCE) -> bytes:
     """Send until there is an answer; the answer."""
     sock.settimeout(0.1)
     until = time.monotonic() + patience
@@ -238,7 +240,7 @@ def asked(sock: socket.socket, port: int, data: bytes, patience: float = 30.0) -
 def ends(process: subprocess.Popen[bytes]) -> int:
     """Ask it to end; its exit code. It waits for a reader, but not for long."""
     process.send_signal(signal.SIGTERM)
-    return process.wait(END_S + 28.0)
+    return process.wait(END_S + PATIENCE)
 
 
 @pytest.mark.live
@@ -253,7 +255,7 @@ def test_an_unknown_hosts_hello_neither_ends_nor_hangs_a_channel_whose_output_no
         port = free_port()
         one = start("channel", "canonical", "--listen", f"127.0.0.1:{port}", "--peer",
                     f"127.0.0.1:{slave.getsockname()[1]}")
-        until, came = time.monotonic() + 30.0, 0
+        until, came = time.monotonic() + PATIENCE, 0
         while came < 20 and time.monotonic() < until:
             unknown.sendto(hello(5 + came, duration=3.0), ("127.0.0.1", port))
             with suppress(TimeoutError):
