@@ -38,9 +38,9 @@ class Hearing:
         """
         heard = self.heard()
         if heard != before:
+            self._heard_ns = now
             if self.open or heard[1] != before[1]:
                 self._keep_to_peer()
-            self._heard_ns, self.open = now, False
         elif not self.open and (now - self._heard_ns > OPEN_NS or self.endpoint.session.mute()):
             self.open = True
             self.wire.listen_to_all()
@@ -60,8 +60,11 @@ class Hearing:
         return True
 
     def _keep_to_peer(self) -> None:
-        endpoint, number = self.endpoint, self.endpoint.session.number
-        if self.wire.line is not None:
+        endpoint, number, line = self.endpoint, self.endpoint.session.number, self.wire.line
+        self.open = line is not None and not line.settled
+        if self.open:
+            self.wire.listen_to_all()  # the answer may come from the address that is in question
+        elif line is not None:
             self.wire.keep_to_peer(of_records())
         elif number is not None:
             shapes = of_session(number, endpoint.scene.wire_size, endpoint.hears)

@@ -10,13 +10,15 @@ Three associations at most: the one in use, the one that is coming, and the one 
 under way when the keys changed. The one in use goes on until the coming one is authenticated, so that nobody without
 the pinned certificate can end it; a peer that was killed and restarted, at either end, is met again by itself.
 
-The end that calls hears a handshake from one address alone, so that no stranger's word comes into it: the address that
-it called, or the one from which a hello of its own is first answered, for hosts with several addresses do so from any.
-The answer bears the number of the hello, which is drawn at random for that: who does not see what this end sends has
-2**47 to guess from. Who does see it can break a handshake from any address. The certificate decides who it is.
+The end that calls hears a handshake from the address that it called. Hosts with several addresses answer from any of
+them, so where the one that was called does not answer for `AGAIN_NS` longer than another, that one is heard. An answer
+bears the number of the hello, which is drawn at random for that: who does not see what this end sends has 2**47 to
+guess from, and who does see it comes into a handshake from the called address alone, or where that is silent. The
+certificate decides who it is.
 
-The peer's address is where its newest authenticated packet came from: who moves to another network is followed, a
-copy of a packet sent on from elsewhere draws nothing to itself.
+Where the peer is, the handshake says first: the end that calls sends to where its flights were answered from, the one
+that listens to the address that its cookie was for. Another address is challenged before it takes that one's place: see
+`Path`. A challenge and its answer are as long as the last packet, so that they cannot be told from packets.
 """
 
 from __future__ import annotations
@@ -24,15 +26,18 @@ from __future__ import annotations
 from collections import Counter
 
 from teleop.secure.context import first_number
+from teleop.secure.data import ANSWER, CHALLENGE
 from teleop.secure.gate import Gate, Where, is_for_gate
 from teleop.secure.keys import Key
+from teleop.secure.path import TOKEN, Challenge, Path
 from teleop.secure.record import Dropped, records
-from teleop.secure.tunnel import LIMIT_NS, Tunnel
+from teleop.secure.tunnel import AGAIN_NS, LIMIT_NS, Tunnel
 
 SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
 STUCK_NS = 2_000_000_000  # a handshake that nobody answers for so long is with a peer that is no more
 APART_NS = 1_000_000_000  # between two that it begins
 _MOST_HELLOS = 256  # more than are sent in one handshake
+_MOST_FROM = 16  # addresses from which a handshake is heard
 _ANY, _OWN = "0.0.0.0", "127.0.0.1"  # who calls any address of this machine is answered from its first
 Out = tuple[bytes, Where]
 
@@ -40,18 +45,24 @@ Out = tuple[bytes, Where]
 class Line:
     """One end's line to the end whose certificate is pinned. Nothing that comes in raises.
 
-    `address`: where the peer is, None before a listening end knows. `trouble`: what went wrong last, a sentence.
-    `associations`: how many there were, all authenticated. `fingerprint`: this end's own.
+    `trouble`: what went wrong last, a sentence. `associations`: how many there were, all authenticated.
+    `fingerprint`: this end's own.
     """
 
     def __init__(self, key: Key, peer: str, address: Where | None, gate: Gate | None) -> None:
-        self.address, self.associations, self.fingerprint = address, 0, key.fingerprint
+        self.associations, self.fingerprint = 0, key.fingerprint
         self.trouble: str | None = None
         self._key, self._peer, self._gate = key, peer, gate
         self._use: Tunnel | None = None
         self._coming: Tunnel | None = None
+        self._path = Path(address)
+        self._called = address  # by the end that calls
         self._coming_at: Where | None = address  # where its flights go
-        self._coming_from: Where | None = address  # and from where it is answered
+        self._coming_from: list[Where] = []  # and from where else it is answered
+        self._elsewhere: int | None = None  # when it first was
+        self._direct = False  # is it answered from where its flights go
+        self._tries = 0  # handshakes begun since the last one that was finished
+        self._size = TOKEN  # bytes of the last packet
         self._first = 0  # the number of its first hello
         self._old: Tunnel | None = None
         self._retired: Counter[str] = Counter()  # what was dropped by those that are gone
@@ -72,6 +83,16 @@ class Line:
         return cls(key, peer, None, Gate(key, peer, secret))
 
     @property
+    def address(self) -> Where | None:
+        """Where the peer is, None before an end that listens has met it."""
+        return self._path.address
+
+    @property
+    def settled(self) -> bool:
+        """Is it certain, for the time being, that the peer is at `address` and nowhere else?"""
+        return self._path.settled
+
+    @property
     def ready(self) -> bool:
         """Is there an association in use?"""
         return self._use is not None and self._use.failure is None
@@ -85,34 +106,35 @@ class Line:
 
     def send(self, plain: bytes) -> bytes | None:
         """`plain` sealed, to go to `address`."""
+        self._size = len(plain)
         return None if self._use is None else self._use.send(plain)
 
     def receive(self, datagram: bytes, address: Where, now: int) -> tuple[list[bytes], list[Out]]:
         """What a datagram carries, and what to send at once."""
         if is_for_gate(datagram):
             return [], self._meet(datagram, address, now)
-        # A handshake record may lie behind another: one that is not over hears only the address it goes to.
+        # A handshake record may lie behind another: one that is not over hears only the addresses it goes to.
         there = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None
-                 and (one.ready or address == self._coming_from)]
+                 and (one.ready or self._hears(address, now))]
         if not there:
             self._retired[Dropped.EARLY] += 1
         before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
         for i, tunnel in enumerate(there):
-            newest = tunnel.data.newest if tunnel.data is not None else 0
             plain = tunnel.receive(datagram, now)[0]
-            if plain:
-                for missed, dropped in zip(there[:i], before, strict=False):
+            if plain or tunnel.words:
+                for missed, dropped in zip(there[:i], before, strict=False) if i else ():
                     missed.dropped = dropped  # it was only meant for another one
                 if tunnel is self._coming:
                     self._change(now)
-                if tunnel is self._use and tunnel.data is not None and tunnel.data.newest > newest:
-                    self.address = address
                 self._heard = now
-                return plain, []
+                known = not tunnel.words and not self._path.matters(address, now)
+                return plain, [] if known else self._genuine(tunnel, address, now)
             if tunnel.failure is not None:
                 self._ended(tunnel)
         for tunnel, dropped in zip(there[1:], before[1:], strict=False):
             tunnel.dropped = dropped  # one datagram counts once
+        if self._use is not None and self._path.matters(address, now) and self._use.is_genuine(datagram):
+            return [], self._sealed(self._path.heard(address, now))  # a copy
         return [], []
 
     def due(self, now: int) -> list[Out]:
@@ -124,6 +146,7 @@ class Line:
         for tunnel, at in ((self._use, self.address), (self._coming, self._coming_at)):
             if tunnel is not None and at is not None:
                 out += [(data, at) for data in tunnel.due(now)]
+        out += self._sealed(self._path.due(now))
         if self._coming is not None and self._coming.failure is not None:
             self._ended(self._coming)
         if self._coming is not None and self._gate is None and now - self._answered > STUCK_NS:
@@ -135,12 +158,14 @@ class Line:
 
     def renew(self, now: int) -> list[Out]:
         """Begin another association beside the one in use, for new keys; only the end that calls can."""
-        if self._gate is not None or self._coming is not None or self.address is None:
+        at = self.address if self._tries % 2 else self._called  # by turns: it may be back, or have moved
+        if self._gate is not None or self._coming is not None or at is None:
             return []
         self._began = self._answered = now
-        self._coming_at = self._coming_from = self.address
+        self._tries += 1
+        self._coming_at, self._coming_from, self._elsewhere, self._direct = at, [], None, False
         self._coming, self._first = Tunnel.towards(self._key, self._peer, now), first_number()
-        return [(data, self.address) for data in self._coming.begin(now, first=self._first)]
+        return [(data, at) for data in self._coming.begin(now, first=self._first)]
 
     def close(self) -> list[Out]:
         """End all there is; what tells the peer."""
@@ -152,16 +177,19 @@ class Line:
             let_in, back = self._gate.receive(datagram, address, now)
             self.trouble = self._gate.refused or self.trouble
             if let_in is not None:
-                self._coming, self._coming_at, self._coming_from = let_in, address, address
+                self._coming, self._coming_at = let_in, address
                 if not self.ready:
                     self._change(now)
             return [(data, address) for data in back]
         coming, at = self._coming, self._coming_at
         asked = [one.number - self._first for one in records(datagram) or [] if one.is_request]
         answers = all(0 <= number < _MOST_HELLOS for number in asked)  # or it is of another handshake
-        if asked and answers and self._answered == self._began:
-            self._coming_from = address
-        if coming is None or at is None or address != self._coming_from or not answers:
+        if asked and answers and address == at:
+            self._direct = True
+        elif asked and answers and address not in self._coming_from and len(self._coming_from) < _MOST_FROM:
+            self._coming_from.append(address)
+            self._elsewhere = now if self._elsewhere is None else self._elsewhere
+        if coming is None or at is None or not answers or not self._hears(address, now):
             self._retired[Dropped.EPOCH] += 1
             return []
         back = coming.receive(datagram, now)[1]
@@ -172,14 +200,47 @@ class Line:
             self._change(now)
         return [(data, at) for data in back]  # to where the hello came to its end: a cookie is for the way that it took
 
+    def _hears(self, address: Where, now: int) -> bool:
+        """Is the handshake that is coming heard from there?"""
+        if address == self._coming_at or self._elsewhere is None or self._direct:
+            return address == self._coming_at
+        return address in self._coming_from and now - self._elsewhere > AGAIN_NS
+
     def _change(self, now: int) -> None:
         """The coming association is the one in use from now on."""
         if self._old is not None:
             self._retired += self._old.dropped
         self._old, self._use, self._coming = self._use, self._coming, None
         self._changed = self._heard = now
-        self.address = self._coming_from
         self.associations += 1
+        self._tries = 0
+        if self._coming_at is not None:
+            self._path.settle(self._coming_at)
+
+    def _genuine(self, tunnel: Tunnel, address: Where, now: int) -> list[Out]:
+        """What to send when something genuine and new has come from this address."""
+        words, tunnel.words = tunnel.words, []
+        if tunnel is not self._use:
+            return []
+        out: list[Out] = []
+        for word in words:
+            token, what = word[:TOKEN], word[-1:]
+            if what == ANSWER:
+                self._path.answered(token, now)
+            elif what == CHALLENGE and self.address is not None:
+                # Also to where the peer is known to be: a challenge that was copied may have come from anywhere.
+                answer = tunnel.send(word[:-1], ANSWER)
+                out += [(answer, at) for at in {address, self.address} if answer is not None]
+        if self._path.matters(address, now):
+            out += self._sealed(self._path.heard(address, now))
+        return out
+
+    def _sealed(self, challenges: list[Challenge]) -> list[Out]:
+        out: list[Out] = []
+        for token, at in challenges:
+            data = None if self._use is None else self._use.send(token.ljust(self._size, b"\0"), CHALLENGE)
+            out += [] if data is None else [(data, at)]
+        return out
 
     def _ended(self, tunnel: Tunnel) -> None:
         self.trouble = tunnel.failure

@@ -103,6 +103,10 @@ class Tunnel:
             self.failure = "the association has used all its numbers; another one begins"
         return sealed
 
+    def is_genuine(self, datagram: bytes) -> bool:
+        """Is this one record of data that the other end has sealed, new or a copy?"""
+        return self.data is not None and len(datagram) > OVERHEAD and self.data.is_genuine(datagram)
+
     def due(self, now: int) -> list[bytes]:
         """What has not been answered by `now`, to be sent again."""
         if self.failure is not None or self.confirmed or (self.ready and not self._server):

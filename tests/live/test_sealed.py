@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from select import select
 from threading import Event, Thread
 from typing import Any
 
@@ -144,6 +147,65 @@ def test_a_sender_without_the_key_does_not_keep_the_pinned_master_out(
             assert code == 0, (out, err)
     assert thrown[0] > 1000
     assert summary(tmp_path / "s")["packets"]["forth"]["received"] > 500
+
+
+def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_even_after_an_outage(
+    command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
+) -> None:
+    """It kept two ends from meeting for as long as it copied, and after 1.4 s of silence for good."""
+    scene = ["hard_wall", "--set", "duration=5", "--link", "none", "--json"]
+    slave = command("slave", *scene, "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
+                    "--out", str(tmp_path / "s"))
+    with observer(slave.port()) as (at, silent):
+        master = command("master", *scene, "--peer", f"127.0.0.1:{at}", *has(keys, "master", "slave"),
+                         "--out", str(tmp_path / "m"))
+        master.event("live")
+        silent.set()
+        time.sleep(1.4)
+        silent.clear()
+        for end in (master, slave):
+            code, out, err = end.end()
+            assert code == 0, (out, err)
+    for folder, name in (("m", "master"), ("s", "slave")):
+        ticks = [json.loads(line) for line in (tmp_path / folder / "events.jsonl").read_text().splitlines()]
+        silences = [event["k"] for event in ticks if event["what"] == "safe"]
+        released = [event["k"] for event in ticks if event["what"] == "released"]
+        assert silences, name
+        assert max(released) > max(silences), name
+
+
+@contextmanager
+def observer(slave: int) -> Iterator[tuple[int, Event]]:
+    """A network between two ends, in which an observer's copy of each datagram comes before it, from another port.
+
+    What is sent to the observer's own ports is kept. The master's port to ask, and an event: set, nothing passes.
+    """
+    near, far, near_copy, far_copy = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4))
+    silent, over = Event(), Event()
+    for sock in (near, far, near_copy, far_copy):
+        sock.bind(("127.0.0.1", 0))
+    home: list[Any] = [None]
+
+    def pass_on() -> None:
+        while not over.is_set():
+            for sock in select([near, far], [], [], 0.05)[0]:
+                data, sender = sock.recvfrom(4096)
+                if sock is near:
+                    home[0] = sender
+                copy, own, to = (far_copy, far, ("127.0.0.1", slave)) if sock is near else (near_copy, near, home[0])
+                if not silent.is_set() and to is not None:
+                    copy.sendto(data, to)
+                    own.sendto(data, to)
+
+    thread = Thread(target=pass_on)
+    thread.start()
+    try:
+        yield near.getsockname()[1], silent
+    finally:
+        over.set()
+        thread.join()
+        for sock in (near, far, near_copy, far_copy):
+            sock.close()
 
 
 @contextmanager

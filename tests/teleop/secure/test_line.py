@@ -11,7 +11,8 @@ from channel.link import parse_link
 from channel.schedule import Stream
 from teleop.secure.keys import Key
 from teleop.secure.line import SILENT_NS, Line
-from teleop.secure.record import OVERHEAD, Dropped
+from teleop.secure.record import OVERHEAD, VERIFY_REQUEST, Dropped, records
+from teleop.secure.tunnel import AGAIN_NS
 
 MS = 1_000_000
 OTHER_SLAVE, ANY, LOOPBACK = ("192.0.2.3", 9001), ("0.0.0.0", 9001), ("127.0.0.1", 9001)
@@ -156,7 +157,7 @@ def test_a_slave_that_answers_from_another_address_than_was_called_is_met(world:
     assert two.slave.ready
     assert two.master.address == OTHER_SLAVE
     assert two.master.associations == two.slave.associations == 1
-    assert two.quiet_until(0, 0) < 300
+    assert two.quiet_until(0, 0) < 400
     two.run(600, dead="slave")
     two.start_slave()
     two.run(4000)
@@ -164,25 +165,57 @@ def test_a_slave_that_answers_from_another_address_than_was_called_is_met(world:
     assert two.master.address == OTHER_SLAVE
 
 
-def test_a_handshake_is_heard_from_where_it_was_first_answered_and_goes_on_to_where_it_was_called(
+def answers(slave: Line, said: list[Any]) -> list[bytes]:
+    """What the slave has to say to what came from home."""
+    return [data for asked, _ in said for data, _ in slave.receive(asked, HOME, 0)[1]]
+
+
+def test_a_handshake_that_the_called_address_does_not_answer_is_heard_from_where_its_hellos_are_answered(
     keys: list[Key]
 ) -> None:
-    """The way that the hello took is the one that its cookie is for. What comes after it goes to where it is heard."""
+    """And goes on to where it was called: the way that the hello took is the one that its cookie is for."""
     master = Line.calling(keys[0], keys[1].fingerprint, SLAVE)
     slave = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
-    flying = master.due(0)
-    said = []
+    (early,) = answers(slave, master.due(0))
+    assert master.receive(early, OTHER_SLAVE, MS) == ([], [])
+    now = MS + AGAIN_NS
+    (later,) = answers(slave, master.due(now))
+    assert master.receive(later, ("198.51.100.9", 9001), now) == ([], [])  # it has answered nothing so far
+    _, flying = master.receive(later, OTHER_SLAVE, now + MS)
     while not master.ready:
         assert {at for _, at in flying} == {SLAVE}
-        said += [data for asked, _ in flying for data, _ in slave.receive(asked, HOME, 0)[1]]
-        back, said = said, []
+        back = answers(slave, flying)
         flying = []
         for data in back:
-            flying += master.receive(data, OTHER_SLAVE, MS)[1]
-            for at in (AWAY, SLAVE):
-                assert master.receive(data, at, MS) == ([], [])
-    assert master.address == OTHER_SLAVE
+            assert master.receive(data, AWAY, now + MS) == ([], [])
+            flying += master.receive(data, OTHER_SLAVE, now + MS)[1]
+    assert master.address == SLAVE
     assert master.associations == 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_observer_who_answers_first_and_wrongly_does_not_come_into_a_handshake(
+    world: Callable[..., World], seed: int
+) -> None:
+    """It sees every hello, and answers each at once from an address of its own with a cookie that is none."""
+    two, quiet = (world("delay(0.02) | uniform(0.01)", seed) for _ in range(2))
+    for _ in range(300):
+        for data, _ in two.master.due(two.now):
+            two._go(0, [(data, SLAVE)])
+            found = records(data) or []
+            for hello in [one for one in found if one.is_hello]:
+                body = b"\xfe\xff\x14" + bytes(20)
+                size = len(body).to_bytes(3, "big")
+                message = bytes((VERIFY_REQUEST,)) + size + bytes(5) + size + body
+                number = hello.number.to_bytes(6, "big")
+                wrong = b"\x16\xfe\xff\0\0" + number + len(message).to_bytes(2, "big") + message
+                for shot in (wrong, wrong, hello.data):
+                    assert two.master.receive(shot, AWAY, two.now) == ([], [])
+        two.run(STEP)
+        quiet.run(STEP)
+    assert two.master.ready
+    assert two.master.address == SLAVE
+    assert two.quiet_until(0, 0) <= quiet.quiet_until(0, 0) + 50
 
 
 def test_any_address_of_this_machine_is_its_first(keys: list[Key]) -> None:
@@ -207,7 +240,7 @@ def test_a_stranger_who_does_not_see_the_hello_changes_nothing(
     _, flight = theirs.receive(again, HOME, MS)
     shots = [request, *(request[:5] + number.to_bytes(6, "big") + request[11:] for number in (0, 1, 2**46, 2**48 - 1)),
              *(data for data, _ in flight), request + flight[0][0]]
-    for _ in range(500):
+    for _ in range(1000):
         two.run(STEP)
         quiet.run(STEP)
         for shot in shots:
@@ -259,9 +292,28 @@ def test_a_copy_from_elsewhere_draws_nothing_to_itself(world: Callable[..., Worl
     kept = [two.master.send(bytes((i,)) * 100) or b"" for i in range(3)]
     for data in (kept[1], kept[2]):
         two.slave.receive(data, HOME, two.now)
-    assert two.slave.receive(kept[1], AWAY, two.now) == ([], [])  # a replay
+    plain, asked = two.slave.receive(kept[1], AWAY, two.now)  # a replay
+    assert plain == []
+    assert {at for _, at in asked} == {HOME, AWAY}
+    assert not two.slave.settled
     assert two.slave.receive(kept[0], AWAY, two.now)[0] != []  # one that was held back is taken
+    two._go(1, asked)
+    two.run(200)
+    assert two.slave.settled
     assert two.slave.address == HOME
+
+
+def test_what_is_no_record_of_the_peers_raises_no_question_wherever_it_comes_from(
+    world: Callable[..., World]
+) -> None:
+    two = world()
+    two.run(1000)
+    data = two.master.send(b"x" * 100) or b""
+    two.slave.receive(data, HOME, two.now)
+    changed = data[:-1] + bytes((data[-1] ^ 1,)), data[:10] + b"\xff" + data[11:]
+    for bad in (*changed, *(data[:length] for length in range(1, len(data))), data + b"x"):
+        assert two.slave.receive(bad, AWAY, two.now) == ([], [])
+    assert two.slave.settled
 
 
 def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], keys: list[Key]) -> None:
