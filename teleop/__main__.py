@@ -199,7 +199,7 @@ def _list(args: Namespace) -> None:
 
 def _report(args: Namespace) -> None:
     from teleop.batch.report import Wish, check_run
-    from teleop.result import load_result
+    from teleop.result import RUNNING, load_result
 
     if args.slave is not None:
         _put_together(args)
@@ -209,6 +209,9 @@ def _report(args: Namespace) -> None:
         return
     check_run(Path(args.run), Wish(args.picture, args.metric))
     result = load_result(args.run, trust=args.trust)
+    if result.status == RUNNING:
+        _tell(args, result)
+        return
     if args.json:
         from teleop.result import stored_summary
 
@@ -233,8 +236,12 @@ def _put_together(args: Namespace) -> None:
 
     from teleop.folder import new_folder
     from teleop.live.merge import merge, scene_of
+    from teleop.result import RUNNING
 
     result = merge(scene_of(Path(args.run), trust=args.trust), Path(args.run), Path(args.slave))
+    if result.status == RUNNING:
+        _tell(args, result)
+        return
     args.scene = result.scene
     with new_folder(args.out, _stem(args)) as new:
         result.write(new.inside, args.typed)
@@ -261,8 +268,10 @@ def _tell(args: Namespace, result: Result) -> None:
         _say_json(result.summary(args.typed), result)
         return
     from teleop.console import table
+    from teleop.result import RUNNING
 
-    _say(f"{table(result)}\nwritten to {result.path}")
+    running = result.status == RUNNING
+    _say(f"{table(result)}\n" + ("nothing is written while it runs" if running else f"written to {result.path}"))
 
 
 def _say_json(summary: dict[str, Any], result: Result) -> None:

@@ -18,6 +18,7 @@ from teleop.errors import Refused
 
 PART = ".part"  # within a folder: what is not whole yet
 AGAIN = 100  # times that a parent is made anew which another process, having no more use for it, has removed
+BEGUN = "is being written, and there is nothing to show of it yet; ask again in a moment"
 LAST = "summary.json"  # moved after all other files: where it is, they are
 
 
@@ -29,14 +30,14 @@ class NewFolder(NamedTuple):
 
 
 class Claim:
-    """A folder that this process has made, and the parents made for it; `close` it in the end."""
+    """A folder that this process has made, and the parents made for it; `close` it when all in it is written."""
 
     def __init__(self, path: Path, parents: list[Path]) -> None:
         self.path = path
         self._parents = parents  # innermost first
-        self._held: int | None = None
-        with suppress(OSError):  # Windows opens no folders
-            self._held = os.open(path, os.O_RDONLY)  # while it is open, no other folder gets its number
+        self._held = _opened(path)  # while it is open, no other folder gets its number
+        if self._held is not None:
+            _lock(self._held, shared=False)
         self._made = _identity(path)
 
     def drop(self) -> None:
@@ -158,6 +159,42 @@ def _remove_tree(path: Path) -> None:
     else:
         with suppress(OSError):
             path.unlink()
+
+
+def is_being_written(folder: Path) -> bool:
+    """True if the process that claimed `folder` lives and has not closed the claim.
+
+    That process holds a lock on the folder, which the system releases when it ends, however it ends. False too where
+    folders cannot be locked, as on some network file systems.
+    """
+    held = _opened(folder)
+    if held is None:
+        return False
+    try:
+        return not _lock(held, shared=True)
+    finally:
+        os.close(held)
+
+
+def _opened(folder: Path) -> int | None:
+    """The open folder; None where the system opens none, as Windows."""
+    with suppress(OSError):
+        return os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_NOFOLLOW", 0))
+    return None
+
+
+def _lock(held: int, *, shared: bool) -> bool:
+    """Take a lock on an open folder if no other process has one in the way; False if one has."""
+    with suppress(ImportError):
+        import fcntl
+
+        try:
+            fcntl.flock(held, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system that has no locks
+            pass
+    return True
 
 
 def _identity(path: Path) -> tuple[int, int]:

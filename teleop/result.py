@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.files import read_bytes, replacing
+from teleop.folder import BEGUN, is_being_written, new_folder
 from teleop.metrics import UNITS, finite, worked_out
 from teleop.scene import Scene
 from teleop.stored import Misshapen, parse, plain, written
@@ -18,6 +19,7 @@ from teleop.trace import blocks
 if TYPE_CHECKING:
     from teleop.playout import Plan
 
+RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
 LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
 
 
@@ -106,8 +108,6 @@ class Result:
 
     def save(self, folder: Path, command: Sequence[str] = ()) -> Result:
         """Write summary.json and trace.npz as the new `folder`, all of it or nothing."""
-        from teleop.folder import new_folder
-
         with new_folder(folder) as new:
             self.write(new.inside, command)
         return replace(self, path=folder)
@@ -154,15 +154,23 @@ def parameters(scene: Scene) -> dict[str, object]:
 def load_result(folder: Path | str, *, trust: bool = False) -> Result:
     """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none.
 
+    Of a live run whose process was killed the summary is made from its record and written; of one that goes on, with
+    the status `RUNNING`, nothing is written.
+
     The folder may be of unknown origin: nothing in it is run, no link is followed, and memory goes with the size of its
     files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.trust`.
     """
     at = Path(folder)
     try:
-        if not (at / "summary.json").is_file() and has_record(at):
-            from teleop.live.merge import recover
+        if has_record(at):
+            from teleop.live.merge import needs_recovery, recover
 
-            recover(at, trust=trust)  # a live run whose process was killed
+            if needs_recovery(at):  # a live run whose process was killed, or goes on
+                result = recover(at, trust=trust)
+                if result.status == RUNNING:
+                    return result
+        elif is_being_written(at):
+            raise Refused(f"{at} {BEGUN}")
         return _read(at)
     except Refused:
         raise

@@ -10,6 +10,7 @@ from teleop import stored
 from teleop.catalogue import units_of
 from teleop.errors import Refused
 from teleop.files import read_bytes, replacing
+from teleop.folder import is_being_written
 from teleop.result import has_record
 from teleop.stored import Misshapen, parse
 from teleop.terminal import printable
@@ -163,7 +164,7 @@ def check_run(at: Path, wish: Wish) -> None:
     """Refuse what is no run's folder, in the words of what is there, and a wish for another picture than a run has."""
     if not at.is_dir():
         raise Refused(f"there is no folder {at}; give the one that `teleop run` or `teleop sweep` printed")
-    if not (at / "trace.npz").is_file() and not has_record(at):
+    if not (at / "trace.npz").is_file() and not has_record(at) and not is_being_written(at):
         inside = sorted(each.parent for each in [*at.glob("*/trace.npz"), *at.glob("*/sweep.json")])
         cure = f"one of the folders in it, such as {inside[-1]}" if inside else \
             "the folder that `teleop run` or `teleop sweep` printed"

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
+from teleop.folder import BEGUN, is_being_written
 from teleop.live.header import check_fits
 from teleop.live.leaving import UNRELEASED
 from teleop.live.record import FILE, read_events, read_noted
 from teleop.live.summary import NAMES, WAYS, end_result, lateness, spread_us
 from teleop.lockstep import packet_counts, standing_notes
-from teleop.result import Packets, Result, records_in, stored_summary
+from teleop.result import RUNNING, Packets, Result, records_in, stored_summary
 from teleop.scene import Scene
 from teleop.shapes import of_end
 from teleop.stored import Misshapen
@@ -36,6 +38,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     ticks is left out: only what the records show of the ticks that both ran is told, and a note says so.
     """
     folders = {"m": master, "s": slave}
+    running = {e: is_being_written(folder) for e, folder in folders.items()}  # first: what is read then may grow
     headers, records, ends, late = {}, {}, {}, {}
     for e, folder in folders.items():
         headers[e], records[e], late[e], _ = _noted(folder)
@@ -43,7 +46,10 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
             other = NAMES[headers[e]["end"]]
             raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
         check_fits(scene, headers[e], records[e].ticks, folder)
-        ends[e] = _summary(folder, scene, e)
+        if running[e] or (any(running.values()) and needs_recovery(folder)):
+            ends[e] = _of_one(folder, scene, False, running[e])[0].summary()
+        else:
+            ends[e] = _summary(folder, scene, e)
     ours, theirs = headers["m"], headers["s"]
     stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
     if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
@@ -66,12 +72,13 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     status, sentence = _verdict(ends)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = [*standing_notes(scene), *[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
-    if apart:
+    if apart or any(running.values()):
         packets = {}
         own = {NAMES[e]: _within(span, own[NAMES[e]], headers[e], records[e], late[e]) for e in ends}
+    if apart:
         notes.append("one end ran without the other for a while: the packets and round trips that each counted in all "
                      "of its own run are left out, and stand in its own folder")
-    else:
+    elif not any(running.values()):
         packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
     run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
     extra = {**own, "channel": channel}
@@ -82,39 +89,79 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
                        ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
 
 
-def recover(folder: Path, scene: Scene | None = None, *, trust: bool = False) -> None:
-    """Make the summary.json and trace.npz of a live folder whose process did not come to it. Raises `Refused`.
+def needs_recovery(folder: Path) -> bool:
+    """True if no summary is in the live folder, or one that was made from a record that has grown since."""
+    if not (folder / "summary.json").is_file():
+        return True
+    try:
+        made_from = stored_summary(folder).get("recovered")
+    except (OSError, Misshapen):  # whoever reads it says what is wrong with it
+        return False
+    sizes = _sizes(folder)
+    return made_from is not None and None not in sizes.values() and made_from != sizes
 
-    `scene`: the one that was run; left out: that which the folder names, see `teleop.trust`.
+
+def recover(folder: Path, scene: Scene | None = None, *, trust: bool = False) -> Result:
+    """What the record in a live folder tells whose process did not come to a summary. Raises `Refused`.
+
+    It is written there as summary.json and trace.npz if that process has ended. If it still runs nothing is written,
+    and the status is `RUNNING`. `scene`: the one that was run; left out: the folder's own, see `teleop.trust`.
     """
-    import numpy as np
-
-    ends = [folder / name for name in NAMES.values()]
-    if all((end / FILE).is_file() for end in ends):
+    running, sizes = is_being_written(folder), _sizes(folder)  # both before the record is read, which may grow
+    if FILE not in sizes:
+        ends = [folder / name for name in NAMES.values()]
         result = merge(scene or scene_of(ends[0], trust=trust), *ends)
         command: list[str] = []
+        if running and result.status != RUNNING:
+            result = replace(result, status=RUNNING, sentence=f"still running: both ends are over, {result.sentence}")
     else:
-        header, record, late, notes = _noted(folder)
-        if not len(record.ticks):
-            raise Refused(f"{folder} holds the record of a run that never came to its first tick")
-        e, scene = header["end"], scene or _scene(header, trust)
-        check_fits(scene, header, record.ticks, folder)
-        last = _last(record)
-        sentence = f"the process ended without a word after tick {last}; this is made from its record"
-        every = header.get("every", 1)
-        events = read_events(folder)
-        first = _first(events)
-        skipped = (last - first) // every + 1 - len(record.ticks)
-        notes += [UNKNOWN] * far_apart(record.ticks)
-        sends, hears = WAYS[e]
-        came = int((np.asarray(record.played) >= 0).sum())
-        result = end_result(
-            scene, e, record, late, seed=header["seed"], mode=header["mode"], status="stopped", sentence=sentence,
-            told={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
-            packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=came)},
-        )
-        command = header.get("command", [])
-    result.write(folder, command)
+        result, command = _of_one(folder, scene, trust, running)
+    result = replace(result, path=folder, extra={**result.extra, "recovered": sizes})
+    if result.status != RUNNING:
+        result.write(folder, command)
+    return result
+
+
+def _sizes(folder: Path) -> dict[str, int | None]:
+    """The bytes of each record in a live folder, of one end or of two; None of one that cannot be looked at."""
+    names = [f"{name}/{FILE}" for name in NAMES.values()]
+    sizes: dict[str, int | None] = {}
+    for name in names if all((folder / name).is_file() for name in names) else [FILE]:
+        sizes[name] = None
+        with suppress(OSError):
+            sizes[name] = (folder / name).stat().st_size
+    return sizes
+
+
+def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tuple[Result, list[str]]:
+    """The result of one end from its record alone, and the command that it was started with."""
+    import numpy as np
+
+    if running and not (folder / FILE).is_file():
+        raise Refused(f"{folder} {BEGUN}")
+    header, record, late, notes = _noted(folder)
+    if not len(record.ticks):
+        raise Refused(f"{folder} is of a run that has not come to its first tick yet; ask again in a moment" if running
+                      else f"{folder} holds the record of a run that never came to its first tick")
+    e, scene = header["end"], scene or _scene(header, trust)
+    check_fits(scene, header, record.ticks, folder)
+    last = _last(record)
+    status, sentence = "stopped", f"the process ended without a word after tick {last}; this is made from its record"
+    if running:
+        status, sentence, notes = RUNNING, f"still running: this is its record up to tick {last}", []
+    every = header.get("every", 1)
+    events = read_events(folder)
+    first = _first(events)
+    skipped = (last - first) // every + 1 - len(record.ticks)
+    notes += [UNKNOWN] * far_apart(record.ticks)
+    sends, hears = WAYS[e]
+    came = int((np.asarray(record.played) >= 0).sum())
+    result = end_result(
+        scene, e, record, late, seed=header["seed"], mode=header["mode"], status=status, sentence=sentence,
+        told={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
+        packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=came)},
+    )
+    return result, header.get("command", [])
 
 
 def _scene(header: dict[str, Any], trust: bool) -> Scene:
@@ -123,8 +170,8 @@ def _scene(header: dict[str, Any], trust: bool) -> Scene:
 
 def _summary(folder: Path, scene: Scene, e: str) -> dict[str, Any]:
     """What the end `e` of a run of `scene` told of itself."""
-    if not (folder / "summary.json").is_file():
-        recover(folder, scene)
+    if needs_recovery(folder):
+        return recover(folder, scene).summary()
     try:
         summary = stored_summary(folder)
         of_end(NAMES[e], *WAYS[e])(summary, "summary.json")
@@ -193,6 +240,10 @@ def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[s
 
 def _verdict(ends: dict[str, dict[str, Any]]) -> tuple[str, str]:
     """The status of the whole: what one end found out, the other was told."""
+    running = [NAMES[e] for e, end in ends.items() if end["status"] == RUNNING]
+    if running:
+        over = [f"; {NAMES[e]}: {end['sentence']}" for e, end in ends.items() if end["status"] != RUNNING]
+        return RUNNING, f"still running: {' and '.join(running)}; these are the ticks that both have run{''.join(over)}"
     silent = [end for end in ends.values() if _killed(end)]
     for status in (UNRELEASED, "diverged", "stopped"):
         for end in (*silent, *ends.values()):  # that one was killed comes before what the others say of it

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from teleop.__main__ import main as report
 from teleop.errors import Refused
 from teleop.library import ROOT
 from teleop.live.merge import merge, scene_of
@@ -310,7 +311,7 @@ def test_a_disk_that_fills_up_stops_the_record_and_not_the_loop(command: Start, 
     assert err.startswith("teleop: stopped at t = ")
     assert str(Path("runs") / "hard_wall-slave-1" / FILE) in err
     assert not (folder / "summary.json").exists()
-    assert read_noted(folder)[1] == rows
+    assert read_noted(folder)[1].ticks.tolist() == rows.ticks.tolist()
     left = summary(tmp_path / "runs" / "hard_wall-master-1")
     assert left["packets"]["back"]["received"] > len(rows.ticks), "the loop went on"
 
@@ -331,6 +332,29 @@ def test_what_a_killed_end_left_can_be_opened(command: Start, tmp_path: Path) ->
     assert whole.status == "stopped"
     assert 0 < whole.ticks <= left.ticks
     assert "x_err_rms" in whole.metrics
+
+
+def test_two_ends_that_are_reported_while_they_run_and_then_killed_lose_no_tick_for_it(
+    command: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They stayed at the tick of the report for good, and were said to have ended."""
+    slave, master = slave_and_master(command, "hard_wall", "--set", "duration=60")
+    folders = [tmp_path / "runs" / f"hard_wall-{name}-1" for name in ("master", "slave")]
+    for folder in folders:
+        until_recorded(folder)
+    for typed in ([folders[0]], [folders[1]], folders):
+        assert report(["report", *map(str, typed)]) == 0
+        assert "still running" in capsys.readouterr().out
+    assert [list(folder.glob("*.json")) + list(folder.glob("*.npz")) for folder in folders] == [[], []]
+    then = len(read_record(folders[0])[1].ticks)
+    until(lambda: len(read_record(folders[0])[1].ticks) > then + 250)
+    for end in (master, slave):
+        end.signal(signal.SIGKILL)
+        end.process.wait()
+    for folder in folders:
+        left = load_result(folder)
+        assert left.sentence.startswith("the process ended without a word")
+        assert left.ticks == len(read_record(folder)[1].ticks) > then
 
 
 def test_ends_of_two_runs_are_not_put_together(command: Start, tmp_path: Path) -> None:
