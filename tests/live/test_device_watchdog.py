@@ -426,7 +426,7 @@ def test_an_end_that_is_started_again_is_never_zeroed_by_the_watchdog_of_the_one
     one.slave.process.kill()
     one.slave = one.start("again", port)
     until(lambda: one.motor.zeroed_ns, "the force was not set to zero")
-    until(one.pushes, "the second end holds no force")
+    one.slave.live(lambda numbers: numbers["gain"] == 1.0)  # how much it pushes depends on how far the hand has come
     assert len(one.watchdogs()) == 1
     began = one.motor.zeroed_ns
     time.sleep(1.0)
