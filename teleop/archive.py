@@ -54,7 +54,7 @@ def _array(archive: ZipFile, part: ZipInfo, name: str, rows: int) -> NDArray[Any
         if read_magic(stream) != (1, 0):
             raise Misshapen(f"{name} is no array of numpy's format 1.0")
         shape, by_columns, dtype = read_array_header_1_0(stream, max_header_size=_HEAD)
-        if dtype.kind not in "fiub" or dtype.itemsize > 8:
+        if dtype.kind not in "fiub" or not (4 if dtype.kind == "f" else 1) <= dtype.itemsize <= 8:
             raise Misshapen(f"{name} holds {dtype}, and a trace holds numbers")
         if shape[:1] != (rows,) or len(shape) > 2 or not all(1 <= each <= MOST_AXES for each in shape[1:]):
             raise Misshapen(f"{name} is of shape {shape}, and the run has {rows} rows")

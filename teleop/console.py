@@ -66,7 +66,7 @@ def verdict(result: Result) -> str:
 def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
         got = result.metrics
-        if f"{key}_rms" in got:
+        if {f"{key}_rms", f"{key}_max"} <= got.keys():
             yield f"{si(got[f'{key}_rms'], unit)} rms, {si(got[f'{key}_max'], unit)} max"
 
     return tell
@@ -91,7 +91,7 @@ def _delay(result: Result) -> Iterator[str]:
 
 
 def _seen(got: Mapping[str, float], way: str) -> str:
-    if f"T_{way}_mean" not in got:
+    if not {f"T_{way}_mean", f"T_{way}_max"} <= got.keys():
         return "nothing came"
     mean, most = got[f"T_{way}_mean"], got[f"T_{way}_max"]
     return si(mean, "s") if most - mean < 1e-9 else f"{si(mean, 's')} (up to {si(most, 's')})"
@@ -158,8 +158,7 @@ def _per_tick(result: Result) -> Iterator[str]:
     ends = [f"{si(own['cpu'] * result.dt, 's')} {end}" for end, own in _live_ends(result) if own.get("cpu")]
     if ends:
         yield ", ".join(ends) + " of processor time"
-    elif result.run_time and result.ticks:
-        each = result.run_time / result.ticks
+    elif result.run_time and result.ticks and (each := result.run_time / result.ticks) > 0.0:
         yield f"{si(each, 's')}, {result.dt / each:.3g} times real time"
 
 

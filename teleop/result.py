@@ -208,7 +208,7 @@ def _read(at: Path) -> Result:
 
     summary = stored_summary(at)
     trace = read_arrays(at / "trace.npz", summary["ticks"])
-    t = trace.get("t")
+    t = None if "t" not in trace else np.asarray(trace["t"], dtype=float)
     if t is None or t.ndim != 1 or not (np.isfinite(t).all() and (np.diff(t) > 0.0).all() and
                                          (np.abs(t) <= LATEST).all()):
         raise Misshapen(f"trace.npz has no times t that grow from row to row, up to {LATEST:g} s")

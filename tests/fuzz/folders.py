@@ -71,7 +71,8 @@ class Hostile:
             makes += [self.arrays_of] * 6
         make = self.dice.choice(makes)
         self.done.append(f"{make.__name__} {path.name}")
-        make(path)
+        with suppress(OSError):  # where an earlier change has left a folder in place of a file
+            make(path)
 
     def bytes_of(self, path: Path) -> None:
         """Bits flipped, bytes cut off, put in, doubled or zeroed."""

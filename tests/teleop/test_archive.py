@@ -41,6 +41,7 @@ def test_every_kind_of_column_is_read_back_to_the_bit(tmp_path: Path, compressed
 
 @pytest.mark.parametrize(("name", "array", "says"), [
     ("t", np.array([object()] * ROWS), "holds object"), ("t", np.zeros(ROWS, complex), "holds complex"),
+    ("t", np.zeros(ROWS, "f2"), "holds float16"),
     ("t", np.zeros(ROWS, "f8,i4"), "holds"), ("t", np.zeros(ROWS, "M8[s]"), "holds datetime"),
     ("t", np.array(["a"] * ROWS), "holds <U1"), ("t", np.zeros(3), "the run has 5 rows"),
     ("t", np.array(3.0), "the run has 5 rows"), ("t", np.zeros((ROWS, 17)), "the run has 5 rows"),

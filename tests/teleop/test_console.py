@@ -357,3 +357,10 @@ class TestText:
     def test_that_is_told_at_length_is_cut_and_lines_stay_where_they_are_wanted(self) -> None:
         assert printable("x" * 10, most=5) == "xx..."
         assert printable("a\nb\x1b", lines=True, most=2) == "a\nb\\x1b"
+
+    def test_of_a_summary_that_lacks_half_of_a_pair_of_metrics_leaves_the_pair_out(self) -> None:
+        result = run(load_scene("canonical", duration=0.2))
+        for name in ("x_err_max", "f_err_max", "T_fwd_max"):
+            assert name in result.metrics
+            less = {key: value for key, value in result.metrics.items() if key != name}
+            assert table(replace(result, metrics=less)).startswith("run")
