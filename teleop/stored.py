@@ -28,7 +28,7 @@ def parse(data: bytes | str) -> Any:
     >>> parse('{"k": 3}')
     {'k': 3}
     """
-    got = parse_line(data)
+    got = _decoded(data, _STRICT)
     level = [got]
     for _ in range(DEEPEST):
         level = [inner for each in level if isinstance(each, dict | list)
@@ -39,9 +39,13 @@ def parse(data: bytes | str) -> Any:
 
 
 def parse_line(data: bytes | str) -> Any:
-    """The same without a bound of its own on the depth, for short lines of which there are many."""
+    """The same for short lines of which there are many: the caller looks at the depth, and that numbers are finite."""
+    return _decoded(data, _LINE)
+
+
+def _decoded(data: bytes | str, decoder: json.JSONDecoder) -> Any:
     try:
-        return _DECODER.decode(data if isinstance(data, str) else data.decode())
+        return decoder.decode(data if isinstance(data, str) else data.decode())
     except RecursionError:
         raise Misshapen("it has too many brackets within brackets") from None
     except Misshapen:
@@ -216,4 +220,5 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return got
 
 
-_DECODER = json.JSONDecoder(object_pairs_hook=_once, parse_int=_whole, parse_float=_real, parse_constant=_constant)
+_STRICT = json.JSONDecoder(object_pairs_hook=_once, parse_int=_whole, parse_float=_real, parse_constant=_constant)
+_LINE = json.JSONDecoder(object_pairs_hook=_once, parse_constant=_constant)

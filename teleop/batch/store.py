@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from errno import EFBIG
 from io import FileIO
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -32,12 +32,14 @@ from teleop.batch.definition import (
 from teleop.errors import Refused
 from teleop.files import open_regular, replacing
 from teleop.stored import DEEPEST, Misshapen, parse_line
+from teleop.stored import LONGEST as LONGEST_NUMBER
 
 if TYPE_CHECKING:
     from teleop.batch.table import Table
 
 ROWS = "rows.jsonl"
 LONGEST = 1 << 20  # bytes of a row
+_GREATEST = 10**LONGEST_NUMBER
 
 
 class Done:
@@ -259,11 +261,16 @@ def _row(line: bytes) -> dict[str, Any] | None:
         return None
 
 
-def _is_cell(value: object, level: int = 0) -> bool:
-    """Is it a number, a text or a truth, or lists of such as a knob may have?"""
-    if isinstance(value, list):
+def _is_cell(value: Any, level: int = 0) -> bool:
+    """Is it a finite number, a text or a truth, or lists of such as a knob may have?"""
+    kind = type(value)
+    if kind is float:
+        return bool(-inf < value < inf)
+    if kind is int:
+        return bool(-_GREATEST < value < _GREATEST)
+    if kind is list:
         return level < DEEPEST and all(_is_cell(each, level + 1) for each in value)
-    return not isinstance(value, dict)
+    return kind is not dict
 
 
 def _line(row: Mapping[str, Any], metrics: frozenset[str]) -> bytes:

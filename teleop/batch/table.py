@@ -104,7 +104,7 @@ class TableBuilder:
             if type(value) is not int or not low <= value < low + (1 << 64):
                 raise Refused(f"{name} must be a whole number of 64 bits, not {value!r}; write for example {name}=0")
         for name in ("status", "sentence"):
-            if not isinstance(row.get(name), str | None):
+            if not (row.get(name) is None or isinstance(row[name], str)):
                 raise Refused(f"row {row['row']} has a {name} that is no text; write it as one")
         figures = [(columns[name], self._figure(name, row.get(name))) for name in self.metrics]
         for name in _WHOLE:

@@ -52,6 +52,12 @@ def test_what_is_written_is_read_back(value: Any) -> None:
     assert parse(data) == parse_line(data) == value
 
 
+def test_a_line_may_hold_numbers_that_its_caller_has_to_look_at() -> None:
+    assert parse_line(b"1e999") == float("inf")
+    with pytest.raises(Misshapen, match="NaN"):
+        parse_line(b"NaN")
+
+
 @pytest.mark.parametrize(("check", "good", "bad", "says"), [
     (text, "a", 3, "it must be a text, not 3"), (truth, True, 1, "true or false"),
     (whole(low=0, high=5), 5, 6, "at most 5"), (whole(low=0), 0, -1, "at least 0"), (whole(), -7, 1.0, "whole number"),
