@@ -37,7 +37,10 @@ class SimulatedMaster:
         self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # ticks
 
     def read(self, k: int) -> Reading:
-        """Position, velocity and hand force, the left limit at tick k. Ticks may be left out, not taken twice."""
+        """Position, velocity and hand force, the left limit at tick k. Ticks may be left out, not taken twice.
+
+        After the scene's last tick the hand's reference stays where it is.
+        """
         while self._k < k:
             if self._k - self._renewed >= self._lapse:
                 self._f = [0.0] * len(self._f)
@@ -52,13 +55,18 @@ class SimulatedMaster:
     def _move(self, k: int) -> None:
         for i, (x, v, f) in enumerate(zip(self._x, self._v, self._f, strict=True)):
             if self._held is not None:
-                r0, r1 = (0.0, 0.0) if self._reference is None else self._reference[i][k : k + 2]
+                r0, r1 = (0.0, 0.0) if self._reference is None else (self._at(i, k), self._at(i, k + 1))
                 self._x[i], self._v[i], self._z[i] = self._held.move(self._c, x, v, f, r0, r1, self._z[i])
             elif self._reference is None:
                 self._x[i], self._v[i], _ = move_free(self._c, x, v, -f)
             else:
-                r = self._reference[i]
-                self._x[i], self._v[i] = move_gripped(self._c, x, v, f, r[k], r[k + 1])
+                self._x[i], self._v[i] = move_gripped(self._c, x, v, f, self._at(i, k), self._at(i, k + 1))
+
+    def _at(self, i: int, k: int) -> float:
+        """The hand's reference at tick k, m."""
+        assert self._reference is not None
+        r = self._reference[i]
+        return r[k] if k < len(r) else r[-1]
 
     def _hand(self) -> Axes:
         if self._reference is None:
@@ -66,9 +74,9 @@ class SimulatedMaster:
         return tuple([self._grip(i) for i in range(len(self._x))])
 
     def _grip(self, i: int) -> float:
-        assert self._reference is not None
-        k, r = self._k, self._reference[i]
-        state = self._c, self._x[i], self._v[i], self._f[i], r[k], (r[k] - r[k - 1]) / self._dt if k else 0.0
+        k = self._k
+        r = self._at(i, k)
+        state = self._c, self._x[i], self._v[i], self._f[i], r, (r - self._at(i, k - 1)) / self._dt if k else 0.0
         if self._held is None:
             return grip_force(*state)
         return self._held.force(*state, self._z[i])

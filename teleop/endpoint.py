@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from teleop.estimates import LinkEstimates
 from teleop.guard import Guard
+from teleop.held import HeldForce
 from teleop.packet import DATA, MOST_SEQ, Echo, Kind, Packet, Rejection, Window, check_size, decode, encode, unwrapped
 from teleop.playout import Fixed, Inbox, Plan
 from teleop.presence import Presence
@@ -109,7 +110,7 @@ class Endpoint:
         self._placed = False  # is it known where the device was before tick 0
         self._away: Axes | None = None  # how far that is from where the scene begins, if it is not there
         self._index: Axes | None = None  # where the law's positions count from, if not from the device's zero
-        self._held: Axes = (0.0,) * scene.axes
+        self.held = HeldForce(scene, e, self.every, self.guard)
         self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
         self._shifted = 0  # ns that the grid was moved by
         self._live = compiled(self.own, live_text(self.own, e), "live")  # now: at tick 0 there is no time for it
@@ -198,11 +199,12 @@ class Endpoint:
         got = self._rates.take(self.inbox, self._tick, k)
         gain = self._gain(k, now, None if got is None else k - got[0], trouble)
         if self.guard.lapsed:
-            self._held = (0.0,) * self.scene.axes
+            self.held.zero()
         seq, rx = (-1, None) if got is None else (got[0], got[1].rx)
         x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
         own, newest = k // self.every, seq if self.every == 1 else seq / self.every
-        told = own, x, reading.v, reading.f, got is not None, newest, rx, gain, self._held
+        held = self.held.force, self.held.since(k)
+        told = own, x, reading.v, reading.f, got is not None, newest, rx, gain, *held
         force, tx, row = self._started.send(told)
         if got is not None and self._E_out is not None and got[1].E_in is not None:
             margin = got[1].E_in - row[self._E_out]
@@ -211,18 +213,16 @@ class Endpoint:
         if self._index is not None:
             row = self._physical(row)
         self._tick = k
-        self._held = force
-        if not all(map(isfinite, force)):
+        if not self.held.take(force):
             self.force_failed = f"f_{self.e}"
         self._follow()
         return Tick(force, self._datagram(k, now, tx, row), row, seq)
 
-    def left_out(self, k: int, trouble: str) -> None:
-        """Tick k cannot be run, for there is no reading: the device holds no force from now on."""
-        self.guard.step(k, False, trouble)
-        self.guard.gain = 0.0
-        self.session.let_go = True
-        self._held = (0.0,) * self.scene.axes
+    def left_out(self, k: int, trouble: str) -> Axes:
+        """Tick k cannot be run, for there is no reading: the force (N, per axis) to hold, on its way to zero."""
+        force = self.held.blind(k, self._tick, trouble)
+        self.session.let_go = not any(force)
+        return force
 
     def stood_still(self, ns: int) -> None:
         """This machine was suspended for `ns`: what it has of its peer is older than its clock says."""
@@ -246,6 +246,7 @@ class Endpoint:
     def _begin(self, k: int, reading: Reading) -> None:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
         first, self._met = self._met == 1 and self._started is None, self.session.met
+        self.held.begin(k)
         x = reading.x
         if first and not self._placed:
             self.place(x)  # nobody could read it before

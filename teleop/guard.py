@@ -157,6 +157,16 @@ class Guard:
             return f"no answer: the other end has not heard this one for {self._dog.timeout:g} s"
         return None
 
+    def fall(self, passed: int = 1) -> float:
+        """The gain `passed` own ticks later with the run over: on its way to 0 along the ramp; no event.
+
+        A stepped end whose scene names no watchdog has the ramp of `UNNAMED` for this.
+        """
+        step = passed * (self._dog or UNNAMED).limits(self._dt).step
+        self.lapsed = passed > self._lapses
+        self.gain = self.gain - step if self.gain > step and not self.lapsed else 0.0
+        return self.gain
+
     def tell(self, k: int, what: str, why: str) -> None:
         """Note an event."""
         if len(self.events) < MOST_EVENTS:

@@ -95,6 +95,9 @@ BURST = 1.0  # s, whose energy the budget holds at most
 class Cap:
     """|f| <= f_max (N) and |df/dt| <= slew (N/s), per axis; drive at less than v_max (m/s) and with `power` (W) alone.
 
+    At the end of a live run the force goes to zero within `slew` and `v_max`. The work that it does on that way, at
+    most |f| ramp/2 + f^2/(2 slew) times the speed, is not counted against `power`.
+
     `slew`, `v_max` and `power` are left out with None. For the last two see `fade` and `ration`, which say what they
     promise and when.
     """

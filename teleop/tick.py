@@ -99,13 +99,13 @@ def live(scene, given, law, dt, x0, v0, touch0):
     [START {e}]
     c_tick = c_obs                                             #? observe_{e}
     c_once = c_cap                                             #? cap
-    k, x, v, touch, got_{e}, newest, rx, g_{e}, held = yield
+    k, x, v, touch, got_{e}, newest, rx, g_{e}, held, since = yield
     k_before = k - 1
     while True:
         c_obs = c_tick if k == k_before + 1 else observer_over(k - k_before)  #? observe_{e}
         span = (k - k_before) * dt                             #? velocity_{e}
         # let go after a stall: what it could have slewed in the meantime it slews now  #? cap
-        late = k - k_before if g_{e} <= 0.0 else 1                   #? cap
+        late = since if g_{e} <= 0.0 else 1                    #? cap
         c_cap = c_once if late == 1 else c_once._replace(step=c_once.step * late)  #? cap
         k_before = k
         <<x_{e}@>>, = x; <<v_{e}@>>, = v; <<f_{e}@>>, = held
@@ -114,7 +114,7 @@ def live(scene, given, law, dt, x0, v0, touch0):
             newest_{e} = newest                                #? age_{e}
             <<rx_{e}@>>, = rx
         [END {e}]
-        k, x, v, touch, got_{e}, newest, rx, g_{e}, held = yield (<<f_{e}@>>,), (<<tx_{e}@>>,), ({row_e},)
+        k, x, v, touch, got_{e}, newest, rx, g_{e}, held, since = yield (<<f_{e}@>>,), (<<tx_{e}@>>,), ({row_e},)
 """
 
 LOOP = """

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 HEED_S = 2.0  # a signal that was not heeded for so long counts as two
 HUNG_S = 0.3  # so long after the second an end that is well has no force any more
-LEAVE_S = 4.0  # so long after that it has none either, if it heeds the one
+LEAVE_S = 4.0  # so long after that it has none either, if it heeds the one; and so long a start is waited for
 ACT_S = 1.0  # for the device to take zero force, the record to be written and the peer to be told
 
 
@@ -75,12 +75,16 @@ class LastResort:
                 for number in self.interrupt.taken.intersection(came):
                     self._names += [name_of(number)] * came.count(number)
                     due = min(due, time.monotonic() + (HEED_S if len(self._names) == 1 else HUNG_S))
-            elif self.shell is not None and self.shell.free:
+            elif self._may_wait():
                 due = float("inf")
-            elif len(self._names) == 1 and not self._leaves and self.shell is not None and self.shell.over.is_set():
+            elif not self._leaves and (self.shell is None or (len(self._names) == 1 and self.shell.over.is_set())):
                 self._leaves, due = True, time.monotonic() + LEAVE_S
             else:
                 self._act()
+
+    def _may_wait(self) -> bool:
+        """Is there no force that is to be let go: after the run, or, however long it takes, before it?"""
+        return len(self._names) == 1 if self.shell is None else self.shell.free
 
     def _act(self) -> None:
         """Zero force, the record, the peer, a sentence, the end; whatever of it hangs."""

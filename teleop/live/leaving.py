@@ -1,6 +1,12 @@
 """How a live end leaves: its device without force, its record closed, its peer told the truth.
 
-Each of these steps is taken whatever the ones before it raise. Zero force is tried again for `RETRY_NS` by a device
+The force goes as in the safe state: along the watchdog's ramp and within the slew limit, tick by tick, so that nothing
+jumps in a person's hand. The law has no part in it: the force that was held falls in amount until it is zero. The
+device is read meanwhile, for the velocity cap; after a run that diverged it is not, since its readings are not
+believed. Without readings the way takes `BLIND_NS` at most, else `RAMP_NS`; what is left then goes at once. So does all
+of it after a second signal, and where something was raised: what is broken is asked for nothing more than zero.
+
+Each of the steps is taken whatever the ones before it raise. Zero force is tried again for `RETRY_NS` by a device
 that does not take it; then the status is `UNRELEASED`, and the sentence says that the force may still be on.
 """
 
@@ -10,13 +16,54 @@ import asyncio
 import time
 from typing import TYPE_CHECKING
 
+from teleop.held import BLIND_NS
+from teleop.live.ticker import Alarm
+
 if TYPE_CHECKING:
     from teleop.live.shell import Shell
 
+RAMP_NS = 2_000_000_000  # the longest way of the force to zero
 RETRY_NS = 1_000_000_000  # zero force is tried for so long
 PAUSE = 0.005  # s between two tries
 UNRELEASED = "unreleased"  # the status of a run whose device did not take zero force
 MAY_BE_ON = "THE FORCE MAY STILL BE ON, switch the device off"
+
+
+async def let_go(shell: Shell) -> None:
+    """Take the force of `shell` to zero, one step a tick; nothing of it is recorded but an event."""
+    stand, endpoint = shell.stand, shell.endpoint
+    if shell.fault is not None or not stand.forced:
+        return
+    if shell.status != "ok" and stand.trouble is None:  # how a device that fails has ended is told when it is known
+        shell.send(shell.bye())  # now, so that the other end does not go on with what it heard last
+    most, began, k = max(map(abs, endpoint.held.force)), time.monotonic_ns(), shell.last
+    seen = began  # when it was last read
+    ring = asyncio.Event()
+    alarm = Alarm(asyncio.get_running_loop(), ring.set)
+    alarm.set(began + endpoint.own.dt_ns, endpoint.own.dt_ns)
+    try:
+        now, passed, reading = began, 1, None  # that of this tick has been used
+        while True:
+            force = endpoint.held.over(None if reading is None else reading.v, passed)
+            blind = now - seen > BLIND_NS or now - began > RAMP_NS
+            if shell.interrupt.count > 1 or blind or not any(force):
+                break
+            if not stand.hold(force):
+                break
+            await ring.wait()
+            ring.clear()
+            before, now = now, time.monotonic_ns()
+            passed = max(1, round((now - before) / endpoint.own.dt_ns))
+            k += passed * endpoint.every
+            reading = None if shell.status == "diverged" else stand.read(k, now)
+            seen = seen if reading is None else now
+    finally:
+        alarm.close()
+    stand.let_go()
+    rest = max(map(abs, force))
+    jump = f", the last {rest:.3g} N at once" if rest > 0.0 else ""
+    told = f"{most:.3g} N taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
+    endpoint.guard.tell(shell.ran, "zero", told)
 
 
 async def leave(shell: Shell) -> None:

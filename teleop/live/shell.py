@@ -13,7 +13,7 @@ from teleop.guard import Event
 from teleop.live import fault
 from teleop.live.hearing import Hearing
 from teleop.live.interrupt import Interrupt
-from teleop.live.leaving import UNRELEASED, leave
+from teleop.live.leaving import UNRELEASED, leave, let_go
 from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
 from teleop.live.stand import Device, Stand, deadline_of
@@ -83,6 +83,7 @@ class Shell:
                     await by_packets(self, self.endpoint.inbox)
                 else:
                     await self._by_clock(loop)
+                    await let_go(self)
                 self.run_time = (time.monotonic_ns() - began) / 1e9
                 self.cpu = (time.process_time_ns() - used) / 1e9 / max(1e-9, self.run_time)
         except BaseException as error:
@@ -224,8 +225,7 @@ class Shell:
         if self.over.is_set():
             return
         if k < self.last and self.last >= 0:  # a new session's grid is behind: no force until it is there again
-            self.endpoint.left_out(self.last, "the grid of ticks went back")
-            self.stand.let_go()
+            self._hold(self.endpoint.left_out(self.last, "the grid of ticks went back"))
         if k <= self.last:
             self.say_again(now)
             return
@@ -254,10 +254,10 @@ class Shell:
         reading = stand.read(k, now)
         if stand.dead(now):
             self.stop(f"the device fails: {stand.trouble}")
+            return
         trouble = None if stand.trouble is None else f"the device: {stand.trouble}"
         if reading is None:
-            self.endpoint.left_out(k, str(trouble))
-            stand.let_go()
+            self._hold(self.endpoint.left_out(k, str(trouble)))
             self.note()
             return
         if self.ticks and self.beyond(reading):
@@ -265,7 +265,7 @@ class Shell:
         out = self.endpoint.tick(k, now, reading, trouble)
         failed = self.endpoint.force_failed
         if failed is None:
-            stand.hold(out.force)
+            self._hold(out.force)
         if out.datagram is not None:
             self.wire.send(out.datagram)
             self.data_sent += 1
@@ -279,10 +279,14 @@ class Shell:
         if failed is None:
             self.shown = reading, out.force
         else:
-            stand.let_go()
             self.endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
             self.end("diverged", divergence(self.scene, k, f"{failed} is not finite"))
         self.note()
+
+    def _hold(self, force: Axes) -> None:
+        """Have the device hold `force`. What did not take it may hold anything, and begins again at zero."""
+        if not self.stand.hold(force):
+            self.endpoint.held.lost()
 
     def note(self) -> None:
         """Write down what has happened since the last time."""
@@ -300,7 +304,6 @@ class Shell:
         limit = self.scene.x_limit
         if all(-limit < x < limit for x in reading.x):
             return False
-        self.stand.let_go()
         self.endpoint.guard.tell(self.ran, "safe", f"the motion: x_{self.endpoint.e} passed {limit:g} m")
         self.note()
         self.end("diverged", divergence(self.scene, self.ran, f"x_{self.endpoint.e} passed {limit:g} m"))

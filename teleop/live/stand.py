@@ -23,7 +23,9 @@ class Device(Protocol):
     let go. A device whose hardware cannot has an attribute `watchdog`, a `teleop.live.heartbeat.DeviceWatchdog`: a
     process beside the end that does it. The summary of a device that has neither says so.
 
-    What cannot be read or held raises `DeviceError`, or an OSError: the end is safe until it can again.
+    What cannot be read or held raises `DeviceError`, or an OSError: the end is safe until it can again. Both functions
+    are called from one thread, but for one case: where one of them does not return, a second signal has `hold` called
+    with zeros from another thread. It should then not wait without a bound for a lock that the first call has.
     """
 
     def read(self, k: int) -> Reading:
@@ -97,8 +99,11 @@ class Stand:
             self.trouble, self._sound_ns = None, now
         return reading
 
-    def hold(self, force: Axes) -> None:
-        """Have it hold `force` (N, per axis). What is neither DeviceError nor OSError comes through: it is a fault."""
+    def hold(self, force: Axes) -> bool:
+        """Have it hold `force` (N, per axis); True if it took that.
+
+        What is neither DeviceError nor OSError comes through: it is a fault.
+        """
         force = self._zero if self.closed else force
         pushes = any(force)
         self.forced = self.forced or pushes
@@ -107,6 +112,7 @@ class Stand:
             self._held_well, self.forced = True, pushes
         except (DeviceError, OSError) as error:
             self._failed(error)
+        return self._held_well
 
     def let_go(self) -> bool:
         """Have it hold no force, whatever it raises; True if it took that."""

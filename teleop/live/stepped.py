@@ -7,6 +7,7 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from teleop.live.leaving import let_go
 from teleop.live.meeting import HUSH
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ async def by_packets(shell: Shell, inbox: Stepped) -> None:
         shell.announce(now)
     else:
         shell.finish()
+    await let_go(shell)  # before it waits for anything
     for _ in range(LINGER):  # the peer may still wait for the last packets
         if shell.endpoint.session.farewell is not None or shell.fault is not None:
             return

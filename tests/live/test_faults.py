@@ -275,7 +275,7 @@ def test_a_fault_whose_own_text_cannot_be_had_has_a_sentence() -> None:
         def __str__(self) -> str:
             raise self
 
-    assert fault.sentence(Nameless(), {}) == "the live loop raised Nameless"
+    assert fault.sentence(Nameless()) == "the live loop raised Nameless"
     with pytest.raises(AttributeError) as caught:
         Endpoint.tick(None, 0, 0, None)  # type: ignore[arg-type]
-    assert fault.sentence(caught.value, {}).startswith("the law raised AttributeError: ")
+    assert fault.sentence(caught.value).startswith("the law raised AttributeError: ")

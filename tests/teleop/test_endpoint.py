@@ -388,16 +388,6 @@ def test_where_the_scene_names_no_watchdog_a_long_silence_makes_an_end_safe_live
     assert np.abs(force[900:1100]).min() > 0.0, "until then it acts as in virtual time"
 
 
-def test_a_tick_without_a_reading_lets_go_and_the_force_does_not_jump_back() -> None:
-    end = met(scene(Direct(K=200.0, B=0.0), cap=Cap(f_max=5.0, slew=100.0)))["s"]
-    held = [end.tick(k, START + k * MS, reading(-0.01 if k else 0.0)).force[0] for k in range(30)]
-    assert held[-1] == 2.0
-    end.left_out(30, "the device: it is gone")
-    assert end.tick(31, START + 31 * MS, reading(-0.01)).force == (0.0,)
-    assert end.guard.safe
-    assert "it is gone" in end.guard.events[0].why
-
-
 @pytest.mark.parametrize(("playout", "played"), [(Zero(), 0.0), (Fixed(0.5), 0.5), (Fixed(2.0), 2.0)])
 def test_a_session_is_renewed_only_after_the_watchdog_has_let_go(playout: Any, played: float) -> None:
     """With a fixed playout the last messages act for that long: a new session would have cut their force off."""
