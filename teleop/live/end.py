@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
+from teleop.guard import UNNAMED
 from teleop.live import fault, output, realtime, security
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.heartbeat import watched
@@ -138,6 +139,11 @@ def _every(scene: Scene, args: Namespace) -> int:
                       f"{own / 2:g}, or set the scene's dt")
     if args.lockstep and every != 1:
         raise Refused("--lockstep runs both ends at the scene's own rate; leave out --rate")
+    dog = scene.watchdog or UNNAMED
+    if every * scene.dt > dog.timeout:
+        raise Refused(f"--rate {args.rate:g} sends a message every {every * scene.dt:g} s, which the other end takes "
+                      f"for silence: its watchdog's timeout is {dog.timeout:g} s; write a higher --rate, or a longer "
+                      "timeout in the scene")
     return every
 
 

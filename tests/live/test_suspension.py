@@ -121,3 +121,32 @@ def test_an_outage_one_way_lets_both_go_and_ends_in_another_session(cut: str, pa
         assert whats[-1][0] == "released"
     deaf = [event.why for event in ends[cut].guard.events if event.k > 1490 and event.what == "safe"]
     assert deaf[0].startswith(("no answer", "a stall"))
+
+
+@pytest.mark.live
+def test_a_delay_that_grows_lets_a_live_end_go_although_packets_come_all_the_while(
+    pair: Callable[..., Any]
+) -> None:
+    """What the master sends is held up at its socket, for ever longer: by half a second a second."""
+    dog = Watchdog(timeout=0.3, ramp=0.05, settle=0.1, age=0.5)
+    both = pair(replace(load_scene("hard_wall", duration=5.0, law="direct"), link=None, watchdog=dog))
+    wire, slave = both.shells["m"].wire, both.shells["s"].endpoint
+    send, began, waiting = wire.send, time.monotonic_ns(), []
+
+    def late(data: bytes) -> None:
+        now = time.monotonic_ns()
+        growing = both.shells["m"].endpoint._tick > 1000
+        if not growing and not waiting:
+            nonlocal began
+            began = now
+        waiting.append((now + max(0, (now - began) // 2), data))
+        while waiting and waiting[0][0] <= now:
+            send(waiting.pop(0)[1])
+
+    wire.send = late
+    both.run()
+    assert both.status() == {"m": "ok", "s": "ok"}
+    causes = [event.why for event in slave.guard.events if event.what == "safe" and event.k > 1000]
+    assert any(why.startswith("age: messages come more than 0.5 s") for why in causes), causes
+    assert slave.guard.old > 100
+    assert slave.guard.gain == 0.0

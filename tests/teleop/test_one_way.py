@@ -192,3 +192,46 @@ def test_silence_is_as_long_whatever_rate_the_other_end_has(every: tuple[int, in
         delay = 0.05 if isinstance(playout, Fixed) else 0.02
         own = every["ms".index(e)] * 0.002
         assert (safe - began) / S <= delay + 0.1 + 2 * own + 0.004
+
+
+@pytest.mark.parametrize("lost", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("who", ["m", "s"])
+def test_messages_from_ahead_of_the_clock_say_within_some_ticks_that_it_stood_still(who: str, lost: float) -> None:
+    """Nothing waits for it that would tell, as its network was away too, and no clock of it counted the time."""
+    world = running(direct(), still=True)
+    world.devices["m"].x = 0.02
+    world.run(0.5)
+    world.pause(who, True)
+    world.run(lost)
+    process = world.processes[who]
+    assert process is not None
+    process.queue.clear()
+    world.step(who, -round(lost * S))
+    world.pause(who, False)
+    world.run(0.02)
+    events = [event for event in world.end(who).guard.events if event.what == "safe"]
+    assert events[0].why.startswith("stood still"), events
+    assert world.until_both_play(PATIENT) < PATIENT
+    assert [world.end(e).session.met for e in "ms"] == [2, 2]
+
+
+@pytest.mark.parametrize("who", ["m", "s"])
+def test_in_another_session_nothing_is_released_before_the_other_end_hears_it(who: str) -> None:
+    """The exchange comes through all the while, and of the messages only those of the other end."""
+    world = running(direct(), still=True)
+    send, lost = World.send, True
+
+    def lossy(self: World, e: str, data: bytes) -> None:
+        if not (lost and e == who and peek(data)[0] in (Kind.FORTH, Kind.BACK)):
+            send(self, e, data)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(World, "send", lossy)
+        began = world.true
+        world.run(5.0)
+        assert world.end(who).session.met > 1
+        gains = [done.gain for done in after(world, who, began)]
+        assert all(b <= a for a, b in pairwise(gains)), "it let go once, and no session released it"
+        assert gains[-1] == 0.0
+        lost = False
+        assert world.until_both_play(PATIENT) < PATIENT

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.lockstep import run
 from teleop.playout import Fixed, Hold, Inbox, Playout, Zero
 from teleop.rates import Heard, Resampling
+from teleop.scene import load_scene
 from teleop.tick import columns
 from tests.teleop.virtual_clock import MS, World, healing
 
@@ -165,3 +167,17 @@ def test_a_slower_peer_that_falls_silent_is_not_played_on_and_on() -> None:
 def test_hold_plays_the_last_one_on_at_any_rate() -> None:
     world = ran("direct", (2, 3), playout=Hold())
     assert error(common(world, "x_m", "x_s")) == pytest.approx(of_virtual_time("direct"), rel=0.12)
+
+
+def test_a_rate_at_which_every_message_comes_after_the_watchdogs_timeout_is_refused() -> None:
+    from argparse import Namespace
+
+    from teleop.live.end import _every
+
+    asked = partial(Namespace, lockstep=False)
+    dogged = load_scene("hard_wall")
+    assert _every(dogged, asked(rate=5.0)) == 200, "as long as the timeout, and no longer"
+    with pytest.raises(Refused, match=r"every 0.25 s, .* timeout is 0.2 s; write a higher --rate"):
+        _every(dogged, asked(rate=4.0))
+    with pytest.raises(Refused, match=r"timeout is 0.8 s"):
+        _every(load_scene("canonical"), asked(rate=1.0))
