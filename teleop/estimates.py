@@ -123,7 +123,7 @@ class LinkEstimates:
         self.way, self.rtt = Times(), Times()
         self.jitter_ns = 0.0
         self.reordered = 0
-        self.clock = PeerClock(band_ns)
+        self.clock = self._parted = PeerClock(band_ns)
         self.transit_ns: int | None = None  # of the last message, by the two ends' own clocks
         self._first, self._newest = 0, -1
         self._came = 0
@@ -158,11 +158,16 @@ class LinkEstimates:
         lost = self.lost(every)
         return lost / (lost + self.way.count) if lost else 0.0
 
+    @property
+    def parted(self) -> PeerClock:
+        """The peer's clock in the session in which it moved most beside ours."""
+        return max(self._parted, self.clock, key=lambda clock: abs(clock.shift_ns))
+
     def begin(self, every: int = 1) -> None:
         """A new session: its numbers, its clock; the figures go on."""
         self._lost += self._missing(every)
         self._came, self._newest, self.transit_ns = 0, -1, None
-        self.clock = PeerClock(self.clock.band_ns)
+        self._parted, self.clock = self.parted, PeerClock(self.clock.band_ns)
 
     def _missing(self, every: int) -> int:
         return max(0, (self._newest - self._first) // every + 1 - self._came) if self._came else 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.endpoint import SLEW
 from teleop.errors import Refused
-from teleop.estimates import LinkEstimates, PeerClock, Times
+from teleop.estimates import LinkEstimates, Times
 from teleop.live.realtime import sentence
 from teleop.live.record import FILE, read_events, read_noted
 from teleop.lockstep import age_note
@@ -78,7 +78,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         status=shell.status, sentence=shell.sentence, told=told,
         packets={sends: Packets(sent=shell.data_sent), hears: heard}, first=shell.first, every=endpoint.every,
         notes=[*old, *cut, *[INSECURE] * shell.insecure, *[UNWATCHED] * _holds_on(shell),
-               *filter(None, [shell.recorder.trouble, clock_note(endpoint.link.clock)]),
+               *filter(None, [shell.recorder.trouble, clock_note(endpoint.link)]),
                *([sentence(shell.realtime)] if shell.realtime else [])],
     )
 
@@ -154,12 +154,13 @@ def _estimates(link: LinkEstimates, every: int) -> dict[str, Any]:
                 "offset": offset / 1e9, "drift": link.clock.drift, "moved": link.clock.shift_ns / 1e9}}
 
 
-def clock_note(clock: PeerClock) -> str | None:
+def clock_note(link: LinkEstimates) -> str | None:
     """A sentence if the peer's clock goes at another rate than a slave's grid can follow; None if it does not.
 
     Judged by what of the change of the offset the ways cannot explain, so a link whose delays change is not taken for a
-    clock; before `FEWEST_NS` have been seen nothing is said.
+    clock; before `FEWEST_NS` have been seen nothing is said. Of several sessions the one that moved most.
     """
+    clock = link.parted
     seen = clock.seen_ns - clock.since_ns
     apart = abs(clock.shift_ns) - seen // SLEW
     if seen < FEWEST_NS or apart <= clock.band_ns:
@@ -168,8 +169,8 @@ def clock_note(clock: PeerClock) -> str | None:
     pace = "faster" if rate > 0.0 else "slower"
     return (f"the other end's clock goes {abs(rate) * 1e6:,.0f} ppm {pace} than this one's, and a slave's grid of "
             f"ticks follows {1e6 / SLEW:.0f} ppm: in {seen / 1e9:.0f} s the two grids came apart by {apart / 1e6:.1f} "
-            "ms, by which delays and ages as told, a fixed playout and the tracking error are wrong; have a time "
-            "service (NTP, PTP) keep both clocks, or mend the one that is off")
+            "ms, by which delays and ages as told, a fixed playout and the tracking error are wrong, until the two "
+            "begin a new session for it; have a time service (NTP, PTP) keep both clocks, or mend the one that is off")
 
 
 def _holds_on(shell: Shell) -> bool:
