@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from channel.schedule import Stream, Way
+from channel.schedule import ENTRY, Stream, Way
 
 MOST = 2**18  # datagrams under way, both directions and all copies
+MOST_BYTES = 2**25  # of memory for them: what comes beyond it is dropped
 _NUMBERS = 2**62
 
 
@@ -19,7 +20,7 @@ class Counts(NamedTuple):
     received: int
     doubled: int  # copies the link made
     lost: int  # by the link
-    overflowed: int  # came when MOST were under way
+    overflowed: int  # came when MOST, or MOST_BYTES, were under way
     rejected: int  # with a number that no packet can have
     delivered: int
     under_way: int
@@ -58,7 +59,8 @@ class Relay:
         self._now = max(self._now, came)
         self._received[direction] += 1
         one, other = self._streams
-        if one.under_way + other.under_way + len(self._control) >= MOST:
+        full = one.bytes + other.bytes + len(data) + ENTRY > MOST_BYTES
+        if full or one.under_way + other.under_way + len(self._control) >= MOST:
             self._overflowed[direction] += 1
         elif packet_number is None:
             self._control.append((came, direction, data))

@@ -16,6 +16,8 @@ from channel.dice import Dice, Ints
 from channel.effect import Effect, State, by_number
 from teleop.errors import Refused
 
+ENTRY = 250  # bytes of memory that a packet under way takes up beside its load: a tuple, its numbers, the load's object
+
 
 class Way(Protocol):
     """Whatever leads from one end to the other: an effect, a chain of them, a link."""
@@ -99,6 +101,7 @@ class Stream:
         self._heap: list[tuple[int, int, int, int, bytes]] = []  # time, place, packet, serial, load
         self._serial = 0
         self._shift = _shift(self._effects) if log is None else None
+        self.bytes = 0  # of memory that the packets under way take up
         self.sent = self.doubled = self.lost = self.delivered = 0
         """Counters: at any time, sent + doubled = lost + delivered + under_way."""
         nothing = np.empty(0, np.int64)
@@ -111,6 +114,7 @@ class Stream:
         if self._shift is not None:
             heappush(self._heap, (now_ns + self._shift, len(self._effects), packet, self._serial, load))
             self._serial += 1
+            self.bytes += len(load) + ENTRY
             return
         self._onward(0, np.array([packet], np.int64), np.array([now_ns], np.int64), load)
 
@@ -124,6 +128,7 @@ class Stream:
         heap, end = self._heap, len(self._effects)
         while heap and heap[0][0] <= now_ns:
             time_ns, place, packet, _, load = heappop(heap)
+            self.bytes -= len(load) + ENTRY
             if place == end:
                 out.append(Delivery(packet, time_ns, load))
             else:
@@ -149,6 +154,7 @@ class Stream:
         for number, time in zip(packet.tolist(), time_ns.tolist(), strict=True):
             heappush(self._heap, (time, place, number, self._serial, load))
             self._serial += 1
+            self.bytes += len(load) + ENTRY
 
     def _carry(self, place: int, packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
         effect = self._effects[place]

@@ -97,6 +97,35 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert relay.counts(0).under_way == 2
 
 
+def test_eighty_megabytes_a_second_of_long_datagrams_do_not_fill_the_memory() -> None:
+    """For eight seconds, on a link of one second: what comes beyond the bound is dropped and counted."""
+    relay, most, size = Relay(Delay(1.0), 1, 100), 0, 8000
+    for k in range(80_000):
+        relay.receive(k % 2, k, bytes(size), k * MS // 10)
+        most = max(most, sum(relay.counts(way).under_way for way in (0, 1)))
+        if k % 100 == 0:
+            relay.due(k * MS // 10)
+    assert channel.relay.MOST_BYTES == 2**25
+    assert most * size < channel.relay.MOST_BYTES
+    for way in (0, 1):
+        assert settled(relay.counts(way))
+        assert relay.counts(way).overflowed > 20_000
+    relay.due(20 * 10**9)
+    assert sum(stream.bytes for stream in relay._streams) == 0
+    relay.receive(0, 10**6, b"again", 20 * 10**9)
+    assert relay.counts(0).under_way == 1
+
+
+@pytest.mark.parametrize("text", ["duplicate(0.5) | delay(0.1)", "bernoulli(0.5) | in_order()", "uniform(0.1)"])
+def test_the_memory_that_packets_take_up_is_counted_back_to_nothing(text: str) -> None:
+    relay = Relay(parse_link(text), 1, 100)
+    for k in range(1000):
+        relay.receive(k % 2, k, bytes(100), k * MS)
+    assert sum(stream.bytes for stream in relay._streams) > 0
+    relay.due(10**12)
+    assert [stream.bytes for stream in relay._streams] == [0, 0]
+
+
 def test_a_clock_that_goes_back_does_no_harm() -> None:
     relay = Relay(Delay(0.001), 1, 100)
     relay.receive(0, 0, b"a", 10 * MS)
