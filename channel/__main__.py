@@ -11,7 +11,7 @@ from typing import Any
 
 from channel.link import describe
 from channel.shell import RelayShell
-from teleop.live import output, realtime
+from teleop.live import output, realtime, security
 from teleop.live.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.interrupt import Interrupt
 from teleop.live.wire import Wire
@@ -29,6 +29,7 @@ def _run(argv: list[str]) -> int:
     scene_options(parser)
     parser.add_argument("--listen", metavar="HOST:PORT", required=True, help="where the master sends to")
     parser.add_argument("--peer", metavar="HOST:PORT", required=True, help="where the slave listens")
+    security.insecure_option(parser)
     realtime.option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     args = parser.parse_args(argv)
@@ -36,7 +37,10 @@ def _run(argv: list[str]) -> int:
     peer = _with_host(peer_address(args.peer), "127.0.0.1")  # answers come from there
     listen = address(args.listen, "--listen")
     with output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt:
-        shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer))
+        beyond = next((at for at in (listen, peer) if not security.is_local(at)), None)
+        shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer), beyond=beyond, insecure=args.insecure)
+        if beyond is not None and args.insecure:
+            security.tell_insecure(beyond)
         at = near.getsockname()[:2]
         realtime.asked(args, "channel")
         if args.json:
@@ -47,9 +51,10 @@ def _run(argv: list[str]) -> int:
             print(f"channel: {water}; {shown(at)} <-> {shown(peer)}; start the master with: "
                   f"python -m master {_typed(args)} --peer {shown(_with_host(at, 'THIS-HOST'))}", flush=True)
         shell.run(interrupt)
-    counts = {way: shell.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
+    router = shell.router
+    counts = {way: router.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
     if args.json:
-        _event("done", summary={"counts": counts, "foreign": shell.foreign})
+        _event("done", summary={"counts": counts, "foreign": router.foreign, "unsealed": router.unsealed})
     else:
         for way, count in counts.items():
             print(f"channel: {way}: " + ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in count.items()))

@@ -12,6 +12,10 @@ from teleop.law import law_name
 if TYPE_CHECKING:
     from teleop.scene import Scene
 
+EVERY, TICK_0 = "@every", "@tick 0"  # entries of a manifest that tell and are not compared
+INSECURE = "@insecure"  # one that a relay adds: the link leaves its machine without keys, as it was asked to let it
+MOST_EVERY = 1000  # ticks of the grid to one of an end
+MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
 _CURES = {
     "wire version": "install the same release of bilateral-teleop at both ends",
     "scene": "start both ends with the same scene",
@@ -113,3 +117,19 @@ def _causes(apart: list[str]) -> list[str]:
     if any(name not in _CURES and name not in _MADE for name in apart):
         follow |= _MADE
     return [name for name in apart if name not in follow]
+
+
+def parted(payload: object) -> tuple[dict[str, str], dict[str, int]]:
+    """What of a manifest is compared, and the whole numbers that it tells beside that."""
+    assert isinstance(payload, dict)
+    told = {}
+    for name in (EVERY, TICK_0, INSECURE):
+        text = payload.get(name, "")
+        digits = text.removeprefix("-")
+        if digits.isascii() and digits.isdigit() and len(text) < 20:
+            told[name] = int(text)
+    if not 1 <= told.get(EVERY, 1) <= MOST_EVERY:
+        del told[EVERY]
+    if abs(told.get(TICK_0, 0)) > MOST_CLOCK_NS:
+        del told[TICK_0]
+    return {name: text for name, text in payload.items() if name not in (EVERY, TICK_0, INSECURE)}, told

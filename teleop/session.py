@@ -33,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from teleop.estimates import MOST_RTT_NS
-from teleop.manifest import manifest_difference
+from teleop.manifest import EVERY, INSECURE, MOST_CLOCK_NS, TICK_0, manifest_difference, parted
 from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, encode, one_line
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
@@ -41,7 +41,6 @@ ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, a
 FASTER_NS = 1_000_000  # by so much: what waited at a process that stood still is answered faster from one to the next
 LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
 AHEAD_NS = LEAD_NS + 3 * MOST_RTT_NS  # the furthest that tick 0 can be ahead
-MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
 FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
 OVER = "the session is over"
@@ -49,8 +48,6 @@ NEXT = 16  # numbers: a HELLO of one of these after a session's own is of its ma
 ROOM = 96  # bytes: what a WELCOME says beyond its HELLO
 SHORTEST = 1200  # bytes of a HELLO: the sentence of a REFUSE fits, whole if it is in English
 MOST_WELCOMED = 1024  # answers that a slave remembers, to know a START by
-MOST_EVERY = 1000  # ticks of the grid to one of an end
-EVERY, TICK_0 = "@every", "@tick 0"  # entries of a manifest that tell and are not compared
 
 
 class Session:
@@ -77,6 +74,7 @@ class Session:
         self.met = 0  # sessions that this end has begun
         self.joined = False  # was the other end running already when this one came
         self.meeting = True  # is the exchange still to be done
+        self.in_the_open = False  # has a relay said so by `INSECURE`: nothing proves it, nor that there is none
         self.ended: str | None = None  # why the session is over for this end, which waits for another
         self.let_go = True  # does this end hold no force: before that no session takes the place of one that is over
         self._rounds, self._since_ns = 0, 0  # of the exchange, and when the first of them was over
@@ -237,7 +235,8 @@ class Session:
         if not self._free(now):
             self.end(f"{OVER}: the master asks for another")
             return []
-        theirs, told = _parted(hello.payload)
+        theirs, told = parted(hello.payload)
+        self.in_the_open = self.in_the_open or INSECURE in told
         difference = manifest_difference(self.manifest, theirs)
         if difference is None:
             self._asking = hello.session
@@ -270,7 +269,8 @@ class Session:
         return [reply] if len(reply) <= room else []
 
     def _measure(self, welcome: Packet, now: int) -> list[bytes]:
-        theirs, told = _parted(welcome.payload)
+        theirs, told = parted(welcome.payload)
+        self.in_the_open = self.in_the_open or INSECURE in told
         difference = manifest_difference(self.manifest, theirs)
         if difference is not None:
             if not self.met:
@@ -311,19 +311,3 @@ class Session:
         session = self.number if number is None else number
         assert session is not None
         return encode(Packet(kind, session, 0, now, echo, payload), size)
-
-
-def _parted(payload: object) -> tuple[dict[str, str], dict[str, int]]:
-    """What of a manifest is compared, and the whole numbers that it tells beside that."""
-    assert isinstance(payload, dict)
-    told = {}
-    for name in (EVERY, TICK_0):
-        text = payload.get(name, "")
-        digits = text.removeprefix("-")
-        if digits.isascii() and digits.isdigit() and len(text) < 20:
-            told[name] = int(text)
-    if not 1 <= told.get(EVERY, 1) <= MOST_EVERY:
-        del told[EVERY]
-    if abs(told.get(TICK_0, 0)) > MOST_CLOCK_NS:
-        del told[TICK_0]
-    return {name: text for name, text in payload.items() if name not in (EVERY, TICK_0)}, told

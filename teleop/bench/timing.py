@@ -123,9 +123,9 @@ def datagrams(folder: Path, count: int) -> None:
     from teleop.scene import both_ends, load_scene
 
     scene = both_ends(load_scene(SCENE, link=f"delay({DELAY})"))
-    ways = {"forth": (Kind.HELLO, Kind.FORTH), "back": (Kind.WELCOME, Kind.BACK)}
+    ways = {"forth": (Kind.HELLO, Kind.FORTH), "back": (Kind.START, Kind.BACK)}
     for name, (control, message) in ways.items():
-        first = encode(Packet(control, 1, 0, 0, None, scene.manifest()))
+        first = encode(Packet(control, 1, 0, 0, None, scene.manifest() if control is Kind.HELLO else 0))
         rest = (encode(Packet(message, 1, k, k * scene.dt_ns, None, (0.1,), 0.1), scene.wire_size)
                 for k in range(count))
         with (folder / name).open("wb") as file:

@@ -28,9 +28,10 @@ from teleop.live.shell import Shell
 from teleop.live.stand import Device
 from teleop.live.summary import NAMES, write_end
 from teleop.live.wire import Wire
+from teleop.manifest import MOST_EVERY
 from teleop.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
 from teleop.scene import Scene, both_ends, load_scene
-from teleop.session import MOST_EVERY, Session
+from teleop.session import Session
 from teleop.stored import written
 from teleop.trust import asks_for_trust
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any, BinaryIO
 
 from teleop.errors import Refused
+from teleop.manifest import MOST_EVERY
 from teleop.scene import MOST_TICKS, Scene
-from teleop.session import MOST_EVERY
 from teleop.shapes import MOST_SEED
 from teleop.stored import Misshapen, each, named, one_of, parse, record, text, whole
 from teleop.tick import columns

@@ -10,17 +10,41 @@ from teleop.errors import Refused
 from teleop.live.address import Address, shown
 
 if TYPE_CHECKING:
+    from teleop.live.shell import Shell
     from teleop.secure.line import Line
 
 
 def options(parser: ArgumentParser) -> None:
     """Let a live end take its keys."""
+    insecure_option(parser)
     parser.add_argument("--key", metavar="FILE", help="this end's key, as `teleop keygen` made it; what is sent is "
                         "then encrypted, and needs --peer-fingerprint too")
     parser.add_argument("--peer-fingerprint", metavar="TEXT", help="the fingerprint of the other end's key: no other "
                         "end is let in")
+
+
+def insecure_option(parser: ArgumentParser) -> None:
+    """Let a live process be asked to go beyond this machine without keys."""
     parser.add_argument("--insecure", action="store_true",
                         help="go beyond this machine without keys: whoever is on the way can read and change all of it")
+
+
+def is_local(at: Address) -> bool:
+    """Is this an address of this machine's loopback, which nothing from elsewhere reaches?"""
+    return at[0].startswith("127.")
+
+
+def tell_insecure(at: Address) -> None:
+    """Say on the terminal that a link is in the open."""
+    _tell(f"the link to {shown(at)} is neither authenticated nor encrypted")
+
+
+def tell_relayed(shell: Shell) -> None:
+    """The same, and noted for the summary, of a link that a channel on the way carries beyond its machine."""
+    if not shell.endpoint.session.in_the_open or shell.insecure:
+        return
+    shell.insecure = True
+    _tell("a channel on the way carries this link beyond its machine, neither authenticated nor encrypted")
 
 
 def line(e: str, args: Namespace, at: Address) -> tuple[Line | None, bool]:
@@ -54,12 +78,15 @@ def line(e: str, args: Namespace, at: Address) -> tuple[Line | None, bool]:
 
 def _open(at: Address, args: Namespace) -> bool:
     """Is a link without keys in the open? Refused unless that was asked for, and then said loudly."""
-    if at[0].startswith("127."):
+    if is_local(at):
         return False
     if not args.insecure:
         raise Refused(f"{shown(at)} is not on this machine, and a link without keys can be read, changed and taken "
                       "over; make a key at each end with `teleop keygen NAME` and give --key and --peer-fingerprint, "
                       "or write --insecure in a network you trust")
-    said = f"teleop: INSECURE: the link to {shown(at)} is neither authenticated nor encrypted"
-    print(said, file=sys.stderr, flush=True)
+    tell_insecure(at)
     return True
+
+
+def _tell(sentence: str) -> None:
+    print(f"teleop: INSECURE: {sentence}", file=sys.stderr, flush=True)

@@ -16,6 +16,7 @@ from teleop.live.interrupt import Interrupt
 from teleop.live.leaving import UNRELEASED, leave, let_go
 from teleop.live.meeting import HUSH, meet
 from teleop.live.record import Recorder
+from teleop.live.security import tell_relayed
 from teleop.live.stand import Device, Stand, deadline_of
 from teleop.live.summary import live_numbers
 from teleop.live.suspension import Suspension, boottime
@@ -298,6 +299,7 @@ class Shell:
         if session.met != self._noted_met and session.number is not None:
             self._noted_met = session.met
             self.recorder.note(Event(self.ran, "met", f"session {session.number:016x}"))
+            tell_relayed(self)
 
     def beyond(self, reading: Reading) -> bool:
         """Has the motion left the scene's bounds? Then the run is over, at the tick before this one."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from teleop.live.address import Address
 from teleop.live.filter import Shape, attach, detach, program
+from teleop.secure.relayed import Caller
 
 if TYPE_CHECKING:
     from teleop.secure.line import Line, Out
@@ -50,6 +51,7 @@ class Wire:
         with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
         self.sock, self.peer, self.line = sock, peer, line
+        self._caller = Caller() if line is not None and peer is not None else None  # of a relay on the way, if any
         self.asked = peer  # where this end was told that its peer is; None: whoever comes
         self._bound: Address | None = None  # its own address and port before it was kept to the peer
         self.kept = False  # is it deaf to everybody but the peer
@@ -141,7 +143,7 @@ class Wire:
     def _say(self, out: list[Out]) -> None:
         for data, address in out:
             with suppress(OSError):
-                self.sock.sendto(data, address)
+                self.sock.sendto(data if self._caller is None else self._caller.sends(data), address)
 
     def receive(self) -> tuple[bytes | None, Address, int] | None:
         """A datagram, where it came from and when (monotonic clock, ns), or None if there is none now.
@@ -167,6 +169,11 @@ class Wire:
         at: Address = address[:2]
         if self.line is None:
             return data, at, now
+        if self._caller is not None and (again := self._caller.hears(data)) is not None:
+            with suppress(OSError):
+                if again:
+                    self.sock.sendto(again, at)
+            return None, at, now
         plain, out = self.line.receive(data, at, now)
         self._say(out)
         return plain[0] if plain else None, at, now

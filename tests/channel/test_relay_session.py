@@ -1,148 +1,93 @@
-"""Who has the relay's link: sessions that begin, run and end, and strangers who would have it, on a virtual clock."""
+"""Who has the relay's link: sessions that begin, run and end, and unknown hosts beside them, on a virtual clock."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import count
-from typing import Any
+import random
 
 import pytest
 
-from channel.shell import QUIET_NS, TURN_NS, RelayShell
-from teleop.packet import Kind, Packet, encode
-from teleop.scene import load_scene
-from tests.channel.no_wire import NoWire
+from channel.flow import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
+from channel.introduction import EACH_MOST
+from teleop.packet import Kind
+from teleop.secure.record import MTU
+from tests.channel.site import MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
 
-MS = 1_000_000
-MASTER, SLAVE = ("192.0.2.1", 4000), ("192.0.2.2", 9001)
-STRANGER, OTHER_HOME = ("198.51.100.7", 5000), ("192.0.2.3", 9001)
-SCENE = load_scene("canonical", link="none", duration=100)
-INSIDE = count()
+# In the open
 
 
-class Site:
-    """A relay that has just been started, and what comes out of it towards each end."""
-
-    def __init__(self) -> None:
-        wires: Any = NoWire(None), NoWire(SLAVE)
-        self.shell = RelayShell(SCENE, 0, *wires)
-        self.now = 10**12  # ns, of a clock that has been running
-        self.out: tuple[list[tuple[Any, bytes]], list[tuple[Any, bytes]]] = ([], [])  # to the master, to the slave
-
-    def takes(self, data: bytes, sender: tuple[str, int]) -> bool:
-        """Does it pass on what comes from there? What comes from 9001 comes from the slave's side."""
-        direction = int(sender[1] == SLAVE[1])
-        before = self.shell.foreign
-        self.shell._take(direction, data, sender, self.now)
-        origin = self.shell._origin
-        for way, load in self.shell.relay.due(0 if origin is None else self.now - origin):
-            self.out[1 - way if way else 1].append((self.shell.wires[1 - way].peer, load))
-        return self.shell.foreign == before
-
-    def session(self, number: int) -> Callable[..., bytes]:
-        """Packets of a session, by kind."""
-        def packet(kind: Kind, seq: int = 0) -> bytes:
-            payload: Any = (1.0,) if kind in (Kind.FORTH, Kind.BACK) else 0 if kind is Kind.START else SCENE.manifest()
-            return encode(Packet(kind, number, seq, 0, None, payload))
-        return packet
-
-    def run(self, number: int, ms: int = 10) -> None:
-        """A session of the honest ends, from its HELLO on or further on."""
-        packet = self.session(number)
-        if self.shell._session != number:
-            assert self.takes(packet(Kind.HELLO), MASTER)
-            assert self.takes(packet(Kind.WELCOME), SLAVE)
-        for _ in range(ms):
-            self.now += MS
-            assert self.takes(packet(Kind.FORTH), MASTER)
-            assert self.takes(packet(Kind.BACK), SLAVE)
-
-
-@pytest.mark.parametrize("pause", [1, 300])
-def test_a_relay_that_was_started_anew_is_not_held_by_a_strangers_messages(pause: int) -> None:
-    """They come first, and go on; the master's own do not come through until it says HELLO, which it soon does."""
+def test_messages_of_an_unknown_host_are_not_passed_on_and_hold_nothing() -> None:
+    """Neither before a session nor in one; only what the slave has taken up is passed on."""
     site = Site()
-    strange, honest = site.session(5), site.session(7)
-    for _ in range(2000 // pause):
-        site.takes(strange(Kind.FORTH), STRANGER)
-        site.takes(honest(Kind.FORTH, 400), MASTER)
-        site.now += pause * MS
+    for kind in (Kind.FORTH, Kind.BACK, Kind.START, Kind.BYE, Kind.WELCOME, Kind.REFUSE):
+        assert not site.takes(site.session(5)(kind), UNKNOWN)
     site.run(7)
-    assert not site.takes(strange(Kind.FORTH), STRANGER)
+    assert not site.takes(site.session(5)(Kind.FORTH), UNKNOWN)
+    assert not site.takes(site.session(7)(Kind.FORTH), UNKNOWN)
     site.run(7)
 
 
-def test_a_relay_that_was_started_anew_passes_on_the_first_it_hears_of_a_session() -> None:
+def test_a_master_meets_the_slave_however_many_hosts_say_hello_meanwhile() -> None:
+    """Each is answered, and none has a turn in which the others wait: the slave says whose session it is."""
     site = Site()
-    assert site.takes(site.session(7)(Kind.FORTH, 400), MASTER)
-    assert site.out[1] != []
-
-
-def test_a_stranger_that_the_slave_does_not_take_up_has_the_link_for_its_turn_alone() -> None:
-    """Whatever it says, and the slave with it: that has not begun a session with it, and sends of the one before."""
-    site = Site()
-    site.run(7)
-    site.now += QUIET_NS + MS
-    strange, honest, began = site.session(5), site.session(8), site.now
-    assert site.takes(strange(Kind.HELLO), STRANGER)
-    while not site.takes(honest(Kind.HELLO), MASTER):
-        for kind in (Kind.HELLO, Kind.FORTH):
-            site.takes(strange(kind), STRANGER)
-        site.takes(site.session(site.now)(Kind.HELLO), STRANGER)
-        site.takes(site.session(7)(Kind.BACK), SLAVE)
+    site.takes(site.session(5)(Kind.HELLO), UNKNOWN)
+    for k in range(50):
+        site.now += 20 * MS
+        site.takes(site.session(100 + k)(Kind.HELLO), (UNKNOWN[0], 6000 + k))
         for kind in (Kind.WELCOME, Kind.REFUSE):
-            site.takes(strange(kind), SLAVE)
-        site.now += 10 * MS
-        assert site.now - began < TURN_NS + 20 * MS
-    assert site.now - began > TURN_NS - 20 * MS
-    site.run(8)
-
-
-@pytest.mark.parametrize(("kind", "where"), [(Kind.WELCOME, SLAVE), (Kind.BACK, OTHER_HOME), (Kind.START, OTHER_HOME)])
-def test_neither_a_welcome_nor_what_comes_from_elsewhere_takes_a_stranger_up(
-    kind: Kind, where: tuple[str, int]
-) -> None:
-    """A slave welcomes whoever has its scene; and from elsewhere a stranger could answer its own HELLO."""
-    site = Site()
-    strange, honest = site.session(5), site.session(7)
-    assert site.takes(strange(Kind.HELLO), STRANGER)
-    assert site.takes(strange(Kind.WELCOME), where)
-    began = site.now
-    while not site.takes(honest(Kind.HELLO), MASTER):
-        assert site.takes(strange(Kind.HELLO), STRANGER)
-        assert site.takes(strange(kind), where)
-        site.now += 10 * MS
-        assert site.now - began < TURN_NS + 20 * MS
+            assert site.takes(site.session(100 + k)(kind), SLAVE)
+            assert site.out[0][-1][0] == (UNKNOWN[0], 6000 + k)
     site.run(7)
+    assert len(list(site.router.flows)) == 1
 
 
-def test_the_next_turn_is_anothers() -> None:
-    """From its HELLO until the slave has taken it up the honest master is not disturbed for as long as a turn."""
+def test_hellos_reach_the_slave_at_a_bounded_rate_and_each_sender_has_a_share() -> None:
+    """Of 20,000 a second from any addresses a thousand are passed on; an honest master's find room among them."""
+    site, dice = Site(), random.Random(4)
+    asked = passed = 0
+    for k in range(20_000):
+        site.now += MS // 20
+        passed += site.takes(site.session(k)(Kind.HELLO), (UNKNOWN[0], dice.randrange(10_000, 60_000)))
+        if k % 1000 == 0:
+            asked += site.takes(site.session(10**6)(Kind.HELLO), MASTER)
+    assert asked > 0
+    assert 1000 <= passed <= 1200
+    once = Site()
+    assert sum(once.takes(once.session(k)(Kind.HELLO), UNKNOWN) for k in range(100)) == EACH_MOST
+    assert once.takes(once.session(10**6)(Kind.HELLO), MASTER)
+
+
+@pytest.mark.parametrize(("kind", "where"), [
+    (Kind.WELCOME, SLAVE), (Kind.REFUSE, SLAVE), (Kind.BACK, OTHER_HOME), (Kind.START, OTHER_HOME),
+])
+def test_neither_a_welcome_nor_what_comes_from_elsewhere_holds_the_link(kind: Kind, where: tuple[str, int]) -> None:
+    """A slave welcomes every master that has its scene; and from elsewhere a sender could answer its own HELLO."""
     site = Site()
-    assert site.takes(site.session(5)(Kind.HELLO), STRANGER)
-    for _ in range(TURN_NS // (100 * MS) + 1):
-        site.takes(site.session(5)(Kind.FORTH), STRANGER)
-        site.now += 100 * MS
-    honest = site.session(7)
-    assert site.takes(honest(Kind.HELLO), MASTER)
-    until = site.now + TURN_NS - 100 * MS
-    while site.now < until:
-        site.now += 50 * MS
-        assert not site.takes(site.session(5)(Kind.HELLO), STRANGER)
-        assert site.takes(honest(Kind.HELLO), MASTER)
-        assert site.takes(honest(Kind.WELCOME), SLAVE)
+    strange = site.session(5)
+    for _ in range(20):
+        site.takes(strange(Kind.HELLO), UNKNOWN)
+        site.takes(strange(Kind.WELCOME), where)
+        site.takes(strange(kind), where)
+        site.now += 20 * MS
+    site.run(7)
+    for _ in range(20):
+        site.run(7)
+        for each in (Kind.HELLO, Kind.START, Kind.FORTH):
+            assert not site.takes(strange(each), UNKNOWN)
+        assert not site.takes(strange(kind), where) or where == SLAVE
     site.run(7)
 
 
 def test_a_session_that_runs_is_not_taken_over() -> None:
     site = Site()
     site.run(7)
+    site.out[0].clear()
+    site.out[1].clear()
     strange = site.session(5)
     for _ in range(100):
         site.run(7, 100)
         for kind in (Kind.HELLO, Kind.FORTH, Kind.START):
-            assert not site.takes(strange(kind), STRANGER)
-        assert not site.takes(hello(), STRANGER)
+            assert not site.takes(strange(kind), UNKNOWN)
+        assert not site.takes(hello(), UNKNOWN)
         for kind in (Kind.WELCOME, Kind.BACK, Kind.START):
             assert not site.takes(strange(kind), OTHER_HOME)
     assert {to for to, _ in site.out[0]} == {MASTER}
@@ -152,21 +97,30 @@ def test_a_session_that_runs_is_not_taken_over() -> None:
 @pytest.mark.parametrize("silent", [MASTER, SLAVE])
 def test_a_session_that_one_end_has_left_gives_way(silent: tuple[str, int]) -> None:
     site = Site()
-    site.run(7)
-    site.now += TURN_NS
-    site.run(7)
+    site.run(7, 2000)
     packet, other = site.session(7), site.session(8)
-    for _ in range(10):
-        assert not site.takes(other(Kind.HELLO), STRANGER)
+    for _ in range(QUIET_NS // (100 * MS)):
+        assert not site.takes(other(Kind.HELLO), UNKNOWN)
         site.now += 100 * MS
         site.takes(*((packet(Kind.BACK), SLAVE) if silent == MASTER else (packet(Kind.FORTH), MASTER)))
-    assert site.takes(other(Kind.HELLO), STRANGER)
+    site.meet(8, UNKNOWN)
+    assert not site.takes(packet(Kind.FORTH), MASTER), "the slave has taken up another session"
 
 
 def test_its_own_master_may_ask_anew_at_any_time() -> None:
     site = Site()
     site.run(7)
     site.run(8)
+    assert not site.takes(site.session(7)(Kind.BACK), SLAVE)
+
+
+def test_the_next_session_has_a_link_of_its_own_and_all_stay_counted() -> None:
+    site = Site()
+    site.run(7)
+    site.run(8)
+    for way in (0, 1):
+        counts = site.router.counts(way)
+        assert counts.received == counts.delivered == 2 * (10 + 2)
 
 
 def test_a_slave_that_answers_from_another_address_is_heard_there_and_the_next_session_asks_the_first_again(
@@ -179,73 +133,150 @@ def test_a_slave_that_answers_from_another_address_is_heard_there_and_the_next_s
         assert site.takes(packet(kind), OTHER_HOME)
     assert site.takes(packet(Kind.FORTH), MASTER)
     assert site.out[1][-1][0] == OTHER_HOME
+    site.now += 2 * UNMET_NS
+    assert site.takes(packet(Kind.FORTH), MASTER)
     assert capsys.readouterr().err.count("--peer 192.0.2.3:9001") == 1
     assert site.takes(site.session(8)(Kind.HELLO), MASTER)
     assert site.out[1][-1][0] == SLAVE
 
 
-def hello(number: int = 0) -> bytes:
-    """A first hello as far as a relay looks at it."""
-    body = bytes((1,)) + bytes(80)
-    return b"\x16\xfe\xff\0\0" + number.to_bytes(6, "big") + len(body).to_bytes(2, "big") + body
-
-
-def request(number: int) -> bytes:
-    """What asks for a cookie, as far as a relay looks at it."""
-    return b"\x16\xfe\xff\0\0" + number.to_bytes(6, "big") + b"\0\x20\x03" + bytes(31)
-
-
-def sealed(number: int, kind: int = 23) -> bytes:
-    """A sealed record; of kind 22 and number 0, that a handshake is over. No two have the same bytes inside."""
-    return bytes((kind,)) + b"\xfe\xfd\0\1" + number.to_bytes(6, "big") + b"\0\x28" + next(INSIDE).to_bytes(40, "big")
-
-
-def test_a_strangers_handshake_holds_the_link_for_its_turn_alone() -> None:
-    """The slave answers everybody's hello, and sends on what is of the association before: neither takes it up."""
+def test_messages_longer_than_the_scenes_are_not_passed_on() -> None:
+    """Nothing that an end of this scene sends is so long; kept for the link's delay they would fill the memory."""
     site = Site()
-    began, finished = site.now, sealed(0, 22)
-    assert site.takes(hello(3), MASTER)
-    assert site.takes(finished, SLAVE)
-    site.now += QUIET_NS + MS
-    assert site.takes(hello(1), STRANGER)
+    site.run(7)
+    packet = site.session(7)(Kind.FORTH)
+    assert len(packet) <= site.router._size == 100
+    from teleop.packet import Echo, Packet, encode
+    long = encode(Packet(Kind.FORTH, 7, 1, 0, Echo(0, 0), (1.0,)), 1200)
+    assert not site.takes(long, MASTER)
+    assert not site.takes(bytes(8000), MASTER)
+
+
+# With keys
+
+
+def test_two_thousand_hellos_a_second_without_a_cookie_keep_no_master_out_and_nothing_of_them_is_kept() -> None:
+    """From 64 ports; each is answered with a cookie, no longer than it was, and neither passed on nor remembered."""
+    site, dice = Site(), random.Random(1)
+    for k in range(2000):
+        site.now += MS // 2
+        data = hello(k, random=dice.randbytes(32))
+        assert not site.takes(data, (UNKNOWN[0], 6000 + k % 64))
+        to, reply = site.out[0].pop()
+        assert to == (UNKNOWN[0], 6000 + k % 64)
+        assert len(reply) <= len(data)
+    assert not list(site.router.flows)
+    assert site.ports == []
     began = site.now
-    while not site.takes(hello(2), MASTER):
-        for data in (hello(1), sealed(1), sealed(0, 22)):
-            site.takes(data, STRANGER)
-        for data in (request(1), sealed(900), sealed(0, 21), finished):
-            site.takes(data, SLAVE)
-        site.now += 10 * MS
-        assert site.now - began < TURN_NS + 20 * MS
-    assert site.now - began > TURN_NS - 20 * MS
+    site.asks()
+    assert site.takes(sealed(0, 22), SLAVE)
+    assert site.now == began, "it waits for no turn"
 
 
-def test_who_was_taken_up_by_the_slave_keeps_the_link_while_both_speak() -> None:
+def test_a_cookie_is_good_for_its_address_and_its_handshake_alone() -> None:
     site = Site()
-    assert site.takes(hello(1), MASTER)
+    data = site.asks(random=b"r" * 32)
+    cookie = data[-32:]
+    assert not site.takes(hello(9, cookie=cookie, random=b"r" * 32), UNKNOWN)
+    assert not site.takes(hello(9, cookie=cookie, random=b"s" * 32), ("192.0.2.1", 4001))
+    late = Site()
+    late.now += 3_600_000 * MS
+    assert not late.takes(data, MASTER)
+
+
+def test_masters_that_showed_their_addresses_have_a_port_each_towards_the_slave() -> None:
+    """So it judges each by itself; what it says to one is not said to another."""
+    site = Site()
+    masters = [MASTER, UNKNOWN, (UNKNOWN[0], 5001)]
+    for master in masters:
+        site.asks(master)
+    assert len(site.ports) == 3
+    for flow, master in zip(site.router.flows, masters, strict=True):
+        assert site.takes(request(4), SLAVE, flow)
+        assert site.out[0][-1][0] == master
+
+
+def test_a_handshake_beside_the_masters_own_does_not_hold_the_link() -> None:
+    """However long it goes on: the one that the slave takes up is the one that is kept."""
+    site = Site()
+    site.asks(UNKNOWN)
+    for _ in range(20):
+        site.now += 100 * MS
+        site.takes(hello(9, random=b"x" * 32), UNKNOWN)
+        site.takes(sealed(3), UNKNOWN)
+    site.asks(MASTER)
+    strange, honest = site.router.flows
+    assert site.takes(sealed(0, 22), SLAVE, honest)
+    assert honest.runs(site.now)
+    assert not strange.met
+    for number in range(100):
+        site.now += 100 * MS
+        assert site.takes(sealed(number), MASTER)
+        assert site.takes(sealed(number), SLAVE, honest)
+    assert not site.takes(sealed(1), UNKNOWN)
+
+
+def test_no_host_keeps_out_another_however_many_ports_it_asks_from() -> None:
+    """Its own handshakes take room from each other; from the one of another host they take none."""
+    site = Site()
+    for port in range(2 * MOST_FLOWS):
+        site.now += MS
+        if port < MOST_FLOWS:
+            site.asks((UNKNOWN[0], 6000 + port))
+    site.asks(MASTER)
+    for port in range(200):
+        site.now += MS
+        site.takes(hello(1), (UNKNOWN[0], 9100 + port))
+        reply = site.out[0][-1][1]
+        site.takes(hello(2, cookie=reply[-32:]), (UNKNOWN[0], 9100 + port))
+    assert len(list(site.router.flows)) == MOST_FLOWS
+    flow = site.router.flows.of(MASTER)
+    assert flow is not None
+    assert site.takes(sealed(0, 22), SLAVE, flow)
+    assert sum(port.closed for port in site.ports) == len(site.ports) - MOST_FLOWS
+
+
+def test_what_a_master_sends_before_the_slave_has_taken_it_up_is_bounded() -> None:
+    """In number, in length and in time; data it cannot have yet."""
+    site = Site()
+    site.asks()
+    assert not site.takes(sealed(1), MASTER)
+    assert not site.takes(hello(5) + bytes(MTU), MASTER)
+    passed = sum(site.takes(hello(5), MASTER) for _ in range(2 * UNMET_MOST))
+    assert passed == UNMET_MOST - 1
+    site.now += UNMET_NS
+    site.asks()
+
+
+def test_the_master_that_the_slave_took_up_keeps_the_link_while_both_speak() -> None:
+    site = Site()
+    site.asks()
     assert site.takes(sealed(0, 22), SLAVE)
     for number in range(200):
         site.now += 100 * MS
         assert site.takes(sealed(number), MASTER)
         assert site.takes(sealed(number), SLAVE)
-        assert not site.takes(hello(2), STRANGER)
-        assert not site.takes(site.session(5)(Kind.HELLO), STRANGER)
+        assert not site.takes(hello(2), UNKNOWN)
+        assert not site.takes(site.session(5)(Kind.HELLO), UNKNOWN)
     for _ in range(11):
         site.now += 100 * MS
         assert site.takes(sealed(1), MASTER)
-    assert site.takes(hello(2), STRANGER), "the slave has fallen silent"
+    site.asks(UNKNOWN)
+    site.takes(sealed(0, 22), SLAVE)
+    assert not site.takes(sealed(1), MASTER), "the slave has fallen silent, and has taken up another"
 
 
 def test_a_sealed_answer_from_another_address_is_heard_if_it_has_the_number_of_the_hello(
     capsys: pytest.CaptureFixture[str]
 ) -> None:
     site = Site()
-    asks, near = 0x3456_789A_BCDE, ("192.0.2.66", 9001)
-    assert site.takes(hello(asks), MASTER)
-    for data in (request(asks + 1), request(0), sealed(0, 22), sealed(1), hello(asks)):
-        assert not site.takes(data, near)
-    assert site.takes(request(asks), OTHER_HOME)
+    number, elsewhere = 0x3456_789A_BCDE, ("192.0.2.66", 9001)
+    site.asks(number=number - 1)
+    for data in (request(number + 1), request(0), sealed(0, 22), sealed(1), hello(number)):
+        assert not site.takes(data, elsewhere)
+    assert site.takes(request(number), OTHER_HOME)
     assert site.takes(sealed(0, 22), OTHER_HOME)
-    assert not site.takes(request(asks), near), "the slave has answered"
+    assert not site.takes(request(number), elsewhere), "the slave has answered"
     assert site.takes(sealed(1), MASTER)
     assert site.out[1][-1][0] == OTHER_HOME
     assert capsys.readouterr().err.count("--peer 192.0.2.3:9001") == 1

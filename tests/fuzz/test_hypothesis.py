@@ -19,8 +19,9 @@ from hypothesis.stateful import (
 )
 
 from teleop.endpoint import Endpoint
+from teleop.manifest import EVERY
 from teleop.packet import DATA, MOST_CONTROL, MOST_SENTENCE, Echo, Kind, Packet, Rejection, decode, encode, peek
-from teleop.session import EVERY, MOST_WELCOMED, RENEW_NS, Session
+from teleop.session import MOST_WELCOMED, RENEW_NS, Session
 from tests.fuzz.datagrams import BODIES, MANIFESTS, NUMBERS, ODD, framed, packed, sealed
 from tests.fuzz.running import fuzzed
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from channel.link import parse_link
-from channel.shell import RelayShell
+from channel.router import Router
 from teleop.packet import Kind, Packet, encode, peek
 from tests.channel.no_wire import NoWire
 from tests.fuzz.datagrams import Hostile, View
@@ -36,23 +36,31 @@ class Relayed(NamedTuple):
     came: int
     sha: str
     strange: int
-    shell: RelayShell
+    router: Router
 
 
 def relayed(ticks: int, fire: Fire | None, others: list[bytes]) -> Relayed:
     """A session through a relay, under fire or not."""
     scene = replace(fuzzed(ticks), link=parse_link(LINK))
     wires: Any = NoWire(None), NoWire(AT["s"])
-    shell = RelayShell(scene, 3, *wires)
+    router = Router(scene, 3, *wires, port=lambda _home: wires[1], close=lambda _wire: None, secret=bytes(32))
     view = View(NUMBER, Kind.FORTH, 1)
     hostile = Hostile(random.Random(8), view, others, [])
     sha, came, strange = sha256(), 0, 0
 
     def passed() -> int:
-        return sum(shell.relay.counts(way).received for way in (0, 1))
+        return sum(router.counts(way).received for way in (0, 1))
 
-    for direction, kind in enumerate((Kind.HELLO, Kind.WELCOME)):
-        shell._take(direction, encode(Packet(kind, NUMBER, 0, 0, None, scene.manifest())), AT["ms"[direction]], 0)
+    def take(direction: int, data: bytes, sender: tuple[str, int], now: int) -> None:
+        if direction == 0:
+            router.from_near(data, sender, now)
+        else:
+            router.from_far(None, data, sender, now)
+
+    for kind in (Kind.HELLO, Kind.WELCOME, Kind.START, Kind.START):
+        payload: Any = 0 if kind is Kind.START else scene.manifest()
+        direction = int(kind is Kind.WELCOME or router.counts(0).received == 2)
+        take(direction, encode(Packet(kind, NUMBER, 0, 0, None, payload)), AT["ms"[direction]], 0)
     for k in range(ticks + 100):
         now = 10**9 + k * MS
         if fire is not None and 0 < k <= ticks:
@@ -63,41 +71,43 @@ def relayed(ticks: int, fire: Fire | None, others: list[bytes]) -> Relayed:
                 fire.counts[name] += 1
                 own = hostile.dice.random() < 0.5 and peek(data)[0] not in (Kind.HELLO, Kind.WELCOME)
                 direction = int(hostile.dice.random() * 2)
-                foreign, before = shell.foreign, passed()
-                shell._take(direction, data, AT["ms"[direction]] if own else STRANGER, now)
-                assert shell.foreign + passed() == foreign + before + 1, "each is foreign or passed on"
+                foreign, before = router.foreign, passed()
+                take(direction, data, AT["ms"[direction]] if own else STRANGER, now)
+                assert router.foreign + passed() == foreign + before + 1, "each is foreign or passed on"
                 assert own or passed() == before, "a stranger's is foreign"
         if k < ticks:
             for direction, kind in enumerate((Kind.FORTH, Kind.BACK)):
                 data = encode(Packet(kind, NUMBER, k, now, None, (1.0,), MARK))
-                shell._take(direction, data, AT["ms"[direction]], now)
-        assert shell._origin is not None
-        for way, data in shell.relay.due(now - shell._origin):
+                take(direction, data, AT["ms"[direction]], now)
+        flow = router.flows.of(AT["m"])
+        assert flow is not None
+        for way, data in flow.relay.due(now - (flow.origin or 0)):
             if pack(">d", MARK) in data:
                 came += 1
                 sha.update(pack("<QB", now, way) + data)
             else:
-                strange += peek(data)[0] not in (Kind.HELLO, Kind.WELCOME)
-    return Relayed(came, sha.hexdigest(), strange, shell)
+                strange += peek(data)[0] not in (Kind.HELLO, Kind.WELCOME, Kind.START)
+    return Relayed(came, sha.hexdigest(), strange, router)
 
 
 @pytest.mark.parametrize("ticks", FORMS)
 def test_the_honest_session_comes_out_of_the_relay_as_without_the_flood(ticks: int, others: list[bytes]) -> None:
     fire = Fire(ticks)
     plain, under_fire = relayed(ticks, None, others), relayed(ticks, fire, others)
-    shell = under_fire.shell
+    router = under_fire.router
     fire.tell("relay")
     assert plain.strange == 0
     assert (under_fire.came, under_fire.sha) == (plain.came, plain.sha)
     assert plain.came > 1.5 * ticks
-    assert shell.wires[0].peer == AT["m"]
-    assert shell.wires[1].peer == AT["s"]
-    assert shell._session == NUMBER
-    counts = [shell.relay.counts(way) for way in (0, 1)]
+    flow = router.flows.of(AT["m"])
+    assert flow is not None
+    assert flow.slave == AT["s"]
+    assert list(router.flows) == [flow]
+    counts = [router.counts(way) for way in (0, 1)]
     assert sum(count.under_way for count in counts) == 0
     for count in counts:
         assert count.received + count.doubled == count.lost + count.overflowed + count.rejected + count.delivered
     fired, received = sum(fire.counts.values()), sum(count.received for count in counts)
-    assert shell.foreign + received == fired + 2 * ticks + 2
+    assert router.foreign + received == fired + 2 * ticks + 4
     assert 0 < under_fire.strange < fired
     is_flat(fire, ticks)

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.manifest import manifest_difference
+from teleop.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference
 from teleop.packet import Echo, Kind, Packet, decode, encode
 from teleop.scene import load_scene
-from teleop.session import AGAIN_NS, AHEAD_NS, LEAD_NS, MOST_CLOCK_NS, RENEW_NS, ROUNDS, TICK_0, Session
+from teleop.session import AGAIN_NS, AHEAD_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
 
 MS = 1_000_000
 MANIFEST = {"wire version": "1", "scene": "canonical", "law": "wave Wave(b=2.0)", "k_e": "5000.0", "dt": "0.001"}

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop.manifest import EVERY, MOST_EVERY, TICK_0
 from teleop.packet import MOST_CONTROL, Echo, Kind, Packet, decode, encode
-from teleop.session import EVERY, FIRST_NS, LEAD_NS, MOST_EVERY, RENEW_NS, ROUNDS, TICK_0, Session
+from teleop.session import FIRST_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
 from tests.teleop.test_session import MANIFEST, MS, Talk, hello, start_of, started
 
 
