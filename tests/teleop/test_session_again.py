@@ -350,3 +350,15 @@ def test_neither_end_takes_another_session_before_it_has_let_go() -> None:
     talk.run(talk.now + 500 * MS)
     assert talk.master.number == talk.slave.number == 8
     assert (talk.master.meeting, talk.slave.ended) == (False, None)
+
+
+def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_twice_the_time_of_one_way() -> None:
+    talk = Talk(messages=False)
+    talk.run(1000 * MS)
+    master = talk.master
+    for now in range(master.begun_ns, master.begun_ns + 2 * FIRST_NS + 1, RENEW_NS // 4):
+        master.data_came(now, now)
+        master.judge(now)
+        assert master.ended is None
+    master.judge(master.begun_ns + 2 * FIRST_NS + 1)
+    assert str(master.ended).endswith("nothing of this end arrives at the other")
