@@ -25,7 +25,7 @@ REST_NS = 250_000_000  # after an address has been confirmed, before another one
 LAPSE_NS = 1_000_000_000  # nothing has come from elsewhere for so long: there is no question any more
 MOST_AT_ONCE = 4  # other addresses that are challenged in `AGAIN_NS`
 MOST_ASKED = 64  # challenges that can still be answered
-TOKEN = 8  # bytes of a challenge that nobody can guess
+TOKEN = 8  # bytes of a challenge, drawn at random
 Where = tuple[str, int]
 Challenge = tuple[bytes, Where]  # the token, and where it goes
 
