@@ -108,7 +108,7 @@ class TestMiller:
         assert needed_alone(C, T).damping > 0.8
 
 
-def left_alone(law: VirtualCoupling, ticks: int = 400) -> float:
+def left_alone(law: VirtualCoupling, ticks: int = 1000) -> float:
     """How much a tool on its wall, before a device held fast far away on a weak spring, swings up in `ticks`."""
     hold = 1e-6 * law.k_e
     law = replace(law, K=hold, B=0.0)
