@@ -74,8 +74,8 @@ class Shell:
         loop = asyncio.get_running_loop()
         loop.add_reader(self.wire.sock, self.guarded, self._drain)
         try:
+            gc.collect()  # now: between the first exchange and tick 0 there are 10 ms at most
             if await meet(self):
-                gc.collect()
                 gc.freeze()  # what is here stays: no collection has to look at it again
                 used, began = time.process_time_ns(), time.monotonic_ns()
                 if isinstance(self.endpoint.inbox, Stepped):

@@ -26,7 +26,7 @@ from teleop.secure.record import DATA, HEAD, OVERHEAD, WINDOW, Dropped
 
 KEY, SALT = 16, 4  # bytes: AES-128, as in the suite of the handshake
 MATERIAL = 2 * (KEY + SALT)  # bytes for both directions
-LAST = 1 << 36  # the last number: two years at 1 kHz, and far below what AES-GCM may seal under one key
+LAST = 1 << 30  # the last number: 12 days at 1 kHz, and 2^34.5 blocks (RFC 9147, 4.5.3) of packets of up to 300 bytes
 PACKET, CHALLENGE, ANSWER = b"\0", b"\1", b"\2"  # what a record carries: see `Line`
 _VERSION = 0xFEFD
 _MASK = (1 << WINDOW) - 1
