@@ -105,6 +105,17 @@ def test_the_readme_names_only_commands_and_scenes_that_exist() -> None:
         assert (ROOT / picture).is_file()
 
 
+def test_every_line_of_the_table_of_attackers_names_tests_that_exist() -> None:
+    lines = [line for line in (ROOT / "SECURITY.md").read_text().splitlines() if line.startswith("| ")]
+    rows = [cells for cells in ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+            if cells[-1] != "tests"]
+    assert len(rows) > 20
+    for row in rows:
+        named = re.findall(r"`([^`]+)`", row[-1])
+        assert named, row[0]
+        assert all((ROOT / "tests" / name).exists() for name in named), row
+
+
 def test_the_python_of_the_readme_runs() -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert len(blocks) == 3
