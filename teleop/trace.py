@@ -122,39 +122,38 @@ def assemble(scene: Scene, records: Mapping[str, EndRecord], reference: Referenc
                 for e, at in zip(("m", "s"), both, strict=True)}
         ticks_m = ticks_m[both[0]]
     makers: dict[str, Callable[[], NDArray[Any]]] = {"t": partial(seconds, ticks_m, scene.dt_ns), **ends["m"].makers}
-    trace = Columns({**makers, **(ends["s"].makers if "s" in ends else {})})
-    if scene.energy:
-        _add_ledgers(trace)
-    return trace
+    makers |= ends["s"].makers if "s" in ends else {}
+    return Columns({**makers, **(_ledgers(Columns(makers)) if scene.energy else {})})
 
 
 def _picked(make: Callable[[], NDArray[Any]], at: NDArray[np.int64]) -> NDArray[Any]:
     return make()[at]
 
 
-def _add_ledgers(trace: Columns) -> None:
-    """E_link and E_port from each end's own sums, so that both ways of running add in the same order."""
+def _ledgers(sums: Columns) -> dict[str, Callable[[], NDArray[Any]]]:
+    """E_link and E_port from each end's own sums, so that both ways of running add in the same order.
+
+    They are not added to `sums` itself: what held each other would keep all rows until the next garbage collection.
+    """
     import numpy as np
 
     def link() -> NDArray[Any]:
         with np.errstate(all="ignore"):  # a run that diverges ends with sums that are infinite
-            stored: NDArray[Any] = trace["E_in_fwd"]
-            stored -= trace["E_out_fwd"]
-            back = trace["E_in_bwd"]
-            back -= trace["E_out_bwd"]
+            stored: NDArray[Any] = sums["E_in_fwd"]
+            stored -= sums["E_out_fwd"]
+            back = sums["E_in_bwd"]
+            back -= sums["E_out_bwd"]
             stored += back
             return stored
 
     def port() -> NDArray[Any]:
         with np.errstate(all="ignore"):
-            given: NDArray[Any] = trace["E_port_m"]
-            if "E_port_s" in trace:
-                given -= trace["E_port_s"]
+            given: NDArray[Any] = sums["E_port_m"]
+            if "E_port_s" in sums:
+                given -= sums["E_port_s"]
             return given
 
-    if "E_in_fwd" in trace:
-        trace.makers["E_link"] = link
-    trace.makers["E_port"] = port
+    return {**({"E_link": link} if "E_in_fwd" in sums else {}), "E_port": port}
 
 
 class _Table:

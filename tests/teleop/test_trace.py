@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -121,6 +123,26 @@ def test_a_trace_is_the_same_to_the_bit_however_many_rows_are_worked_on_at_a_tim
     assert whole.metrics == parts.metrics
     assert {name: column.tobytes() for name, column in whole.trace.items()} == \
         {name: column.tobytes() for name, column in parts.trace.items()}
+
+
+def test_the_rows_of_a_run_that_is_over_did_not_stay_in_memory_until_a_garbage_collection() -> None:
+    class Zeros:
+        def table(self, start: int, stop: int) -> np.ndarray:
+            return np.zeros((stop - start, 20))
+
+    def read(rows: Zeros) -> float:
+        records = {e: EndRecord(range(5), rows, None) for e in ("m", "s")}
+        return float(assemble(replace(SCENE, energy=True), records)["E_link"].sum())
+
+    rows = Zeros()
+    gone = weakref.ref(rows)
+    gc.disable()
+    try:
+        assert read(rows) == 0.0
+        del rows
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_a_column_is_made_when_it_is_asked_for_and_not_kept() -> None:
