@@ -71,6 +71,7 @@ class Session:
         self.farewell: str | None = None
         self.offset_ns = 0  # the peer's clock less ours (known to the master)
         self.rtt_ns: int | None = None  # of the fastest first exchange
+        self._grid_rtt_ns: int | None = None  # the round trip by which the grids of the two ends were set to be one
         self.met = 0  # sessions that this end has begun
         self.joined = False  # was the other end running already when this one came
         self.meeting = True  # is the exchange still to be done
@@ -296,6 +297,10 @@ class Session:
         if self._rounds < ROUNDS:
             return [self._hello(now)]
         grids = [self.start_ns] if self.start_ns is not None else []
+        if TICK_0 in told and grids and self._is_better_known(told[TICK_0] - grids[0]):
+            self.offset_ns = told[TICK_0] - grids[0]  # the two ends have one grid still
+        else:
+            self._grid_rtt_ns = self.rtt_ns
         if TICK_0 in told:
             self.joined |= not grids
             grids.append(told[TICK_0] - self.offset_ns)
@@ -303,6 +308,17 @@ class Session:
         tick_0 = min(grids) if grids else now + LEAD_NS + 2 * self.rtt_ns
         self.begin(tick_0, now)
         return [self._packet(Kind.START, now, tick_0 + self.offset_ns, Echo(self._welcome_ns, 0))]
+
+    def _is_better_known(self, offset_ns: int) -> bool:
+        """Does `offset_ns`, by which the grids of the two ends are one, say more of the clocks than this exchange does?
+
+        It does if it was measured by a round trip less than half as long, and this one does not contradict it: one way
+        may be slow at the moment, and the grids would be set apart by half of that for good.
+        """
+        assert self.rtt_ns is not None
+        before = self._grid_rtt_ns
+        return (before is not None and self.rtt_ns > 2 * before
+                and abs(offset_ns - self.offset_ns) <= (self.rtt_ns + before) // 2)
 
     def _packet(
         self, kind: Kind, now: int, payload: dict[str, str] | str | int, echo: Echo | None = None,

@@ -235,3 +235,20 @@ def test_in_another_session_nothing_is_released_before_the_other_end_hears_it(wh
         assert gains[-1] == 0.0
         lost = False
         assert world.until_both_play(PATIENT) < PATIENT
+
+
+@pytest.mark.parametrize("who", ["m", "s"])
+@pytest.mark.parametrize("playout", [Zero(), Fixed(0.055)], ids=str)
+def test_a_session_that_began_while_one_way_was_slow_does_not_set_the_grids_apart_for_good(
+    playout: Any, who: str
+) -> None:
+    """Half of 1.5 s, by which one way was slower in the exchange, stayed: with fixed playout all came late then."""
+    world = running(replace(direct(), playout=playout), delay={"m": 5 * MS, "s": 5 * MS})
+    world.delay[who] += 1500 * MS
+    world.run(6.0)
+    assert world.end("m").session.met == 2
+    world.delay[who] -= 1500 * MS
+    assert world.until_both_play(2 * PATIENT) < 2 * PATIENT
+    world.run(0.5)
+    alike(world)
+    check(world)
