@@ -43,6 +43,7 @@ class Interrupt:
     def __init__(self) -> None:
         self.name: str | None = None
         self.count = 0
+        self.seen = 0  # by `LastResort`: two of one kind that come while compiled code runs are one to a handler
         self._before: dict[int, Any] = {}
 
     @property
@@ -61,6 +62,11 @@ class Interrupt:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    @property
+    def again(self) -> bool:
+        """Did a second signal come?"""
+        return max(self.count, self.seen) > 1
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.count += 1

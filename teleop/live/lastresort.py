@@ -74,6 +74,7 @@ class LastResort:
                 came = os.read(self._reads, 64) if ready else b""
                 for number in self.interrupt.taken.intersection(came):
                     self._names += [name_of(number)] * came.count(number)
+                    self.interrupt.seen = len(self._names)
                     due = min(due, time.monotonic() + (HEED_S if len(self._names) == 1 else HUNG_S))
             elif self._may_wait():
                 due = float("inf")

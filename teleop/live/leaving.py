@@ -46,7 +46,7 @@ async def let_go(shell: Shell) -> None:
         while True:
             force = endpoint.held.over(None if reading is None else reading.v, passed)
             blind = now - seen > BLIND_NS or now - began > RAMP_NS
-            if shell.interrupt.count > 1 or blind or not any(force):
+            if shell.interrupt.again or blind or not any(force):
                 break
             if not stand.hold(force):
                 break

@@ -163,6 +163,26 @@ def test_a_terminal_that_drops_leaves_no_force(e: str, name: str, command: Make,
     assert left[e]["sentence"] in left["sm"["ms".index(e)]]["sentence"]
 
 
+@pytest.mark.parametrize("signals", [1, 2])
+def test_two_signals_of_one_kind_that_come_while_compiled_code_runs_are_two(signals: int) -> None:
+    """To the handler in Python they were one: the end went along its ramp, and was ended on it as one that hangs."""
+    program = f"""
+import ctypes, os, time
+from teleop.live.interrupt import Interrupt
+from teleop.live.lastresort import LastResort
+with Interrupt() as interrupt, LastResort(interrupt):
+    kill = f"kill -TERM {{os.getpid()}}; sleep 0.2; "
+    ctypes.CDLL(None).system((kill * {signals}).encode())
+    until = time.monotonic() + 30.0
+    while (interrupt.count, interrupt.seen) != (1, {signals}) and time.monotonic() < until:
+        time.sleep(0.001)
+    print(interrupt.name, interrupt.count, interrupt.seen, interrupt.again)
+"""
+    done = subprocess.run([sys.executable, "-c", program], env={"PYTHONPATH": str(ROOT)}, check=True, text=True,
+                          capture_output=True)
+    assert done.stdout == f"SIGTERM 1 {signals} {signals == 2}\n"
+
+
 HANGS = {
     "sleeps": "time.sleep(600)",
     "computes": "while True: pass",
