@@ -16,7 +16,7 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.library import ROOT
-from teleop.live import output
+from teleop.live import fault, output
 from teleop.live.interrupt import Interrupt
 from teleop.live.merge import merge
 from teleop.live.record import fresh_folder, read_noted
@@ -266,8 +266,10 @@ def both_text(live: dict[str, dict[str, Any]]) -> str:
 
 
 def _ran(out: Path) -> bool:
-    """Did an end come to its first tick: is there a record to keep?"""
+    """Did an end come to its first tick, or raise something before: is there anything to keep?"""
     for name in NAMES.values():
+        if (out / name / fault.FILE).is_file():
+            return True
         with suppress(Refused):
             if len(read_noted(out / name)[1].ticks):
                 return True

@@ -76,7 +76,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
                 asyncio.run(shell.run())
             finally:
                 line.end()
-            if shell.ticks:
+            if shell.ticks or _leaves_a_traceback(shell):
                 keep()
             code = _said_of_faults(shell, folder)
             if shell.ticks:
@@ -98,12 +98,16 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
     return code
 
 
+def _leaves_a_traceback(shell: Shell) -> bool:
+    return shell.fault is not None and not isinstance(shell.fault, Refused)
+
+
 def _said_of_faults(shell: Shell, folder: Path) -> int:
     """The exit code; what is not DONE is said on stderr, before anything else may fail."""
     if shell.fault is None and shell.status != UNRELEASED:
         return DONE
     where = ""
-    if shell.fault is not None and not isinstance(shell.fault, Refused) and shell.ticks:
+    if shell.fault is not None and _leaves_a_traceback(shell):
         with suppress(OSError):
             fault.write(shell.fault, folder)
             where = f"; its traceback is in {folder / fault.FILE}"

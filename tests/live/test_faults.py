@@ -270,6 +270,35 @@ def test_an_end_whose_driver_breaks_says_so_in_one_sentence_and_its_exit_code(
         assert act.rpartition(".")[2].removeprefix("raise ") in (tmp_path / "s" / fault.FILE).read_text()
 
 
+LAW = """
+from dataclasses import replace
+from teleop.laws.wave import Wave
+from teleop.scene import Scene, load_scene
+class Broken(Wave):
+    def {where}(self, *given):
+        import inspect
+        if any(frame.function == "tick" for frame in inspect.stack()):
+            raise IndexError("of a law")
+        return super().{where}(*given)
+def scene(*, duration: float = 5.0) -> Scene:
+    '''A law with an error in it.'''
+    return replace(load_scene("canonical", duration=duration), law=Broken(b=2.0, K=500.0, B=20.0))
+"""
+
+
+@pytest.mark.parametrize("where", ["slave_start", "slave"])
+def test_of_a_law_that_raises_at_its_first_tick_there_is_a_traceback(where: str, command: Make, tmp_path: Path) -> None:
+    """There had been no tick, so the folder was gone, and with it the line of the law that was wrong."""
+    (tmp_path / "broken.py").write_text(LAW.format(where=where))
+    slave = command("slave", "broken.py", "--listen", "127.0.0.1:0", "--json", "--out", "s")
+    master = command("master", "broken.py", "--peer", f"127.0.0.1:{slave.port()}", "--json")
+    code, _, err = slave.end()
+    assert (code, err.count("\n")) == (1, 1), err
+    assert "the law raised IndexError: of a law; its traceback is in " in err
+    assert "broken.py" in (tmp_path / "s" / fault.FILE).read_text()
+    assert "the law raised IndexError" in str(master.end())
+
+
 def test_a_fault_whose_own_text_cannot_be_had_has_a_sentence() -> None:
     class Nameless(Exception):
         def __str__(self) -> str:
