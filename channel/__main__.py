@@ -49,7 +49,8 @@ def _run(argv: list[str]) -> int:
             link: Any = scene.link  # a scene asks less of its link than a text does
             water = "no link" if link is None else describe(link)
             print(f"channel: {water}; {shown(at)} <-> {shown(peer)}; start the master with: "
-                  f"python -m master {_typed(args)} --peer {shown(_with_host(at, 'THIS-HOST'))}", flush=True)
+                  f"python -m master {_typed(args)} --peer {shown(_with_host(at, 'THIS-HOST'))}"
+                  f"{'' if beyond is None else _open_or_sealed(args)}", flush=True)
         shell.run(interrupt)
     router = shell.router
     counts = {way: router.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
@@ -70,6 +71,11 @@ def _typed(args: Namespace) -> str:
     """The scene as the master has to be given it. The link too: the two ends compare theirs, though none draws."""
     words = [quote(args.scene), *(f"--set {quote(each)}" for each in args.set)]
     return " ".join([*words, f"--link {quote(args.link)}"] if args.link else words)
+
+
+def _open_or_sealed(args: Namespace) -> str:
+    """How the master of a link beyond this machine has to be started: this channel drops what has no keys."""
+    return " --insecure" if args.insecure else " --key master.key --peer-fingerprint THE-SLAVES"
 
 
 def _event(name: str, **fields: Any) -> None:

@@ -10,10 +10,9 @@ from hashlib import sha256
 from hmac import compare_digest, digest
 
 from teleop.live.address import Address
-from teleop.secure.record import HEAD, Record
+from teleop.secure.record import Record
 
 SLOT_NS = 30_000_000_000  # a cookie is good for one to two of these
-_RANDOM = slice(HEAD.size + 14, HEAD.size + 46)  # of a hello: the same 32 bytes in all hellos of a handshake
 
 
 class Cookies:
@@ -32,5 +31,5 @@ class Cookies:
         return any(compare_digest(brought, self._of(hello, address, when)) for when in (slot, slot - 1))
 
     def _of(self, hello: Record, address: Address, slot: int) -> bytes:
-        asked = f"{address[0]}|{address[1]}|{slot}|".encode() + hello.data[_RANDOM]
+        asked = f"{address[0]}|{address[1]}|{slot}|".encode() + hello.random
         return digest(self._secret, asked, sha256)

@@ -62,7 +62,7 @@ class Router:
         self._sealed_only, self._tells = beyond is not None and not insecure, beyond is not None and insecure
         self._manifest = {key: text for key, text in scene.manifest().items() if key not in ("link", "delay")}
         self._said_unsealed = False
-        self._differed = 0  # masters that were said to run another scene
+        self._differed: list[str] = []  # what was said of masters that run another scene
         self._open: Flow | None = None  # the flow of the session in the open that the slave took up last
         self._introductions = Introductions()
         self._introduced = [0, 0]  # datagrams of first exchanges, passed on in each direction
@@ -284,8 +284,8 @@ class Router:
         assert isinstance(hello.payload, dict)
         theirs = {key: text for key, text in hello.payload.items() if key in self._manifest}
         difference = manifest_difference(self._manifest, theirs)
-        if difference is not None and self._differed < MOST_SAID:
-            self._differed += 1
+        if difference is not None and difference not in self._differed and len(self._differed) < MOST_SAID:
+            self._differed.append(difference)
             told = f"channel: the master runs another scene than this channel: {difference}"
             print(told, file=sys.stderr, flush=True)
 

@@ -37,7 +37,7 @@ class Claim:
         self._parents = parents  # innermost first
         self._held = _opened(path)  # while it is open, no other folder gets its number
         if self._held is not None:
-            _lock(self._held, shared=False)
+            lock(self._held, shared=False)
         self._made = _identity(path)
 
     def drop(self) -> None:
@@ -171,7 +171,7 @@ def is_being_written(folder: Path) -> bool:
     if held is None:
         return False
     try:
-        return not _lock(held, shared=True)
+        return not lock(held, shared=True)
     finally:
         os.close(held)
 
@@ -183,8 +183,11 @@ def _opened(folder: Path) -> int | None:
     return None
 
 
-def _lock(held: int, *, shared: bool) -> bool:
-    """Take a lock on an open folder if no other process has one in the way; False if one has."""
+def lock(held: int, *, shared: bool) -> bool:
+    """Take a lock on an open file or folder (its descriptor); False if another process has one in the way.
+
+    True too where there are no locks. The system releases it when the descriptor is closed, however a process ends.
+    """
     with suppress(ImportError):
         import fcntl
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from math import isfinite, prod
 from pathlib import Path
 from sys import maxsize
@@ -15,7 +14,7 @@ from teleop import stored
 from teleop.batch.grid import plain
 from teleop.errors import Refused
 from teleop.files import is_part, read_bytes
-from teleop.folder import claim, numbered
+from teleop.folder import claim, lock, numbered
 from teleop.stored import Misshapen, anything, each, either, named, parse, record, whole
 
 DEFINITION = "sweep.json"
@@ -158,18 +157,8 @@ def no_link(path: str, flags: int) -> int:
 def locked(path: Path, mode: str) -> IO[bytes]:
     """The open file, with a lock on it that goes when the process does, however it ends. Raises `Refused`."""
     file: IO[bytes] = open(path, mode, opener=no_link)  # noqa: SIM115 (it is open as long as the lock)
-    lock: Callable[[IO[bytes], int], None] | None = None
-    with suppress(ImportError):
-        import fcntl
-
-        lock, how = fcntl.flock, fcntl.LOCK_EX | fcntl.LOCK_NB
-    if lock is not None:
-        try:
-            lock(file, how)
-        except BlockingIOError:
-            file.close()
-            raise Refused(f"another process is writing to {path.parent}; wait for its end or end it, or give another "
-                          f"folder with --out") from None
-        except OSError:  # a file system that has no locks
-            pass
+    if not lock(file.fileno(), shared=False):
+        file.close()
+        raise Refused(f"another process is writing to {path.parent}; wait for its end or end it, or give another "
+                      f"folder with --out")
     return file

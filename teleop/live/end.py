@@ -26,7 +26,7 @@ from teleop.live.leaving import UNRELEASED
 from teleop.live.record import Recorder, fresh_folder
 from teleop.live.shell import Shell
 from teleop.live.stand import Device
-from teleop.live.summary import NAMES, write_end
+from teleop.live.summary import NAMES, UNWATCHED, holds_on, write_end
 from teleop.live.wire import Wire
 from teleop.manifest import MOST_EVERY
 from teleop.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
@@ -71,6 +71,8 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
             shell.spin_ns = realtime.SPIN_NS if args.spin else 0
             if not (args.json or args.quiet):
                 shell.hint = partial(_hint, NAMES[e])
+            if holds_on(shell):
+                complain(UNWATCHED, DONE)
             _greet(e, args, wire)
             try:
                 asyncio.run(shell.run())

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 BEAT, K, ACKED = 0, 1, 2  # words that the end writes: ns of its last force, tick, and the firings that it has seen
 SEEN, FIRED, DONE = 3, 4, 5  # words that the watchdog writes: ns of its last look, firings, and those that are over
-WORDS, TEXT = 8, 64  # words in all; where a sentence begins, if the watchdog could not start
+TEXT = 64  # bytes of the eight words; where a sentence begins, if the watchdog could not start
 SIZE = 4096  # bytes of the page
 GONE_NS = 1_000_000_000  # without a look of the watchdog for so long, the device is driven no more
 START_S = 20.0  # for the watchdog to open the device

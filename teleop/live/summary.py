@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from teleop.trace import EndRecord
 
 INSECURE = "the link was neither authenticated nor encrypted, beyond loopback, as --insecure asked"
-UNWATCHED = ("the device has neither a deadline nor a watchdog: had this process been killed, stopped or hung, its "
-             "force would have stayed on")
+UNWATCHED = ("the device has neither a deadline nor a watchdog: if this process is killed, stopped or hangs, its force "
+             "stays on; see README, \"A device of your own\"")
 FEWEST_NS = 3_000_000_000  # of two clocks beside each other, before their rates are judged
 NAMES = {"m": "master", "s": "slave"}
 WAYS = {"m": ("forth", "back"), "s": ("back", "forth")}  # the direction an end sends in, and the other
@@ -77,7 +77,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
         status=shell.status, sentence=shell.sentence, told=told,
         packets={sends: Packets(sent=shell.data_sent), hears: heard}, first=shell.first, every=endpoint.every,
-        notes=[*old, *cut, *[INSECURE] * shell.insecure, *[UNWATCHED] * _holds_on(shell),
+        notes=[*old, *cut, *[INSECURE] * shell.insecure, *[UNWATCHED] * holds_on(shell),
                *filter(None, [shell.recorder.trouble, clock_note(endpoint.link)]),
                *([sentence(shell.realtime)] if shell.realtime else [])],
     )
@@ -173,7 +173,7 @@ def clock_note(link: LinkEstimates) -> str | None:
             "begin a new session for it; have a time service (NTP, PTP) keep both clocks, or mend the one that is off")
 
 
-def _holds_on(shell: Shell) -> bool:
+def holds_on(shell: Shell) -> bool:
     """Does nothing let go of its device if this process cannot? Simulated devices of stepped ends need nothing."""
     return not shell.endpoint.stepped and getattr(shell.stand.device, "deadline", None) is None
 

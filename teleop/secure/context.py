@@ -17,10 +17,9 @@ from OpenSSL import SSL
 from OpenSSL.crypto import X509
 
 from teleop.secure.keys import Key, parse_fingerprint
-from teleop.secure.record import MTU
+from teleop.secure.record import DTLS_1_2, MTU
 
 SUITE = b"ECDHE-ECDSA-AES128-GCM-SHA256"
-_DTLS_1_2 = 0xFEFD
 _LABEL = b"EXPERIMENTAL-bilateral-teleop-data"  # RFC 5705, 4: a label that is not registered begins like that
 
 
@@ -36,8 +35,8 @@ class Notes:
 def context(key: Key, peer: str) -> SSL.Context:
     """Settings for associations of `key` with the end whose certificate has the fingerprint `peer`."""
     made = SSL.Context(SSL.DTLS_METHOD)
-    made.set_min_proto_version(_DTLS_1_2)
-    made.set_max_proto_version(_DTLS_1_2)
+    made.set_min_proto_version(DTLS_1_2)
+    made.set_max_proto_version(DTLS_1_2)
     made.set_cipher_list(SUITE)
     made.set_options(SSL.OP_NO_QUERY_MTU | SSL.OP_NO_TICKET | SSL.OP_NO_COMPRESSION | SSL.OP_NO_RENEGOTIATION)
     made.set_session_cache_mode(SSL.SESS_CACHE_OFF)

@@ -22,13 +22,12 @@ from __future__ import annotations
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from teleop.secure.record import DATA, HEAD, OVERHEAD, WINDOW, Dropped
+from teleop.secure.record import DATA, DTLS_1_2, HEAD, OVERHEAD, WINDOW, Dropped
 
 KEY, SALT = 16, 4  # bytes: AES-128, as in the suite of the handshake
 MATERIAL = 2 * (KEY + SALT)  # bytes for both directions
 LAST = 1 << 30  # the last number: 12 days at 1 kHz, and 2^34.5 blocks (RFC 9147, 4.5.3) of packets of up to 300 bytes
 PACKET, CHALLENGE, ANSWER = b"\0", b"\1", b"\2"  # what a record carries: see `Line`
-_VERSION = 0xFEFD
 _MASK = (1 << WINDOW) - 1
 _BEHIND = OVERHEAD - HEAD.size  # bytes behind the head that are not the packet's own
 
@@ -57,7 +56,7 @@ class DataRecords:
         if number > LAST:
             return None
         self.number = number
-        head = HEAD.pack(DATA, _VERSION, 1, number >> 32, number & 0xFFFFFFFF, len(plain) + _BEHIND)
+        head = HEAD.pack(DATA, DTLS_1_2, 1, number >> 32, number & 0xFFFFFFFF, len(plain) + _BEHIND)
         return head + self._seal.encrypt(self._seal_salt + head[3:11], plain + what, head)
 
     def open(self, number: int, record: bytes) -> bytes | Dropped:

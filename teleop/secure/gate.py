@@ -34,7 +34,18 @@ from OpenSSL import SSL
 from teleop.secure.context import connection, context
 from teleop.secure.keys import Key
 from teleop.secure.proof import Verifier
-from teleop.secure.record import ALERT, CHANGE, HANDSHAKE, HEAD, VERIFY_REQUEST, Dropped, Record, records
+from teleop.secure.record import (
+    ALERT,
+    CHANGE,
+    DTLS_1_0,
+    DTLS_1_2,
+    HANDSHAKE,
+    HEAD,
+    VERIFY_REQUEST,
+    Dropped,
+    Record,
+    records,
+)
 from teleop.secure.tunnel import LIMIT_NS, Tunnel, another_certificate
 
 Where = tuple[str, int]
@@ -43,7 +54,6 @@ MOST_BEGUN = 4  # associations that have begun and are not authenticated yet, al
 CHECKED_NS = 100_000_000  # between two signatures of one address that are looked at
 CHECK_NS, BURST = 1_000_000, 100  # between two of any addresses, on the average and for all but so many
 _SLOT_NS = 30_000_000_000  # a cookie is good for one to two of these
-_SAYS_1_0, _SAYS_1_2 = 0xFEFF, 0xFEFD
 _BAD_CERTIFICATE = 42
 
 
@@ -170,12 +180,12 @@ def _forget(kept: dict[Any, int], before: int) -> None:
 
 
 def _alert(number: int, what: int) -> bytes:
-    return HEAD.pack(ALERT, _SAYS_1_2, 0, number >> 32, number & 0xFFFFFFFF, 2) + bytes((2, what))
+    return HEAD.pack(ALERT, DTLS_1_2, 0, number >> 32, number & 0xFFFFFFFF, 2) + bytes((2, what))
 
 
 def _verify_request(number: int, cookie: bytes) -> bytes:
     """A HelloVerifyRequest under the number of its hello (RFC 6347, 4.2.1)."""
-    body = _SAYS_1_0.to_bytes(2, "big") + bytes((len(cookie),)) + cookie
+    body = DTLS_1_0.to_bytes(2, "big") + bytes((len(cookie),)) + cookie
     length = len(body).to_bytes(3, "big")
     message = bytes((VERIFY_REQUEST,)) + length + bytes(2 + 3) + length + body
-    return HEAD.pack(HANDSHAKE, _SAYS_1_0, 0, number >> 32, number & 0xFFFFFFFF, len(message)) + message
+    return HEAD.pack(HANDSHAKE, DTLS_1_0, 0, number >> 32, number & 0xFFFFFFFF, len(message)) + message

@@ -34,7 +34,7 @@ from teleop.secure.record import Dropped, records
 from teleop.secure.tunnel import AGAIN_NS, LIMIT_NS, Tunnel
 
 SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
-STUCK_NS = 2_000_000_000  # a handshake that nobody answers for so long is with a peer that is no more
+STUCK_NS = 2_000_000_000  # a handshake without an answer for so long is with a peer that is no more
 APART_NS = 1_000_000_000  # between two that it begins
 _MOST_HELLOS = 256  # more than are sent in one handshake
 _MOST_FROM = 16  # addresses from which a handshake is heard
@@ -151,7 +151,9 @@ class Line:
             self._ended(self._coming)
         if self._coming is not None and self._gate is None and now - self._answered > STUCK_NS:
             self._retired += self._coming.dropped
-            self._coming, self.trouble = None, "nobody answers"
+            self._coming = None
+            self.trouble = ("nothing answers; start the other end first, and if it runs, check the address, and that "
+                            f"its --peer-fingerprint is that of this key: {self.fingerprint}")
         quiet = not self.ready or now - max(self._heard, self._changed) > SILENT_NS
         rested = self._began is None or now - self._began > APART_NS
         return out + self.renew(now) if quiet and rested else out

@@ -23,9 +23,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509 import load_der_x509_certificate
 
 from teleop.secure.keys import Key, fingerprint
-from teleop.secure.record import HANDSHAKE, HEAD, PROOF, Record
+from teleop.secure.record import DTLS_1_2, HANDSHAKE, HEAD, PROOF, Record
 
-_VERSION = 0xFEFD
 _BEFORE = b" " * 64 + b"bilateral-teleop hello\0"
 _INSIDE = Struct("!BH")  # the type of the message, bytes of the certificate; the signature is the rest
 _CURVE = ECDSA(SHA256())
@@ -36,7 +35,7 @@ def proof(key: Key, hello: Record) -> Record:
     certificate = key.certificate.public_bytes(Encoding.DER)
     signature = key.private.sign(_signed(hello), _CURVE)
     body = _INSIDE.pack(PROOF, len(certificate)) + certificate + signature
-    return Record(HANDSHAKE, 0, 0, HEAD.pack(HANDSHAKE, _VERSION, 0, 0, 0, len(body)) + body)
+    return Record(HANDSHAKE, 0, 0, HEAD.pack(HANDSHAKE, DTLS_1_2, 0, 0, 0, len(body)) + body)
 
 
 class Verifier:

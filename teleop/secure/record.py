@@ -19,13 +19,13 @@ OVERHEAD = 30  # bytes that a record of data is longer than what it carries: hea
 CHANGE, ALERT, HANDSHAKE, DATA = 20, 21, 22, 23  # types
 CLIENT_HELLO, VERIFY_REQUEST = 1, 3  # first bytes of handshake messages
 PROOF = 0xF0  # the same of the record that goes with a hello; no message of DTLS has it: see `teleop.secure.proof`
+DTLS_1_0, DTLS_1_2 = 0xFEFF, 0xFEFD  # versions; the first hello says 1.0 for the sake of old middle boxes
 HEAD = Struct("!BHHHIH")  # type, version, epoch, number (its upper 16 bits, its lower 32), length
 WINDOW = 2048  # records of data: one that so many newer ones overtook is not taken; two seconds at 1 kHz
 _NUMBER = slice(5, 11)
 _RANDOM = slice(HEAD.size + 14, HEAD.size + 46)  # of a hello
 _LEAST_DATA = OVERHEAD - HEAD.size + 1  # bytes of a record of data behind its head
 _LEAST_SEALED = 8 + 16 + 1  # the same of one that OpenSSL has sealed: nonce, tag and a byte
-_VERSIONS = (0xFEFF, 0xFEFD)  # the first hello says 1.0 for the sake of old middle boxes
 
 
 class Dropped(StrEnum):
@@ -92,7 +92,7 @@ def records(datagram: bytes) -> list[Record] | None:
         end = at + HEAD.size + length
         # Some releases of OpenSSL (3.5.2) break an association over a sealed record that is too short to be one.
         short = length < (1 if epoch == 0 else _LEAST_DATA if kind == DATA else _LEAST_SEALED)
-        if not CHANGE <= kind <= DATA or version not in _VERSIONS or short or end > size:
+        if not CHANGE <= kind <= DATA or version not in (DTLS_1_0, DTLS_1_2) or short or end > size:
             return found if found and not datagram[at:].strip(b"\0") else None
         found.append(Record(kind, epoch, upper << 32 | lower, datagram[at:end]))
         at = end

@@ -11,18 +11,17 @@ from __future__ import annotations
 
 from collections import deque
 
-from teleop.secure.record import HANDSHAKE, HEAD, MTU, Record, records
+from teleop.secure.record import DTLS_1_2, HANDSHAKE, HEAD, MTU, Record, records
 
 SHOW = 0xF1  # first byte of the record; no message of DTLS has it
 COOKIE = 32  # bytes
 EXTRA = HEAD.size + 1 + COOKIE  # bytes that a hello may be longer than others with it
-_SAYS_1_2 = 0xFEFD
 _MOST = 256  # hellos whose numbers are remembered
 
 
 def shown(hello: Record, cookie: bytes) -> bytes:
     """The record that bears `cookie` (32 bytes), in a relay's answer to `hello` and behind the hellos that follow."""
-    head = HEAD.pack(HANDSHAKE, _SAYS_1_2, 0, hello.number >> 32, hello.number & 0xFFFFFFFF, 1 + len(cookie))
+    head = HEAD.pack(HANDSHAKE, DTLS_1_2, 0, hello.number >> 32, hello.number & 0xFFFFFFFF, 1 + len(cookie))
     return head + bytes((SHOW,)) + cookie
 
 

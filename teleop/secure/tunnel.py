@@ -30,6 +30,7 @@ from teleop.secure.record import (
     ALERT,
     CHANGE,
     DATA,
+    DTLS_1_2,
     HANDSHAKE,
     HEAD,
     OVERHEAD,
@@ -44,7 +45,6 @@ AGAIN_NS, SLOWEST_NS = 50_000_000, 250_000_000  # between two sendings of a flig
 LIMIT_NS = 5_000_000_000  # a handshake that takes longer is given up
 _ENOUGH = 65_536  # bytes: more than OpenSSL ever has to say at once
 _UNTRUSTED = (42, 43, 44, 45, 46, 48)  # alerts about a certificate
-_VERSION = 0xFEFD
 
 
 class Tunnel:
@@ -89,7 +89,7 @@ class Tunnel:
         # Nearly always it is one sealed record.
         if self.ready and self.failure is None and OVERHEAD < len(datagram) <= OVERHEAD + MOST:
             kind, version, epoch, upper, lower, length = HEAD.unpack_from(datagram)
-            if kind == DATA and epoch == 1 and version == _VERSION and HEAD.size + length == len(datagram):
+            if kind == DATA and epoch == 1 and version == DTLS_1_2 and HEAD.size + length == len(datagram):
                 plain = self._open(upper << 32 | lower, datagram)
                 return ([] if plain is None else [plain]), []
         return self._take(datagram, now)

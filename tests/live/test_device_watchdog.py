@@ -23,7 +23,7 @@ from teleop.deadline import DEADLINE
 from teleop.endpoint import Reading
 from teleop.errors import DeviceError, Refused
 from teleop.live.device_watchdog import Watching, opened
-from teleop.live.heartbeat import ACKED, BEAT, DONE, FIRED, GONE_NS, SEEN, SIZE, WORDS, DeviceWatchdog, K, WatchedDevice
+from teleop.live.heartbeat import ACKED, BEAT, DONE, FIRED, GONE_NS, SEEN, SIZE, DeviceWatchdog, K, WatchedDevice
 from teleop.live.record import read_events
 from teleop.live.stand import Stand
 from tests.live.conftest import Command, summary
@@ -55,7 +55,7 @@ class Bench:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch | None = None) -> None:
         self.arm, self.ms = Arm(), 1000.0
-        self.words: Any = [0] * WORDS
+        self.words: Any = [0] * 8
         self.told: list[str] = []
         self.zeroed: list[float] = []
         self.broken: BaseException | None = None

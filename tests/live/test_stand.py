@@ -8,6 +8,7 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from math import inf, nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from teleop.live.stand import DEAD_NS, Stand, deadline_of
 from teleop.live.summary import UNWATCHED
 from teleop.scene import load_scene
 from teleop.session import Session
+from tests.live.conftest import Command
 
 MS = 1_000_000
 WELL = Reading((0.1,), (0.2,), (0.3,))
@@ -288,6 +290,30 @@ class Bare:
     def __init__(self, scene: Any) -> None:
         inner = SimulatedMaster(scene)
         self.read, self.hold = inner.read, inner.hold
+
+
+@pytest.mark.live
+def test_that_nothing_lets_go_of_a_device_but_its_end_was_told_only_after_the_run(
+    command: Callable[..., Command], tmp_path: Path
+) -> None:
+    program = """
+from slave.robot import SimulatedSlave
+from teleop.live.end import end_main
+
+
+class Bare:
+    def __init__(self, scene):
+        inner = SimulatedSlave(scene)
+        self.read, self.hold = inner.read, inner.hold
+
+
+raise SystemExit(end_main("s", Bare))
+"""
+    (tmp_path / "bare.py").write_text(program)
+    end = command("bare", "hard_wall", "--listen", "127.0.0.1:0", "--json", "--wait", "60")
+    end.event("listening")
+    assert end.process.stderr is not None
+    assert end.process.stderr.readline() == f"teleop: {UNWATCHED}\n"
 
 
 @pytest.mark.live
