@@ -110,16 +110,16 @@ class Guard:
             self.gain = 0.0
         if got:
             self._hear(k, came, age)
-        silent, deaf = (k - self._heard) // self._every, unheard > patience * self._dt
+        silent, not_heard = (k - self._heard) // self._every, unheard > patience * self._dt
         if trouble is None:
-            trouble = self._cause_of(k, passed - 1, silent, deaf, over)
+            trouble = self._cause_of(k, passed - 1, silent, not_heard, over)
         if trouble is not None:
             self._enter(k, trouble)
             self._waits = True
         if self._waits:
             silent = _NEVER
         c = self._c
-        if deaf:  # it is not released before the other end hears this one; what came has settled it all the same
+        if not_heard:  # it is not released before the other end hears this one; what came has settled it all the same
             self._calm = min(self._calm, c.settle + silent - 1.0)
         falling = silent > patience or self._calm + 1.0 - silent <= c.settle
         if falling and passed > 1:
@@ -140,8 +140,12 @@ class Guard:
         self._heard = max(self._heard, k if came is None else min(k, came))
         self._waits = self._waits and (k - self._heard) // self._every > self._c.patience
 
-    def _cause_of(self, k: int, missed: int, silent: int, deaf: bool, over: str | None) -> str | None:
-        """Why it has to be safe, if its device does well: `missed` own ticks, `silent` ones, an end that hears none."""
+    def _cause_of(self, k: int, missed: int, silent: int, not_heard: bool, over: str | None) -> str | None:
+        """Why this end has to be safe though its device does well; None if it need not.
+
+        `missed`: own ticks that were left out before this one; `silent`: own ticks since a packet came; `not_heard`:
+        does the other end say that it hears nothing of this one; `over`: why the session is over, if it is.
+        """
         assert self._c is not None
         assert self._dog is not None
         patience = self._c.patience
@@ -153,7 +157,7 @@ class Guard:
             if (k - self._old_k) // self._every <= patience:
                 return f"age: messages come more than {self._dog.age:g} s after they were sent"
             return f"silence: no fresh packet for {self._dog.timeout:g} s"
-        if deaf and (not self.safe or str(self.cause).startswith("no answer")):
+        if not_heard and (not self.safe or str(self.cause).startswith("no answer")):
             return f"no answer: the other end has not heard this one for {self._dog.timeout:g} s"
         return None
 

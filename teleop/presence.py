@@ -1,10 +1,10 @@
 """Does the other end still hear this one, and do the two still count the same ticks? Sans-IO; times are ns.
 
 Both are told by the messages that come, whatever is in them of the law. Each says when the newest of ours came that its
-sender has, and how long ago: if that is long, ours are lost on their way, and the force that we hold is answered by
-nobody. And it bears the tick at which it was sent. No message comes before it was sent, so one that is ahead of our
-grid by more than the two clocks can be apart says that our own clock stood still, as a suspended machine's does: what
-we took for the newest is as old as the other end's messages are ahead.
+sender has, and how long ago: if that is long, ours are lost on their way, and nothing answers the force that we hold.
+And it bears the tick at which it was sent. No message comes before it was sent, so one that is ahead of our grid by
+more than the two clocks can be apart says that our own clock stood still, as a suspended machine's does: what we took
+for the newest is as old as the other end's messages are ahead.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A motor that outlives the process that drives it, for measuring what lets go of it: `python -m teleop.bench.motor`.
 
 It is a small file that both the end and the device's watchdog map into memory: the force that it holds, when the
-watchdog set it to zero, and an order to hang, as a driver in C may, deaf to signals.
+watchdog set it to zero, and an order to hang, as a driver in C may, that no signal ends.
 """
 
 from __future__ import annotations

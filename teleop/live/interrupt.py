@@ -37,7 +37,7 @@ class Interrupt:
     """While it is entered, `name` is None until a signal came, then the first signal's name; `count` says how many.
 
     What was ignored before stays so, as SIGHUP under nohup, and what has a handler keeps it; SIGINT and SIGTERM are
-    taken from whoever had them. `taken`: the numbers.
+    taken whatever handler they had. `taken`: the numbers.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""How a live end leaves: its device without force, its record closed, its peer told the truth.
+"""How a live end leaves: its device without force, its record closed, its peer told how the run ended.
 
 The force goes as in the safe state: along the watchdog's ramp and within the slew limit, tick by tick, so that nothing
 jumps in a person's hand. The law has no part in it: the force that was held falls in amount until it is zero. The

@@ -46,7 +46,7 @@ class Verifier:
         self._public: EllipticCurvePublicKey | None = None  # the peer's, once its certificate has come
 
     def shown(self, record: Record) -> str | None:
-        """The fingerprint of the certificate in a proof, which anybody can show; None if there is none."""
+        """The fingerprint of the certificate in a proof, which any host can show; None if there is none."""
         certificate, _ = _parts(record)
         if not certificate:
             return None
