@@ -20,6 +20,7 @@ import msgpack
 
 from teleop.manifest import EVERY, TICK_0
 from teleop.packet import VERSION, Echo, Kind, Packet, decode, encode
+from teleop.session import NEXT
 
 KEPT = 256  # honest datagrams that are remembered, to be thrown again
 NUMBERS = (0, 1, -1, 2, 255, 2**15, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**53, 2**61, 2**62, 2**63 - 1, 2**63,
@@ -164,10 +165,10 @@ class Hostile:
             lambda: framed(self.view.hears, body, padding=bytes(int(dice.random() * 30)) + b"\x01"),
             lambda: framed(self.view.hears, body, padding=bytes(1200)),
             lambda: framed(self._any((2, 3, 4, 5, 6)), body),
-            lambda: framed(int(dice.random() * 7), self._any(BODIES)),
-            lambda: framed(int(dice.random() * 7), body + self._any(BODIES[1:])),
-            lambda: framed(int(dice.random() * 7), packed(*self.fields()[:-1])),
-            lambda: framed(int(dice.random() * 7), packed(*self.fields(), None)),
+            lambda: framed(int(dice.random() * len(Kind)), self._any(BODIES)),
+            lambda: framed(int(dice.random() * len(Kind)), body + self._any(BODIES[1:])),
+            lambda: framed(int(dice.random() * len(Kind)), packed(*self.fields()[:-1])),
+            lambda: framed(int(dice.random() * len(Kind)), packed(*self.fields(), None)),
         ))()
         return data
 
@@ -203,13 +204,13 @@ class Hostile:
         return framed(self.view.hears, packed(*fields))
 
     def of_another(self) -> bytes:
-        """Right in all but the session, as somebody guesses it."""
+        """Right in all but the session, as it is guessed: the next numbers are its master's, which knows its own."""
         view = self.view
         number = self._any((0, 1, view.number + 1, view.number - 1, view.number ^ 2**32, view.number ^ 2**63, 2**64 - 1,
                             self.dice.getrandbits(64)))
-        kind = int(self.dice.random() * 7)
-        if number == view.number:
-            number ^= 1
+        kind = int(self.dice.random() * len(Kind))
+        if (number - view.number) % 2**64 <= NEXT:
+            number ^= 2**40
         payload = self.fields()[4] if kind < 2 else self._control(Kind(kind))
         echo = self._any((None, (self._any(TIMES), 0)))
         return framed(kind, packed(number, self._any((0, view.k, 2**32 - 1)), self._any(TIMES), echo, payload, None))
@@ -239,7 +240,7 @@ class Hostile:
     def _control(self, kind: Kind) -> Any:
         if kind is Kind.START:
             return self._any((*TIMES, None, 1.5, True))
-        return self._any(SENTENCES if kind in (Kind.REFUSE, Kind.BYE) else MANIFESTS)
+        return self._any(SENTENCES if kind in (Kind.REFUSE, Kind.BYE, Kind.RENEW) else MANIFESTS)
 
     def word(self) -> bytes:
         """Of this session, and none that moves a run. A farewell does, where there are no keys."""

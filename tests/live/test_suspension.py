@@ -118,7 +118,7 @@ def test_an_outage_one_way_lets_both_go_and_ends_in_another_session(cut: str, pa
         assert end.session.met >= 2
         first = next(i for i, what in enumerate(whats) if what[0] == "session")
         assert "released" not in [what for what, _ in whats[:first]], f"{e} was released into the session before"
-        assert whats[-1][0] == "released"
+        assert "released" in [what for what, _ in whats[first:]]
     deaf = [event.why for event in ends[cut].guard.events if event.k > 1490 and event.what == "safe"]
     assert deaf[0].startswith(("no answer", "a stall"))
 

@@ -107,7 +107,7 @@ class TestBesideAScenesFile:
 
     @pytest.fixture(autouse=True)
     def _as_before(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-        monkeypatch.setattr(sys, "path", [*sys.path])
+        monkeypatch.setattr(sys, "path", [each for each in sys.path if each not in teleop.library._FOLDERS])
         monkeypatch.setattr(teleop.library, "_FOLDERS", [])
         before = set(sys.modules)
         yield
