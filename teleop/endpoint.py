@@ -162,13 +162,15 @@ class Endpoint:
         if packet.kind is not self.hears:
             self.rejected["direction"] += 1
             return []
-        came = -((session.start_ns - now) // self.scene.dt_ns)  # the tick, rounded up
+        dt_ns = self.scene.dt_ns
+        came = -((session.start_ns - now) // dt_ns)  # the tick, rounded up
         near = self._tick if self.stepped else max(came, self._tick)
         seq = unwrapped(packet.seq, near)
+        sent = session.start_ns + seq * dt_ns  # when, by our clock
         if session.met != self._met and not self.stepped:
-            session.data_came(now, session.start_ns + seq * self.scene.dt_ns)
+            session.data_came(now, sent)
             return []  # its law begins with the next tick, and nothing of it counts as of the session before
-        if seq > (self._tick + 1 if self.stepped else near + self.presence.most_ahead()):
+        if seq > near and seq > (self._tick + 1 if self.stepped else near + self.presence.most_ahead()):
             self.rejected["early"] += 1
             self.presence.ahead(self._tick, seq - near, packet.sent_ns, now)
             return []
@@ -177,15 +179,14 @@ class Endpoint:
             return []
         self.received += 1
         if self._window.judge(seq, near) == "new":
-            session.data_came(now, session.start_ns + seq * self.scene.dt_ns)
+            session.data_came(now, sent)
             self._came = came
             self.presence.in_time()
             if not self.stepped:
-                way = now - session.start_ns - seq * self.scene.dt_ns
-                self.link.heard(seq, packet.sent_ns, packet.echo, way, now)
+                self.link.heard(seq, packet.sent_ns, packet.echo, now - sent, now)
             if self._newest is None or seq > self._newest[0]:
                 self._newest = (seq, packet.sent_ns, now)
-                self.presence.newest(packet.echo, session.start_ns + seq * self.scene.dt_ns, now)
+                self.presence.newest(packet.echo, sent, now)
         self.inbox.put(seq, max(came, self._tick + 1), Heard(self._message(packet.payload), packet.E_in))
         return []
 
