@@ -150,7 +150,7 @@ class Endpoint:
         if isinstance(packet, Rejection):
             self.rejected[packet.value] += 1
             return []
-        session = self.session
+        session, dt_ns = self.session, self.scene.dt_ns
         if packet.kind not in DATA:
             if not session.belongs(packet, now):
                 self.rejected["session"] += 1
@@ -162,7 +162,6 @@ class Endpoint:
         if packet.kind is not self.hears:
             self.rejected["direction"] += 1
             return []
-        dt_ns = self.scene.dt_ns
         came = -((session.start_ns - now) // dt_ns)  # the tick, rounded up
         near = self._tick if self.stepped else max(came, self._tick)
         seq = unwrapped(packet.seq, near)
