@@ -104,6 +104,11 @@ class Guard:
         if self._c is None or self._dog is None:
             return 1.0
         passed, self._k = (k - self._k) // self._every, k
+        if got and passed == 1 and self.gain == 1.0 and not self.safe and trouble is None and over is None:
+            heard = max(self._heard, k if came is None else min(k, came))
+            if self._is_well(unheard, age, (k - heard) // self._every):  # nearly always
+                self._heard, self._calm, self._waits, self.lapsed = heard, self._calm + 1.0, False, False
+                return 1.0
         patience = self._c.patience
         self.lapsed = passed > self._lapses
         if self.lapsed:
@@ -129,6 +134,12 @@ class Guard:
             self.safe, self.cause = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
         return self.gain
+
+    def _is_well(self, unheard: float, age: int, silent: int) -> bool:
+        """Does full gain stay so, with a message of this age and these silences: all that the rest of `step` asks?"""
+        patience, _, settle, oldest = self._c or (0.0, 0.0, 0.0, 0.0)
+        return (silent <= patience and unheard <= patience * self._dt and age <= oldest * self._every
+                and self._calm + 1.0 - silent > settle)
 
     def _hear(self, k: int, came: int | None, age: int) -> None:
         """A message is there at tick k, sent `age` ticks ago; what `came` is, see `step`."""

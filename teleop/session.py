@@ -87,6 +87,7 @@ class Session:
         self.begun_ns = 0  # when the session began: before that nothing can have come
         self._heard_ns: int | None = None  # when the newest message came in it
         self._answered = False  # did one come that shows that the peer hears this end
+        self._sound_ns = 0  # until then nothing is to be judged, if nothing else ends the session
         self._heals = heals
         self._first_ns = FIRST_NS
         self.start_rtt_ns = 0  # at most as long took the round trip with which a slave was started
@@ -140,7 +141,7 @@ class Session:
 
     def judge(self, now: int) -> None:
         """See whether the session is over for this end: to be asked at every tick."""
-        if self.meeting or self.ended is not None:
+        if now <= self._sound_ns or self.meeting or self.ended is not None:
             return
         if self.silent(now):
             if self.master or self._heard_ns is not None:  # before its first message a link may just be long
@@ -161,6 +162,7 @@ class Session:
         """A new message of the peer: it has had START, and it is there. `sent_ns`: when it was sent, by our clock."""
         first = self._heard_ns is None
         self._acknowledged, self._heard_ns = True, now
+        self._sound_ns = now + self.renew_ns if self._answered or not self.master else 0
         if first and sent_ns is not None and sent_ns - self.begun_ns > self.renew_ns:
             self.end(f"{OVER}: its first {self.renew_ns / 1e9:g} s did not arrive")
 
@@ -183,7 +185,7 @@ class Session:
     def begin(self, start_ns: int, now: int) -> None:
         """The two have met: the session begins, on the grid whose tick 0 is at `start_ns`."""
         self.start_ns, self.meeting, self.ended = start_ns, False, None
-        self._heard_ns, self._answered = None, False
+        self._heard_ns, self._answered, self._sound_ns = None, False, 0
         self.begun_ns = max(now, min(start_ns, now + MOST_RTT_NS)) + (self.rtt_ns or 0)
         self.met += 1
 
@@ -316,9 +318,8 @@ class Session:
         may be slow at the moment, and the grids would be set apart by half of that for good.
         """
         assert self.rtt_ns is not None
-        before = self._grid_rtt_ns
-        return (before is not None and self.rtt_ns > 2 * before
-                and abs(offset_ns - self.offset_ns) <= (self.rtt_ns + before) // 2)
+        rtt, before = self.rtt_ns, self._grid_rtt_ns
+        return before is not None and rtt > 2 * before and abs(offset_ns - self.offset_ns) <= (rtt + before) // 2
 
     def _packet(
         self, kind: Kind, now: int, payload: dict[str, str] | str | int, echo: Echo | None = None,
