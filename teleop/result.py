@@ -175,11 +175,16 @@ def load_result(folder: Path | str, *, trust: bool = False) -> Result:
     except Refused:
         raise
     except Exception as error:  # no folder, no JSON, no zip, cut short, of another version
-        why = error.strerror if isinstance(error, OSError) else error if isinstance(error, Misshapen) else None
         raise Refused(
-            f"{at} holds no complete run ({why or f'{type(error).__name__}: {error}'}); give the folder that "
-            f"`teleop run` printed"
+            f"{at} holds no complete run ({_why(error)}); give the folder that `teleop run` printed"
         ) from error
+
+
+def _why(error: Exception) -> str:
+    """What is wrong with a stored run, and with which of its files where that is known."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{Path(str(error.filename)).name}: {error.strerror}" if error.filename else error.strerror
+    return str(error) if isinstance(error, Misshapen) else f"{type(error).__name__}: {error}"
 
 
 def has_record(folder: Path) -> bool:

@@ -99,7 +99,7 @@ def test_a_live_end_whose_machine_was_suspended_is_safe_at_once_and_goes_on_in_a
 def test_an_outage_one_way_lets_both_go_and_ends_in_another_session(cut: str, pair: Callable[..., Any]) -> None:
     """The messages of one end are lost for 1.6 s, at its socket."""
     dog = Watchdog(timeout=0.2, ramp=0.05, settle=0.1)
-    both = pair(replace(load_scene("hard_wall", duration=6.0, law="direct"), link=None, watchdog=dog))
+    both = pair(replace(load_scene("hard_wall", duration=9.0, law="direct"), link=None, watchdog=dog))
     ends, wire = {e: shell.endpoint for e, shell in both.shells.items()}, both.shells[cut].wire
     send, since = wire.send, [0]
 

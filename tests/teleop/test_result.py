@@ -127,6 +127,16 @@ class TestStored:
         with pytest.raises(Refused, match="holds no complete run"):
             load_result(tmp_path / "run")
 
+    @pytest.mark.parametrize("name", ["summary.json", "trace.npz"])
+    def test_the_refusal_of_a_folder_with_a_link_in_it_did_not_say_which_file_that_is(
+        self, wan: Result, tmp_path: Path, name: str
+    ) -> None:
+        wan.save(tmp_path / "run")
+        (tmp_path / "run" / name).rename(tmp_path / name)
+        (tmp_path / "run" / name).symlink_to(tmp_path / name)
+        with pytest.raises(Refused, match=rf"holds no complete run \({name}: it is a link, not a file\)"):
+            load_result(tmp_path / "run")
+
     def test_written_into_a_folder_of_links_leaves_what_they_lead_to_alone(self, wan: Result, tmp_path: Path) -> None:
         (tmp_path / "precious").write_bytes(b"precious")
         folder = tmp_path / "run"
