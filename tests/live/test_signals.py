@@ -224,8 +224,7 @@ def test_a_hung_driver_or_law_is_ended_by_the_second_signal(
     assert err.startswith(f"teleop: SIGTERM and SIGTERM came, and {part} does not return; its device was set to zero")
     assert err.count("\n") == 1
     assert took < HUNG_S + 2.0
-    rows = len(read_record(tmp_path / "s")[1].ticks)
-    assert rows > 250
+    assert read_record(tmp_path / "s")[1].ticks[-1] >= 250, "the rows up to the hang are on the disk"
     assert any("does not return" in event["why"] for event in read_events(tmp_path / "s"))
     assert other.end()[0] == 0
     assert f"{part} does not return" in summary(tmp_path / "m")["sentence"], "the peer is told the truth"
