@@ -102,6 +102,7 @@ class Running:
         """One hostile datagram at the end that is under fire. No address draws more than came from it."""
         e = self.at
         self.fired += 1
+        self.view.number = self.ends["m"].session.number or 0
         end, line = self.ends[e], self.lines.get(e)
         if line is not None:
             plain, out = line.receive(data, address, self.clock(e))
