@@ -11,12 +11,13 @@ from typing import Any
 
 from channel.link import describe
 from channel.shell import RelayShell
-from teleop.live import output, realtime, security
-from teleop.live.address import Address, address, bound, peer_address, shown, towards
-from teleop.live.interrupt import Interrupt
-from teleop.live.wire import Wire
-from teleop.options import Parser, guarded, knobs_from, scene_options
-from teleop.scene import both_ends, load_scene
+from teleop.live import security
+from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
+from teleop.live.net.wire import Wire
+from teleop.live.process import output, realtime
+from teleop.live.process.interrupt import Interrupt
+from teleop.scene.scene import both_ends, load_scene
+from teleop.terminal.options import Parser, guarded, knobs_from, scene_options
 
 
 def main(argv: Sequence[str] | None = None) -> int:

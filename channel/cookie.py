@@ -1,7 +1,7 @@
 """The relay's own cookies: a sender of DTLS hellos shows its address before anything is kept of it.
 
 As RFC 6347, 4.2.1 has it for a server: a hello without a good cookie is answered with one, no longer than the hello,
-and forgotten. How cookies travel is in `teleop.secure.relayed`; a slave asks for one of its own behind it.
+and forgotten. How cookies travel is in `teleop.protocol.secure.relayed`; a slave asks for one of its own behind it.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 from hashlib import sha256
 from hmac import compare_digest, digest
 
-from teleop.live.address import Address
-from teleop.secure.record import Record
+from teleop.live.net.address import Address
+from teleop.protocol.secure.dtls_record import Record
 
 SLOT_NS = 30_000_000_000  # a cookie is good for one to two of these
 

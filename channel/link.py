@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from channel.effect import Chain, Effect
 from channel.schedule import Arrivals, Stream, arrivals
 from teleop.errors import Refused
-from teleop.plugins import known
+from teleop.naming import known
 from teleop.written import Kind
 
 EFFECTS = {

@@ -7,7 +7,7 @@ from typing import NoReturn
 from zlib import crc32
 
 from teleop.errors import Refused
-from teleop.files import read_bytes
+from teleop.storage.files import read_bytes
 
 
 def read(name: str, path: str | PathLike[str]) -> tuple[str, list[str], int]:

@@ -21,15 +21,15 @@ from channel.flow import Flow, Flows
 from channel.introduction import Introductions
 from channel.relay import Counts, Relay
 from teleop.errors import Refused
-from teleop.live.address import Address, shown
-from teleop.live.bulk import Bulk
-from teleop.live.wire import Wire
-from teleop.manifest import INSECURE, manifest_difference
-from teleop.packet import MOST_CONTROL, Kind, Packet, decode, encode, peek
-from teleop.scene import Scene
-from teleop.secure.record import DATA, HANDSHAKE, MTU, OVERHEAD, Record, records
-from teleop.secure.relayed import EXTRA, cookie_of, without
-from teleop.secure.relayed import shown as shown_record
+from teleop.live.net.address import Address, shown
+from teleop.live.net.bulk import Bulk
+from teleop.live.net.wire import Wire
+from teleop.protocol.manifest import INSECURE, manifest_difference
+from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, decode, encode, peek
+from teleop.protocol.secure.dtls_record import DATA, HANDSHAKE, MTU, OVERHEAD, Record, records
+from teleop.protocol.secure.relayed import EXTRA, cookie_of, without
+from teleop.protocol.secure.relayed import shown as shown_record
+from teleop.scene.scene import Scene
 
 MOST_SAID = 5  # unknown hosts can say HELLO too
 SEALED = range(20, 26)  # first bytes of DTLS records (RFC 9147)

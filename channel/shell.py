@@ -12,11 +12,11 @@ from os import urandom
 from selectors import EVENT_READ, DefaultSelector
 
 from channel.router import Router
-from teleop.live.address import Address, towards
-from teleop.live.interrupt import Interrupt
-from teleop.live.ticker import Timer
-from teleop.live.wire import Wire
-from teleop.scene import Scene
+from teleop.live.net.address import Address, towards
+from teleop.live.net.wire import Wire
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.process.ticker import Timer
+from teleop.scene.scene import Scene
 
 LEAD_NS = 100_000  # the relay is called so long before a datagram is due, for it takes time to wake up and come to it
 SOON_NS = 30_000  # what is due so soon after another is waited for too, before anything is taken in

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from teleop.bodies import held_master, master_plant, reference_samples
-from teleop.deadline import DEADLINE
-from teleop.endpoint import Axes, Reading
-from teleop.plant import grip_force, move_free, move_gripped
-from teleop.scene import Scene
-from teleop.tick import features
+from teleop.physics.plant import grip_force, move_free, move_gripped
+from teleop.protocol.deadline import DEADLINE
+from teleop.protocol.endpoint import Axes, Reading
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import held_master, master_plant, reference_samples
+from teleop.simulation.tick import features
 
 
 class SimulatedMaster:

@@ -8,7 +8,7 @@ from math import isfinite
 from zlib import crc32
 
 from teleop.errors import Refused, number
-from teleop.files import read_bytes
+from teleop.storage.files import read_bytes
 
 Row = tuple[float, ...]
 HEADERS = (("t", "x"), ("t", "x", "y", "z"))

@@ -8,8 +8,8 @@ from slave.moving import Moving
 from slave.wall import Wall
 from teleop.law import Law
 from teleop.laws.wave import Wave
-from teleop.plant import MassDamper
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
 
 
 def scene(

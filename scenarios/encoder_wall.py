@@ -5,12 +5,12 @@ from __future__ import annotations
 from math import pi
 
 from master.hand import Grip, Hold
-from teleop.device import Device, Encoder
 from teleop.laws.virtual_wall import VirtualWall
-from teleop.plant import MassDamper
-from teleop.safety import Cap
-from teleop.scene import Scene
-from teleop.velocity.backward_difference import BackwardDifference
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.stages.device import Device, Encoder
+from teleop.stages.safety import Cap
+from teleop.stages.velocity.backward_difference import BackwardDifference
 
 
 def scene(
@@ -28,7 +28,7 @@ def scene(
     if cap is None:
         passivity = None
     else:
-        from teleop.popc import PassivityController
+        from teleop.stages.passivity_controller import PassivityController
 
         passivity = PassivityController(cap=cap, v_min=v_min)
     return Scene(

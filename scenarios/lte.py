@@ -11,10 +11,10 @@ from master.hand import Grip, Reach
 from slave.wall import Wall
 from teleop.law import Law
 from teleop.laws.wave import Wave
-from teleop.plant import MassDamper
-from teleop.playout import Fixed
-from teleop.safety import Cap, Watchdog
-from teleop.scene import Playout, Scene
+from teleop.physics.plant import MassDamper
+from teleop.protocol.inbox import Fixed
+from teleop.scene.scene import Playout, Scene
+from teleop.stages.safety import Cap, Watchdog
 
 
 def scene(

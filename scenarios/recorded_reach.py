@@ -10,9 +10,9 @@ from master.recording import Recording
 from slave.wall import Wall
 from teleop.law import Law
 from teleop.laws.pfra import PFRA
-from teleop.plant import MassDamper
-from teleop.safety import Cap, Watchdog
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.stages.safety import Cap, Watchdog
 
 
 def scene(

@@ -7,9 +7,9 @@ from master.hand import Grip, Reach
 from slave.wall import Wall
 from teleop.law import Law
 from teleop.laws.wave import Wave
-from teleop.plant import MassDamper
-from teleop.safety import Cap, Watchdog
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.stages.safety import Cap, Watchdog
 
 
 def scene(

@@ -7,8 +7,8 @@ from master.hand import Grip, Sine
 from slave.tissue import Tissue
 from teleop.law import Law
 from teleop.laws.wave import Wave
-from teleop.plant import MassDamper
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
 
 
 def scene(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from master.hand import Grip, Reach
-from teleop.device import Device, Encoder, VelocityEstimator
 from teleop.law import OnePortLaw
 from teleop.laws.virtual_wall import VirtualWall
-from teleop.plant import MassDamper
-from teleop.scene import Scene
-from teleop.velocity.backward_difference import BackwardDifference
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.stages.device import Device, Encoder, VelocityEstimator
+from teleop.stages.velocity.backward_difference import BackwardDifference
 
 
 def scene(
@@ -37,15 +37,15 @@ def scene(
     """A reach of least jerk takes a finger into a virtual wall, which it then presses."""
     passivity, saturation, electrical = None, None, None
     if cap is not None:
-        from teleop.popc import PassivityController
+        from teleop.stages.passivity_controller import PassivityController
 
         passivity = PassivityController(cap=cap, v_min=v_min)
     if f_max is not None:
-        from teleop.safety import Cap
+        from teleop.stages.safety import Cap
 
         saturation = Cap(f_max=f_max)
     if b_e is not None:
-        from teleop.relaxing import ElectricalDamping
+        from teleop.physics.relaxing import ElectricalDamping
 
         electrical = ElectricalDamping(b=b_e, cutoff=cutoff)
     return Scene(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from teleop.errors import Refused, number
-from teleop.implicit import Resistance
-from teleop.sdirk import HUNT_CROSSLEY
+from teleop.physics.implicit import Resistance
+from teleop.physics.sdirk import HUNT_CROSSLEY
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,5 +39,5 @@ class HuntCrossley:
             raise Refused(f"side must be 1 (it fills x > at) or -1 (x < at), not {self.side:g}")
 
     def resistance(self) -> Resistance:
-        """What it does to a body, for `teleop.implicit.implicit_plant`."""
+        """What it does to a body, for `teleop.physics.implicit.implicit_plant`."""
         return Resistance(HUNT_CROSSLEY, self.k, 0.0, self.at, self.side, self.n, self.lam)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from teleop.errors import Refused
 
 if TYPE_CHECKING:
-    from teleop.scene import Exact, Integrated, Reference
+    from teleop.scene.scene import Exact, Integrated, Reference
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -17,7 +17,7 @@ class Moving:
 
     `path` is a reference like a hand's, along the axis that the environment is in: the positions of the
     environment's own (`at` of a wall) are counted from there. Between the ticks it is straight. A run follows it
-    with `teleop.carried`.
+    with `teleop.physics.carried`.
     """
 
     inner: ClassVar[bool] = True  # its plants have an inner state: the tick, and that of the environment

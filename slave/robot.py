@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from teleop.bodies import slave_plants
-from teleop.deadline import DEADLINE
-from teleop.endpoint import Axes, Reading
-from teleop.scene import Scene
-from teleop.tick import features
+from teleop.protocol.deadline import DEADLINE
+from teleop.protocol.endpoint import Axes, Reading
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import slave_plants
+from teleop.simulation.tick import features
 
 
 class SimulatedSlave:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from teleop.errors import number
-from teleop.plant import MassDamper, Plant
-from teleop.relaxing import relaxing
+from teleop.physics.plant import MassDamper, Plant
+from teleop.physics.relaxing import relaxing
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from teleop.errors import number
-from teleop.plant import MassDamper, Plant, spring_damper
+from teleop.physics.plant import MassDamper, Plant, spring_damper
 
 if TYPE_CHECKING:
-    from teleop.implicit import Resistance
+    from teleop.physics.implicit import Resistance
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,8 +33,8 @@ class Tissue:
         return spring_damper(body, dt, k=self.k, d=self.d, at=self.at)
 
     def resistance(self) -> Resistance:
-        """What it does to a body that has friction, for `teleop.implicit.implicit_plant`."""
-        from teleop.implicit import Resistance
-        from teleop.sdirk import BOND
+        """What it does to a body that has friction, for `teleop.physics.implicit.implicit_plant`."""
+        from teleop.physics.implicit import Resistance
+        from teleop.physics.sdirk import BOND
 
         return Resistance(BOND, self.k, self.d, self.at)

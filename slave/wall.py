@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from teleop.contact import wall
 from teleop.errors import Refused, number
-from teleop.plant import MassDamper, Plant
+from teleop.physics.contact import wall
+from teleop.physics.plant import MassDamper, Plant
 
 if TYPE_CHECKING:
-    from teleop.implicit import Resistance
+    from teleop.physics.implicit import Resistance
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,8 +40,8 @@ class Wall:
         return wall(body, dt, k=self.k, d=self.d, at=self.at, side=self.side)
 
     def resistance(self) -> Resistance:
-        """What it does to a body that has friction, for `teleop.implicit.implicit_plant`."""
-        from teleop.implicit import Resistance
-        from teleop.sdirk import WALL
+        """What it does to a body that has friction, for `teleop.physics.implicit.implicit_plant`."""
+        from teleop.physics.implicit import Resistance
+        from teleop.physics.sdirk import WALL
 
         return Resistance(WALL, self.k, self.d, self.at, self.side)

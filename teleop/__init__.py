@@ -14,20 +14,21 @@ __version__ = "0.1.0"
 DISTRIBUTION = "bilateral-teleop"  # the index knows another package that imports as `teleop`
 
 if TYPE_CHECKING:
-    from teleop.batch.runner import sweep as sweep
-    from teleop.conformance import check_law as check_law
+    from teleop.checks.two_port import check_law as check_law
     from teleop.errors import Refused as Refused
     from teleop.law import At as At
     from teleop.law import find_law as find_law
-    from teleop.lockstep import run as run
-    from teleop.result import Result as Result
-    from teleop.result import load_result as load_result
-    from teleop.scene import Scene as Scene
-    from teleop.scene import load_scene as load_scene
+    from teleop.scene.scene import Scene as Scene
+    from teleop.scene.scene import load_scene as load_scene
+    from teleop.simulation.result import Result as Result
+    from teleop.simulation.result import load_result as load_result
+    from teleop.simulation.virtual import run as run
+    from teleop.sweeps.runner import sweep as sweep
 
 _HOME = {
-    "At": "law", "find_law": "law", "check_law": "conformance", "Refused": "errors", "run": "lockstep",
-    "Result": "result", "load_result": "result", "Scene": "scene", "load_scene": "scene", "sweep": "batch.runner",
+    "At": "law", "find_law": "law", "check_law": "checks.two_port", "Refused": "errors", "run": "simulation.virtual",
+    "Result": "simulation.result", "load_result": "simulation.result", "Scene": "scene.scene",
+    "load_scene": "scene.scene", "sweep": "sweeps.runner",
 }
 __all__ = ["DISTRIBUTION", "At", "Refused", "Result", "Scene", "__version__", "check_law", "find_law",
            "load_result", "load_scene", "run", "sweep"]

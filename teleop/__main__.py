@@ -1,4 +1,4 @@
-"""The command line: what each verb of `teleop` does; `teleop.commands` has what may be typed."""
+"""The command line: what each verb of `teleop` does; `teleop.terminal.commands` has what may be typed."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from teleop.commands import parser
-from teleop.options import DONE, INTERRUPTED, guarded, knobs_from
+from teleop.terminal.commands import parser
+from teleop.terminal.options import DONE, INTERRUPTED, guarded, knobs_from
 
 if TYPE_CHECKING:
-    from teleop.result import Result
+    from teleop.simulation.result import Result
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -36,9 +36,9 @@ def _run(args: Namespace) -> None:
     from dataclasses import replace
     from time import perf_counter_ns
 
-    from teleop.folder import new_folder
-    from teleop.lockstep import run
-    from teleop.scene import load_scene
+    from teleop.scene.scene import load_scene
+    from teleop.simulation.virtual import run
+    from teleop.storage.folder import new_folder
 
     scene = load_scene(args.scene, **knobs_from(args))
     _check_plot(args)
@@ -52,12 +52,12 @@ def _run(args: Namespace) -> None:
 def _precision(args: Namespace) -> None:
     from time import monotonic, perf_counter_ns
 
-    from teleop.console import Progress
-    from teleop.figure import drawable
-    from teleop.folder import new_folder
-    from teleop.precision.measure import measure
-    from teleop.precision.report import summary, table, write
-    from teleop.scene import load_scene
+    from teleop.analysis.precision.measure import measure
+    from teleop.analysis.precision.report import summary, table, write
+    from teleop.scene.scene import load_scene
+    from teleop.storage.folder import new_folder
+    from teleop.terminal.figure import drawable
+    from teleop.terminal.run_table import Progress
 
     scene = load_scene(args.scene, **knobs_from(args))
     line = Progress(sys.stderr, 1.0)
@@ -73,7 +73,7 @@ def _precision(args: Namespace) -> None:
             line.end()
         write(got, new.inside, args.typed)
         if drawable():
-            from teleop.precision.figure import draw
+            from teleop.analysis.precision.figure import draw
 
             draw(got, new.inside / "precision.png")
     if args.json:
@@ -83,7 +83,7 @@ def _precision(args: Namespace) -> None:
 
 
 def _stability(args: Namespace) -> None:
-    from teleop.stability.report import ask, summary, table
+    from teleop.analysis.stability.report import ask, summary, table
 
     answer = ask(args.scene, knobs_from(args), seed=args.seed, in_time=args.time, continuous=args.continuous,
                  knob=args.critical, span=args.range, tol=args.tol)
@@ -94,7 +94,7 @@ def _stability(args: Namespace) -> None:
 
 
 def _passivity(args: Namespace) -> None:
-    from teleop.passivity.command import passivity
+    from teleop.analysis.passivity.command import passivity
 
     _check_plot(args)
     told, text = passivity(args.scene, knobs_from(args), seed=args.seed, span=args.range, out=args.out,
@@ -108,8 +108,8 @@ def _passivity(args: Namespace) -> None:
 def _zwidth(args: Namespace) -> None:
     from time import monotonic
 
-    from teleop.zwidth.command import carry_out
-    from teleop.zwidth.report import summary, table
+    from teleop.analysis.zwidth.command import carry_out
+    from teleop.analysis.zwidth.report import summary, table
 
     got, out = carry_out(args.scene, knobs_from(args), range_k=args.range_k, range_b=args.range_b, seed=args.seed,
                          out=args.out, command=args.typed, clock=monotonic, stream=None if args.json else sys.stderr)
@@ -124,9 +124,9 @@ def _zwidth(args: Namespace) -> None:
 def _sweep(args: Namespace) -> None:
     from time import perf_counter
 
-    from teleop.batch.command import carry_out
-    from teleop.batch.report import Wish, drawn
-    from teleop.figure import need_plot
+    from teleop.sweeps.command import carry_out
+    from teleop.sweeps.pictures.report import Wish, drawn
+    from teleop.terminal.figure import need_plot
 
     wish = Wish(args.picture, args.metric) if args.plot or args.picture or args.metric else None
     if wish is not None:
@@ -148,7 +148,7 @@ def _sweep(args: Namespace) -> None:
 def _matrix(args: Namespace) -> None:
     from time import perf_counter
 
-    from teleop.batch.matrix import answer
+    from teleop.sweeps.matrix import answer
 
     told, text = answer(args.file, out=args.out, command=args.typed, clock=perf_counter,
                         stream=None if args.json else sys.stderr)
@@ -181,7 +181,7 @@ def _doctor(args: Namespace) -> None:
 
 
 def _keygen(args: Namespace) -> None:
-    from teleop.secure.keys import keygen
+    from teleop.protocol.secure.keys import keygen
 
     path, printed = keygen(args.name)
     if args.json:
@@ -192,14 +192,14 @@ def _keygen(args: Namespace) -> None:
 
 
 def _list(args: Namespace) -> None:
-    from teleop.catalogue import details, overview
+    from teleop.scene.catalogue import details, overview
 
     _say(overview() if args.name is None else details(args.name))
 
 
 def _report(args: Namespace) -> None:
-    from teleop.batch.report import Wish, check_run
-    from teleop.result import RUNNING, load_result
+    from teleop.simulation.result import RUNNING, load_result
+    from teleop.sweeps.pictures.report import Wish, check_run
 
     if args.slave is not None:
         _put_together(args)
@@ -213,7 +213,7 @@ def _report(args: Namespace) -> None:
         _tell(args, result)
         return
     if args.json:
-        from teleop.result import stored_summary
+        from teleop.simulation.result import stored_summary
 
         _say_json(stored_summary(Path(args.run)), result)
         return
@@ -222,7 +222,7 @@ def _report(args: Namespace) -> None:
 
 
 def _report_sweep(args: Namespace) -> None:
-    from teleop.batch.report import Wish, report
+    from teleop.sweeps.pictures.report import Wish, report
 
     told, text = report(Path(args.run), Wish(args.picture, args.metric), quiet=args.json, trust=args.trust)
     if args.json:
@@ -234,9 +234,9 @@ def _report_sweep(args: Namespace) -> None:
 def _put_together(args: Namespace) -> None:
     from dataclasses import replace
 
-    from teleop.folder import new_folder
-    from teleop.live.merge import merge, scene_of
-    from teleop.result import RUNNING
+    from teleop.live.records.merge import merge, scene_of
+    from teleop.simulation.result import RUNNING
+    from teleop.storage.folder import new_folder
 
     result = merge(scene_of(Path(args.run), trust=args.trust), Path(args.run), Path(args.slave))
     if result.status == RUNNING:
@@ -252,7 +252,7 @@ def _put_together(args: Namespace) -> None:
 def _draw_if_possible(args: Namespace, result: Result, folder: Path) -> None:
     """The figure, where the extra is there; that it cannot be written is no error, for what was asked is done."""
     from teleop.errors import Refused
-    from teleop.figure import draw, drawable
+    from teleop.terminal.figure import draw, drawable
 
     if not drawable():
         return
@@ -267,8 +267,8 @@ def _tell(args: Namespace, result: Result) -> None:
     if args.json:
         _say_json(result.summary(args.typed), result)
         return
-    from teleop.console import table
-    from teleop.result import RUNNING
+    from teleop.simulation.result import RUNNING
+    from teleop.terminal.run_table import table
 
     running = result.status == RUNNING
     _say(f"{table(result)}\n" + ("nothing is written while it runs" if running else f"written to {result.path}"))
@@ -279,14 +279,14 @@ def _say_json(summary: dict[str, Any], result: Result) -> None:
 
 
 def _say_object(value: dict[str, Any]) -> None:
-    from teleop.stored import written
+    from teleop.storage.strict_json import written
 
     _say(written(value))
 
 
 def _say(text: str) -> None:
     """Print `text`; what a terminal would obey, or its encoding does not know, is written out, and stops nothing."""
-    from teleop.terminal import printable
+    from teleop.terminal.printable import printable
 
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     print(printable(text, lines=True).encode(encoding, "backslashreplace").decode(encoding))
@@ -299,14 +299,14 @@ def _stem(args: Namespace) -> str:
 
 def _check_plot(args: Namespace) -> None:
     if args.plot:
-        from teleop.figure import need_plot
+        from teleop.terminal.figure import need_plot
 
         need_plot()
 
 
 def _plot(args: Namespace, result: Result, folder: Path) -> None:
     if args.plot:
-        from teleop.figure import draw
+        from teleop.terminal.figure import draw
 
         draw(result, folder / "figure.png")
 

@@ -15,7 +15,7 @@ EXTRAS = {  # what to install for each
 
 def kernels() -> Path:
     """Where compiled kernels are kept."""
-    from teleop.batch.compiled import folder
+    from teleop.sweeps.kernels.compiled import folder
 
     return folder()
 
@@ -25,7 +25,7 @@ def findings() -> dict[str, Any]:
     from teleop import __version__
 
     held = _kept(kernels())
-    from teleop.batch.kept import open_to_others
+    from teleop.sweeps.kernels.cache_folder import open_to_others
 
     return {
         "bilateral-teleop": __version__, "python": sys.version.split()[0], "platform": sys.platform,

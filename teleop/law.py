@@ -29,7 +29,7 @@ from inspect import getattr_static
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple, Protocol
 
-from teleop.plugins import find, known
+from teleop.naming import find, known
 
 
 class At(NamedTuple):

@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.plugins import find
+from teleop.naming import find
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

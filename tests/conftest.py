@@ -18,7 +18,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 LONG = ("soak", "fuzz")
 TIMED = (
-    "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/", "tests/teleop/batch/test_cluster.py",
+    "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/", "tests/teleop/sweeps/test_cluster.py",
 )
 
 settings.register_profile(

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from teleop.bench.compiled import compiled
-from teleop.library import ROOT
+from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
 SECONDS = 3
@@ -152,7 +152,7 @@ def _end(name: str, folder: Path, *options: str) -> subprocess.Popen[str]:
 
 def _sealed(folder: Path) -> dict[str, tuple[tuple[str, ...], ...]]:
     try:
-        from teleop.secure.keys import keygen
+        from teleop.protocol.secure.keys import keygen
     except ImportError:
         return {}
     made = {end: keygen(folder / end) for end in ("master", "slave")}

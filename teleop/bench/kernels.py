@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
-from teleop.batch.kernel import Inputs, Water, tree_of
-from teleop.batch.leaves import leaves
-from teleop.bodies import exact_bodies, reference_samples
-from teleop.lockstep import link_plans
-from teleop.scene import Scene
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import exact_bodies, reference_samples
+from teleop.simulation.virtual import link_plans
+from teleop.sweeps.kernels.kernel import Inputs, Water, tree_of
+from teleop.sweeps.kernels.leaves import leaves
 
 MEASURES = ("x_err_rms", "x_err_max")
 
@@ -27,7 +27,7 @@ def kernel_of(engine: str, scenes: Sequence[Scene], seeds: Sequence[int]) -> Cal
         reference = scene.hand and scene.hand.reference
         path = paths.setdefault(reference, tuple([np.asarray(axis) for axis in reference_samples(scene) or ()]))
         rows.append(Inputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, water, path))
-    make = getattr(import_module(f"teleop.batch.{engine}"), engine)
+    make = getattr(import_module(f"teleop.sweeps.kernels.{engine}"), engine)
     kernel = make(scenes[0], exact_bodies(scenes[0]), MEASURES)
     lags = [row.water.lags for row in rows]
     return lambda: kernel.run(rows, lags)

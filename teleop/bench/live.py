@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from teleop.bench.compiled import compiled
-from teleop.library import ROOT
+from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
 SECONDS = 10

@@ -14,10 +14,10 @@ from mmap import mmap
 from pathlib import Path
 from struct import Struct
 
-from teleop.endpoint import Axes, Reading
+from teleop.live.devices.heartbeat import DeviceWatchdog
 from teleop.live.end import end_main
-from teleop.live.heartbeat import DeviceWatchdog
-from teleop.scene import Scene
+from teleop.protocol.endpoint import Axes, Reading
+from teleop.scene.scene import Scene
 
 SIZE = 4096
 HANG = 1

@@ -10,9 +10,9 @@ import sys
 import time
 from collections.abc import Sequence
 
-from teleop.live.address import bound
-from teleop.live.ticker import Alarm
-from teleop.live.wire import DRAIN, Wire
+from teleop.live.net.address import bound
+from teleop.live.net.wire import DRAIN, Wire
+from teleop.live.process.ticker import Alarm
 
 TICK_NS = 1_000_000
 PAYLOAD = bytes(100)

@@ -11,10 +11,10 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from statistics import median
 
-from teleop.batch.grid import grid
-from teleop.batch.runner import sweep
-from teleop.library import ROOT
-from teleop.scene import load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.scene import load_scene
+from teleop.sweeps.grid import grid
+from teleop.sweeps.runner import sweep
 
 Row = tuple[str, str, str]
 MEASURES = ("x_err_rms", "x_err_max")
@@ -30,7 +30,7 @@ print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 def scale(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked)."""
-    from teleop.batch.compiled import need_numba
+    from teleop.sweeps.kernels.compiled import need_numba
 
     need_numba("vector")
     ticks = load_scene("canonical").ticks

@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
-from teleop.secure.keys import Key, keygen, load_key
+from teleop.protocol.secure.keys import Key, keygen, load_key
 
 Row = tuple[str, str, str]
 SIZE, PACKETS = 100, 20_000
@@ -19,7 +19,7 @@ _HERE, _THERE = ("192.0.2.1", 1), ("192.0.2.2", 2)
 
 def secure(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked): medians over `rounds`."""
-    from teleop.secure.line import Line
+    from teleop.protocol.secure.line import Line
 
     def associated(mine: Key, theirs: Key) -> tuple[Line, Line]:
         one, other = Line.calling(mine, theirs.fingerprint, _THERE), Line.listening(theirs, mine.fingerprint, bytes(32))

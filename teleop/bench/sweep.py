@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from teleop.bench.kernels import kernel_of
-from teleop.scene import Scene, load_scene
+from teleop.scene.scene import Scene, load_scene
 
 Row = tuple[str, str, str]
 ROUGH = "delay(0.05) | uniform(0.02) | bernoulli(0.02)"
@@ -68,7 +68,7 @@ int row(const double *p, int64_t count, const int64_t *play_m, const int64_t *pl
 
 def sweep(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked): nanoseconds a tick, the least of each round, medians over rounds of ratios."""
-    from teleop.batch.compiled import need_numba
+    from teleop.sweeps.kernels.compiled import need_numba
 
     need_numba("scalar")
     rows: list[Row] = []
@@ -141,9 +141,9 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     """The same row by the C program."""
     import numpy as np
 
-    from teleop.batch.kernel import Water
-    from teleop.bodies import reference_samples
-    from teleop.lockstep import link_plans
+    from teleop.simulation.bodies import reference_samples
+    from teleop.simulation.virtual import link_plans
+    from teleop.sweeps.kernels.kernel import Water
 
     law, hand, wall, slave = scene.law, scene.hand, scene.environments[0], scene.slave
     assert hand is not None

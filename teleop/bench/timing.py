@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from teleop.bench.compiled import compiled
-from teleop.library import ROOT
-from teleop.live.realtime import SPIN_NS
+from teleop.live.process.realtime import SPIN_NS
+from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
 TICKS, TRIPS = 4000, 5000
@@ -119,8 +119,8 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
 
 def datagrams(folder: Path, count: int) -> None:
     """What the two ends of a session send, in the form that the load reads: `forth` and `back`."""
-    from teleop.packet import Kind, Packet, encode
-    from teleop.scene import both_ends, load_scene
+    from teleop.protocol.packet import Kind, Packet, encode
+    from teleop.scene.scene import both_ends, load_scene
 
     scene = both_ends(load_scene(SCENE, link=f"delay({DELAY})"))
     ways = {"forth": (Kind.HELLO, Kind.FORTH), "back": (Kind.START, Kind.BACK)}

@@ -15,9 +15,9 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
-from teleop.library import ROOT
-from teleop.lockstep import run
-from teleop.scene import load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.scene import load_scene
+from teleop.simulation.virtual import run
 
 Row = tuple[str, str, str]
 LOOP = "for i in range(1000): x=x*1.0001+0.5"

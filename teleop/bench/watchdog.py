@@ -1,7 +1,7 @@
 """How long a motor holds its force after the end that drives it was killed or stopped, has crashed, or hangs.
 
 The end drives `teleop.bench.motor`, a motor that outlives it and has no deadline of its own: what sets its force to
-zero is the device's watchdog process (`teleop.live.device_watchdog`). Each trial is a live run of its own.
+zero is the device's watchdog process (`teleop.live.devices.device_watchdog`). Each trial is a live run of its own.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from statistics import median
 from tempfile import TemporaryDirectory
 
 from teleop.bench.motor import HANG, Motor
-from teleop.deadline import DEADLINE
-from teleop.library import ROOT
-from teleop.live.record import read_events
+from teleop.live.records.record import read_events
+from teleop.protocol.deadline import DEADLINE
+from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
 SCENE = ("hard_wall", "--set", "law=direct", "--link", "none", "--set", "duration=60")

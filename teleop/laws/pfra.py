@@ -12,7 +12,7 @@ rest, which would move the master by itself, is scaled by alpha:
     phi_env = sat[0,1]( <f_env, f_h> / max(|f_h|^2, eps) ) f_h        f_m = alpha f_env + (1 - alpha) phi_env
 
 with sat[a,b]{x} = max(a, min(x, b)), eps = 1e-12 N^2, and f_h from a force sensor or an observer
-(teleop.observer). <.,.> runs over all axes, so this end couples them. alpha = 1 is direct force
+(teleop.stages.observer). <.,.> runs over all axes, so this end couples them. alpha = 1 is direct force
 reflection, bit for bit on finite inputs (up to the sign of a zero).
 
 Claims: nothing of the ledgers. With alpha = 0: <f_m, f_h> >= 0 and |f_m| <= |f_h|, so a master that

@@ -15,14 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.library import ROOT
-from teleop.live import fault, output
-from teleop.live.interrupt import Interrupt
-from teleop.live.merge import merge
-from teleop.live.record import fresh_folder, read_noted
-from teleop.live.summary import NAMES
-from teleop.result import Result
-from teleop.scene import Scene, both_ends, load_scene
+from teleop.live import fault
+from teleop.live.process import output
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.merge import merge
+from teleop.live.records.record import fresh_folder, read_noted
+from teleop.live.records.summary import NAMES
+from teleop.scene.library import ROOT
+from teleop.scene.scene import Scene, both_ends, load_scene
+from teleop.simulation.result import Result
 
 PATIENCE = 15.0  # s for a process to come up
 FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
@@ -230,7 +231,7 @@ async def _until_over(children: list[Child], watches: list[asyncio.Task[tuple[in
 
 async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
     """The one line that shows how far the run is. Between two events of the ends it goes on with the clock."""
-    from teleop.console import Progress
+    from teleop.terminal.run_table import Progress
 
     progress = Progress(sys.stderr, scene.ticks)
     seen, since = -1, 0.0

@@ -14,29 +14,30 @@ from secrets import randbits
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from teleop.endpoint import Endpoint, Stepped
 from teleop.errors import Refused, number
-from teleop.guard import UNNAMED
-from teleop.live import fault, output, realtime, security
-from teleop.live.address import Address, address, bound, peer_address, shown, towards
-from teleop.live.heartbeat import watched
-from teleop.live.interrupt import Interrupt
+from teleop.live import fault, security
+from teleop.live.devices.guarded_device import Device
+from teleop.live.devices.heartbeat import watched
 from teleop.live.lastresort import LastResort
 from teleop.live.leaving import UNRELEASED
-from teleop.live.record import Recorder, fresh_folder
+from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
+from teleop.live.net.wire import Wire
+from teleop.live.process import output, realtime
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.record import Recorder, fresh_folder
+from teleop.live.records.summary import NAMES, UNWATCHED, holds_on, write_end
 from teleop.live.shell import Shell
-from teleop.live.stand import Device
-from teleop.live.summary import NAMES, UNWATCHED, holds_on, write_end
-from teleop.live.wire import Wire
-from teleop.manifest import MOST_EVERY
-from teleop.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
-from teleop.scene import Scene, both_ends, load_scene
-from teleop.session import Session
-from teleop.stored import written
-from teleop.trust import asks_for_trust
+from teleop.protocol.endpoint import Endpoint, Stepped
+from teleop.protocol.guard import UNNAMED
+from teleop.protocol.manifest import MOST_EVERY
+from teleop.protocol.session import Session
+from teleop.scene.scene import Scene, both_ends, load_scene
+from teleop.scene.trust import asks_for_trust
+from teleop.storage.strict_json import written
+from teleop.terminal.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
 
 if TYPE_CHECKING:
-    from teleop.secure.line import Line
+    from teleop.protocol.secure.line import Line
 
 
 def end_main(e: str, device: Callable[[Scene], Device], argv: Sequence[str] | None = None) -> int:
@@ -93,7 +94,7 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
         summary = result.summary(command)
         print(written({"event": "done", "path": str(folder), "summary": summary}), flush=True)
     else:
-        from teleop.console import table
+        from teleop.terminal.run_table import table
 
         trust = " --trust" if asks_for_trust(args.scene, knobs_from(args)) else ""
         print(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two ends together")
@@ -122,7 +123,7 @@ def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
     manifest = {**scene.manifest(), "mode": "lockstep" if args.lockstep else "live"}
     inbox = None
     if args.lockstep:
-        from teleop.lockstep import link_plans
+        from teleop.simulation.virtual import link_plans
 
         manifest["seed"] = str(args.seed)  # by the clock, the channel alone draws
         inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
@@ -155,7 +156,7 @@ def _every(scene: Scene, args: Namespace) -> int:
 
 
 def _parser(e: str) -> ArgumentParser:
-    from teleop.options import Parser
+    from teleop.terminal.options import Parser
 
     name = NAMES[e]
     parser = Parser(prog=f"python -m {name}", description=f"The {name}'s end of a scene, live over UDP.")
@@ -229,7 +230,7 @@ class _Line:
     """The live line of an end that was started by hand."""
 
     def __init__(self, scene: Scene) -> None:
-        from teleop.console import Progress
+        from teleop.terminal.run_table import Progress
 
         self._progress = Progress(sys.stderr, scene.ticks)
 

@@ -13,12 +13,12 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
-from teleop.endpoint import Endpoint
 from teleop.errors import Refused
+from teleop.live.devices.guarded_device import Stand
 from teleop.live.meeting import meet
-from teleop.live.record import Recorder
-from teleop.live.stand import Stand
-from teleop.packet import one_line
+from teleop.live.records.record import Recorder
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.packet import one_line
 
 FILE = "error.txt"
 PARTS: dict[CodeType, str] = {

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 
-from teleop.endpoint import Endpoint
-from teleop.live.address import Address
-from teleop.live.filter import of_next, of_records, of_session
-from teleop.live.wire import Wire
-from teleop.packet import Kind, peek
-from teleop.session import RENEW_NS
+from teleop.live.net.address import Address
+from teleop.live.net.filter import of_next, of_records, of_session
+from teleop.live.net.wire import Wire
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.packet import Kind, peek
+from teleop.protocol.session import RENEW_NS
 
 OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
 

@@ -23,11 +23,11 @@ from traceback import walk_stack
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from teleop.guard import Event
 from teleop.live.fault import part_of
-from teleop.live.interrupt import Interrupt, name_of
 from teleop.live.leaving import MAY_BE_ON
-from teleop.options import FAULT, FORCED
+from teleop.live.process.interrupt import Interrupt, name_of
+from teleop.protocol.guard import Event
+from teleop.terminal.options import FAULT, FORCED
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell

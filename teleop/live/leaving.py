@@ -16,8 +16,8 @@ import asyncio
 import time
 from typing import TYPE_CHECKING
 
-from teleop.held import BLIND_NS
-from teleop.live.ticker import Alarm
+from teleop.live.process.ticker import Alarm
+from teleop.protocol.held_force import BLIND_NS
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell

@@ -6,7 +6,7 @@ import asyncio
 import time
 from typing import TYPE_CHECKING
 
-from teleop.live.address import shown
+from teleop.live.net.address import shown
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell

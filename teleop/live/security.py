@@ -7,11 +7,11 @@ from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
 from teleop.errors import Refused
-from teleop.live.address import Address, shown
+from teleop.live.net.address import Address, shown
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell
-    from teleop.secure.line import Line
+    from teleop.protocol.secure.line import Line
 
 
 def options(parser: ArgumentParser) -> None:
@@ -64,10 +64,10 @@ def line(e: str, args: Namespace, at: Address) -> tuple[Line | None, bool]:
                       "--lockstep, or the keys")
     from secrets import token_bytes
 
-    from teleop.secure.keys import load_key, need_secure, parse_fingerprint
+    from teleop.protocol.secure.keys import load_key, need_secure, parse_fingerprint
 
     need_secure()
-    from teleop.secure.line import Line  # not before: it cannot be imported without the extra
+    from teleop.protocol.secure.line import Line  # not before: it cannot be imported without the extra
 
     own, peer = load_key(args.key), parse_fingerprint(args.peer_fingerprint)
     if own.fingerprint == peer:

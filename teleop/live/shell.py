@@ -8,23 +8,23 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from teleop.endpoint import Axes, Endpoint, Reading, Stepped
-from teleop.guard import Event
 from teleop.live import fault
+from teleop.live.devices.guarded_device import Device, Stand, deadline_of
 from teleop.live.hearing import Hearing
-from teleop.live.interrupt import Interrupt
 from teleop.live.leaving import UNRELEASED, leave, let_go
 from teleop.live.meeting import HUSH, meet
-from teleop.live.record import Recorder
+from teleop.live.net.wire import DRAIN, SHARE, Wire
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.process.suspension import Suspension, boottime
+from teleop.live.process.ticker import Alarm
+from teleop.live.records.record import Recorder
+from teleop.live.records.summary import live_numbers
 from teleop.live.security import tell_relayed
-from teleop.live.stand import Device, Stand, deadline_of
-from teleop.live.summary import live_numbers
-from teleop.live.suspension import Suspension, boottime
-from teleop.live.ticker import Alarm
-from teleop.live.wire import DRAIN, SHARE, Wire
-from teleop.lockstep import divergence
-from teleop.packet import Kind, peek
-from teleop.scene import Scene
+from teleop.protocol.endpoint import Axes, Endpoint, Reading, Stepped
+from teleop.protocol.guard import Event
+from teleop.protocol.packet import Kind, peek
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import divergence
 
 SAY_NS = 250_000_000  # between two live lines
 
@@ -79,7 +79,7 @@ class Shell:
                 gc.freeze()  # what is here stays: no collection has to look at it again
                 used, began = time.process_time_ns(), time.monotonic_ns()
                 if isinstance(self.endpoint.inbox, Stepped):
-                    from teleop.live.stepped import by_packets
+                    from teleop.live.lockstep import by_packets
 
                     await by_packets(self, self.endpoint.inbox)
                 else:

@@ -8,10 +8,10 @@ from typing import Any
 
 from channel.flow import Flow
 from channel.router import Router
-from teleop.packet import Echo, Kind, Packet, encode
-from teleop.scene import load_scene
-from teleop.secure.record import records
-from teleop.secure.relayed import is_shown, shown
+from teleop.protocol.packet import Echo, Kind, Packet, encode
+from teleop.protocol.secure.dtls_record import records
+from teleop.protocol.secure.relayed import is_shown, shown
+from teleop.scene.scene import load_scene
 from tests.channel.no_wire import NoWire
 
 MS = 1_000_000

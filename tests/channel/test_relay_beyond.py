@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from teleop.packet import Kind, Packet, decode
-from teleop.session import Session
+from teleop.protocol.packet import Kind, Packet, decode
+from teleop.protocol.session import Session
 from tests.channel.site import MASTER, SCENE, SLAVE, Site, sealed
 from tests.live.conftest import command, summary  # noqa: F401 (a fixture)
 

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from channel.link import parse_link
-from teleop.library import ROOT
-from teleop.packet import Kind, Packet, encode
-from teleop.scene import load_scene
+from teleop.protocol.packet import Kind, Packet, encode
+from teleop.scene.library import ROOT
+from teleop.scene.scene import load_scene
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live

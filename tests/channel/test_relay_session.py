@@ -8,8 +8,8 @@ import pytest
 
 from channel.flow import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
 from channel.introduction import EACH_MOST
-from teleop.packet import Kind
-from teleop.secure.record import MTU
+from teleop.protocol.packet import Kind
+from teleop.protocol.secure.dtls_record import MTU
 from tests.channel.site import MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
 
 # In the open
@@ -146,7 +146,7 @@ def test_messages_longer_than_the_scenes_are_not_passed_on() -> None:
     site.run(7)
     packet = site.session(7)(Kind.FORTH)
     assert len(packet) <= site.router._size == 100
-    from teleop.packet import Echo, Packet, encode
+    from teleop.protocol.packet import Echo, Packet, encode
     long = encode(Packet(Kind.FORTH, 7, 1, 0, Echo(0, 0), (1.0,)), 1200)
     assert not site.takes(long, MASTER)
     assert not site.takes(bytes(8000), MASTER)

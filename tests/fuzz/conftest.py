@@ -19,7 +19,7 @@ def others() -> list[bytes]:
 def keys(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     """Three keys: the master's, the slave's, a stranger's."""
     pytest.importorskip("OpenSSL", reason="pip install 'bilateral-teleop[secure]'")
-    from teleop.secure.keys import keygen, load_key
+    from teleop.protocol.secure.keys import keygen, load_key
 
     folder = tmp_path_factory.mktemp("keys")
     return [load_key(keygen(folder / name)[0]) for name in ("master", "slave", "stranger")]

@@ -18,9 +18,9 @@ from zlib import crc32
 
 import msgpack
 
-from teleop.manifest import EVERY, TICK_0
-from teleop.packet import VERSION, Echo, Kind, Packet, decode, encode
-from teleop.session import NEXT
+from teleop.protocol.manifest import EVERY, TICK_0
+from teleop.protocol.packet import VERSION, Echo, Kind, Packet, decode, encode
+from teleop.protocol.session import NEXT
 
 KEPT = 256  # honest datagrams that are remembered, to be thrown again
 NUMBERS = (0, 1, -1, 2, 255, 2**15, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**53, 2**61, 2**62, 2**63 - 1, 2**63,

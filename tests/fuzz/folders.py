@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from teleop import figure
+from teleop.terminal.printable import figure
 
 ROOM = 3 << 30  # bytes of address space; numpy, matplotlib and their threads take 1.5 GB of it
 GROWS = 400 << 20  # bytes that the resident memory may grow by in all cases together

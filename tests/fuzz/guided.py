@@ -42,7 +42,7 @@ def resealed(data: bytes) -> bytes:
 
 def of_decode() -> Callable[[bytes], None]:
     """Each input as it is and with its checksum put right."""
-    from teleop.packet import MOST_CONTROL, Packet, Rejection, decode, encode, peek
+    from teleop.protocol.packet import MOST_CONTROL, Packet, Rejection, decode, encode, peek
 
     def one(data: bytes) -> None:
         for each in (data, resealed(data)):
@@ -63,8 +63,8 @@ def of_session() -> Callable[[bytes], None]:
     """Ends of all kinds, fresh at every input; even modes have the checksum put right."""
     from math import isfinite
 
-    from teleop.endpoint import Endpoint, Reading
-    from teleop.session import Session
+    from teleop.protocol.endpoint import Endpoint, Reading
+    from teleop.protocol.session import Session
     from tests.fuzz.running import CAP, fuzzed
 
     scene = fuzzed(1000)
@@ -102,10 +102,10 @@ def of_session() -> Callable[[bytes], None]:
                     assert end.force_failed is not None or all(-CAP <= f <= CAP and isfinite(f) for f in out.force)
 
     def made(scene: Any) -> tuple[Any, ...]:
-        from teleop.estimates import LinkEstimates
-        from teleop.guard import Guard
-        from teleop.packet import Window
-        from teleop.playout import Inbox
+        from teleop.protocol.estimates import LinkEstimates
+        from teleop.protocol.guard import Guard
+        from teleop.protocol.inbox import Inbox
+        from teleop.protocol.packet import Window
 
         return (Inbox(scene.playout, scene.dt_ns), Guard(scene.watchdog, scene.dt_ns / 1e9),
                 LinkEstimates(band_ns=scene.dt_ns // 2), Window())
@@ -119,10 +119,10 @@ def of_line() -> Callable[[bytes], None]:
     """Records taken apart; then a gate, and the lines of both ends in the middle of an association."""
     from tempfile import TemporaryDirectory
 
-    from teleop.secure.gate import Gate
-    from teleop.secure.keys import keygen, load_key
-    from teleop.secure.line import Line
-    from teleop.secure.record import records
+    from teleop.protocol.secure.dtls_record import records
+    from teleop.protocol.secure.gate import Gate
+    from teleop.protocol.secure.keys import keygen, load_key
+    from teleop.protocol.secure.line import Line
     from tests.fuzz.running import AT
 
     with TemporaryDirectory() as folder:
@@ -185,8 +185,8 @@ def main(target: str, arguments: list[str]) -> None:
     """Fuzz until libFuzzer has had enough."""
     import atheris
 
-    with atheris.instrument_imports(include=["teleop.packet", "teleop.session", "teleop.endpoint", "teleop.playout",
-                                             "teleop.estimates", "teleop.guard", "teleop.secure"]):
+    names = ("packet", "session", "endpoint", "inbox", "estimates", "guard", "secure")
+    with atheris.instrument_imports(include=[f"teleop.protocol.{name}" for name in names]):
         one = {"decode": of_decode, "session": of_session, "line": of_line}[target]()
     atheris.Setup([sys.argv[0], *arguments], one)
     atheris.Fuzz()

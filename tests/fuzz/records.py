@@ -8,9 +8,9 @@ from collections.abc import Callable
 from struct import pack, pack_into
 from typing import Any
 
-from teleop.secure.keys import Key
-from teleop.secure.line import Line
-from teleop.secure.tunnel import Tunnel
+from teleop.protocol.secure.keys import Key
+from teleop.protocol.secure.line import Line
+from teleop.protocol.secure.tunnel import Tunnel
 from tests.fuzz.datagrams import Hostile, View
 from tests.fuzz.running import AT, Running, fuzzed
 

@@ -19,11 +19,11 @@ from typing import Any
 from channel.link import parse_link
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.endpoint import Endpoint
-from teleop.packet import DATA, Kind, Packet, Rejection, decode
-from teleop.safety import Cap, Watchdog
-from teleop.scene import Scene, load_scene
-from teleop.session import Session
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.packet import DATA, Kind, Packet, Rejection, decode
+from teleop.protocol.session import Session
+from teleop.scene.scene import Scene, load_scene
+from teleop.stages.safety import Cap, Watchdog
 from tests.fuzz.datagrams import Hostile, View, is_lost, keep
 
 MS = 1_000_000

@@ -18,8 +18,8 @@ import pytest
 
 from teleop import load_scene, run, sweep
 from teleop.__main__ import main
-from teleop.library import ROOT
-from teleop.live.merge import merge
+from teleop.live.records.merge import merge
+from teleop.scene.library import ROOT
 from tests.live.conftest import Pair
 
 SLICES = 4

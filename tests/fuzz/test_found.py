@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from teleop.packet import Echo, Kind, Packet, encode
-from teleop.session import Session
+from teleop.protocol.packet import Echo, Kind, Packet, encode
+from teleop.protocol.session import Session
 from tests.fuzz.datagrams import framed, packed
 from tests.fuzz.running import AT, MS
 
@@ -26,8 +26,8 @@ def test_the_answer_to_a_start_is_not_longer_than_the_start() -> None:
 
 def test_a_strangers_record_behind_another_breaks_no_handshake_of_the_end_that_calls(keys: list[Any]) -> None:
     """It came from an address that this end has not called, and had no need to see anything of it."""
-    from teleop.secure.line import Line
-    from teleop.secure.record import HEAD
+    from teleop.protocol.secure.dtls_record import HEAD
+    from teleop.protocol.secure.line import Line
 
     master = Line.calling(keys[0], keys[1].fingerprint, AT["s"])
     slave = Line.listening(keys[1], keys[0].fingerprint, bytes(32))

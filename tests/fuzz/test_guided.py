@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.library import ROOT
+from teleop.scene.library import ROOT
 from tests.fuzz import guided
 
 FORMS = [pytest.param(2000, id="short"),

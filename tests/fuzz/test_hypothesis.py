@@ -18,10 +18,21 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from teleop.endpoint import Endpoint
-from teleop.manifest import EVERY
-from teleop.packet import DATA, MOST_CONTROL, MOST_SENTENCE, Echo, Kind, Packet, Rejection, decode, encode, peek
-from teleop.session import MOST_WELCOMED, RENEW_NS, Session
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.manifest import EVERY
+from teleop.protocol.packet import (
+    DATA,
+    MOST_CONTROL,
+    MOST_SENTENCE,
+    Echo,
+    Kind,
+    Packet,
+    Rejection,
+    decode,
+    encode,
+    peek,
+)
+from teleop.protocol.session import MOST_WELCOMED, RENEW_NS, Session
 from tests.fuzz.datagrams import BODIES, MANIFESTS, NUMBERS, ODD, framed, packed, sealed
 from tests.fuzz.running import fuzzed
 

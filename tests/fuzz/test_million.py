@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from teleop.endpoint import Endpoint
-from teleop.packet import DATA, Kind, Packet, decode, encode
-from teleop.secure.record import Dropped
-from teleop.session import MOST_WELCOMED, Session
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.packet import DATA, Kind, Packet, decode, encode
+from teleop.protocol.secure.dtls_record import Dropped
+from teleop.protocol.session import MOST_WELCOMED, Session
 from tests.fuzz.datagrams import Hostile, View
 from tests.fuzz.running import AT, CAP, MS, Memory, Running, from_outside, fuzzed
 
@@ -241,8 +241,8 @@ def test_a_gate_lets_in_nobody_but_the_pinned_peer(
     ticks: int, others: list[bytes], recorded: list[bytes], keys: list[Any]
 ) -> None:
     """Every 100 ms an honest end comes to the gate, through all that is fired at it."""
-    from teleop.secure.gate import Gate, is_for_gate
-    from teleop.secure.tunnel import Tunnel
+    from teleop.protocol.secure.gate import Gate, is_for_gate
+    from teleop.protocol.secure.tunnel import Tunnel
     from tests.fuzz.records import SECRET, HostileRecords
 
     gate = Gate(keys[1], keys[0].fingerprint, SECRET)

@@ -18,7 +18,7 @@ import pytest
 
 from channel.link import parse_link
 from channel.router import Router
-from teleop.packet import Kind, Packet, encode, peek
+from teleop.protocol.packet import Kind, Packet, encode, peek
 from tests.channel.no_wire import NoWire
 from tests.fuzz.datagrams import Hostile, View
 from tests.fuzz.running import AT, MS, fuzzed

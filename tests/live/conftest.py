@@ -20,17 +20,17 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.endpoint import Endpoint, Stepped
-from teleop.library import ROOT
-from teleop.live.address import bound
-from teleop.live.interrupt import Interrupt
-from teleop.live.record import Recorder
+from teleop.live.net.address import bound
+from teleop.live.net.wire import Wire
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.record import Recorder
+from teleop.live.records.summary import WAYS, write_end
 from teleop.live.shell import Shell
-from teleop.live.summary import WAYS, write_end
-from teleop.live.wire import Wire
-from teleop.lockstep import link_plans
-from teleop.scene import Scene
-from teleop.session import Session
+from teleop.protocol.endpoint import Endpoint, Stepped
+from teleop.protocol.session import Session
+from teleop.scene.library import ROOT
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import link_plans
 from tests.waiting import PATIENCE
 
 DEVICES: dict[str, Callable[[Scene], Any]] = {"m": SimulatedMaster, "s": SimulatedSlave}
@@ -190,7 +190,7 @@ def share_received(sender: Path, receiver: Path) -> float:
 def pair_of_keys(folder: Path) -> dict[str, list[str]]:
     """What a master and a slave are started with to let in each other."""
     pytest.importorskip("OpenSSL")
-    from teleop.secure.keys import keygen
+    from teleop.protocol.secure.keys import keygen
 
     made = {name: keygen(folder / name) for name in ("master", "slave")}
     return {own: ["--key", str(made[own][0]), "--peer-fingerprint", made[peer][1]]

@@ -23,8 +23,8 @@ from channel.delay import Delay
 from master.hand import Grip, Sine
 from teleop.law import Law
 from teleop.laws.wave import Wave
-from teleop.plant import MassDamper
-from teleop.safety import Cap, Watchdog
+from teleop.physics.plant import MassDamper
+from teleop.stages.safety import Cap, Watchdog
 from teleop.scene import Scene
 
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from teleop.live.address import bound
-from teleop.live.bulk import MOST, Bulk
-from teleop.live.wire import LONGEST, STAMP, Wire
+from teleop.live.net.address import bound
+from teleop.live.net.bulk import MOST, Bulk
+from teleop.live.net.wire import LONGEST, STAMP, Wire
 
 pytestmark = pytest.mark.live
 

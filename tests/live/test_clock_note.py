@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from teleop.endpoint import SLEW
-from teleop.live.summary import clock_note
-from teleop.live.wire import Wire
-from teleop.packet import DATA, Packet, decode, encode
-from teleop.scene import load_scene
+from teleop.live.net.wire import Wire
+from teleop.live.records.summary import clock_note
+from teleop.protocol.endpoint import SLEW
+from teleop.protocol.packet import DATA, Packet, decode, encode
+from teleop.scene.scene import load_scene
 from tests.live.conftest import summary
-from tests.teleop.virtual_clock import MS, Clock, World, healing
+from tests.teleop.protocol.virtual_clock import MS, Clock, World, healing
 
 SECONDS = 100.0
 

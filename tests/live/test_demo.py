@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from teleop.live.demo import demo
-from teleop.lockstep import run
-from teleop.result import load_result
-from teleop.scene import load_scene
+from teleop.scene.scene import load_scene
+from teleop.simulation.result import load_result
+from teleop.simulation.virtual import run
 from tests.waiting import until
 
 pytestmark = pytest.mark.live

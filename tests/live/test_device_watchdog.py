@@ -19,13 +19,24 @@ from hypothesis import strategies as st
 from teleop import load_result
 from teleop.bench.motor import HANG, Motor
 from teleop.bench.watchdog import BLOWS, FORCE, SCENE, trial
-from teleop.deadline import DEADLINE
-from teleop.endpoint import Reading
 from teleop.errors import DeviceError, Refused
-from teleop.live.device_watchdog import Watching, opened
-from teleop.live.heartbeat import ACKED, BEAT, DONE, FIRED, GONE_NS, SEEN, SIZE, DeviceWatchdog, K, WatchedDevice
-from teleop.live.record import read_events
-from teleop.live.stand import Stand
+from teleop.live.devices.device_watchdog import Watching, opened
+from teleop.live.devices.guarded_device import Stand
+from teleop.live.devices.heartbeat import (
+    ACKED,
+    BEAT,
+    DONE,
+    FIRED,
+    GONE_NS,
+    SEEN,
+    SIZE,
+    DeviceWatchdog,
+    K,
+    WatchedDevice,
+)
+from teleop.live.records.record import read_events
+from teleop.protocol.deadline import DEADLINE
+from teleop.protocol.endpoint import Reading
 from tests.live.conftest import Command, summary
 from tests.waiting import PATIENCE, until
 
@@ -63,7 +74,7 @@ class Bench:
         self.watched._words = self.words
         self.watching = Watching(self.words, self.zero, DEADLINE, self.told.append)
         if monkeypatch is not None:
-            monkeypatch.setattr("teleop.live.heartbeat.time.monotonic_ns", self.now)
+            monkeypatch.setattr("teleop.live.devices.heartbeat.time.monotonic_ns", self.now)
         self.words[SEEN] = self.now()
 
     def now(self) -> int:
@@ -445,7 +456,7 @@ def test_two_ends_do_not_drive_one_device(site: Callable[..., Site]) -> None:
 PROGRAM = """
 import sys
 from teleop.live.end import end_main
-from teleop.live.heartbeat import DeviceWatchdog
+from teleop.live.devices.heartbeat import DeviceWatchdog
 from slave.robot import SimulatedSlave
 
 

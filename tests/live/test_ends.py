@@ -19,12 +19,12 @@ import pytest
 
 from teleop.__main__ import main as report
 from teleop.errors import Refused
-from teleop.library import ROOT
-from teleop.live.merge import merge, scene_of
-from teleop.live.record import EVERY, FILE, read_noted, read_record
-from teleop.live.summary import WAYS
-from teleop.result import load_result
-from teleop.scene import load_scene
+from teleop.live.records.merge import merge, scene_of
+from teleop.live.records.record import EVERY, FILE, read_noted, read_record
+from teleop.live.records.summary import WAYS
+from teleop.scene.library import ROOT
+from teleop.scene.scene import load_scene
+from teleop.simulation.result import load_result
 from tests.live.conftest import share_received
 from tests.waiting import PATIENCE, until
 

@@ -12,14 +12,14 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.endpoint import Endpoint, Reading
 from teleop.errors import DeviceError
 from teleop.live import fault, leaving
+from teleop.live.devices.guarded_device import Stand
 from teleop.live.leaving import RETRY_NS, UNRELEASED
-from teleop.live.merge import merge
-from teleop.live.record import read_record
-from teleop.live.stand import Stand
-from teleop.scene import load_scene
+from teleop.live.records.merge import merge
+from teleop.live.records.record import read_record
+from teleop.protocol.endpoint import Endpoint, Reading
+from teleop.scene.scene import load_scene
 from tests.live.conftest import summary
 
 pytestmark = pytest.mark.live

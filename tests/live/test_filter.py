@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.errors import Refused
-from teleop.live.filter import LONGEST, Shape, attach, detach, of_records, of_session, program
-from teleop.live.wire import Wire
-from teleop.packet import DATA, VERSION, Echo, Kind, Packet, encode
+from teleop.live.net.filter import LONGEST, Shape, attach, detach, of_records, of_session, program
+from teleop.live.net.wire import Wire
+from teleop.protocol.packet import DATA, VERSION, Echo, Kind, Packet, encode
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux filters for a socket")
 SIZE = 136
@@ -134,8 +134,8 @@ def test_real_sealed_datagrams_come_through(ends: Ends, tmp_path: object) -> Non
     pytest.importorskip("OpenSSL")
     from pathlib import Path
 
-    from teleop.secure.keys import keygen, load_key
-    from teleop.secure.line import Line
+    from teleop.protocol.secure.keys import keygen, load_key
+    from teleop.protocol.secure.line import Line
 
     keys = [load_key(keygen(Path(str(tmp_path)) / name)[0]) for name in "ms"]
     here, there = ("192.0.2.1", 1), ("192.0.2.2", 2)

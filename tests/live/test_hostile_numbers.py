@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from teleop import load_result, load_scene
-from teleop.live.merge import merge
-from teleop.scene import Scene
+from teleop.live.records.merge import merge
+from teleop.scene.scene import Scene
 
 pytestmark = pytest.mark.live
 

@@ -14,14 +14,14 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.endpoint import Reading
 from teleop.errors import DeviceError
-from teleop.live.interrupt import Interrupt
-from teleop.live.record import read_events
-from teleop.lockstep import run
-from teleop.plant import MassDamper
-from teleop.safety import Cap, Watchdog
-from teleop.scene import load_scene
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.record import read_events
+from teleop.physics.plant import MassDamper
+from teleop.protocol.endpoint import Reading
+from teleop.scene.scene import load_scene
+from teleop.simulation.virtual import run
+from teleop.stages.safety import Cap, Watchdog
 
 pytestmark = pytest.mark.live
 Make = Callable[..., Any]

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from teleop.guard import Event
-from teleop.live.record import Recorder
-from teleop.scene import load_scene
-from teleop.tick import columns
+from teleop.live.records.record import Recorder
+from teleop.protocol.guard import Event
+from teleop.scene.scene import load_scene
+from teleop.simulation.tick import columns
 
 TICKS = 1_800_000
 SCENE = load_scene("hard_wall", duration=TICKS * 1e-3)
@@ -21,7 +21,7 @@ SCENE = load_scene("hard_wall", duration=TICKS * 1e-3)
 CHILD = """
 import sys
 from pathlib import Path
-from teleop.live.merge import recover
+from teleop.live.records.merge import recover
 recover(Path(sys.argv[1]))
 peak = [line for line in open("/proc/self/status") if line.startswith("VmHWM:")]  # of this program alone, unlike rusage
 print(int(peak[0].split()[1]) // 1024)

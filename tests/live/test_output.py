@@ -18,10 +18,10 @@ from typing import Any
 
 import pytest
 
-from teleop.library import ROOT
-from teleop.live.output import END_S, Output
-from teleop.packet import Kind, Packet, encode
-from teleop.scene import load_scene
+from teleop.live.process.output import END_S, Output
+from teleop.protocol.packet import Kind, Packet, encode
+from teleop.scene.library import ROOT
+from teleop.scene.scene import load_scene
 from tests.live.conftest import summary
 from tests.waiting import PATIENCE
 
@@ -157,8 +157,8 @@ fcntl.ioctl(its, termios.TIOCSCTTY, 0)
 now = termios.tcgetattr(its)
 now[3] |= termios.TOSTOP
 termios.tcsetattr(its, termios.TCSANOW, now)
-where = {"live": "teleop.live.output import live", "plain": "contextlib import nullcontext as live"}[sys.argv[2]]
-said = f"from {where}\\nwith live():\\n print('here', flush=True)"
+where = {"live": "teleop.live.process.output import live", "plain": "contextlib import nullcontext as
+live"}[sys.argv[2]] said = f"from {where}\\nwith live():\\n print('here', flush=True)"
 child = subprocess.Popen([sys.executable, "-c", said], stdout=its, process_group=0)
 _, status = os.waitpid(child.pid, os.WUNTRACED)
 child.kill()

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from teleop.live import realtime
+from teleop.live.process import realtime
 from tests.live.conftest import summary
 
 pytestmark = pytest.mark.live

@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.console import table
 from teleop.errors import Refused
-from teleop.guard import Event
-from teleop.live.merge import merge, recover, scene_of
-from teleop.live.record import (
+from teleop.live.records.merge import merge, recover, scene_of
+from teleop.live.records.record import (
     EVENTS,
     EVERY,
     FILE,
@@ -24,10 +22,12 @@ from teleop.live.record import (
     read_events,
     read_record,
 )
-from teleop.live.summary import NAMES, WAYS
-from teleop.scene import Scene, load_scene
-from teleop.tick import columns
-from teleop.trace import EndRecord
+from teleop.live.records.summary import NAMES, WAYS
+from teleop.protocol.guard import Event
+from teleop.scene.scene import Scene, load_scene
+from teleop.simulation.tick import columns
+from teleop.simulation.trace import EndRecord
+from teleop.terminal.run_table import table
 
 SCENE = load_scene("hard_wall", duration=1.0)
 WIDTH = len(columns(SCENE, "m"))

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from teleop.library import ROOT
+from teleop.scene.library import ROOT
 from tests.live.conftest import pair_of_keys, summary
 
 pytestmark = pytest.mark.live
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.live
 FLOOD = """
 import random, socket, sys, time
 sys.path.insert(0, sys.argv[1])
-from teleop.packet import Kind, Packet, encode
+from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene import load_scene
 from tests.channel.site import hello
 port, rate, sealed, dice = int(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "sealed", random.Random(1)

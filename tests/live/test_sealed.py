@@ -16,8 +16,8 @@ import pytest
 from tests.live.conftest import share_received, summary
 
 pytest.importorskip("OpenSSL")
-from teleop.secure.keys import keygen, load_key  # (with the extra alone)
-from teleop.secure.tunnel import Tunnel
+from teleop.protocol.secure.keys import keygen, load_key  # (with the extra alone)
+from teleop.protocol.secure.tunnel import Tunnel
 
 pytestmark = pytest.mark.live
 SCENE = ["hard_wall", "--set", "duration=1", "--json"]

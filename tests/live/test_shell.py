@@ -16,14 +16,14 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import Refused
-from teleop.live.address import bound
-from teleop.live.interrupt import Interrupt
-from teleop.live.merge import merge
-from teleop.live.record import EVENTS, FILE, read_record
-from teleop.live.wire import Wire
-from teleop.packet import DATA, Kind, peek
-from teleop.safety import Watchdog
-from teleop.scene import load_scene
+from teleop.live.net.address import bound
+from teleop.live.net.wire import Wire
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.merge import merge
+from teleop.live.records.record import EVENTS, FILE, read_record
+from teleop.protocol.packet import DATA, Kind, peek
+from teleop.scene.scene import load_scene
+from teleop.stages.safety import Watchdog
 
 pytestmark = pytest.mark.live
 Make = Callable[..., Any]
@@ -328,7 +328,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
 
     Even if the master goes on hearing the slave: that one falls silent, and asks for another session.
     """
-    for name in ("teleop.live.hearing.OPEN_NS", "teleop.session.RENEW_NS"):
+    for name in ("teleop.live.hearing.OPEN_NS", "teleop.protocol.session.RENEW_NS"):
         monkeypatch.setattr(name, 400_000_000)
     both = pair(replace(SCENE, duration=2.2), wire=Roaming)
     master, slave = both.shells["m"], both.shells["s"]

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from teleop.library import ROOT
-from teleop.live.interrupt import OTHERS, REAL_TIME, Interrupt
 from teleop.live.lastresort import HUNG_S
 from teleop.live.leaving import MAY_BE_ON
-from teleop.live.record import read_events, read_record
+from teleop.live.process.interrupt import OTHERS, REAL_TIME, Interrupt
+from teleop.live.records.record import read_events, read_record
+from teleop.scene.library import ROOT
 from tests.live.conftest import PATIENCE, summary
 
 pytestmark = pytest.mark.live
@@ -28,7 +28,7 @@ UNTAKEN = {  # and why
     "SIGKILL": "no process can take it", "SIGSTOP": "no process can take it", "SIGCONT": "ends nothing",
     "SIGSEGV": "a fault", "SIGBUS": "a fault", "SIGFPE": "a fault", "SIGILL": "a fault",
     "SIGCHLD": "ends nothing", "SIGURG": "ends nothing", "SIGWINCH": "ends nothing",
-    "SIGPIPE": "ignored by Python", "SIGXFSZ": "ignored by Python", "SIGTTOU": "ignored by teleop.live.output",
+    "SIGPIPE": "ignored by Python", "SIGXFSZ": "ignored by Python", "SIGTTOU": "ignored by teleop.live.process.output",
 }
 DEVICE = """
 import ctypes, os, select, struct, sys, threading, time
@@ -112,7 +112,7 @@ def pair(command: Make, e: str = "s") -> tuple[Any, Any]:
 def test_no_signal_that_a_process_can_take_ends_it() -> None:
     program = """
 import os, signal, sys
-from teleop.live.interrupt import Interrupt
+from teleop.live.process.interrupt import Interrupt
 for number in (signal.SIGQUIT, signal.SIGHUP):  # whatever the shell that started the tests makes of them
     signal.signal(number, signal.SIG_DFL)
 before = {number: signal.getsignal(number) for number in signal.valid_signals()}
@@ -168,7 +168,7 @@ def test_two_signals_of_one_kind_that_come_while_compiled_code_runs_are_two(sign
     """To the handler in Python they were one: the end went along its ramp, and was ended on it as one that hangs."""
     program = f"""
 import ctypes, os, time
-from teleop.live.interrupt import Interrupt
+from teleop.live.process.interrupt import Interrupt
 from teleop.live.lastresort import LastResort
 with Interrupt() as interrupt, LastResort(interrupt):
     kill = f"kill -TERM {{os.getpid()}}; sleep 0.2; "

@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 
 from teleop.errors import Refused
-from teleop.live.address import address, bound, peer_address, shown
 from teleop.live.end import live_text
-from teleop.live.interrupt import Interrupt
-from teleop.live.ticker import Alarm
-from teleop.live.wire import Wire
+from teleop.live.net.address import address, bound, peer_address, shown
+from teleop.live.net.wire import Wire
+from teleop.live.process.interrupt import Interrupt
+from teleop.live.process.ticker import Alarm
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live

@@ -16,13 +16,13 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.endpoint import Endpoint, Reading, Stepped
 from teleop.errors import DeviceError, Refused
-from teleop.live.merge import merge
-from teleop.live.stand import DEAD_NS, Stand, deadline_of
-from teleop.live.summary import UNWATCHED
-from teleop.scene import load_scene
-from teleop.session import Session
+from teleop.live.devices.guarded_device import DEAD_NS, Stand, deadline_of
+from teleop.live.records.merge import merge
+from teleop.live.records.summary import UNWATCHED
+from teleop.protocol.endpoint import Endpoint, Reading, Stepped
+from teleop.protocol.session import Session
+from teleop.scene.scene import load_scene
 from tests.live.conftest import Command
 
 MS = 1_000_000

@@ -20,25 +20,25 @@ from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.device import Device, Encoder
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.live.merge import merge
-from teleop.live.stepped import AGAIN
-from teleop.live.wire import Wire
-from teleop.lockstep import run
-from teleop.packet import Kind, peek
-from teleop.plant import MassDamper
-from teleop.playout import Fixed
-from teleop.playout import Hold as HoldLast
-from teleop.popc import PassivityController
-from teleop.relaxing import ElectricalDamping
-from teleop.safety import Cap, Watchdog
-from teleop.scene import Scene
-from teleop.velocity.adaptive_window import EndFit
-from teleop.velocity.backward_difference import BackwardDifference
-from teleop.velocity.low_pass import LowPass
+from teleop.live.lockstep import AGAIN
+from teleop.live.net.wire import Wire
+from teleop.live.records.merge import merge
+from teleop.physics.plant import MassDamper
+from teleop.physics.relaxing import ElectricalDamping
+from teleop.protocol.inbox import Fixed
+from teleop.protocol.inbox import Hold as HoldLast
+from teleop.protocol.packet import Kind, peek
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import run
+from teleop.stages.device import Device, Encoder
+from teleop.stages.passivity_controller import PassivityController
+from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.velocity.adaptive_window import EndFit
+from teleop.stages.velocity.backward_difference import BackwardDifference
+from teleop.stages.velocity.low_pass import LowPass
 
 pytestmark = pytest.mark.live
 
@@ -199,7 +199,7 @@ def test_garbage_that_keeps_coming_stops_no_resend_and_no_giving_up(
     killed: bool, pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each datagram of a stranger was taken for a word of the peer: both ends waited for ever, with the force held."""
-    monkeypatch.setattr("teleop.live.stepped.SILENT", 20)
+    monkeypatch.setattr("teleop.live.lockstep.SILENT", 20)
     of = scene(duration=0.05)
     both = pair(of, seed=SEED, wire=partial(Stammering, worst=20))
     if killed:

@@ -16,14 +16,14 @@ import pytest
 
 from teleop import Refused, load_result
 from teleop.__main__ import main
-from teleop.folder import is_being_written
-from teleop.guard import Event
-from teleop.live.merge import merge, needs_recovery
-from teleop.live.record import FILE, Recorder
-from teleop.live.summary import NAMES
-from teleop.result import RUNNING
-from teleop.scene import load_scene
-from teleop.tick import columns
+from teleop.live.records.merge import merge, needs_recovery
+from teleop.live.records.record import FILE, Recorder
+from teleop.live.records.summary import NAMES
+from teleop.protocol.guard import Event
+from teleop.scene.scene import load_scene
+from teleop.simulation.result import RUNNING
+from teleop.simulation.tick import columns
+from teleop.storage.folder import is_being_written
 
 SCENE = load_scene("hard_wall", duration=60.0)
 ABOUT = {"scene": "hard_wall", "knobs": {"duration": "60.0"}, "seed": 0, "mode": "live", "command": []}
@@ -33,11 +33,11 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="folders are not
 CHILD = """
 import sys
 from pathlib import Path
-from teleop.folder import claim
-from teleop.guard import Event
-from teleop.live.record import Recorder
+from teleop.storage.folder import claim
+from teleop.protocol.guard import Event
+from teleop.live.records.record import Recorder
 from teleop.scene import load_scene
-from teleop.tick import columns
+from teleop.simulation.tick import columns
 
 e, out = sys.argv[1:]
 claimed, scene, done = claim(out), load_scene("hard_wall", duration=60.0), 0
@@ -239,7 +239,7 @@ def test_an_end_that_comes_to_its_end_while_it_is_read_is_not_cut_off_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It ran when the record was read, and had written its own summary when that was looked for."""
-    import teleop.live.merge as module
+    import teleop.live.records.merge as module
 
     folders = []
     for e, name in NAMES.items():

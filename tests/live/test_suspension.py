@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from teleop.live.suspension import LEAST_NS, Suspension, boottime
-from teleop.safety import Watchdog
-from teleop.scene import load_scene
+from teleop.live.process.suspension import LEAST_NS, Suspension, boottime
+from teleop.scene.scene import load_scene
+from teleop.stages.safety import Watchdog
 
 S = 1_000_000_000
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from teleop.live.ticker import Alarm, Timer
+from teleop.live.process.ticker import Alarm, Timer
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.live, pytest.mark.skipif(Timer().fd < 0, reason="there is no timerfd here")]
@@ -101,8 +101,8 @@ def test_each_instant_that_the_timer_tells_has_one_ring_and_several_at_once_are_
     spin_ns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     it = StandIn(0)
-    monkeypatch.setattr("teleop.live.ticker.Timer", lambda: it)
-    monkeypatch.setattr("teleop.live.ticker.time", it)
+    monkeypatch.setattr("teleop.live.process.ticker.Timer", lambda: it)
+    monkeypatch.setattr("teleop.live.process.ticker.time", it)
     rang: list[int] = []
     alarm = Alarm(it, lambda: rang.append(it.now), spin_ns)  # type: ignore[arg-type]  # a stand-in for the loop
     start = 20 * MS

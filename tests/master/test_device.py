@@ -11,13 +11,13 @@ from scipy.integrate import solve_ivp
 
 from master.device import SimulatedMaster
 from master.hand import Grip, Reach, Sine
-from teleop.deadline import DEADLINE
-from teleop.endpoint import Reading
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.lockstep import run
-from teleop.plant import MassDamper
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper
+from teleop.protocol.deadline import DEADLINE
+from teleop.protocol.endpoint import Reading
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import run
 
 BODY = MassDamper(mass=0.1, damping=0.5)
 HAND = Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=3.0))

@@ -15,11 +15,11 @@ from channel.link import parse_link
 from master.hand import Grip, Hold, Reach, Sine
 from teleop import load_scene
 from teleop.errors import Refused
-from teleop.knobs import knobs_of
 from teleop.law import Law
-from teleop.library import built_in_scenes, scene_function
-from teleop.playout import Zero
-from teleop.scene import Playout, Reference, Scene
+from teleop.protocol.inbox import Zero
+from teleop.scene.knobs import knobs_of
+from teleop.scene.library import built_in_scenes, scene_function
+from teleop.scene.scene import Playout, Reference, Scene
 
 Dice = np.random.Generator
 RECORDINGS = 6  # of either kind

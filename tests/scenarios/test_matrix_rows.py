@@ -11,10 +11,10 @@ import pytest
 
 from slave.tissue import Tissue
 from teleop import Scene, load_scene
-from teleop.batch.matrix import Outcome, run_block
-from teleop.batch.matrix_file import Block, Row, read_matrix
+from teleop.analysis.stability.assess import is_stable, stability
 from teleop.law import BUILT_IN
-from teleop.stability.assess import is_stable, stability
+from teleop.sweeps.matrix import Outcome, run_block
+from teleop.sweeps.matrix_file import Block, Row, read_matrix
 
 BLOCKS = {block.name: block for block in read_matrix()}
 ROWS = [(block, row) for block in BLOCKS.values() for row in block.rows()]

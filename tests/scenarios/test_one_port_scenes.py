@@ -11,13 +11,13 @@ import pytest
 from master.hand import Grip, Hold
 from scenarios import encoder_wall, virtual_coupling, virtual_wall
 from teleop import Refused, Scene, load_scene, run
-from teleop.bodies import exact_bodies
-from teleop.device import Encoder
 from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.laws.virtual_wall import VirtualWall
-from teleop.popc import PassivityController
-from teleop.relaxing import ElectricalDamping
-from teleop.safety import Cap
+from teleop.physics.relaxing import ElectricalDamping
+from teleop.simulation.bodies import exact_bodies
+from teleop.stages.device import Encoder
+from teleop.stages.passivity_controller import PassivityController
+from teleop.stages.safety import Cap
 
 
 def work_of_the_hand(scene: Scene) -> np.ndarray:

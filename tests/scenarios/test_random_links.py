@@ -16,8 +16,8 @@ import pytest
 
 from channel.link import EFFECTS
 from teleop import load_scene, run
-from teleop.batch.chunk import Job, work
 from teleop.law import find_law, known_laws
+from teleop.sweeps.chunk import Job, work
 from tests.scenarios import random_links
 from tests.scenarios.random_links import bases, drawn, held, makers, record
 

@@ -15,16 +15,18 @@ from channel.link import EFFECTS
 from slave.moving import Moving
 from teleop import Scene, load_scene
 from teleop.law import BUILT_IN
-from teleop.library import ROOT, built_in_scenes
+from teleop.scene.library import ROOT, built_in_scenes
 
 DICE = {"bernoulli", "duplicate", "gamma", "gilbert_elliott", "normal", "uniform"}  # effects that throw them
 NEVER = {"asyncio", "socket", "select", "msgpack", "matplotlib", "scipy", "difflib", "importlib.metadata",
-         "concurrent.futures", "subprocess", "teleop.live", "teleop.packet", "teleop.endpoint", "teleop.session",
-         "teleop.figure", "teleop.catalogue", "teleop.conformance", "channel.relay"}
+         "concurrent.futures", "subprocess", "teleop.live", "teleop.protocol.packet", "teleop.protocol.endpoint",
+         "teleop.protocol.session", "teleop.terminal.figure", "teleop.scene.catalogue", "teleop.checks.two_port",
+         "channel.relay"}
 ENVIRONMENTS = {"slave.wall", "slave.tissue", "slave.hunt_crossley", "slave.moving", "slave.standard_linear_solid"}
-ESTIMATORS = {f"teleop.velocity.{name}" for name in ("adaptive_window", "backward_difference", "levant", "low_pass")}
-DEVICES = {"teleop.device", "teleop.popc"}
-BODIES = {"teleop.implicit", "teleop.sdirk", "teleop.relaxing", "teleop.carried", "teleop.contact"}
+ESTIMATORS = {f"teleop.stages.velocity.{name}"
+              for name in ("adaptive_window", "backward_difference", "levant", "low_pass")}
+DEVICES = {"teleop.stages.device", "teleop.stages.passivity_controller"}
+BODIES = {f"teleop.physics.{name}" for name in ("implicit", "sdirk", "relaxing", "carried", "contact")}
 REFERENCES = {"master.recording"}  # the other references share a file with the grip
 CODE = """
 import sys, json
@@ -72,15 +74,15 @@ def named_by(scene: Scene) -> set[str]:
     return (
         (modules & (homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | ESTIMATORS))
         | ({"slave"} if scene.slave is not None and any(scene.environments) else set())
-        | ({"teleop.device"} if devices else set())
-        | ({"teleop.popc"} if scene.passivity else set())
+        | ({"teleop.stages.device"} if devices else set())
+        | ({"teleop.stages.passivity_controller"} if scene.passivity else set())
         | bodies(scene, modules)
         | effects(scene.link)
         | ({"channel"} if scene.link is not None else set())
         | ({"numpy.random"} if thrown else set())
-        | ({"teleop.safety"} if scene.watchdog or scene.cap else set())
+        | ({"teleop.stages.safety"} if scene.watchdog or scene.cap else set())
         # only a law that reads the hand's force has use for the observer
-        | ({"teleop.observer"} if scene.observer and type(scene.law).__name__ == "PFRA" else set())
+        | ({"teleop.stages.observer"} if scene.observer and type(scene.law).__name__ == "PFRA" else set())
     )
 
 
@@ -88,15 +90,15 @@ def bodies(scene: Scene, modules: set[str]) -> set[str]:
     """What moves the bodies of the scene, beyond what is linear."""
     rubs = scene.master.friction > 0.0 or (scene.slave is not None and scene.slave.friction > 0.0)
     return (
-        ({"teleop.contact"} if "slave.wall" in modules else set())
-        | ({"teleop.relaxing"} if "slave.standard_linear_solid" in modules or scene.electrical else set())
-        | ({"teleop.carried"} if "slave.moving" in modules else set())
-        | ({"teleop.implicit", "teleop.sdirk"} if rubs or "slave.hunt_crossley" in modules else set())
+        ({"teleop.physics.contact"} if "slave.wall" in modules else set())
+        | ({"teleop.physics.relaxing"} if "slave.standard_linear_solid" in modules or scene.electrical else set())
+        | ({"teleop.physics.carried"} if "slave.moving" in modules else set())
+        | ({"teleop.physics.implicit", "teleop.physics.sdirk"} if rubs or "slave.hunt_crossley" in modules else set())
     )
 
 
 OPTIONAL = homes(EFFECTS) | homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | ESTIMATORS | DEVICES | BODIES | {
-    "channel", "slave", "numpy.random", "teleop.safety", "teleop.observer",
+    "channel", "slave", "numpy.random", "teleop.stages.safety", "teleop.stages.observer",
 }
 
 
@@ -112,7 +114,7 @@ def test_a_built_in_scene(name: str, tmp_path: Path) -> None:
 def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: Path) -> None:
     knobs = {"duration": "0.02", "cap": "0.8", "f_max": "3", "b_e": "0.8"}
     loaded = loaded_by(name, knobs, tmp_path)
-    assert {"teleop.popc", "teleop.safety", "teleop.relaxing"} <= loaded
+    assert {"teleop.stages.passivity_controller", "teleop.stages.safety", "teleop.physics.relaxing"} <= loaded
     assert loaded & OPTIONAL == named_by(load_scene(name, **knobs))
 
 
@@ -120,8 +122,8 @@ def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: P
     ("change", "gained", "lost"),
     [
         ({"link": "bernoulli(0.1)"}, {"channel.bernoulli", "numpy.random"}, {"channel.gamma"}),
-        ({"law": "pfra"}, {"teleop.laws.pfra", "teleop.observer"}, set()),
-        ({"law": "pfra", "observer": "none"}, {"teleop.laws.pfra"}, {"teleop.observer"}),
+        ({"law": "pfra"}, {"teleop.laws.pfra", "teleop.stages.observer"}, set()),
+        ({"law": "pfra", "observer": "none"}, {"teleop.laws.pfra"}, {"teleop.stages.observer"}),
     ],
 )
 def test_a_knob_turned(change: dict[str, str], gained: set[str], lost: set[str], tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from scipy.optimize import brentq
 
 from slave.hunt_crossley import HuntCrossley
 from teleop.errors import Refused
-from teleop.implicit import Effort, Resistance, implicit_plant
-from teleop.plant import MassDamper, Plant
-from teleop.sdirk import HUNT_CROSSLEY
+from teleop.physics.implicit import Effort, Resistance, implicit_plant
+from teleop.physics.plant import MassDamper, Plant
+from teleop.physics.sdirk import HUNT_CROSSLEY
 
 DT = 1e-3
 

@@ -10,11 +10,11 @@ from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.bodies import slave_plants
 from teleop.errors import Refused
 from teleop.laws.wave import Wave
-from teleop.plant import MassDamper, Plant
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper, Plant
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import slave_plants
 
 BODY = MassDamper(mass=0.5, damping=1.0)
 DT = 1e-3

@@ -11,13 +11,13 @@ from scipy.integrate import solve_ivp
 from slave.robot import SimulatedSlave
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.deadline import DEADLINE
-from teleop.endpoint import Reading
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
-from teleop.lockstep import run
-from teleop.plant import MassDamper
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper
+from teleop.protocol.deadline import DEADLINE
+from teleop.protocol.endpoint import Reading
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import run
 
 BODY = MassDamper(mass=0.5, damping=1.0)
 TISSUE = Tissue(k=300.0, d=2.0, at=0.001)

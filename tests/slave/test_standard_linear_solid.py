@@ -6,7 +6,7 @@ import pytest
 
 from slave.standard_linear_solid import StandardLinearSolid
 from teleop.errors import Refused
-from teleop.plant import MassDamper
+from teleop.physics.plant import MassDamper
 
 
 def test_it_pushes_and_pulls_and_starts_relaxed() -> None:

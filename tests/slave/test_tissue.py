@@ -6,7 +6,7 @@ import pytest
 
 from slave.tissue import Tissue
 from teleop.errors import Refused
-from teleop.plant import MassDamper
+from teleop.physics.plant import MassDamper
 
 
 def test_tissue_pushes_and_pulls() -> None:

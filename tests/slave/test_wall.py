@@ -6,7 +6,7 @@ import pytest
 
 from slave.wall import Wall
 from teleop.errors import Refused
-from teleop.plant import MassDamper, move_free
+from teleop.physics.plant import MassDamper, move_free
 
 BODY = MassDamper(mass=0.5, damping=1.0)
 

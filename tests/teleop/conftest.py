@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from teleop.__main__ import main
-from teleop.library import ROOT
+from teleop.scene.library import ROOT
 
 
 class Answer(NamedTuple):

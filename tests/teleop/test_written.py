@@ -6,11 +6,11 @@ import pytest
 
 from teleop import load_scene
 from teleop.errors import Refused
-from teleop.plugins import find
-from teleop.velocity.adaptive_window import EndFit
-from teleop.velocity.levant import Levant
-from teleop.velocity.low_pass import LowPass
-from teleop.velocity.named import ESTIMATORS
+from teleop.naming import find
+from teleop.stages.velocity.adaptive_window import EndFit
+from teleop.stages.velocity.levant import Levant
+from teleop.stages.velocity.low_pass import LowPass
+from teleop.stages.velocity.named import ESTIMATORS
 
 
 @pytest.mark.parametrize(("text", "part"), [

@@ -4,8 +4,8 @@ The canonical scene on one thread: wave law over 50 ms each way, the slave again
 could get it with an error of at most 1e-6 m in either handle's position, and that error is measured and printed:
 
 - numpy, a whole batch of rows at a time: against the exact sampled scene, twice. Once with the instants of contact
-  located and closed-form steps between them, which takes the mathematics of `teleop.contact` and is far the cheapest;
-  once as it is mostly written, in sub-steps of a fixed length, as few as the accuracy allows.
+  located and closed-form steps between them, which takes the mathematics of `teleop.physics.contact` and is far the
+  cheapest; once as it is mostly written, in sub-steps of a fixed length, as few as the accuracy allows.
 - python-control: against the exact sampled scene.
 - jitcdde: against itself at a far tighter tolerance, because it solves another problem. See its module.
 
@@ -26,7 +26,7 @@ RIVALS = (numpy_batch.located_batch, numpy_batch.stepped_batch, jitcdde.rival, c
 
 def rivals(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked or error)."""
-    from teleop.batch.compiled import need_numba
+    from teleop.sweeps.kernels.compiled import need_numba
 
     need_numba("scalar")
     engine, steps, run = ours()

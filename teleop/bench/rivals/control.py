@@ -13,7 +13,7 @@ from math import sqrt
 from typing import Any
 
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, library, parts
-from teleop.scene import Scene, load_scene
+from teleop.scene.scene import Scene, load_scene
 
 
 def rival() -> Rival:
@@ -35,9 +35,9 @@ def response(ct: Any, scene: Scene) -> Callable[[], Any]:
     """A run of the scene: it returns the positions x_m, x_s at the ticks."""
     import numpy as np
 
-    from teleop.bodies import exact_bodies, reference_samples
-    from teleop.contact import move_wall
-    from teleop.plant import move_gripped
+    from teleop.physics.contact import move_wall
+    from teleop.physics.plant import move_gripped
+    from teleop.simulation.bodies import exact_bodies, reference_samples
 
     law, *_ = parts(scene)
     lag, dt = delay_ticks(scene), scene.dt

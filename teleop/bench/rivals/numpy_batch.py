@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from teleop.bench.rivals.numpy_wall import located, stepped
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, parts, stiffnesses
-from teleop.scene import Scene, load_scene
+from teleop.scene.scene import Scene, load_scene
 
 LOCATED_ROWS, LOCATED_SECONDS = 16_000, 2.0
 STEPPED_ROWS, STEPPED_SECONDS = 2_000, 0.1
@@ -73,8 +73,8 @@ def master(scene: Scene) -> Master:
     """The master's step over a tick."""
     import numpy as np
 
-    from teleop.bodies import reference_samples
-    from teleop.plant import grip
+    from teleop.physics.plant import grip
+    from teleop.simulation.bodies import reference_samples
 
     law, hand, _, _ = parts(scene)
     g = grip(scene.master, hand.mass, hand.k, hand.d, scene.dt)

@@ -1,7 +1,7 @@
 """The slave beside its wall, for a batch of rows in numpy: contact located, or sub-steps.
 
 Position p and velocity v are told from the wall's surface, inwards. The wall pushes back with `g = k p + d v` where p
-and g are both above 0, as in `teleop.contact`; a row is *touching* or not, and either is linear.
+and g are both above 0, as in `teleop.physics.contact`; a row is *touching* or not, and either is linear.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from teleop.bench.rivals.rival import parts
-from teleop.scene import Scene
+from teleop.scene.scene import Scene
 
 Move = Callable[[Any, Any, Any], tuple[Any, Any]]
 
@@ -22,7 +22,7 @@ def located(scene: Scene, k_e: Any) -> Move:
     """
     import numpy as np
 
-    from teleop.plant import linear
+    from teleop.physics.plant import linear
 
     _, _, surface, body = parts(scene)
     dt, d, n = scene.dt, surface.d, len(k_e)

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.scene import Scene, load_scene
+from teleop.scene.scene import Scene, load_scene
 
 ACCURACY = 1e-6  # m
 ROWS = 64  # of ours; numpy is given the batch that suits it best
@@ -48,7 +48,7 @@ def stiffnesses(count: int) -> Any:
 
 def exact_positions(scene: Scene) -> tuple[Any, Any]:
     """`x_m` and `x_s` (m) at the ticks of a run with exact bodies."""
-    from teleop.lockstep import run
+    from teleop.simulation.virtual import run
 
     trace = run(scene).trace
     return trace["x_m"].reshape(-1), trace["x_s"].reshape(-1)

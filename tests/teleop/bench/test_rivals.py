@@ -14,9 +14,9 @@ import pytest
 from teleop.bench.rivals import control, jitcdde, numpy_batch
 from teleop.bench.rivals.numpy_wall import change, located, stepped
 from teleop.bench.rivals.rival import ACCURACY, Absent, exact_positions, library, stiffnesses
-from teleop.contact import events
-from teleop.lockstep import run
-from teleop.scene import Scene, load_scene
+from teleop.physics.contact import events
+from teleop.scene.scene import Scene, load_scene
+from teleop.simulation.virtual import run
 
 
 def short(seconds: float, **knobs: float) -> Scene:

@@ -13,8 +13,8 @@ import pytest
 from teleop.bench import parts, timing
 from teleop.bench.compiled import compiled
 from teleop.bench.timing import Carried, Late, carried, datagrams, round_trips, ticks
-from teleop.live.address import bound
-from teleop.live.wire import Wire
+from teleop.live.net.address import bound
+from teleop.live.net.wire import Wire
 
 pytestmark = pytest.mark.live
 

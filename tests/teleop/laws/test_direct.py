@@ -12,9 +12,9 @@ from slave.tissue import Tissue
 from teleop.errors import Refused
 from teleop.law import At, start_at
 from teleop.laws.direct import Back, Direct, Forth
-from teleop.lockstep import run
-from teleop.plant import MassDamper
-from teleop.scene import Scene
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import run
 
 
 def test_the_slave_is_drawn_to_the_master_by_a_spring_damper() -> None:

@@ -22,10 +22,10 @@ from teleop.errors import Refused
 from teleop.law import At
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import EPS, PFRA, Back, Sums
-from teleop.lockstep import run
-from teleop.observer import coefficients, observe
-from teleop.plant import MassDamper, free_space, move_free
-from teleop.scene import Scene, load_scene
+from teleop.physics.plant import MassDamper, free_space, move_free
+from teleop.scene.scene import Scene, load_scene
+from teleop.simulation.virtual import run
+from teleop.stages.observer import coefficients, observe
 
 Vector = tuple[float, ...]
 

@@ -18,10 +18,10 @@ from channel.uniform import UniformJitter
 from master.hand import Grip, Sine
 from slave.wall import Wall
 from teleop.laws.wave import Wave
-from teleop.lockstep import run
-from teleop.plant import MassDamper
-from teleop.playout import Fixed, Hold, Zero, plan
-from teleop.scene import Link, Playout, Scene
+from teleop.physics.plant import MassDamper
+from teleop.protocol.inbox import Fixed, Hold, Zero, plan
+from teleop.scene.scene import Link, Playout, Scene
+from teleop.simulation.virtual import run
 
 MS = 1_000_000
 NO_REPEATS = Zero()

@@ -1,0 +1,1 @@
+"""Analyses of a scene: stability, passivity, Z-width and numerical precision."""

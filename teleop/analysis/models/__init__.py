@@ -1,0 +1,1 @@
+"""Models that several analyses share: linear loops, frequency responses, margins."""

@@ -1,0 +1,289 @@
+"""A linear scene as two small state spaces and the whole ticks between them.
+
+    x(k+1) = A x(k) + B rx(k)        tx(k) = C x(k) + D rx(k)
+
+one for each end: its plant, sensor or observer, law and held force, in all axes. What an end does in a tick is not
+written again here: `STEP` holds the lines of the tick itself (`teleop.simulation.tick`), made into a function of the
+end's state and message. Its matrices are read off at unit vectors and then tried at random points over twelve decades;
+what does not answer to them there is not linear and is refused. A message sent at tick k is used at tick k + delay:
+that is kept beside the matrices as a number, since as a state it would be as long as the delay.
+
+Constant forces and places of rest drop out: stability is that of the motion about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import repeat
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.errors import Refused
+from teleop.law import law_name
+from teleop.protocol.inbox import Fixed
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.source import beginnings, compiled, specialise
+from teleop.simulation.tick import ENDS
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Matrix = NDArray[np.float64]
+
+BEGIN = """
+def begin(given, law, dt, bodies, x0):
+    x_{e}@ = x0; v_{e}@ = {sensor}@ = 0.0
+    [START {e}]
+    BODIES
+    STATE
+    return state
+"""
+STEP = """
+def step(given, law, dt, k, bodies, like, numbers):
+    span = dt                                                  #? estimates
+    x_{e}@ = v_{e}@ = {sensor}@ = 0.0
+    [START {e}]
+    BODIES
+    take = iter(numbers)
+    newest_{e} = 0                                             #? age_{e}
+    got_{e} = True                                             #? !alone
+    x_{e}@ = next(take); v_{e}@ = next(take); f_{e}@ = next(take)
+    z_{e}@ = like(z_{e}@, take)                                #? inner_{e}
+    x_before_{e}@ = next(take)                                 #? dx_{e}
+    est_{e}@ = like(est_{e}@, take)                            #? velocity_{e}
+    v_before_{e}@ = next(take); f_h_hat@ = next(take)          #? observe_{e}
+    line_{e}@ = like(line_{e}@, take)                          #? late_{e}
+    slow_{e}@ = next(take)                                     #? slow_{e}
+    s_{e}@ = like(s_{e}@, take)
+    rx_{e}@ = like(rx_{e}@, take)                              #? !alone
+    SENSE
+    [END {e}]
+    MOVE
+    STATE
+    sent = []
+    sent += tx_{e}@                                            #? !alone
+    return state, sent
+"""
+STATE = """state = []
+    state += (x_{e}@, v_{e}@, f_{e}@)
+    state += z_{e}@                                            #? inner_{e}
+    state += (x_before_{e}@,)                                  #? dx_{e}
+    state += est_{e}@                                          #? velocity_{e}
+    state += (v_before_{e}@, f_h_hat@)                         #? observe_{e}
+    state += line_{e}@                                         #? late_{e}
+    state += (slow_{e}@,)                                      #? slow_{e}
+    state += s_{e}@"""
+BODIES = {
+    "m": "grip = bodies.master\n    z_m@ = bodies.inner_m      #? inner_m",
+    "s": "(move@, force@, c@, z_s@, _) = bodies.slaves[{i}]",
+}
+SENSE = {
+    "m": "f_h@ = grip_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? sense_m hand !inner_m\n"
+         "    f_h@ = held_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0, z_m@)  #? sense_m hand inner_m",
+    "s": "f_env@ = force@(c@, x_s@, v_s@)                      #? sense_s !inner_s\n"
+         "    f_env@ = force@(c@, x_s@, v_s@, z_s@)            #? sense_s inner_s",
+}
+MOVE = {
+    "m": "x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? hand !inner_m\n"
+         "    x_m@, v_m@, _ = move_free(grip, x_m@, v_m@, -f_m@)       #? !hand !inner_m\n"
+         "    x_m@, v_m@, z_m@ = move_held(grip, x_m@, v_m@, f_m@, 0.0, 0.0, z_m@)  #? inner_m",
+    "s": "x_s@, v_s@, _ = move@(c@, x_s@, v_s@, f_s@)          #? !inner_s\n"
+         "    x_s@, v_s@, _, z_s@ = move@(c@, x_s@, v_s@, f_s@, z_s@)  #? inner_s",
+}
+INSTEAD = "ask with --time, which runs it in virtual time"
+
+
+class StateSpace(NamedTuple):
+    """One end: `A` (n, n), `B` (n, fields in), `C` (fields out, n), `D` (fields out, fields in)."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+
+class Linear(NamedTuple):
+    """Both ends of a linear scene, and the delays between them in whole ticks."""
+
+    master: StateSpace  # from the messages it receives to those it sends
+    slave: StateSpace
+    forth: int
+    back: int
+    dt: float  # s
+
+    @property
+    def round_trip(self) -> int:
+        """Ticks there and back."""
+        return self.forth + self.back
+
+
+def linear_scene(scene: Scene, *, seed: int = 0) -> Linear:
+    """The matrices of a linear scene, at least one tick each way. Refused if something in it is not linear."""
+    scene = about_rest(scene)
+    refuse_nonlinear_parts(scene)
+    for name in ("device_m", "device_s"):
+        if (device := getattr(scene, name)) is not None and device.every > 1:
+            raise Refused(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant; "
+                          f"{INSTEAD}, or set every=1")
+    forth, back = link_ticks(scene, seed)
+    return Linear(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
+
+
+def about_rest(scene: Scene) -> Scene:
+    """The scene about a place of rest: an environment that is moved along a path stands still in its own frame."""
+    if not any(hasattr(one, "path") for one in scene.environments):
+        return scene
+    return replace(scene, environment=tuple(getattr(one, "environment", one) for one in scene.environments))
+
+
+def refuse_nonlinear_parts(scene: Scene) -> None:
+    """Refuse a cap, an encoder, friction, a passivity controller, and an environment that is not linear."""
+    if scene.cap is not None:
+        raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or leave the cap out")
+    if scene.passivity is not None:
+        raise Refused("a passivity controller is not linear, so its scene has no eigenvalues; "
+                      f"{INSTEAD}, or leave it out")
+    for device in (scene.device_m, scene.device_s):
+        if device is not None and device.encoder is not None:
+            raise Refused(f"an encoder is not linear, so its scene has no eigenvalues; {INSTEAD}, or leave it out")
+    for body in (scene.master, scene.slave):
+        if body is not None and body.friction > 0.0:
+            raise Refused(f"Coulomb friction is not linear, so its scene has no eigenvalues; {INSTEAD}, or set "
+                          "friction=0")
+    for environment, plant in zip(scene.environments, exact_bodies(scene).slaves, strict=False):
+        def respond(at: Sequence[float], plant: Any = plant) -> list[float]:
+            if plant.start is None:
+                return [*plant.move(plant.c, *at)[:2], plant.force(plant.c, at[0], at[1])]
+            x, v, _, z = plant.move(plant.c, *at[:3], tuple(at[3:]))
+            return [x, v, *z, plant.force(plant.c, at[0], at[1], tuple(at[3:]))]
+
+        if environment is not None and matrix(respond, 3 + len(plant.start or ())) is None:
+            raise Refused(f"{type(environment).__name__} is not linear, so the scene has no eigenvalues; {INSTEAD}, "
+                          "or put a bonded tissue in its place (the scene soft_tissue has one)")
+
+
+def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
+    """Whole ticks from sending to use, forth and back, as the scene's own run has them.
+
+    Every packet of that run (of the first 100,000) must come, and all after the same number of ticks; jitter that a
+    fixed playout takes up is as good as none. Refused otherwise.
+    """
+    if scene.link is None:
+        return 1, 1
+    import numpy as np
+
+    count = min(scene.ticks, 100_000)
+    fixed = scene.playout.ticks(scene.dt_ns) if isinstance(scene.playout, Fixed) else 0
+    found = []
+    for direction in (0, 1):
+        arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)
+        lag = np.maximum(1, -(-arrivals.time_ns // scene.dt_ns) - arrivals.packet)
+        soonest = np.full(count, np.iinfo(np.int64).max)  # that of a packet that never comes
+        np.minimum.at(soonest, arrivals.packet, lag)
+        played = np.maximum(soonest, fixed)
+        if (played != played[0]).any() or not 0 < played[0] <= (fixed or 1 << 62):
+            raise Refused("the link does not bring every packet after the same number of ticks, so the loop is not "
+                          f"time-invariant; {INSTEAD}, or write for example --link 'delay(0.05)'")
+        found.append(int(played[0]))
+    return found[0], found[1]
+
+
+def matrix(function: Callable[[Sequence[float]], Sequence[float]], size: int) -> Matrix | None:
+    """The Jacobian of an affine function of `size` numbers, or None if the function is not affine.
+
+    Read off at unit vectors about zero, then tried at 48 points: all sizes from 1e-6 to 1e6 alike, and mixed. A
+    deviation above 1e-9 of the terms that meet there is one too many, or above the rounding of the largest
+    coefficient of each number: a small one may be the difference of large ones.
+    """
+    import numpy as np
+
+    def at(point: Matrix) -> Matrix:
+        return np.array(function(point.tolist()), dtype=float)
+
+    dice = np.random.Generator(np.random.Philox(key=1))  # the same points each time
+    try:
+        zero = at(np.zeros(size))
+        columns = [at(row) - zero for row in np.eye(size)]
+        found = np.array(columns).T.reshape(len(zero), size)
+        rounding = 1e-14 * np.abs(found).max(axis=0, initial=0.0)
+        for i in range(48):
+            scale = 10.0 ** (dice.uniform(-6.0, 6.0, size) if i % 2 else np.full(size, i % 12 - 5.0))
+            point = dice.uniform(-1.0, 1.0, size) * scale
+            met = np.abs(found) @ np.abs(point) + np.abs(zero)
+            if not (np.abs(at(point) - zero - found @ point) <= 1e-9 * met + rounding @ np.abs(point) + 1e-300).all():
+                return None
+    except (ArithmeticError, ValueError, TypeError):
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def end_function(scene: Scene, e: str, age: int) -> Callable[[Any], tuple[list[float], list[float]]]:
+    """One tick of an end (m or s) as a function: what it is given -> (its next state, the message it sends).
+
+    Given are the state and then the message, as one run of floats: for each axis x, v and the held force; the body's
+    inner state; x of the tick before; the estimator's state; v of the tick before and the observer's force; the
+    forces that are late; the one that is renewed slowly; the law's state; the message's fields; of these only what
+    the end has. `age` is that of the message, in ticks; without a slave it is the number of the tick.
+    """
+    bare, bodies, step = _made(scene, e, STEP, "step")
+    begins = beginnings(bare, {e: [0.0] * bare.axes})
+    return lambda numbers: step(begins, bare.law, bare.dt_ns / 1e9, age, bodies, like, numbers)
+
+
+def begin(scene: Scene, e: str, x0: float = 0.0) -> list[float]:
+    """The state of `end_function` in which an end starts at `x0` (m)."""
+    bare, bodies, start = _made(scene, e, BEGIN, "begin")
+    state: list[float] = start(beginnings(bare, {e: [x0] * bare.axes}), bare.law, bare.dt_ns / 1e9, bodies, x0)
+    return state
+
+
+def _made(scene: Scene, e: str, text: str, name: str) -> tuple[Scene, Any, Callable[..., Any]]:
+    bare = replace(scene, energy=False, watchdog=None)  # a watchdog leaves a link that always delivers alone
+    for word, lines in (("BODIES", BODIES[e]), ("SENSE", SENSE[e]), ("MOVE", MOVE[e]), ("STATE", STATE)):
+        text = text.replace(word, lines)
+    bodies = exact_bodies(bare)
+    return bare, bodies, compiled(bare, specialise(text, bare, ENDS[e]), name, bodies.instead)
+
+
+def like(sample: Any, take: Iterator[float]) -> Any:
+    """A tuple of the sample's own type with the next numbers in it."""
+    return tuple.__new__(type(sample), [next(take) for _ in sample])
+
+
+def _end(scene: Scene, e: str, age: int) -> StateSpace:
+    from teleop.law import messages
+
+    step = end_function(scene, e, age)
+    forth, back = messages(scene.law, scene.dt_ns / 1e9)
+    fields_in = len((back if e == "m" else forth)._fields) * scene.axes
+    n = len(step(repeat(0.0))[0])
+    found = matrix(lambda given: [number for part in step(given) for number in part], n + fields_in)
+    if found is None:
+        raise not_linear(scene, e)
+    return StateSpace(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
+
+
+def not_linear(scene: Scene, e: str) -> Refused:
+    """The answer to a law that is not linear at one of its ends."""
+    device = scene.device_m if e == "m" else scene.device_s
+    estimator = device and device.velocity
+    if estimator is not None and not is_linear(estimator, scene.dt_ns / 1e9):
+        return Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
+                       f"eigenvalues; {INSTEAD}, or take BackwardDifference or LowPass")
+    name = law_name(scene.law)
+    hint = " or set law.alpha=1" if name == "pfra" else ""
+    where = "where it is in contact" if scene.slave is None else f"at the {ENDS[e].end}"
+    return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
+
+
+def is_linear(estimator: Any, dt: float) -> bool:
+    """Is the velocity that an estimator makes a linear function of the positions."""
+    start, c = estimator.start(0.0), estimator.coefficients(dt)
+
+    def respond(given: Sequence[float]) -> list[float]:
+        v, s = estimator.step(c, tuple(given[1:]), given[0], dt)
+        return [v, *s]
+
+    return matrix(respond, 1 + len(start)) is not None

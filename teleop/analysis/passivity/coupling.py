@@ -1,0 +1,213 @@
+"""What a virtual coupling allows of the environment behind it.
+
+The device of damping delta = b renders, through the coupling C(z), the environment E(z); all impedances are force per
+backward-difference velocity (see `sampled`). The environment lacks passivity by alpha_e, the least alpha for which
+E + alpha is positive real (there may be none: `tool_lack`); gamma is the least of Re C on the unit circle, K T/2 + B
+for a spring-damper. Then
+
+    alpha_e < delta                              without a coupling,
+    alpha_e < delta gamma/(delta + gamma)        with one
+
+(B. E. Miller, J. E. Colgate and R. A. Freeman, "Guaranteed stability of haptic systems with nonlinear virtual
+environments", IEEE Trans. Robotics and Automation 16(6), 2000). These count energies as if force and velocity met at
+the same instant. A held force meets the velocity one sample later; how much that changes is worked out here, for linear
+environments.
+
+Derivation. The device feels Z = C E/(C + E) = C - C^2/(C + E). Where Re E >= -alpha, Re(C + E) >= rho = Re C - alpha,
+and if rho > 0 the values 1/(C + E) fill the disc of centre and radius 1/(2 rho). The damping needed at th,
+-Re[e^(-j(d+1)th) Z], is greatest on its rim:
+
+    |C|^2/(2 rho) - Re[e^(-j(d+1)th) (C - C^2/(2 rho))]  =  Re[e^(-j(d+1)th/2) C]^2/rho - Re[e^(-j(d+1)th) C].
+
+Without the sample of the hold, and for a real C, that is gamma^2/(gamma - alpha) - gamma = alpha gamma/(gamma - alpha),
+which is delta where alpha = delta gamma/(delta + gamma): the condition above. With the sample, for a spring-damper
+and d = 0, Re[e^(-j th/2) C] = B cos(th/2) and Re[e^(-j th) C] = B cos th - K T/2, so it is linear in cos th:
+
+    delta >= max(gamma, K T/2 - B + B^2/(gamma - alpha)),
+
+the first at th = pi, where a rigid environment needs it too, the second at th = 0. Hence, with gamma = K T/2 + B,
+
+    alpha < gamma - B^2/(delta + B - K T/2)   and   delta >= gamma.
+
+The condition of Miller et al. is inside this where delta >= gamma, and then some is left; where delta < gamma it
+allows environments that are not safe, such as a rigid one.
+
+Without a coupling the same question has no answer: an E that lacks alpha may be a spring as stiff as one likes, and
+needs K T/2. There only a known E can be asked: `sampled.needed_damping`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.models.peak import highest
+from teleop.analysis.models.sampled import Impedance, Needed, frequency, on_circle, smooth
+from teleop.errors import number, whole_number
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from teleop.analysis.models.peak import Reals
+    from teleop.laws.virtual_coupling import VirtualCoupling
+
+ROUNDING = 1e-9  # of |E|: a lossless element's real part is no better known
+
+
+UNSTABLE, ANTICIPATES = "unstable by itself", "anticipates (a pole outside the unit circle)"
+
+
+class Lack(NamedTuple):
+    """How far an environment is from being passive."""
+
+    alpha: float  # N s/m, 0 if it is passive; inf: no damper makes it so
+    frequency: float  # Hz, where it lacks that much
+    why: str = ""  # why none does
+
+
+def tool_lack(law: VirtualCoupling, T: float) -> Lack:
+    """alpha_e of the simulated tool in contact, of which `virtual_coupling.tool_impedance` has the impedance E(z).
+
+    inf where E has a zero or a pole outside the unit circle. With h = theta - 1/2, c = b + d_e and k = k_e
+
+        E = N(z)/(dt Q(z) (z - 1)),    N = m (z - 1)^2 + c dt Q (z - 1) + k dt^2 Q (theta_x z + 1 - theta_x).
+
+    - N = 0 is the tool left to itself on its wall. By Jury's criterion its roots are inside or on the circle iff
+
+          c + k dt (theta_f + theta_x - 1) >= 0   and   m + c dt h_f + k dt^2 h_f h_x >= 0,
+
+      for semi-implicit Euler without damping k dt^2 <= 4 m. Outside, the tool swings up when a force drives it, and a
+      coupling does: "unstable by itself". So does a tool without a mass at theta_f < 1/2, whose Q is in N.
+    - Q = 0 at z = -(1 - theta_f)/theta_f, outside for theta_f < 1/2 and at infinity for theta_f = 0. That pole is the
+      mass's, a force that knows the velocity to come. Near it Re E is as negative as one likes, which no damper makes
+      good: "anticipates". What is rendered may need no more damping than there is all the same; the conditions of this
+      module do not say it, `sampled.needed_damping` does.
+
+    Else E is analytic outside, where Re E is then nowhere less than on the circle, and `lack` is alpha_e. (For theta_f
+    >= 1/2 and theta_x < 1/2 an E with zeros outside lacks a finite alpha for a prescribed motion; it is not told, since
+    with theta_x < 1 coupling and tool are no series connection that the conditions would hold for.)
+    """
+    from teleop.laws.virtual_coupling import tool_impedance
+
+    T = number("T", T, above=0.0)
+    c, k, h_f, h_x = law.damping + law.d_e, law.k_e * T, law.theta_f - 0.5, law.theta_x - 0.5
+    lost, swing = (c, k * (h_f + h_x)), (law.mass / T, c * h_f, k * h_f * h_x)
+    bare = law.mass == 0.0 and law.theta_f < 0.5
+    if bare or any(sum(terms) < -1e-12 * sum(map(abs, terms)) for terms in (lost, swing)):
+        return Lack(float("inf"), 0.0, UNSTABLE)
+    if law.theta_f < 0.5 and law.mass > 0.0:
+        return Lack(float("inf"), 0.0, ANTICIPATES)
+    return lack(lambda z: tool_impedance(law, z, T) + 0.0 * z, T)
+
+
+def lack(E: Impedance, T: float) -> Lack:
+    """The negative of the least Re E(e^(j th)), or 0.
+
+    That is the lack of passivity of an E without poles outside the unit circle, at infinity included, which is not
+    asked here (`tool_lack` does); those on it (a spring's, and the trapezoid mass's at z = -1) must have residues of
+    the sign that lossless elements have. What is below 1e-9 of |E| is rounding and counts as none.
+    """
+    import numpy as np
+
+    T = number("T", T, above=0.0)
+
+    def curve(th: Reals) -> Reals:
+        at = np.minimum(th, np.pi - 1e-6)  # a pole at z = -1 is left alone
+        value = smooth(E, at)
+        missing: Reals = np.where(-value.real > ROUNDING * np.abs(value), -value.real, 0.0)
+        return missing
+
+    found = highest(curve)
+    return Lack(max(0.0, found.value), frequency(found, T) if found.value > 0.0 else 0.0)
+
+
+def least_real(C: Impedance, T: float) -> float:
+    """gamma: the least of Re C(e^(j th)), the coupling's impedance in the conditions above (N s/m)."""
+    T = number("T", T, above=0.0)
+    return -highest(lambda th: -smooth(C, th).real).value
+
+
+def damping_curve(C: Impedance, alpha: float, th: Reals, *, d: int = 0) -> Reals:
+    """The damping (N s/m) that the worst environment lacking `alpha` asks for at each th (rad per sample)."""
+    import numpy as np
+
+    value = smooth(C, th)
+    rho = value.real - alpha
+    turned = np.exp(-0.5j * (d + 1) * th)
+    needed: Reals = (turned * value).real ** 2 / rho - (turned * turned * value).real
+    return np.where(rho > 0.0, needed, np.inf)
+
+
+def needed_damping(C: Impedance, alpha: float, T: float, *, d: int = 0) -> Needed:
+    """The least device damping behind which the coupling C(z) is passive with every linear E lacking `alpha` or less.
+
+    T: tick (s), d: ticks of delay. inf where alpha >= gamma. To 1e-10 of it, as `sampled.needed_damping`. Attained:
+    for every smaller one there are an environment and a hand that swing up.
+    """
+    T, d = number("T", T, above=0.0), whole_number("d", d, low=0)
+    alpha = number("alpha", alpha, low=0.0)
+    found = highest(lambda th: damping_curve(C, alpha, th, d=d), d + 1)
+    return Needed(found.value, frequency(found, T))
+
+
+def alpha_max(delta: float, C: Impedance, T: float, *, d: int = 0, tol: float = 1e-9) -> float | None:
+    """How much passivity an environment behind C may lack with a device damping `delta`; None: not any.
+
+    None means that not even every passive environment is safe. By bisection to `tol` of gamma: the disc of the
+    environments grows with alpha, so the damping needed does.
+    """
+    delta, gamma = number("delta", delta, low=0.0), least_real(C, T)
+    slack = delta * (1.0 + 1e-9)
+    if gamma <= 0.0 or needed_damping(C, 0.0, T, d=d).damping > slack:
+        return None
+    low, high = 0.0, gamma
+    while high - low > tol * gamma:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needed_damping(C, middle, T, d=d).damping <= slack else (low, middle)
+    return low
+
+
+def alpha_max_spring_damper(delta: float, K: float, B: float, T: float) -> float | None:
+    """The same for a spring-damper without delay, in closed form: gamma - B^2/(delta + B - K T/2), if delta >= gamma.
+
+    >>> alpha_max_spring_damper(1.0, 1000.0, 0.25, 1e-3)
+    0.6666666666666666
+    """
+    half, B = 0.5 * number("K", K, low=0.0) * number("T", T, above=0.0), number("B", B, low=0.0)
+    gamma = half + B
+    if number("delta", delta, low=0.0) < gamma:
+        return None
+    room = delta + B - half
+    return gamma - B * B / room if room > 0.0 else gamma
+
+
+def alpha_miller(delta: float, gamma: float) -> float:
+    """delta gamma/(delta + gamma), the bound of Miller, Colgate and Freeman; with gamma = inf (no coupling) delta.
+
+    >>> alpha_miller(1.0, 1.0), alpha_miller(0.8, float("inf"))
+    (0.5, 0.8)
+    """
+    if gamma == float("inf"):
+        return delta
+    return delta * gamma / (delta + gamma) if delta + gamma > 0.0 else 0.0
+
+
+def rendered(C: Impedance, E: Impedance) -> Impedance:
+    """Z = C E/(C + E): what the device shows of E through C."""
+    return lambda z: C(z) * E(z) / (C(z) + E(z))
+
+
+def gap(C: Impedance, E: Impedance, T: float, frequencies: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """|E - Z|/|E| = |E/(C + E)| at frequencies (Hz) below half the rate: the share of the environment that is lost."""
+    import numpy as np
+
+    z = np.exp(2j * np.pi * T * np.asarray(frequencies, dtype=float))
+    lost: np.ndarray[Any, np.dtype[np.float64]] = np.abs(E(z) / (C(z) + E(z)))
+    return lost
+
+
+def stiffness(E: Impedance, T: float) -> float:
+    """The spring (N/m) that E is at rest: K_c k_e/(K_c + k_e) of a spring behind a spring."""
+    import numpy as np
+
+    z = on_circle(np.array([1e-6]))
+    return float((np.asarray(E(z)) * (1.0 - 1.0 / z)).real[0] / T)

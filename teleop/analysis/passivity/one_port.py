@@ -1,0 +1,167 @@
+"""Passivity of a scene without a slave: does its device take up what its sampled controller makes.
+
+The controller is read off the scene's own tick in contact (`teleop.analysis.models.one_port_loop`): law and velocity
+estimator. Of a virtual coupling on a backward difference the impedances of coupling and tool are known in closed form
+as well.
+
+The damping needed is that of the linear controller alone; what encoder, friction, a cap, a passivity controller and the
+motor's shunt make of it is in the verdict (`teleop.analysis.passivity.verdict`), or said to be left out of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.models import sampled
+from teleop.analysis.passivity import coupling
+from teleop.analysis.passivity.surroundings import linear_parts
+from teleop.analysis.passivity.verdict import Verdict, verdict
+from teleop.errors import Refused
+from teleop.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from teleop.analysis.models.peak import Reals
+    from teleop.analysis.models.sampled import Impedance, Needed
+    from teleop.analysis.passivity.coupling import Lack
+    from teleop.laws.virtual_coupling import VirtualCoupling
+
+INTEGRATORS = {  # (theta_f, theta_x)
+    "explicit": (0.0, 0.0), "semi-implicit": (0.0, 1.0), "trapezoid": (0.5, 0.5), "backward": (1.0, 1.0),
+}
+
+
+class Behind(NamedTuple):
+    """A virtual coupling and what is behind it."""
+
+    C: Impedance
+    E: Impedance
+    alpha: Lack  # of the environment as it is integrated
+    gamma: float  # N s/m, of the coupling
+    miller: float  # N s/m, what alpha must be below by Miller, Colgate and Freeman
+    most: float | None  # N s/m, what it must be below with the sample of the hold; None: not even 0 will do
+    passive_needs: float  # N s/m, the damping that every passive environment behind the coupling can do with
+    conditions: bool  # are the two above known: backward sums, a force renewed at every tick
+    alone: float  # N s/m, damping needed to render the environment without a coupling
+    stiffness: float  # N/m, of the environment at rest
+    by: dict[str, Impedance]  # the same environment by each integrator
+    integrators: dict[str, Lack]  # and what it lacks then
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnePort:
+    """A rendered impedance and the damping that it needs."""
+
+    E: Impedance
+    T: float  # s
+    d: int  # ticks of delay
+    every: int  # ticks after which the force is renewed
+    damping: float  # N s/m, of the device
+    needed: Needed
+    stiffness: float  # N/m, rendered at rest
+    quantised: float | None  # N/m, the most that an encoder and friction allow; None: no encoder, or no spring alone
+    behind: Behind | None  # if the law is a virtual coupling
+    verdict: Verdict
+
+    @property
+    def passive(self) -> bool | None:
+        """Is it, to any hand, with all that is in the scene? None: not known."""
+        return self.verdict.passive
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The parts with which that is not known."""
+        return self.verdict.left_out
+
+    def curve(self, frequency: Reals) -> Reals:
+        """The damping needed at frequencies (Hz) below half the rate of renewal."""
+        return sampled.damping_curve(self.E, self.T, 2.0 * pi * self.every * self.T * frequency, d=self.d,
+                                     every=self.every)
+
+
+def one_port(scene: Scene) -> OnePort:
+    """The one-port of a scene without a slave. Refused if its law is not linear in contact."""
+    if scene.slave is not None:
+        raise Refused("a scene with a slave has two ports; ask for its hybrid matrix "
+                      "(teleop.analysis.passivity.two_port)")
+    from teleop.stages.device import Device
+
+    T = scene.dt_ns / 1e9
+    device = scene.device_m or Device()
+    bare, _ = linear_parts(scene)
+    E = _controller(replace(bare, electrical=None, device_m=replace(device, encoder=None, every=1, delay=0)), T)
+    needed = sampled.needed_damping(E, T, d=device.delay, every=device.every)
+    judged = verdict(scene, E, needed)
+    simple = device.every == 1 and device.delay == 0 and judged.spring  # Abbott and Okamura's conditions
+    return OnePort(
+        E=E, T=T, d=device.delay, every=device.every, damping=scene.master.damping, needed=needed,
+        stiffness=coupling.stiffness(E, T), verdict=judged,
+        quantised=sampled.quantised_stiffness(b=scene.master.damping, T=T, step=device.encoder.step,
+                                              friction=scene.master.friction) if simple and device.encoder else None,
+        behind=_behind(scene, device, T),
+    )
+
+
+def _controller(scene: Scene, T: float) -> Impedance:
+    import numpy as np
+
+    from teleop.analysis.models.linear import INSTEAD, is_linear
+    from teleop.analysis.models.one_port_loop import controller
+
+    try:
+        found = controller(scene)
+    except Refused as refused:
+        why, _, rest = str(refused).partition(f"; {INSTEAD}")
+        if rest or INSTEAD in str(refused):
+            velocity = scene.device_m and scene.device_m.velocity
+            linear = "law, for example --set law=virtual_wall"
+            if velocity is not None and not is_linear(velocity, T):
+                linear = "one, --set 'velocity=backward_difference()'"
+            raise Refused(f"{why}; take a linear {linear}, or run it with teleop run and energy in the scene, which "
+                          "sums what its port takes and gives") from None
+        raise
+    if (np.abs(np.linalg.eigvals(found.A)) > 1.0 + 1e-6).any():
+        raise Refused("the controller grows by itself, whatever it is joined to, so no damping makes it passive; try a "
+                      "simulated tool of more mass, or backward Euler, --set law.theta_f=1 --set law.theta_x=1")
+    return sampled.of_state_space(found, T)
+
+
+def _closed_form(law: Any, device: Any) -> bool:
+    from teleop.laws.virtual_coupling import VirtualCoupling
+    from teleop.stages.velocity.backward_difference import BackwardDifference
+
+    return isinstance(law, VirtualCoupling) and isinstance(device.velocity, BackwardDifference)
+
+
+def _behind(scene: Scene, device: Any, T: float) -> Behind | None:
+    from teleop.laws.virtual_coupling import coupling_impedance, tool_impedance
+
+    law = scene.law
+    if not _closed_form(law, device):
+        return None
+
+    def tool(own: VirtualCoupling) -> Impedance:
+        return lambda z: tool_impedance(own, z, T) + 0.0 * z
+
+    def C(z: Any) -> Any:
+        return coupling_impedance(law, z, T)
+
+    delta, gamma = scene.master.damping, coupling.least_real(C, T)
+    exact = device.every == 1 and law.theta_x == 1.0  # the derivation's own conditions
+    by, lacks = {}, {}
+    for name, (theta_f, theta_x) in INTEGRATORS.items():
+        try:
+            own = replace(law, theta_f=theta_f, theta_x=theta_x)
+        except Refused:  # a tool without a mass has no explicit step
+            continue
+        by[name], lacks[name] = tool(own), coupling.tool_lack(own, T)
+    E = tool(law)
+    return Behind(
+        C=C, E=E, alpha=coupling.tool_lack(law, T), gamma=gamma, miller=coupling.alpha_miller(delta, gamma),
+        most=coupling.alpha_max(delta, C, T, d=device.delay) if exact else None, conditions=exact,
+        passive_needs=coupling.needed_damping(C, 0.0, T, d=device.delay).damping,
+        alone=sampled.needed_damping(E, T, d=device.delay, every=device.every).damping,
+        stiffness=coupling.stiffness(E, T), by=by,
+        integrators=lacks,
+    )

@@ -1,0 +1,252 @@
+"""What `teleop passivity` answers: a table for a person, JSON, and the curves behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_ports
+from teleop.analysis.passivity.one_port import OnePort, one_port
+from teleop.errors import Refused
+from teleop.terminal.run_table import si
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from teleop.analysis.passivity.coupling import Lack
+    from teleop.analysis.passivity.one_port import Behind
+    from teleop.scene.scene import Scene
+
+SHOWN = 3  # bands in the table
+
+
+class Answer(NamedTuple):
+    """All that was asked: one port, or two."""
+
+    scene: Scene
+    one: OnePort | None
+    two: TwoPorts | None
+    left_out: tuple[str, ...]
+    low: float  # Hz
+    high: float  # Hz
+
+    @property
+    def sentence(self) -> str:
+        """The verdict."""
+        if self.one is not None:
+            return self.one.verdict.sentence
+        assert self.two is not None
+        judged = self.two.sampled or self.two.continuous
+        assert judged is not None
+        return _llewellyn(judged)
+
+
+def ask(scene: Scene, *, seed: int = 0, span: str | None = None) -> Answer:
+    """Answer for a scene; `span` is a range LOW:HIGH in Hz as it was typed. Raises `Refused`."""
+    from teleop.analysis.passivity.surroundings import linear_parts
+
+    low, high = _span(span)
+    if scene.slave is not None:
+        two = two_ports(scene, low=low, high=high, seed=seed)
+        return Answer(scene, None, two, tuple(linear_parts(scene)[1]), two.low, two.high)
+    one = one_port(scene)
+    top = 0.5 / (one.every * one.T)
+    high = top if high is None else high
+    if not 0.0 < low < high <= top:
+        raise Refused(f"the range {low:g}:{high:g} Hz must lie above 0 and not above half the rate, {top:g} Hz here, "
+                      "its lower end first; write for example --range 0.1:100")
+    return Answer(scene, one, None, one.left_out, low, high)
+
+
+def _span(typed: str | None) -> tuple[float, float | None]:
+    if typed is None:
+        return 0.1, None
+    low, _, high = typed.partition(":")
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise Refused(f"--range {typed} is not LOW:HIGH in Hz; write for example --range 0.1:100") from None
+    if not 0.0 < ends[0] < ends[1] or not isfinite(ends[1]):
+        raise Refused(f"--range {typed} is empty; write frequencies above 0, the lower one first: --range 0.1:100")
+    return ends
+
+
+def table(answer: Answer) -> str:
+    """The answer in a few lines."""
+    from teleop.law import law_name
+
+    rows = [("scene", f"{answer.scene.name}, law {law_name(answer.scene.law)}")]
+    if answer.one is not None:
+        rows += _one(answer.one)
+    if answer.two is not None:
+        rows += _two(answer.two)
+    if answer.left_out:
+        rows.append(("left out", ", ".join(answer.left_out) + ": not linear, or not known here"))
+    width = max(len(label) for label, _ in rows)
+    return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
+
+
+def _damping(value: float) -> str:
+    return f"{value:.4g} N s/m"
+
+
+def _one(one: OnePort) -> list[tuple[str, str]]:
+    rows = [("verdict", one.verdict.sentence)]
+    late = f", {one.d} of them after the reading" if one.d else ""
+    often = "tick" if one.every == 1 else f"{one.every} ticks"
+    rows.append(("force", f"renewed every {often} of {si(one.T, 's')}{late}"))
+    rows.append(("at rest", f"{one.stiffness:.4g} N/m"))
+    if one.quantised is not None:
+        most = f"a spring alone is passive up to {one.quantised:.4g} N/m"
+        rows.append(("encoder", most if one.quantised > 0.0 else "no spring is passive behind it without friction"))
+    return rows + ([] if one.behind is None else _behind(one, one.behind))
+
+
+def _behind(one: OnePort, behind: Behind) -> list[tuple[str, str]]:
+    alpha, delta = behind.alpha.alpha, one.damping
+    lacks = f"lacks alpha_e = {_damping(alpha)}, it is passive"
+    if alpha > 0.0:
+        lacks = f"lacks alpha_e = {_damping(alpha)} at {si(behind.alpha.frequency, 'Hz')}"
+    if not isfinite(alpha):
+        lacks = f"not passive by any alpha_e: {behind.alpha.why}"
+    most = "not known for this integrator, or a force renewed slowly"
+    if behind.conditions:
+        most = f"not even every passive one is safe: that needs {_damping(behind.passive_needs)}"
+    if behind.most is not None:
+        most = f"every one that lacks up to {_damping(behind.most)} is safe, holding and delay included"
+    told = ", ".join(f"{name} {lacking(lack)}" for name, lack in behind.integrators.items())
+    return [
+        ("environment", f"{lacks}; {behind.stiffness:.4g} N/m at rest"),
+        ("by integrator", told),
+        ("uncoupled", f"alpha_e < delta = {_damping(delta)} {_holds(alpha < delta)}; that very environment needs "
+                      f"{_damping(behind.alone)}"),
+        ("coupled", f"gamma = {_damping(behind.gamma)}; alpha_e < delta gamma/(delta + gamma) = "
+                    f"{_damping(behind.miller)} {_holds(alpha < behind.miller)}"),
+        ("behind it", most),
+    ]
+
+
+def lacking(lack: Lack) -> str:
+    """How much passivity an environment lacks, or why no damper makes it passive."""
+    return lack.why or (f"lacks {_damping(lack.alpha)}" if lack.alpha > 0.0 else "passive")
+
+
+def _holds(yes: bool) -> str:
+    return "holds" if yes else "fails"
+
+
+def _two(two: TwoPorts) -> list[tuple[str, str]]:
+    rows = []
+    for name in ("sampled", "continuous"):
+        judged: Judged | None = getattr(two, name)
+        rows.append((name, two.why_not[name] if judged is None else _llewellyn(judged)))
+        if judged is not None:
+            own = "passive" if judged.passive else "not passive"
+            rows.append(("", f"{own} by itself; free motion {_damping(judged.free)} at {UNIT:g} Hz"
+                             f"{_felt(judged, two)}"))
+    return rows
+
+
+def _felt(judged: Judged, two: TwoPorts) -> str:
+    if judged.felt is None or not two.stiffness:
+        return ""
+    return f"; {judged.felt:.4g} N/m felt of {two.stiffness:.4g} N/m touched, at {SLOW:g} Hz"
+
+
+def _llewellyn(judged: Judged) -> str:
+    least = f"Llewellyn's parameter at least {judged.least:.4g}, at {judged.at:.4g} Hz"
+    if judged.absolutely_stable:
+        return f"absolutely stable: {least}"
+    bands = [f"{band.low:.4g} to {band.high:.4g}" for band in judged.bands]
+    more = f" and {len(bands) - SHOWN} more" if len(bands) > SHOWN else ""
+    where = f"{bands[0]} Hz"
+    if len(bands) > 1:
+        where = (f"{judged.bands[0].low:.4g} to {judged.bands[-1].high:.4g} Hz in {len(bands)} bands "
+                 f"({', '.join(bands[:SHOWN])}{more})")
+    return f"not absolutely stable: fails at {where}; {least}"
+
+
+def summary(answer: Answer, command: Sequence[str] = ()) -> dict[str, Any]:
+    """The answer as JSON can hold it: SI units; what is endless or not known is null."""
+    from teleop import __version__
+    from teleop.simulation.result import parameters
+
+    told: dict[str, Any] = {
+        "scene": answer.scene.name, "mode": "passivity", "sentence": answer.sentence,
+        "parameters": parameters(answer.scene), "dt": answer.scene.dt_ns / 1e9, "range": [answer.low, answer.high],
+        "left_out": list(answer.left_out), "versions": {"bilateral-teleop": __version__}, "command": list(command),
+    }
+    if answer.one is not None:
+        told |= {"ports": 1, "passive": answer.one.passive, **_one_numbers(answer.one)}
+    if answer.two is not None:
+        two = answer.two
+        told |= {"ports": 2, "touched_stiffness": two.stiffness, "why_not": two.why_not,
+                 "sampled": _numbers(two.sampled), "continuous": _numbers(two.continuous)}
+    return told
+
+
+def _one_numbers(one: OnePort) -> dict[str, Any]:
+    behind = one.behind
+    return {
+        "damping": one.damping, "needed_damping": _finite(one.needed.damping), "frequency": one.needed.frequency,
+        "delay": one.d, "every": one.every, "stiffness": one.stiffness,
+        "quantised_stiffness": one.quantised, "encoder_friction": one.verdict.asked,
+        "coupling": behind and {
+            "alpha_e": _finite(behind.alpha.alpha), "alpha_e_frequency": behind.alpha.frequency, "delta": one.damping,
+            "gamma": behind.gamma, "alpha_miller": behind.miller, "alpha_max": behind.most,
+            "needed_for_passive": _finite(behind.passive_needs),
+            "needed_alone": _finite(behind.alone), "stiffness": behind.stiffness,
+            "alpha_by_integrator": {name: _finite(lack.alpha) for name, lack in behind.integrators.items()},
+            "why_not": {name: lack.why for name, lack in [("alpha_e", behind.alpha), *behind.integrators.items()]
+                        if lack.why},
+        },
+    }
+
+
+def _numbers(judged: Judged | None) -> dict[str, Any] | None:
+    return judged and {
+        "absolutely_stable": judged.absolutely_stable, "bands": [list(band) for band in judged.bands],
+        "eta_min": _finite(judged.least), "eta_min_frequency": judged.at, "passive": judged.passive,
+        "free_impedance": judged.free, "felt_stiffness": judged.felt,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def curves(answer: Answer) -> dict[str, Any]:
+    """Arrays over frequency: `frequency` and `needed_damping`, or `sampled_h` and so on, each with its `_frequency`."""
+    import numpy as np
+
+    if answer.one is not None:
+        f = np.geomspace(answer.low, answer.high, 2000)
+        found = {"frequency": f, "needed_damping": answer.one.curve(f)}
+        if answer.one.behind is not None:
+            from teleop.analysis.passivity.coupling import gap
+
+            found["gap"] = gap(answer.one.behind.C, answer.one.behind.E, answer.one.T, f)
+        return found
+    assert answer.two is not None
+    two: dict[str, Any] = {}
+    for name in ("sampled", "continuous"):
+        judged = getattr(answer.two, name)
+        if judged is not None:
+            port = judged.port
+            two |= {f"{name}_frequency": port.frequency, f"{name}_h": port.h, f"{name}_eta": port.eta}
+            if answer.two.touched is not None:
+                touched = answer.two.touched(port.frequency)
+                two |= {f"{name}_felt": port.felt(touched), f"{name}_touched": touched}
+    return two
+
+
+def write(answer: Answer, folder: Path, command: Sequence[str] = ()) -> None:
+    """Write summary.json and curves.npz into a folder that is there."""
+    import json
+
+    import numpy as np
+
+    np.savez(folder / "curves.npz", **curves(answer))
+    text = json.dumps(summary(answer, command), indent=2, allow_nan=False, default=str)
+    (folder / "summary.json").write_text(text + "\n")

@@ -1,0 +1,1 @@
+"""Contenders: the methods whose precision is compared."""

@@ -1,0 +1,96 @@
+"""Integrators of scipy's as contenders, called once per tick.
+
+They are used the way anybody would: `solve_ivp` over the tick, the wall's force in the right-hand side, no events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from math import isfinite, nan
+from typing import TYPE_CHECKING, Any
+
+from teleop.analysis.precision.contenders import relaxed
+from teleop.analysis.precision.contenders.contenders import touch_of
+from teleop.analysis.precision.contenders.methods import Touch
+from teleop.analysis.precision.contenders.parts import core_of, rebuilt, relaxing_branch, slave_of
+from teleop.physics.plant import Plant
+from teleop.simulation.bodies import Bodies, exact_bodies
+
+if TYPE_CHECKING:
+    from teleop.physics.sdirk import Core
+    from teleop.scene.scene import Scene
+
+SOLVERS = ("DOP853", "LSODA", "Radau")
+TOLERANCES = (1e-3, 1e-6, 1e-9)  # relative; absolute 1e-3 of it, in m and m/s
+
+
+def there() -> bool:
+    """Is scipy installed?"""
+    return find_spec("scipy") is not None
+
+
+def outsider_bodies(scene: Scene, solver: str, rtol: float) -> Bodies:
+    """The scene with its slave moved by one call of `solver` per tick; the master, which is linear, stays exact."""
+    dt = scene.dt_ns / 1e9
+
+    def moved(still: Plant, environment: Any) -> Plant:
+        if (held := core_of(still)) is not None:
+            return still._replace(move=_resisted(*held, dt, solver, rtol), start=(), report=None)
+        if (branch := relaxing_branch(still, environment, slave_of(scene))) is not None:
+            return still._replace(move=relaxed.bonded(relaxed.solved(branch, dt, solver, rtol)))
+        return still._replace(move=outsider(touch_of(still, slave_of(scene)), dt, solver, rtol))
+
+    return exact_bodies(scene)._replace(slaves=rebuilt(scene, moved))
+
+
+def _resisted(side: float, at: float, core: Core, dt: float, solver: str, rtol: float
+              ) -> Callable[..., tuple[float, float, int, Any]]:
+    """`move` of a body without friction in what resists it; NaN where the solver gives up."""
+    from scipy.integrate import solve_ivp
+
+    from teleop.physics.sdirk import resistance_force
+
+    m, b = core[1], core[2]
+
+    def rate(_: float, y: Any, f: float) -> tuple[float, float]:
+        p, u = y
+        return u, (f - b * u - resistance_force(core, p, u)) / m
+
+    def move(_: Any, x: float, v: float, f: float, z: Any) -> tuple[float, float, int, Any]:
+        if not isfinite(abs(x) + abs(v) + abs(f)):
+            return nan, nan, 0, z
+        start = side * (x - at), side * v
+        done = solve_ivp(rate, (0.0, dt), start, solver, args=(side * f,), rtol=rtol, atol=1e-3 * rtol)
+        if not done.success:
+            return nan, nan, 0, z
+        return at + side * float(done.y[0, -1]), side * float(done.y[1, -1]), 0, z
+
+    return move
+
+
+def outsider(touch: Touch, dt: float, solver: str, rtol: float) -> Callable[..., tuple[float, float, int]]:
+    """`move` by `solver` over one tick; NaN where it gives up."""
+    from scipy.integrate import solve_ivp
+
+    m, b, k, d, side, at, edge, floor = touch
+
+    def rate(_: float, y: Any, f: float) -> tuple[float, float]:
+        p, u = y
+        pull = f - b * u
+        if p > edge:
+            g = k * p + d * u
+            if g > floor:
+                pull -= g
+        return u, pull / m
+
+    def move(_: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
+        if not isfinite(abs(x) + abs(v) + abs(f)):
+            return nan, nan, 0
+        start = side * (x - at), side * v
+        done = solve_ivp(rate, (0.0, dt), start, solver, args=(side * f,), rtol=rtol, atol=1e-3 * rtol)
+        if not done.success:
+            return nan, nan, 0
+        return at + side * float(done.y[0, -1]), side * float(done.y[1, -1]), 0
+
+    return move

@@ -1,0 +1,88 @@
+"""What a contender costs: moving the bodies by one tick, from states of a run, and what a whole run will take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from teleop.analysis.precision.contenders.parts import is_carried, whole_plants
+from teleop.analysis.precision.reference.agreement import column
+from teleop.physics.plant import move_free, move_gripped
+from teleop.simulation.bodies import Bodies, reference_samples
+
+if TYPE_CHECKING:
+    from teleop.analysis.precision.measure import Contender
+    from teleop.scene.scene import Scene
+
+Clock = Callable[[], int]
+Move = Callable[..., tuple[Any, ...]]
+
+
+def step_costs(some: Sequence[Contender], scene: Scene, trace: Mapping[str, Any], clock: Clock, samples: int,
+               rounds: int) -> dict[str, float]:
+    """Nanoseconds to move all bodies by one tick from states of the run, by contender: the least of some rounds.
+
+    An inner state, if there is one, is what the tick sampled before came to.
+    """
+    ran = len(trace["t"])
+    at = range(0, ran, max(1, ran // samples))
+    reference = reference_samples(scene)
+    slaves, masters = ([list(zip(*(column(trace, f"{name}_{e}", i)[at].tolist() for name in "xvf"), strict=True))
+                        for i in range(scene.axes)] for e in "sm")
+    if reference is not None:
+        masters = [[(*state, r[k], r[k + 1]) for k, state in zip(at, own, strict=True)]
+                   for r, own in zip(reference, masters, strict=True)]
+    elif some[0].bodies.inner_m is not None:
+        masters = [[(*state, 0.0, 0.0) for state in own] for own in masters]
+    carried = [is_carried(plant) for plant in whole_plants(scene)]
+    jobs: dict[str, list[tuple[Move, Any, list[tuple[Any, ...]]]]] = {}
+    for c in some:
+        own = c.bodies
+        move = _master(own, held=reference is not None)
+        jobs[c.key] = [_job(move, own.master, states, at, own.inner_m) for states in masters]
+        jobs[c.key] += [_job(plant.move, plant.c, states, at, plant.start, ticks=ticks)
+                        for plant, states, ticks in zip(own.slaves, slaves, carried, strict=True)]
+    times: dict[str, list[float]] = {key: [] for key in jobs}
+    for _ in range(rounds):
+        for key, job in jobs.items():
+            began = clock()
+            for move, held, states in job:
+                for state in states:
+                    move(held, *state)
+            times[key].append((clock() - began) / len(at))
+    return {key: min(several) for key, several in times.items()}
+
+
+def run_costs(everyone: Sequence[Contender], scene: Scene, trace: Mapping[str, Any], clock: Clock, each: float
+              ) -> dict[str, float]:
+    """Seconds that a run of each contender will take: `each` of the first one, and more where its steps take more."""
+    step: dict[str, float] = {}
+    for c in everyone:
+        step |= step_costs([c], scene, trace, clock, 10 if c.rtol else 50, 2)
+    first = step[everyone[0].key]
+    return {key: each + max(0.0, ns - first) * 1e-9 * scene.ticks for key, ns in step.items()}
+
+
+def _master(bodies: Bodies, *, held: bool) -> Move:
+    """The function that moves the master."""
+    if bodies.inner_m is not None:
+        move: Move = bodies.instead["move_held"]
+        return move
+    name, exact = ("move_gripped", move_gripped) if held else ("move_free", move_free)
+    return bodies.instead.get(name, exact)  # type: ignore[no-any-return]
+
+
+def _job(move: Move, c: Any, states: list[tuple[Any, ...]], at: range, z: Any, *, ticks: bool = False
+         ) -> tuple[Move, Any, list[tuple[Any, ...]]]:
+    """What is timed: the function, its coefficients, the states with the inner one behind, if there is one.
+
+    That of a moved environment begins with the tick.
+    """
+    if z is None:
+        return move, c, states
+    whole = []
+    for k, state in zip(at, states, strict=True):
+        z = (k, *z[1:]) if ticks else z
+        whole.append((*state, z))
+        z = move(c, *state, z)[-1]
+    return move, c, whole

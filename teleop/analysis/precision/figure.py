@@ -1,0 +1,156 @@
+"""The figure of a comparison: error over run time, and both kinds of error along the run. Needs the extra `plot`."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.precision.contenders.outsiders import TOLERANCES
+from teleop.analysis.precision.measure import SUBSTEPS
+from teleop.terminal.figure import need_plot, save
+from teleop.terminal.run_table import si
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from teleop.analysis.precision.measure import Entry, Precision
+
+
+class Look(NamedTuple):
+    """How a method is drawn; those of first order dashed."""
+
+    colour: str
+    marker: str
+    line: str
+
+
+LOOKS = {
+    "euler": Look("#999999", "v", "--"), "semi_implicit_euler": Look("#E69F00", "^", "--"),
+    "verlet": Look("#D55E00", "D", "-"), "rk4": Look("#CC79A7", "s", "-"),
+    "backward_euler": Look("#8C564B", "o", "--"), "midpoint": Look("#56B4E9", "P", "-"),
+    "trapezoid": Look("#0072B2", "X", "-"), "sdirk2": Look("#009E73", "h", "-"), "radau": Look("#5D3A9B", "p", "-"),
+    "DOP853": Look("#333333", "1", "-."), "LSODA": Look("#333333", "2", "-."), "Radau": Look("#333333", "3", "-."),
+}
+EXACT = "#000000"
+LOST = "#CC0000"
+LEAST = 1e-19  # m or N: less is not drawn along the run
+SIZES = (10.0, 7.0, 5.0, 3.5)  # of the marks, from coarse to fine
+PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force on the environment", "N"))
+
+
+def draw(got: Precision, path: Path) -> None:
+    """Draw `got` into the PNG file `path`. Raises `Refused` if the extra is missing or the file cannot be written."""
+    need_plot()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.0, 9.5), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    law = got.result.parameters.get("law")
+    reference = "" if got.truth.method == "exact" else (
+        f"\nagainst scipy's {got.truth.method} with every change of mode located, good to "
+        f"{si(got.truth.off['x_s'], 'm')}, {si(got.truth.off['f_env'], 'N')}")
+    scipys = "" if all(e.contender.rtol is None for e in got.entries) else (
+        f"; scipy: rtol {', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}")
+    figure.suptitle(f"{got.scene.name}, law {law['name'] if isinstance(law, dict) else law}: error against run time "
+                    f"({got.result.ticks} ticks, {got.contacts} contacts)\nmarks from large to small: "
+                    f"{', '.join(map(str, SUBSTEPS))} sub-steps per tick{scipys}{reference}", fontsize=11)
+    every = figure.subplots(2, 2, height_ratios=(3, 2), squeeze=True)
+    for column, (series, track, what, unit) in enumerate(PANELS):
+        _work(every[0, column], got, series, what, unit)
+        _time(every[1, column], got, series, track, what, unit)
+    every[1, 0].sharex(every[1, 1])
+    handles, labels = every[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=9)
+    handles, labels = every[1, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right lower", frameon=False, fontsize=9)
+    save(figure, path)
+
+
+def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None:
+    """One curve per method, with smaller marks for finer steps."""
+    by_method: dict[str, list[Entry]] = {}
+    for e in got.entries:
+        by_method.setdefault(e.contender.method, []).append(e)
+    top = _top(got, series)
+    for method, entries in by_method.items():
+        entries.sort(key=lambda e: -(e.contender.rtol or 0.0))
+        own = [(e.ns_per_tick * 1e-3, _drawn(e, series, top), e) for e in entries]
+        if method in ("exact", "default"):
+            x, y, e = own[0]
+            axes.scatter([x], [y], marker="*", s=220, color=EXACT, zorder=5, label=e.contender.label)
+            axes.axvline(x, color=EXACT, linewidth=0.6, alpha=0.5)
+            if got.truth.estimated and series == "x_s":
+                axes.scatter([x], [got.truth.estimated], marker="*", s=220, facecolors="none", edgecolors=EXACT,
+                             zorder=5, label="its own estimates, summed")
+            continue
+        look = LOOKS[method]
+        axes.plot([x for x, _, _ in own], [y for _, y, _ in own], linestyle=look.line, color=look.colour, linewidth=1.1)
+        axes.plot([], [], linestyle=look.line, color=look.colour, marker=look.marker, label=entries[0].contender.label)
+        for x, y, e in own:
+            axes.plot([x], [y], color=look.colour, marker=look.marker, markersize=_mark(e))
+            if e.status != "ok":
+                axes.scatter([x], [y], marker="x", s=110, color=LOST, zorder=6)
+            elif e.missed:
+                axes.scatter([x], [y], marker="o", s=150, facecolors="none", edgecolors=LOST, zorder=6)
+    _marks(axes, got)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("run time of the whole loop (us per tick)")
+    axes.set_ylabel(f"largest error of the {what} ({unit})")
+    axes.grid(visible=True, which="major", linewidth=0.4, alpha=0.5)
+
+
+def _mark(e: Entry) -> float:
+    steps = SUBSTEPS if e.contender.substeps else TOLERANCES
+    return SIZES[steps.index(e.contender.substeps or e.contender.rtol or 0.0)]
+
+
+def _marks(axes: Axes, got: Precision) -> None:
+    """The legend's lines for what befell a contender."""
+    if any(e.status != "ok" for e in got.entries):
+        axes.scatter([], [], marker="x", s=90, color=LOST, label="diverged (drawn at the top)")
+    if any(e.missed for e in got.entries):
+        axes.scatter([], [], marker="o", s=90, facecolors="none", edgecolors=LOST, label="missed contacts")
+
+
+def _top(got: Precision, series: str) -> float:
+    """Where what diverged is drawn: above everything else."""
+    sizes = [e.errors[series].max for e in got.entries if e.status == "ok" and isfinite(e.errors[series].max)]
+    return 30.0 * max([*sizes, 1e-15])
+
+
+def _drawn(e: Entry, series: str, top: float) -> float:
+    """The error as a place on the logarithmic axis."""
+    size = e.errors[series].max
+    return min(max(size, 1e-18), top) if e.status == "ok" and isfinite(size) else top
+
+
+def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: str) -> None:
+    """Tracking error, and the numerical error of some methods, along the run."""
+    t = got.along["t"]
+    axes.plot(t, _positive(got.along[track]), color="#000000", linewidth=2.2, alpha=0.35,
+              label="tracking and transparency")
+    for e in _some(got):
+        look = LOOKS.get(e.contender.method, Look(EXACT, "", "-"))
+        label = f"numerical, {e.contender.label} {e.contender.step}".rstrip()
+        axes.plot(t, _positive(got.along[f"{series}:{e.key}"]), color=look.colour, linewidth=1.0, marker=".",
+                  markersize=1.5, label=label)
+    axes.set_yscale("log")
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel(f"error of the {what} ({unit})")
+    axes.grid(visible=True, which="major", linewidth=0.4, alpha=0.5)
+
+
+def _some(got: Precision) -> list[Entry]:
+    """The stack's own steps; of the methods some that span what there is."""
+    wanted = ("exact", "default", "euler/1", "semi_implicit_euler/1", "rk4/1", "sdirk2/16", "radau/64", "verlet/64")
+    return [e for e in got.entries if e.key in wanted]
+
+
+def _positive(column: Any) -> Any:
+    import numpy as np
+
+    return np.where(column > LEAST, column, np.nan)

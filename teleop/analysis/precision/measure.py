@@ -1,0 +1,291 @@
+"""Error against run time: the stack's own steps beside every other way to move the same bodies, in the same loop.
+
+The verdict is that of the SciML work-precision diagrams (Rackauckas & Nie, J. Open Res. Softw. 5 (2017)): a
+method is *beaten* where another one is at least as accurate and more than 1.2 times faster. Accuracy is the
+largest error of the slave's position and of the force on its environment, both; times are medians over
+rounds that take the methods in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite, log10
+from typing import TYPE_CHECKING, Any
+
+from teleop.analysis.precision.contenders.contenders import method_bodies
+from teleop.analysis.precision.contenders.methods import METHODS
+from teleop.analysis.precision.contenders.nonlinear import goes
+from teleop.analysis.precision.contenders.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
+from teleop.analysis.precision.contenders.parts import closed, slave_of
+from teleop.analysis.precision.costs import run_costs, step_costs
+from teleop.analysis.precision.reference.agreement import Agreement
+from teleop.analysis.precision.reference.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
+from teleop.analysis.precision.reference.truth import Truth, truth_of
+from teleop.errors import Refused
+from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.metrics import tracking
+from teleop.simulation.virtual import run
+
+if TYPE_CHECKING:
+    from teleop.scene.scene import Scene
+    from teleop.simulation.result import Result
+
+Clock = Callable[[], int]
+Show = Callable[[float, str], None]
+
+SUBSTEPS = (1, 4, 16, 64)
+FASTER = 1.2
+BUDGET = 45.0  # s that all may take if the number of rounds is left to us, and a reference without a closed form not
+WITH_REFERENCE = 110.0  # s that both may take: what a quick reference leaves is for more rounds
+WHOLE_ROUNDS, MOST_ROUNDS = 3, 9  # then: rounds of all methods, and with more of the cheap ones, whose times vary most
+CHEAP = 4  # sub-steps
+OUTSIDE = 0.4  # of the budget is for scipy's solvers
+MOST_UNASKED = 1_000_000  # ticks: more do not fit into a minute
+BINS = 800  # of the errors along the run
+EULER = "semi_implicit_euler/1"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Contender:
+    """A way to move the bodies: the stack's own, a fixed-step method with `substeps`, or scipy's solver with `rtol`.
+
+    The stack's own is `exact` where every body has a closed form, else `default`.
+    """
+
+    method: str
+    label: str
+    bodies: Bodies
+    substeps: int | None = None
+    rtol: float | None = None
+
+    @property
+    def step(self) -> str:
+        """What is finer or coarser about it."""
+        return str(self.substeps) if self.substeps else f"{self.rtol:.0e}" if self.rtol else ""
+
+    @property
+    def key(self) -> str:
+        """Its name among all."""
+        return f"{self.method}/{self.step}" if self.step else self.method
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Entry:
+    """What one contender came to. Where it diverged the errors are those of the ticks before."""
+
+    contender: Contender
+    status: str
+    sentence: str
+    ns_per_tick: float
+    runs: int
+    errors: Mapping[str, Error]
+    peak_ratio: float | None  # its largest force on the environment over that of the reference, if there is one
+    missed: int  # contacts of the reference in which it never touched
+    beaten_by: str | None = None
+
+    @property
+    def key(self) -> str:
+        """The contender's name."""
+        return self.contender.key
+
+
+@dataclass(frozen=True, kw_only=True)
+class Precision:
+    """The comparison on one scene.
+
+    `entries` begin with the stack's own; if that is exact, its errors are those that its rounding comes to. `along`
+    holds the errors along the run, each the largest within a stretch of ticks that begins at `t`.
+    """
+
+    scene: Scene
+    seed: int
+    rounds: int
+    truth: Truth
+    contacts: int
+    step_ns: Mapping[str, float]  # of moving all bodies by one tick, without the loop around it
+    entries: Sequence[Entry]
+    along: Mapping[str, Any] = field(repr=False)
+    left_out: Mapping[str, str]  # and why
+
+    @property
+    def result(self) -> Result:
+        """The run that all are measured against."""
+        return self.truth.result
+
+    @property
+    def agreement(self) -> Agreement:
+        """Single steps of the stack's own beside independent ones."""
+        return self.truth.agreement
+
+
+def contenders(scene: Scene) -> Iterator[Contender]:
+    """All of them, the cheaper first. Refused where there is no slave, or no equation known of its environment."""
+    slave_of(scene)
+    exact = closed(scene)
+    name, label = ("exact", "exact") if exact else ("default", f"default: SDIRK2 to {scene.tolerance:.0e} m a tick")
+    yield Contender(method=name, label=label, bodies=exact_bodies(scene))
+    for n in SUBSTEPS:
+        for m in METHODS:
+            if exact or goes(m):
+                yield Contender(method=m.name, label=m.label, substeps=n, bodies=method_bodies(scene, m, n))
+    if not there() or _rubs(scene):
+        return
+    for rtol in sorted(TOLERANCES, key=lambda rtol: abs(log10(rtol / 1e-6))):  # the middle one first
+        for solver in SOLVERS:
+            bodies = outsider_bodies(scene, solver, rtol)
+            yield Contender(method=solver, label=f"scipy {solver}", rtol=rtol, bodies=bodies)
+
+
+def unfit(scene: Scene) -> dict[str, str]:
+    """Who is not a contender on this scene, and why."""
+    found = {m.name: "no solver for its coupled stages where a body is not piecewise linear"
+             for m in METHODS if not closed(scene) and not goes(m)}
+    if _rubs(scene):
+        found["scipy's solvers"] = "friction jumps at rest, where their steps would become endlessly small"
+    return found
+
+
+def _rubs(scene: Scene) -> bool:
+    return scene.master.friction > 0.0 or slave_of(scene).friction > 0.0
+
+
+def measure(
+    scene: Scene, *, seed: int = 0, clock: Clock, rounds: int | None = None, show: Show | None = None
+) -> Precision:
+    """Compare every contender on `scene`.
+
+    `clock` returns nanoseconds. `rounds` is how many runs of each are timed, of scipy's solvers one; left out,
+    there are as many rounds and contenders as fit into `BUDGET` seconds. `show` is told how much is done, 0 to 1.
+    Raises `Refused` for an environment whose equation is not known, and for a run too long to compare unasked.
+    """
+    _check(scene, rounds)
+    everyone = list(contenders(scene))
+    show = show or _quiet
+    share = 0.0 if closed(scene) else 0.5  # of the progress, for the reference
+    began, budget = clock(), BUDGET
+    truth = truth_of(scene, seed, clock, patient=rounds is not None, show=lambda part, text: show(share * part, text))
+    if share:
+        before, began = began, clock()
+        budget = max(BUDGET, WITH_REFERENCE - (began - before) / 1e9)
+    reference = truth.result
+    trace = reference.trace
+    cost = run_costs(everyone, scene, trace, clock, truth.took)
+    chosen, left_out = (everyone, {}) if rounds else _affordable(everyone, cost)
+    left_out = {**unfit(scene), **left_out}
+    turns = _turns(chosen, rounds)
+    total = sum(cost[c.key] for turn in turns for c in turn)
+    if not rounds:
+        total = min(total, max(budget - (clock() - began) / 1e9, sum(cost[c.key] for c in chosen)))
+    times: dict[str, list[float]] = {c.key: [] for c in chosen}
+    found: dict[str, Entry] = {}
+    touches, bins = contacts(felt(scene, trace)), range(0, reference.ticks, -(-reference.ticks // BINS))
+    along = {"t": trace["t"][bins]} | {name: _most(size, bins) for name, size in tracking(scene, dict(trace)).items()}
+    done = 0.0
+    for i, turn in enumerate(turns):
+        spent = (clock() - began) / 1e9
+        if i and not rounds and spent + sum(cost[c.key] for c in turn) > budget:
+            break
+        for c in turn:
+            show(share + (1.0 - share) * min(done / total, 0.99), f"round {i + 1}: {c.label} {c.step}")
+            got = run(scene, seed=seed, clock=clock, bodies=c.bodies)
+            times[c.key].append((got.run_time or 0.0) / got.ticks * 1e9)
+            done += cost[c.key]
+            if not i:
+                got = truth.own if c is everyone[0] else got
+                found[c.key] = _entry(c, got, trace, missed(felt(scene, got.trace), touches))
+                along |= {f"{name}:{c.key}": _most(distance(name, got.trace, trace), bins) for name in ("x_s", "f_env")}
+    show(1.0, "done")
+    return Precision(
+        scene=scene, seed=seed, rounds=len(times[everyone[0].key]), truth=truth, contacts=len(touches),
+        step_ns=step_costs([c for c in chosen if c is everyone[0] or c.key == EULER], scene, trace, clock, 1000, 15),
+        entries=verdicts([_timed(found[c.key], times[c.key]) for c in chosen], truth.off, reference.status),
+        along=along, left_out=left_out,
+    )
+
+
+def verdicts(entries: Sequence[Entry], off: Mapping[str, float] | None = None, status: str | None = None
+             ) -> list[Entry]:
+    """The entries, each with who beats it: the stack's own steps if they do, else the fastest that does.
+
+    What lies below the reference's own error `off` is not told from it. One that diverged where the reference,
+    whose status is given, does not has an endless error; where it does too, it is judged by the ticks before.
+    Without them the first entry is the reference.
+    """
+    first = entries[0]
+    floor = off or {name: error.max for name, error in first.errors.items()}
+    wanted = status or first.status
+
+    def accuracy(entry: Entry) -> list[float]:
+        lost = entry.status != "ok" == wanted
+        pairs = [(entry.errors[name].max, floor[name]) for name in ("x_s", "f_env")]
+        return [max(own, least) if isfinite(own) and not lost else inf for own, least in pairs]
+
+    def beats(one: Entry, other: Entry) -> bool:
+        as_accurate = all(a <= b for a, b in zip(accuracy(one), accuracy(other), strict=True))
+        return as_accurate and other.ns_per_tick > FASTER * one.ns_per_tick
+
+    return [
+        replace(e, beaten_by=min((o for o in entries if beats(o, e)),
+                                 key=lambda o: (o.key != first.key, o.ns_per_tick)).key)
+        if any(beats(o, e) for o in entries) else e
+        for e in entries
+    ]
+
+
+def _quiet(part: float, text: str) -> None:
+    """Tell nobody."""
+
+
+def _check(scene: Scene, rounds: int | None) -> None:
+    if rounds is not None and (isinstance(rounds, bool) or not isinstance(rounds, int) or rounds < 1):
+        raise Refused(f"rounds must be a whole number of at least 1, not {rounds!r}; write --rounds 3")
+    if rounds is None and scene.ticks > MOST_UNASKED:
+        raise Refused(f"{scene.ticks} ticks are too many to compare within a minute; shorten the run with --set "
+                      "duration=10, or write --rounds 1 and wait")
+
+
+def _affordable(everyone: Sequence[Contender], cost: Mapping[str, float]) -> tuple[list[Contender], dict[str, str]]:
+    """Who takes part in a first round that fits into the budget, and why others do not."""
+    chosen, left_out, ours, theirs = [], {}, 0.0, 0.0
+    for c in everyone:
+        if c.rtol is None and ours + cost[c.key] <= (0.9 - OUTSIDE) * BUDGET:
+            chosen.append(c)
+            ours += cost[c.key]
+        elif c.rtol and theirs + cost[c.key] <= OUTSIDE * BUDGET:
+            chosen.append(c)
+            theirs += cost[c.key]
+        else:
+            left_out[c.key] = f"a run would take about {cost[c.key]:.1f} s; a shorter duration or --rounds 1 has it"
+    return chosen, left_out
+
+
+def _turns(chosen: Sequence[Contender], rounds: int | None) -> list[list[Contender]]:
+    """Who is run in each round, all in the first; scipy's solvers are so much slower that once is enough."""
+    ours = [c for c in chosen if c.rtol is None]
+    if rounds:
+        return [list(chosen), *[ours] * (rounds - 1)]
+    cheap = [c for c in ours if not c.substeps or c.substeps <= CHEAP]
+    return [list(chosen), *[ours] * (WHOLE_ROUNDS - 1), *[cheap] * (MOST_ROUNDS - WHOLE_ROUNDS)]
+
+
+def _entry(c: Contender, got: Result, want: Mapping[str, Any], unfelt: int) -> Entry:
+    return Entry(
+        contender=c, status=got.status, sentence=got.sentence, ns_per_tick=0.0, runs=0, errors=errors(got.trace, want),
+        peak_ratio=peak_ratio(got.trace, want), missed=unfelt,
+    )
+
+
+def _timed(entry: Entry, times: list[float]) -> Entry:
+    from statistics import median
+
+    return replace(entry, ns_per_tick=median(times), runs=len(times))
+
+
+def _most(size: Any, bins: range) -> Any:
+    """The largest within each stretch of ticks; NaN where there is none."""
+    import numpy as np
+
+    whole = np.full(len(bins) * bins.step, np.nan)
+    whole[: len(size)] = size
+    return np.fmax.reduce(whole.reshape(len(bins), bins.step), axis=1)

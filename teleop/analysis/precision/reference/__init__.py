@@ -1,0 +1,1 @@
+"""The reference solution, and how far a method deviates from it."""

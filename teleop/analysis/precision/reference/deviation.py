@@ -1,0 +1,101 @@
+"""How far one run of a scene lies from another: errors of its quantities, and contacts it never made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.simulation.metrics import magnitude
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from teleop.scene.scene import Scene
+
+SERIES = {"x_s": "m", "x_m": "m", "f_env": "N"}
+NEAR = 10  # ticks: contacts nearer than this are one, and another run's may be off by as much
+
+
+class Error(NamedTuple):
+    """Of one quantity: the largest, the root mean square, and at the run's last tick (NaN: it got not so far)."""
+
+    max: float
+    rms: float
+    end: float
+
+
+def distance(name: str, got: Mapping[str, Any], want: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Magnitude of the difference at every tick that both runs had."""
+    import numpy as np
+
+    n = min(len(got["t"]), len(want["t"]))
+    with np.errstate(all="ignore"):
+        size: NDArray[np.float64] = magnitude(got[name][:n] - want[name][:n])
+    return size
+
+
+def errors(got: Mapping[str, Any], want: Mapping[str, Any]) -> dict[str, Error]:
+    """The error of every quantity of `SERIES`."""
+    import numpy as np
+
+    found = {}
+    for name in SERIES:
+        size = distance(name, got, want)
+        with np.errstate(all="ignore"):
+            rms = float(np.sqrt(np.mean(size * size)))
+        end = float(size[-1]) if len(size) == len(want["t"]) else float("nan")
+        found[name] = Error(float(size.max()), rms, end)
+    return found
+
+
+def peak_ratio(got: Mapping[str, Any], want: Mapping[str, Any]) -> float | None:
+    """The largest force on the environment over that of the other run; None where that is 0 or endless."""
+    import numpy as np
+
+    with np.errstate(all="ignore"):
+        mine, theirs = (float(magnitude(trace["f_env"]).max()) for trace in (got, want))
+        ratio = mine / theirs if theirs else float("nan")
+    return ratio if np.isfinite(ratio) else None
+
+
+def felt(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """At which ticks the environment takes a force, at the tick or at any time before the next.
+
+    What happens between is known from the momentum that is missing: `f_s dt - M dv - b dx` is the impulse on the
+    environment. Runge-Kutta methods keep it exactly, being linear in the state; the split ones to `b dt dv`.
+    What friction may have taken of it is not counted.
+    """
+    import numpy as np
+
+    from teleop.analysis.precision.contenders.parts import slave_of
+
+    body = slave_of(scene)
+    m, b, dt = body.mass, body.damping, scene.dt_ns / 1e9
+    touching: NDArray[np.bool_] = magnitude(trace["f_env"]) > 0.0
+    with np.errstate(all="ignore"):
+        dx, dv, push = np.diff(trace["x_s"], axis=0), np.diff(trace["v_s"], axis=0), trace["f_s"][:-1] * dt
+        impulse = magnitude(push - m * dv - b * dx)
+        size = m * magnitude(trace["v_s"])
+        noise = 1e-6 * (size[1:] + size[:-1] + magnitude(push)) + 1.01 * b * dt * magnitude(dv) + 1e-15
+        noise += body.friction * dt * scene.axes**0.5
+        touching[:-1] |= impulse > noise
+    return touching
+
+
+def contacts(touching: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last tick of every contact: a stretch in which the environment takes a force, short gaps included."""
+    import numpy as np
+
+    at = np.flatnonzero(touching)
+    if not len(at):
+        return []
+    apart = np.flatnonzero(np.diff(at) > NEAR)
+    first, last = at[np.concatenate([[0], apart + 1])], at[np.concatenate([apart, [len(at) - 1]])]
+    return list(zip(first.tolist(), last.tolist(), strict=True))
+
+
+def missed(touching: NDArray[np.bool_], touches: list[tuple[int, int]]) -> int:
+    """How many of these contacts a run lived through without touching, from `NEAR` ticks before to after."""
+    lived = [(first, last) for first, last in touches if last < len(touching)]
+    return sum(not touching[max(first - NEAR, 0) : last + NEAR + 1].any() for first, last in lived)

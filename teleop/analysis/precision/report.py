@@ -1,0 +1,190 @@
+"""What a comparison of precision leaves: a table for a person, summary.json, and the errors along the run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from teleop.analysis.precision.measure import EULER, FASTER
+from teleop.analysis.precision.reference.deviation import SERIES
+from teleop.terminal.run_table import si
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from teleop.analysis.precision.measure import Entry, Precision
+
+HEAD = ("method/sub-steps", "per tick", "x_s max", "x_s rms", "x_s end", "f_env max", "f_env rms", "peak", "")
+NO_TIME = "no time; a shorter duration or --rounds 1 has them"
+TRACKING = (
+    ("tracking error", "x_err", "m", "slave against the delayed master, whatever the method"),
+    ("force error", "f_err", "N", "force felt against the force touched one delay ago"),
+)
+
+
+def table(got: Precision) -> str:
+    """The comparison as lines of text, the stack's own steps first, then method by method from coarse to fine."""
+    rows = [HEAD, *(_row(e) for e in sorted(got.entries, key=_order(got.entries)))]
+    if (estimated := got.truth.estimated) is not None:
+        rows[1] = (*rows[1][:-1], ", ".join([f"estimated {si(estimated, 'm')}", *filter(None, rows[1][-1:])]))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(HEAD))]
+    lines = ["  ".join(cell.rjust(w) if 0 < i < len(HEAD) - 1 else cell.ljust(w)
+                       for i, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip() for row in rows]
+    facts = list(_facts(got))
+    width = max(len(label) for label, _ in facts)
+    return "\n".join([*lines, "", *(f"{label:<{width}}   {text}" for label, text in facts)])
+
+
+def _order(entries: Sequence[Entry]) -> Any:
+    """Methods as they came, each from coarse to fine."""
+    methods = list(dict.fromkeys(e.contender.method for e in entries))
+    return lambda e: (methods.index(e.contender.method), e.contender.substeps or 0, -(e.contender.rtol or 0.0))
+
+
+def _row(e: Entry) -> tuple[str, ...]:
+    x, f = e.errors["x_s"], e.errors["f_env"]
+    sizes = [si(x.max, "m"), si(x.rms, "m"), si(x.end, "m"), si(f.max, "N"), si(f.rms, "N")]
+    peak = "-" if e.peak_ratio is None else f"{e.peak_ratio:.4g}"
+    return e.key, si(e.ns_per_tick * 1e-9, "s"), *("-" if "nan" in size else size for size in sizes), peak, _said(e)
+
+
+def _said(e: Entry) -> str:
+    """What must not be overlooked, then who beats it."""
+    words = ["diverged"] * (e.status != "ok")
+    words += [f"missed {e.missed} contact{'s' * (e.missed > 1)}"] * (e.missed > 0)
+    words += [f"beaten by {e.beaten_by}"] if e.beaten_by else []
+    return ", ".join(words)
+
+
+def _facts(got: Precision) -> list[tuple[str, str]]:
+    first, others = got.entries[0], got.entries[1:]
+    beaten = sum(e.beaten_by == first.key for e in others)
+    law = got.result.parameters.get("law")
+    name = law["name"] if isinstance(law, Mapping) else law
+    facts = [
+        ("run", f"{got.scene.name}, law {name}, {got.result.ticks} ticks, {got.contacts} contacts, seed {got.seed}"),
+        ("status", f"{got.result.status}: {got.result.sentence}"),
+        ("verdict", verdict(got)),
+        ("beaten means", f"another is at least as accurate in x_s and f_env and more than {FASTER:g} times faster; "
+                         f"{first.key} beats {beaten} of {len(others)}"),
+        *(_worth(got) if first.key == "exact" else _estimated(got)),
+    ]
+    if EULER in got.step_ns:
+        own, euler = got.step_ns[first.key], got.step_ns[EULER]
+        facts.append((f"{first.key}, its cost", f"{own / euler:.2f} semi-implicit Euler steps: {own:.0f} and "
+                                                f"{euler:.0f} ns to move all bodies by a tick, without the loop"))
+    for label, name, unit, what in TRACKING:
+        if f"{name}_rms" in got.result.metrics:
+            rms, most = (si(got.result.metrics[f"{name}_{kind}"], unit) for kind in ("rms", "max"))
+            facts.append((label, f"{rms} rms, {most} max: {what}"))
+    runs = sorted({e.runs for e in got.entries if e.contender.rtol is None})
+    timing = f"whole loop, medians of {' to '.join(map(str, runs))} interleaved runs"
+    scipys = any(e.contender.rtol is not None for e in got.entries)
+    facts.append(("timing", timing + "; scipy's one run, for the slave only" * scipys))
+    return facts + [("left out", f"{', '.join(keys)}: {why}") for why, keys in _left_out(got).items()]
+
+
+def _worth(got: Precision) -> list[tuple[str, str]]:
+    """What exact steps are worth."""
+    own = got.entries[0].errors
+    return [
+        ("exact, one tick", got.agreement.sentence + "".join(_differences(got))),
+        ("exact, the run", f"steps put off by {si(got.agreement.x, 'm')} each come to "
+                           f"{si(own['x_s'].max, 'm')}, {si(own['f_env'].max, 'N')}"),
+    ]
+
+
+def _estimated(got: Precision) -> list[tuple[str, str]]:
+    """What the stack's own integration says of its error, beside what it is."""
+    own, estimates = got.entries[0].errors, got.truth.estimates
+
+    def said(name: str) -> str:
+        return ", ".join(f"{si(one[name], 'm')} ({end})" for end, one in estimates.items() if name in one)
+
+    effort = [f"{end}: at most {one['substeps_max']:.0f} sub-steps in a tick, {one['ticks_over_tolerance']:.0f} ticks "
+              "over the tolerance" for end, one in estimates.items() if "substeps_max" in one]
+    return [
+        ("reference", got.truth.sentence),
+        ("default, one tick", f"estimated: at most {said('error_estimate_max')}; true: {got.agreement.sentence}"
+                              + "".join(_differences(got))),
+        ("default, the run", f"estimates sum to {said('error_estimate_sum')}; true: at most {si(own['x_s'].max, 'm')} "
+                             f"in x_s, {si(own['x_m'].max, 'm')} in x_m, {si(own['f_env'].max, 'N')} in f_env"),
+        *((("default, its effort", "; ".join(effort)),) if effort else ()),
+    ]
+
+
+def _differences(got: Precision) -> list[str]:
+    return [f"; {solver} differs by at most {si(x, 'm')}, {si(v, 'm/s')}"
+            for solver, (x, v) in got.agreement.differences.items()]
+
+
+def _left_out(got: Precision) -> dict[str, list[str]]:
+    """Who is left out, by why; what there was no time for is said once."""
+    found: dict[str, list[str]] = {}
+    for key, why in got.left_out.items():
+        found.setdefault(NO_TIME if why.startswith("a run would take") else why, []).append(key)
+    return found
+
+
+def verdict(got: Precision) -> str:
+    """Who is not beaten, in one sentence."""
+    best = [e.key for e in got.entries if e.beaten_by is None]
+    return f"not beaten: {', '.join(best)}"
+
+
+def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
+    """What goes into summary.json; a number that does not exist, or is endless, is null."""
+    import numpy
+
+    from teleop import __version__
+
+    versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+    if got.agreement.differences:
+        import scipy
+
+        versions["scipy"] = scipy.__version__
+    result = got.result
+    return {
+        "status": result.status, "sentence": verdict(got), "scene": got.scene.name, "mode": "precision",
+        "parameters": dict(result.parameters), "seed": got.seed, "versions": versions, "command": list(command),
+        "dt": result.dt, "ticks": result.ticks, "rounds": got.rounds, "contacts": got.contacts,
+        "units": {**SERIES, "ns_per_tick": "ns", "peak_ratio": "1"},
+        "reference": {
+            "method": got.truth.method, "sentence": got.truth.sentence,
+            "off_by": {name: _number(size) for name, size in got.truth.off.items()},
+            "compared": got.agreement.sentence, "ticks": got.agreement.ticks, "changes": got.agreement.changes,
+            "per_tick": {s: {"x": _number(x), "v": _number(v)} for s, (x, v) in got.agreement.differences.items()},
+            "put_off_by": {"x": got.agreement.x, "v": got.agreement.v}, "step_ns": dict(got.step_ns),
+        },
+        "estimates": {end: dict(one) for end, one in got.truth.estimates.items()},
+        "tracking": {name: value for name, value in result.metrics.items() if name[:5] in ("x_err", "f_err")},
+        "methods": [_entry(e) for e in got.entries],
+        "left_out": dict(got.left_out), "notes": list(result.notes),
+    }
+
+
+def _entry(e: Entry) -> dict[str, Any]:
+    c = e.contender
+    return {
+        "name": e.key, "method": c.method, "label": c.label, "substeps": c.substeps, "rtol": c.rtol,
+        "ns_per_tick": e.ns_per_tick, "runs": e.runs, "status": e.status, "sentence": e.sentence,
+        "errors": {name: {k: _number(v) for k, v in error._asdict().items()} for name, error in e.errors.items()},
+        "peak_ratio": e.peak_ratio, "missed_contacts": e.missed, "beaten_by": e.beaten_by,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def write(got: Precision, folder: Path, command: Sequence[str] = ()) -> None:
+    """Write summary.json and errors.npz into a folder that is there."""
+    import json
+
+    import numpy as np
+
+    np.savez(folder / "errors.npz", **got.along)
+    text = json.dumps(summary(got, command), indent=2, allow_nan=False, default=str)
+    (folder / "summary.json").write_text(text + "\n")

@@ -1,0 +1,237 @@
+"""Is a scene stable, by how much, and where does it stop: the answers behind `teleop stability`.
+
+    stability(load_scene("soft_tissue", law="direct")).verdict
+    critical(lambda k: load_scene("soft_tissue", k_e=k), "k_e", low=10.0, high=1e5)
+
+A linear scene is answered for by the roots of its exact sampled loop (`linear`, `loop`), counted and not
+estimated; one that is not linear by a run in virtual time (`swing`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from math import ceil, floor
+from typing import TYPE_CHECKING, NamedTuple
+
+from teleop.errors import Refused, number
+from teleop.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from teleop.analysis.models.margins import Mode
+
+PLACES = 33  # of a range that are tried before it is halved
+HALVED = 5  # times: a step of 1.25 to 1.007
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stability:
+    """A linear scene's sampled loop. `verdict` is stable or unstable."""
+
+    scene: str
+    unstable: int  # roots outside the unit circle
+    integrators: int  # roots at z = 1: positions that nothing returns; they are not held against the scene
+    forth: int  # ticks
+    back: int  # ticks
+    dt: float  # s
+    mode: Mode | None  # the root of greatest magnitude apart from the integrators; None: nothing moves for long
+    gain_margin: float | None  # the factor on the loop's gain that changes the verdict; None: see `margins`
+    critical_round_trip: int | None  # ticks, the least at which the loop is unstable; None: stable at every delay
+    alone: bool = False  # no slave: all delays are those of the computation, `forth` in all
+    tried: int | None = None  # ticks up to which a critical delay was looked for; None: any
+
+    @property
+    def verdict(self) -> str:
+        """Is every root but the integrators inside the unit circle?"""
+        return "unstable" if self.unstable else "stable"
+
+    @property
+    def round_trip(self) -> int:
+        """Ticks there and back."""
+        return self.forth + self.back
+
+    @property
+    def delay_margin(self) -> int | None:
+        """Ticks that may be added to the round trip, below 0 those to take away; None: any number."""
+        return None if self.critical_round_trip is None else self.critical_round_trip - 1 - self.round_trip
+
+
+class Change(NamedTuple):
+    """Between `low` and `high` the verdict changes."""
+
+    value: float
+    low: float
+    high: float
+    stable: str  # below or above
+
+
+class Critical(NamedTuple):
+    """Where a knob changes the verdict: between `low` and `high`."""
+
+    knob: str
+    value: float  # the middle; of whole numbers, and where `method` is stepwise: `high`, the first beyond the change
+    low: float
+    high: float
+    stable: str  # below or above
+    changes: int  # of the verdict at the places tried in the range
+    all: tuple[Change, ...] = ()  # these changes, upwards, as close as each was looked at
+    method: str = "bisection"  # or stepwise
+    tried: int = 0  # values
+
+
+def stability(scene: Scene, *, seed: int = 0) -> Stability:
+    """Count the unstable roots of a linear scene and find its margins. Refused if the scene is not linear.
+
+    The link must delay by a constant number of ticks, each way 1 or more; `seed` keys it where it is not plainly so.
+    """
+    from teleop.analysis.models.linear import linear_scene
+    from teleop.analysis.models.loop import sampled_loop
+    from teleop.analysis.models.margins import critical_round_trip, dominant, gain_margin, integrators
+
+    if scene.slave is None:
+        return _one_port(scene)
+    linear = linear_scene(scene, seed=seed)
+    resting = integrators(linear)
+    return Stability(
+        scene=scene.name, unstable=sampled_loop(linear).outside(linear.round_trip), integrators=resting,
+        forth=linear.forth, back=linear.back, dt=linear.dt, mode=dominant(linear, resting),
+        gain_margin=gain_margin(linear), critical_round_trip=critical_round_trip(linear),
+    )
+
+
+def _one_port(scene: Scene) -> Stability:
+    """The same of a scene without a slave: the loop in contact, its delay that of the computation."""
+    from teleop.analysis.models.one_port_loop import margins
+
+    found = margins(scene)
+    return Stability(
+        scene=scene.name, unstable=found.unstable, integrators=found.integrators,
+        forth=0 if scene.device_m is None else scene.device_m.delay, back=0, dt=scene.dt_ns / 1e9, mode=found.mode,
+        gain_margin=found.gain_margin, critical_round_trip=found.critical_delay, alone=True, tried=found.tried,
+    )
+
+
+def is_stable(scene: Scene, *, seed: int = 0) -> bool:
+    """The verdict alone, from the root count: quicker than `stability`."""
+    if scene.slave is None:
+        from teleop.analysis.models.one_port_loop import settles
+
+        return settles(scene)
+    from teleop.analysis.models.linear import linear_scene
+    from teleop.analysis.models.loop import sampled_loop
+
+    linear = linear_scene(scene, seed=seed)
+    return not sampled_loop(linear).outside(linear.round_trip)
+
+
+def rests(scene: Scene, *, seed: int = 0) -> bool:
+    """Does it come to rest in virtual time? A limit cycle is no rest, but a few steps of an encoder are (`rest`)."""
+    from teleop.analysis.stability.swing import swing
+
+    return swing(scene, seed=seed).rests
+
+
+def critical(
+    make: Callable[[float], Scene], knob: str, *, low: float, high: float, tol: float | None = None,
+    near: float | None = None, judge: Callable[[Scene], bool] = is_stable, places: int = PLACES, whole: bool = False,
+) -> Critical:
+    """The value at which `make(value)` stops or starts being stable, by bisection to `tol` (in the knob's unit).
+
+    The range is tried at `places` values first, evenly, or by equal ratios where it spans more than a decade. Of
+    several changes the nearest to `near` is taken; left out, the lowest; all of them are in `all`. `tol` left out:
+    1e-6 of the value. `whole`: only whole numbers are tried. Raises `Refused` for an empty range, and where the verdict
+    does not change in it, saying which it is.
+    """
+    if tol is not None:
+        number("tol", tol, above=0.0)
+    values = _places(knob, low, high, places, whole)
+    asked = cache(lambda value: judge(make(value)))
+    brackets = _brackets(knob, values, asked, near)
+
+    def refined(low: float, high: float) -> Change:
+        below = asked(low)
+        while high - low > (1e-6 * max(abs(low), abs(high)) if tol is None else tol):
+            middle = _middle(low, high, whole)
+            if middle in (low, high):
+                break
+            low, high = (middle, high) if asked(middle) == below else (low, middle)
+        return Change(high if whole else 0.5 * (low + high), low, high, "below" if below else "above")
+
+    found = tuple(refined(values[i], values[i + 1]) for i in brackets)
+    own = min(range(len(found)), key=lambda j: abs(brackets[j] + 0.5 - _place(values, near)))
+    return Critical(knob, *found[own], len(found), found, "bisection", asked.cache_info().currsize)
+
+
+def lowest(
+    make: Callable[[float], Scene], knob: str, *, low: float, high: float, tol: float | None = None,
+    near: float | None = None, judge: Callable[[Scene], bool] = rests, places: int = PLACES, whole: bool = False,
+) -> Critical:
+    """The lowest value tried that is judged otherwise than the range's low end: for verdicts that alternate.
+
+    Behind an encoder what rests and what hums take turns as a knob rises, at every scale, so there is no edge to bisect
+    to. The range is tried at `places` values, and the first step with a change is halved `HALVED` times, or until it is
+    within `tol`, towards its low end: no value tried below is judged otherwise. The steps above are left as they are,
+    in `all`. `near` is named where there is no change. Raises `Refused` as `critical` does.
+    """
+    if tol is not None:
+        number("tol", tol, above=0.0)
+    values = _places(knob, low, high, places, whole)
+    asked = cache(lambda value: judge(make(value)))
+    brackets = _brackets(knob, values, asked, near)
+    under, over = values[brackets[0]], values[brackets[0] + 1]
+    below, halvings = asked(under), 0
+    while halvings < HALVED if tol is None else over - under > tol:
+        middle = _middle(under, over, whole)
+        if middle in (under, over):
+            break
+        under, over = (middle, over) if asked(middle) == below else (under, middle)
+        halvings += 1
+    first = Change(over, under, over, "below" if below else "above")
+    later = (Change(values[i + 1], values[i], values[i + 1], "below" if asked(values[i]) else "above")
+             for i in brackets[1:])
+    return Critical(knob, *first, len(brackets), (first, *later), "stepwise", asked.cache_info().currsize)
+
+
+def _places(knob: str, low: float, high: float, places: int, whole: bool) -> list[float]:
+    """The values of a range that are tried first."""
+    low, high = number("the range's low end", low), number("the range's high end", high)
+    if not low < high:
+        raise Refused(f"the range {low:g}:{high:g} of {knob} is empty; write the lower value first, --range 1:1000")
+    if not whole:
+        return _spread(low, high, places)
+    if not ceil(low) < floor(high):
+        raise Refused(f"{knob} is a whole number, of which the range {low:g}:{high:g} has not two; write --range "
+                      f"{floor(low)}:{max(ceil(high), floor(low) + 1)}")
+    return sorted({round(value) for value in _spread(ceil(low), floor(high), places)})
+
+
+def _brackets(knob: str, values: list[float], asked: Callable[[float], bool], near: float | None) -> list[int]:
+    """The places after which the verdict is another."""
+    changes = [i for i in range(len(values) - 1) if asked(values[i]) != asked(values[i + 1])]
+    if not changes:
+        side = "stable" if asked(values[0]) else "unstable"
+        own = "" if near is None else f", and {'stable' if asked(near) else 'unstable'} at its own, {knob}={near:g}"
+        raise Refused(f"{knob} has no critical value from {values[0]:g} to {values[-1]:g}: the scene is {side} at all "
+                      f"{len(values)} values tried{own}; give another --range")
+    return changes
+
+
+def _middle(low: float, high: float, whole: bool) -> float:
+    return int(low + high) // 2 if whole else 0.5 * (low + high)
+
+
+def _spread(low: float, high: float, places: int) -> list[float]:
+    steps = [i / (places - 1) for i in range(places)]
+    if low > 0.0 and high > 10.0 * low:
+        return [low, *(low * (high / low) ** step for step in steps[1:-1]), high]
+    return [low, *(low + (high - low) * step for step in steps[1:-1]), high]
+
+
+def _place(values: list[float], near: float | None) -> float:
+    """Where among the values `near` lies, as an index."""
+    if near is None:
+        return 0.0
+    from bisect import bisect
+
+    return bisect(values, near) - 0.5

@@ -1,0 +1,236 @@
+"""What `teleop stability` answers: the questions of the command line put, and the answer as a table and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import floor, log10
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.stability.assess import Change, Critical, Stability, critical, lowest, rests, stability
+from teleop.errors import Refused, number
+from teleop.terminal.run_table import si
+
+if TYPE_CHECKING:
+    from teleop.analysis.models.continuous import Continuous
+    from teleop.analysis.models.rest import Swing
+    from teleop.scene.scene import Scene
+
+PLACES_IN_TIME = 21  # of a range: each is a few runs
+TOLD = 4  # further changes in the table
+
+
+class Answer(NamedTuple):
+    """All that was asked."""
+
+    scene: Scene
+    found: Stability | Swing
+    limit: Continuous | None
+    edge: Critical | None
+    unit: str = ""  # of its knob, with a space before it, where the scene names one
+
+
+def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
+        knob: str | None = None, span: str | None = None, tol: str | None = None) -> Answer:
+    """Load the scene and answer; the texts `span` (LOW:HIGH) and `tol` as they were typed. Raises `Refused`."""
+    from teleop.scene.scene import load_scene
+
+    if knob is None and (span is not None or tol is not None):
+        raise Refused("--range and --tol are for a critical value; name its knob with --critical KNOB")
+    if in_time and continuous:
+        raise Refused("--continuous is for linear scenes and --time for the others; leave one of them out")
+    scene = load_scene(name, **knobs)
+    own = None if knob is None else own_value(scene, knob)
+    low, high = (0.0, 0.0) if knob is None or own is None else _span(knob, own, span)
+    closeness = None if tol is None else number("tol", _as_number("--tol", tol), above=0.0)
+    found: Stability | Swing
+    limit = None
+    if in_time:
+        from teleop.analysis.stability.swing import swing
+
+        found = swing(scene, seed=seed)
+    else:
+        found = stability(scene, seed=seed)
+    if continuous:
+        from teleop.analysis.models.continuous import continuous as without_clock
+
+        limit = without_clock(scene)
+    if knob is None or own is None:
+        return Answer(scene, found, limit, None)
+
+    def make(value: float) -> Scene:
+        return load_scene(name, **{**knobs, knob: value})
+
+    whole = _whole(name, knob)
+    if in_time:
+        edge = lowest(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME, tol=closeness, whole=whole,
+                      judge=lambda one: rests(one, seed=seed))
+    else:
+        edge = critical(make, knob, low=low, high=high, near=own, tol=closeness, whole=whole)
+    from teleop.scene.catalogue import units_of
+
+    unit = units_of(name, [knob]).get(knob)
+    return Answer(scene, found, limit, edge, f" {unit}" if unit else "")
+
+
+def _whole(name: str, knob: str) -> bool:
+    """Does the scene take whole numbers alone for this knob? A law's own are read as any numbers."""
+    from typing import get_args
+
+    from teleop.scene.knobs import knobs_of
+    from teleop.scene.library import scene_function
+
+    hint = knobs_of(scene_function(name)).get(knob, (float, ...))[0]
+    kinds = get_args(hint) or (hint,)
+    return int in kinds and float not in kinds
+
+
+def own_value(scene: Scene, knob: str) -> float:
+    """The value that a knob (`k_e`, or `law.K` of the law) has in the scene. Refused if it is no number."""
+    from dataclasses import fields
+
+    from teleop.errors import nearest
+
+    law: Any = scene.law
+    own = {f"law.{field.name}": getattr(law, field.name) for field in fields(law)}
+    known = {key: value for key, value in {**scene.knobs, **own}.items()
+             if isinstance(value, (int, float)) and not isinstance(value, bool)}
+    if knob not in known:
+        raise Refused(f"scene {scene.name} has no knob {knob!r} that is a number; {nearest(knob, known)}")
+    return float(known[knob])
+
+
+def _span(knob: str, own: float, typed: str | None) -> tuple[float, float]:
+    if typed is None:
+        if own <= 0.0:
+            raise Refused(f"{knob} is {own:g}, which gives no range to look in; write --range LOW:HIGH")
+        return own / 100.0, own * 100.0
+    low, colon, high = typed.partition(":")
+    if not colon:
+        raise Refused(f"--range {typed} is not LOW:HIGH; write for example --range 10:1e4")
+    ends = _as_number("--range", low), _as_number("--range", high)
+    if not ends[0] < ends[1]:
+        raise Refused(f"--range {typed} of {knob} is empty; write the lower value first, for example --range 10:1e4")
+    return ends
+
+
+def _as_number(option: str, typed: str) -> float:
+    try:
+        return number(option, float(typed))
+    except ValueError:
+        raise Refused(f"{option} needs finite numbers, not {typed!r}") from None
+
+
+def summary(answer: Answer) -> dict[str, Any]:
+    """The answer as JSON can hold it: SI units; forth, back, round trips and the delay margin in ticks."""
+    from teleop.simulation.result import parameters
+
+    found = answer.found
+    told: dict[str, Any] = {"scene": answer.scene.name, "parameters": parameters(answer.scene),
+                            "dt": answer.scene.dt_ns / 1e9, "verdict": found.verdict}
+    if isinstance(found, Stability):
+        mode = found.mode
+        told |= {
+            "method": "roots", "unstable": found.unstable, "integrators": found.integrators, "forth": found.forth,
+            "back": found.back, "round_trip": found.round_trip, "critical_round_trip": found.critical_round_trip,
+            "delay_margin": found.delay_margin, "gain_margin": found.gain_margin,
+            "mode": mode and {"z": [mode.z.real, mode.z.imag], "frequency": mode.frequency, "growth": mode.growth,
+                              "damping": mode.damping},
+        }
+    else:
+        told |= {"method": "virtual time", "sentence": found.sentence, "amplitude": found.amplitude,
+                 "frequency": found.frequency, "rests": found.rests}
+    told["continuous"] = answer.limit and answer.limit._asdict()
+    told["critical"] = answer.edge and {**answer.edge._asdict(), "all": [one._asdict() for one in answer.edge.all]}
+    return told
+
+
+def table(answer: Answer) -> str:
+    """The answer in a few lines."""
+    from teleop.law import law_name
+
+    found, limit, edge = answer.found, answer.limit, answer.edge
+    rows = [("scene", f"{answer.scene.name}, law {law_name(answer.scene.law)}")]
+    rows += _roots(found) if isinstance(found, Stability) else [("verdict", f"{found.verdict}: {found.sentence}")]
+    if limit is not None:
+        rows.append(("continuous", _without_clock(limit)))
+    if edge is not None:
+        rows.append(("critical", _edge(edge, answer.unit, _steps(answer.scene))))
+    width = max(len(label) for label, _ in rows)
+    return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
+
+
+def _roots(found: Stability) -> list[tuple[str, str]]:
+    count = found.unstable
+    said = "no root" if not count else "1 root" if count == 1 else f"{count} roots"
+    rows = [("verdict", f"{found.verdict}: {said} outside the unit circle")]
+    if found.integrators:
+        rows.append(("at rest", f"{found.integrators} at z = 1: positions that nothing returns"))
+    if found.mode is not None:
+        mode, word = found.mode, "grows" if found.mode.growth > 0.0 else "decays"
+        rows.append(("last mode" if not count else "first mode", f"{si(mode.frequency, 'Hz')}, {word} at "
+                     f"{abs(mode.growth):.4g} 1/s, damping ratio {mode.damping:.4g}"))
+    trip, edge, dt = found.round_trip, found.critical_round_trip, found.dt
+    if found.alone:
+        rows.append(("computation", f"{trip} ticks late, {si(trip * dt, 's')}"))
+    else:
+        rows.append(("round trip", f"{found.forth} + {found.back} = {trip} ticks, {si(trip * dt, 's')}"))
+    first = "none: stable at every delay" if found.tried is None else f"none up to {found.tried} ticks"
+    if edge is not None:
+        first = f"{edge} ticks, {si(edge * dt, 's')}, is the least unstable"
+    if edge == 0:
+        first = "unstable without any delay"
+    elif edge == 2 and not found.alone:
+        first = "unstable already at 2 ticks, the least there is"
+    rows.append(("delay margin", first))
+    gain = found.gain_margin
+    said = "none: no factor from 1e-6 to 1e6 changes the verdict"
+    if gain is not None:
+        said = f"{gain:.5g} ({20.0 * log10(gain):+.3g} dB)"
+    return [*rows, ("gain margin", said)]
+
+
+def _without_clock(limit: Continuous) -> str:
+    if not limit.stable_without_delay:
+        return "unstable without any delay"
+    if limit.round_trip is None or limit.frequency is None:
+        return "stable at every delay"
+    return f"unstable from a round trip of {limit.round_trip * 1e3:.3f} ms on, at {limit.frequency:.3f} Hz"
+
+
+def _steps(scene: Scene) -> str:
+    """What counts as rest behind an encoder."""
+    from teleop.analysis.models.rest import STEPS
+
+    seen = any(end is not None and end.encoder is not None for end in (scene.device_m, scene.device_s))
+    return f", to {STEPS:g} steps of the encoder" if seen else ""
+
+
+def _edge(edge: Critical, unit: str, counted: str) -> str:
+    at = f"{edge.knob} = {_digits(edge)}{unit}"
+    if edge.method == "stepwise":
+        one, next_ = ("does not come", "does") if edge.stable == "below" else ("comes", "does not")
+        text = (f"{at} is the lowest of {edge.tried} values tried that {one} to rest{counted}; the next below, "
+                f"{_digits(edge, edge.low)}{unit}, {next_}")
+    elif isinstance(edge.high, int):
+        word = "unstable" if edge.stable == "below" else "stable"
+        text = f"{edge.knob} = {edge.high}{unit} is the first that is {word}, {edge.low} is not yet"
+    else:
+        text = f"{at} (within {edge.high - edge.low:.1g}{unit}), stable {edge.stable}"
+    others = [one for one in edge.all if one[:3] != edge[1:4]]
+    if not others:
+        return text
+    if edge.method == "stepwise":
+        said = [f"{one.low:.4g} to {one.high:.4g}{unit}" for one in others[:TOLD]]
+    else:
+        said = [f"{_digits(one)}{unit} (stable {one.stable})" for one in others[:TOLD]]
+    more = f" and {len(others) - TOLD} more, see --json" if len(others) > TOLD else ""
+    return f"{text}; the verdict changes also {'from' if edge.method == 'stepwise' else 'at'} {', '.join(said)}{more}"
+
+
+def _digits(edge: Critical | Change, value: float | None = None) -> str:
+    """A value with the digits that the distance from low to high leaves it."""
+    value = edge.value if value is None else value
+    width = edge.high - edge.low
+    if isinstance(value, int) or not value or not width:
+        return f"{value:.7g}"
+    return f"{value:.{min(max(2, 2 + floor(log10(abs(value) / width))), 7)}g}"

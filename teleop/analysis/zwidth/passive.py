@@ -1,0 +1,239 @@
+"""The passive region in the plane of virtual stiffness K and damping B: a convex polygon with a corner at (0, 0).
+
+A device of damping b with a sampled linear controller is passive to any hand iff at every th in (0, pi] (Colgate and
+Schenkel 1997; `teleop.analysis.models.sampled` has the formula with its conditions)
+
+    K a(th) + B c(th) <= b,        a + j .. = -e^(-j(d+1)th) E_K(e^(j th)),   c likewise with E_B,
+
+E_K and E_B the controller's force per backward-difference velocity for K = 1 and for B = 1, d whole ticks of delay. A
+spring has a = (T/2) sin((2d+1)th/2)/sin(th/2); a damper on the backward difference through a filter F has
+c = -Re[e^(-j(d+1)th) F]. Each th is a half-plane, so the region is convex, and it scales with b. For d = 0 and F = 1 it
+is K T/2 + B <= b. Of the plane only K, B >= 0 is looked at: a negative damper is nothing to render.
+
+What else bounds it:
+
+- the force renewed at every n-th tick: the greatest eigenvalue of a Hermitian form that is linear in (K, B), so the
+  region is convex all the same (`sampled.damping_curve`). A spring alone has there n T in the place of T, since what
+  is computed in between is not used; a damper has not, for its difference is still that over T;
+- a motor damped by a shunt: the device has Re Z(jw) = r(w), not constant. The velocity's components at w_l = w + 2 pi
+  l/T, which one sample cannot tell apart, lose sum r(w_l) |V_l|^2, and the port gives needed(th) |sum V_l/w_l|^2 / sum
+  1/w_l^2. By Cauchy's inequality the first is enough for all V iff
+
+      needed(th) <= b_eff(th),        1/b_eff = (sum 1/(w_l^2 r(w_l))) / (sum 1/w_l^2),
+
+  which for r = b + b_e w^2/(w^2 + w_c^2), by partial fractions, is 1/b (1 - b_e/(b + b_e) S(W)/S(0)) with W^2 = b
+  w_c^2/(b + b_e) and S(W) = sum 1/(w_l^2 + W^2) = T sinh(W T)/(2 W (cosh(W T) - cos th));
+- an encoder of step D with Coulomb friction fc: the reading is off by e, within D/2 of a constant that only shifts the
+  wall; the law makes a force of at most (D/2)(K |h_K|_1 + B |h_B|_1) of it, h the law's impulse responses, held over a
+  tick's motion, and friction takes up as much if
+
+      (D/2)(K |h_K|_1 + B |h_B|_1) <= fc,     |h_K|_1 = 1, and |h_B|_1 = 2/T for the backward difference.
+
+  Sufficient, with the condition above. For B = 0 it is K <= 2 fc/D, which is necessary too (Abbott and Okamura 2005);
+  so is it for K -> 0 deep in the wall, where a handle that trembles across an edge of the encoder is pushed back and
+  pulled on by B D/T at every tick. Without friction nothing is left.
+
+Behind a virtual coupling the tool may meet any passive environment; the polygon is then that of the coupling's K and B
+(`teleop.analysis.passivity.coupling`, from which the formula is: quadratic over linear, so again convex).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.models import sampled
+from teleop.analysis.models.gains import scales
+from teleop.analysis.models.law_parts import law_parts, norms
+from teleop.analysis.models.peak import grid, highest
+from teleop.analysis.passivity import coupling
+from teleop.analysis.zwidth.polygon import CLOSE, Gauge, Point, clip, polygon
+from teleop.errors import Refused
+from teleop.laws.virtual_coupling import VirtualCoupling
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from teleop.scene.scene import Scene
+
+    Reals = NDArray[np.float64]
+    Points = NDArray[np.complex128]
+
+Curve = Callable[[float, float], Callable[["Reals"], "Reals"]]  # of (K, B): the damping needed over th
+
+CLOSE_SLOW = 3e-4  # for `CLOSE` where the force is renewed more slowly than the tick, which takes longer to ask
+
+
+class Region(NamedTuple):
+    """The polygon's corners (K, B) but (0, 0), from the K axis to the B axis; None: no passive region is claimed."""
+
+    corners: tuple[Point, ...] | None
+    sentence: str
+
+    @property
+    def stiffest(self) -> float | None:
+        """The greatest K (N/m) in it, at whichever B."""
+        return None if self.corners is None else max((K for K, _ in self.corners), default=0.0)
+
+    @property
+    def stiffest_alone(self) -> float | None:
+        """The greatest K (N/m) in it at B = 0."""
+        return None if self.corners is None else max((K for K, B in self.corners if B == 0.0), default=0.0)
+
+    @property
+    def most_damped(self) -> float | None:
+        """The greatest B (N s/m) in it, at whichever K."""
+        return None if self.corners is None else max((B for _, B in self.corners), default=0.0)
+
+
+def passive_region(scene: Scene) -> Region:
+    """The passive region of a scene without a slave, whatever hand holds it."""
+    try:
+        return _region(scene)
+    except Refused as refused:
+        return Region(None, f"no passive region is claimed: {refused}")
+
+
+def _region(scene: Scene) -> Region:
+    if scene.passivity is not None:
+        raise Refused("what a passivity controller adds is measured, not proven; leave it out for the region without")
+    if scene.master.damping == 0.0:
+        if scene.electrical is not None and scene.electrical.b > 0.0:
+            raise Refused("a device whose only damping is the shunt of its motor has none to a slow hand; give it some")
+        return Region((), "without damping of the device itself nothing is passive; give it some, for example "
+                          "--set b=0.8")
+    encoder = scene.device_m and scene.device_m.encoder
+    friction = scene.master.friction
+    if encoder and not friction:
+        return Region((), "an encoder without Coulomb friction leaves no passive stiffness or damping: in one step of "
+                          "it nothing takes up what the reading's error makes")
+    if encoder and isinstance(scene.law, VirtualCoupling):
+        raise Refused("what a tool behind a virtual coupling makes of an encoder's error has no known bound; leave the "
+                      "encoder out")
+    slow = scene.device_m is not None and scene.device_m.every > 1
+    corners = polygon(_gauge(scene), CLOSE_SLOW if slow else CLOSE)
+    if encoder:
+        parts = law_parts(scene)
+        cut = tuple(0.5 * encoder.step / friction * size for size in norms(parts))
+        corners = [*clip([(0.0, 0.0), *corners], cut)[1:]]
+        return Region(tuple(corners), "passive by the device's damping and, behind the encoder, its Coulomb friction")
+    return Region(tuple(corners), "passive to any hand iff inside")
+
+
+def _gauge(scene: Scene) -> Gauge:
+    """How much of the device's damping a point takes, at the th where that is most."""
+    import numpy as np
+
+    T = scene.dt_ns / 1e9
+    d, every = (0, 1) if scene.device_m is None else (scene.device_m.delay, scene.device_m.every)
+    if every > 1 and scene.electrical is not None:
+        raise Refused("a force renewed more slowly than the tick on a motor damped by a shunt has no known condition; "
+                      "set every=1")
+    turns = (d + 1) / every
+    own = grid(turns)
+    kept: dict[str, Any] = {}
+    needed = _needed(scene, T, d, every, own)
+
+    def damping(th: Reals) -> Reals:
+        if len(th) != len(own):
+            return effective_damping(scene, th)
+        if "b" not in kept:
+            kept["b"] = effective_damping(scene, th)
+        found: Reals = kept["b"]
+        return found
+
+    def gauge(K: float, B: float) -> tuple[float, Point]:
+        curve = needed(K, B)
+        found = highest(lambda th: curve(th) / damping(th), turns)
+        at = np.array([found.th])
+
+        def there(K: float, B: float) -> float:
+            return float((needed(K, B)(at) / damping(at))[0])
+
+        h_K, h_B = 1e-6 * max(K, scales(scene)[0]), 1e-6 * max(B, scales(scene)[1])  # homogeneous of degree one
+        return found.value, ((there(K + h_K, B) - there(K, B)) / h_K, (there(K, B + h_B) - there(K, B)) / h_B)
+
+    return gauge
+
+
+def _needed(scene: Scene, T: float, d: int, every: int, own: Reals) -> Curve:
+    """The damping needed for (K, B) over th."""
+    import numpy as np
+
+    if isinstance(scene.law, VirtualCoupling):
+        return _coupled(scene, T, d, every)
+    parts = law_parts(scene)
+
+    def halves(th: Reals) -> tuple[Reals, Reals]:
+        turned = T * np.exp(-1j * (d + 1) * th) / sampled.step(th)
+        H_K, H_B = parts.responses(np.exp(1j * th))
+        return -(turned * H_K).real, -(turned * H_B).real
+
+    if every == 1:
+        kept = halves(own)
+
+        def linear(K: float, B: float) -> Callable[[Reals], Reals]:
+            def curve(th: Reals) -> Reals:
+                a, c = kept if len(th) == len(own) else halves(th)
+                return K * a + B * c
+
+            return curve
+
+        return linear
+
+    often: list[tuple[Points, Points]] = []  # the responses on the grid, which every point asks for
+
+    def responses(z: Points) -> tuple[Points, Points]:
+        if len(z) != every * len(own):
+            return parts.responses(z)
+        if not often:
+            often.append(parts.responses(z))
+        return often[0]
+
+    def slow(K: float, B: float) -> Callable[[Reals], Reals]:
+        def E(z: Any) -> Any:
+            H_K, H_B = responses(z.astype(complex).ravel())
+            return (K * H_K + B * H_B).reshape(z.shape) * T / (1.0 - 1.0 / z)
+
+        return lambda th: sampled.damping_curve(E, T, th, d=d, every=every)
+
+    return slow
+
+
+def _coupled(scene: Scene, T: float, d: int, every: int) -> Curve:
+    """The same for the spring-damper of a virtual coupling, in front of the worst passive environment."""
+    import numpy as np
+
+    from teleop.stages.velocity.backward_difference import BackwardDifference
+
+    law: Any = scene.law
+    velocity = scene.device_m and scene.device_m.velocity
+    if every > 1 or not isinstance(velocity, BackwardDifference) or law.theta_x != 1.0 or law.theta_f < 0.5:
+        raise Refused("behind a virtual coupling the condition is known for a force renewed at every tick, the "
+                      "backward difference, theta_x=1 and theta_f of at least 0.5; set these")
+
+    def curve(K: float, B: float) -> Callable[[Reals], Reals]:
+        C = sampled.spring_damper(K, B, T)
+        if K == B == 0.0:
+            return np.zeros_like
+        return lambda th: coupling.damping_curve(C, 0.0, th, d=d)
+
+    return curve
+
+
+def effective_damping(scene: Scene, th: Reals) -> Reals:
+    """b_eff(th) of the device (N s/m): its damping, and what a shunt of its motor adds."""
+    import numpy as np
+
+    b = scene.master.damping
+    if scene.electrical is None or scene.electrical.b == 0.0:
+        return np.full_like(th, b)
+    b_e, w_c = scene.electrical.b, 2.0 * pi * scene.electrical.cutoff
+    WT = w_c * (b / (b + b_e)) ** 0.5 * scene.dt_ns / 1e9
+    half = np.sin(0.5 * th) ** 2
+    # S(W)/S(0), with cosh(WT) - cos(th) = 2 sinh(WT/2)^2 + 2 sin(th/2)^2, and e^WT taken out above and below
+    share = -np.expm1(-2.0 * WT) / (2.0 * WT) * half / (0.25 * np.expm1(-WT) ** 2 + half * np.exp(-WT))
+    found: Reals = b / (1.0 - b_e / (b + b_e) * share)
+    return found

@@ -1,0 +1,184 @@
+"""What a Z-width leaves: a table for a person, and zwidth.json."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.law import law_name
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from teleop.analysis.zwidth.assess import Row, ZWidth
+    from teleop.analysis.zwidth.plane import Boundary
+
+
+class Figure(NamedTuple):
+    """A number of a row: its key in the JSON, its head in the table and its unit."""
+
+    key: str
+    head: str
+    unit: str
+
+
+FIGURES = (
+    Figure("z_width_1hz", "Z-width 1 Hz", "N s/m"), Figure("area", "area", "decades x decades"),
+    Figure("passive_K", "passive K", "N/m"), Figure("passive_B", "passive B", "N s/m"),
+    Figure("stable_K_any_B", "stable K", "N/m"), Figure("stable_K", "at own B", "N/m"),
+    Figure("K_at_rest", "at rest", "N/m"),
+)
+UNITS = {figure.key: figure.unit for figure in FIGURES} | {
+    "stable_K_free": "N/m", "z_max_1hz": "N s/m", "z_min_1hz": "N s/m", "gap": "decades", "frequency": "Hz",
+    "upper": "N s/m", "lower": "N s/m", "K": "N/m", "B": "N s/m", "ratio": "1",
+}
+MEANING = {
+    "z_width_1hz": "Z_max - Z_min at 1 Hz, 0 where nothing wider than the device is passive",
+    "area": "integral of log10(Z_max/Z_min) over log10 f, 0.1 to 100 Hz or half the rate, where above 0",
+    "gap": "area over the decades of frequency",
+    "passive_K": "greatest K of the passive region at any B", "passive_B": "greatest B of it at any K",
+    "stable_K": "least unstable K of the linear loop at the scene's own B, with its hand",
+    "stable_K_free": "the same without a hand",
+    "stable_K_any_B": "the same with the hand, if there is one, at the B where it is greatest",
+    "K_at_rest": "greatest K that came to rest in virtual time at the scene's own B",
+    "null": "not claimed, not looked at, or none in the range", "beyond": "no limit within the range looked at",
+    "ratio": "to the scene as it is",
+}
+
+
+def numbers(row: Row) -> dict[str, float | None]:
+    """A row's figures by their keys."""
+    c = row.curves
+    return {
+        "z_max_1hz": c.at_one[0], "z_min_1hz": c.at_one[1], "z_width_1hz": c.width, "area": c.area, "gap": c.gap,
+        "passive_K": row.region.stiffest, "passive_B": row.region.most_damped, "stable_K": row.stable,
+        "stable_K_free": row.stable_free, "stable_K_any_B": row.stable_any, "K_at_rest": row.rest,
+    }
+
+
+def ratios(row: Row, base: Row) -> dict[str, float | None]:
+    """A row's figures over those of the scene as it is; None where there is no such ratio."""
+    own = numbers(base)
+    found: dict[str, float | None] = {}
+    for key, value in numbers(row).items():
+        before = own[key]
+        there = value is not None and isfinite(value) and before and isfinite(before)
+        found[key] = value / before if there and value is not None and before else None
+    return found
+
+
+def table(got: ZWidth) -> str:
+    """The levers as lines, the factor to the scene as it is behind each number, and below what it all is."""
+    lines = []
+    if got.rows:
+        head = ("", *(figure.head for figure in FIGURES))
+        unit = ("", *(figure.unit.replace("decades x decades", "dec^2") for figure in FIGURES))
+        body = [(row.name, *_cells(row, got.base, first=i == 0)) for i, row in enumerate(got.rows)]
+        widths = [max(len(line[i]) for line in (head, unit, *body)) for i in range(len(head))]
+        lines = ["  ".join(cell.ljust(w) if i == 0 else cell.rjust(w)
+                           for i, (cell, w) in enumerate(zip(line, widths, strict=True))).rstrip()
+                 for line in (head, unit, *body)]
+    facts = list(_facts(got))
+    width = max(len(label) for label, _ in facts)
+    return "\n".join([*lines, "", *(f"{label:<{width}}   {text}" for label, text in facts)])
+
+
+def _cells(row: Row, base: Row, *, first: bool) -> Iterator[str]:
+    own, times = numbers(row), ratios(row, base)
+    for figure in FIGURES:
+        value, factor = own[figure.key], times[figure.key]
+        behind = " " * 7 if first or factor is None else f" x{factor:<5.3g}"
+        yield said(value) + behind
+
+
+def said(value: float | None) -> str:
+    """A number to four digits; a dash for None, words for what has no limit."""
+    if value is None:
+        return "-"
+    if not isfinite(value):
+        return "no limit"
+    return f"{float(f'{value:.4g}'):.0f}" if 1e4 <= value < 1e8 else f"{value:.4g}"
+
+
+def _facts(got: ZWidth) -> Iterator[tuple[str, str]]:
+    if got.interrupted:
+        yield "interrupted", "what was done until then is here, the rest is missing"
+    yield "scene", f"{got.scene.name}, law {law_name(got.scene.law)}, own K {got.scene.law.K:g} N/m, own B " \
+                   f"{got.scene.law.B:g} N s/m"
+    if not got.rows:
+        return
+    base = got.base
+    low, high = base.curves.at_one[1], base.curves.at_one[0]
+    wide = "" if base.curves.width is None else f", Z-width {base.curves.width:.4g} N s/m"
+    yield "at 1 Hz", f"Z_max {said(high)}, Z_min {said(low)} N s/m{wide}"
+    if base.curves.area is not None:
+        yield "0.1-100 Hz", f"area {base.curves.area:.4g} decades of impedance times decades of frequency, a gap of " \
+                            f"{base.curves.gap:.4g} decades on average"
+    yield "passive", base.region.sentence
+    free = "" if base.stable_free is None else f"; there with a free handle {said(base.stable_free)} N/m"
+    yield "stable K", f"of the linear loop at the B where it is greatest, then at the scene's own B{free}"
+    if got.measured:
+        yield "at rest", "in virtual time, at B = " + ", ".join(f"{B:.3g}: {said(K)}" for B, K in got.measured) + " N/m"
+    for row in got.rows[1:]:
+        yield row.name, row.what + ("; " + row.region.sentence if row.region.corners is None
+                                    and row.region.sentence != base.region.sentence else "")
+    for note in got.notes:
+        yield "note", note
+
+
+def summary(got: ZWidth, command: Sequence[str] = ()) -> dict[str, Any]:
+    """What goes into zwidth.json; what does not exist is null."""
+    import numpy
+
+    from teleop import __version__
+    from teleop.simulation.result import parameters
+
+    versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+    told: dict[str, Any] = {
+        "status": "interrupted" if got.interrupted else "done", "scene": got.scene.name, "mode": "zwidth",
+        "parameters": parameters(got.scene), "seed": got.seed, "versions": versions, "command": list(command),
+        "dt": got.scene.dt, "units": UNITS, "meaning": MEANING,
+        "range": {"K": list(got.span_K), "B": list(got.span_B)},
+        "stable": {"hand": _boundary(got.stable), "free": _boundary(got.stable_free)},
+        "measured": [{"B": B, "K": _number(K)} for B, K in got.measured],
+        "levers": [_row(row, got.base) for row in got.rows], "notes": list(got.notes),
+    }
+    if not got.rows:
+        return told
+    base, told["passive"] = got.base, {
+        "corners": None if got.base.region.corners is None else [[0.0, 0.0], *map(list, got.base.region.corners)],
+        "sentence": got.base.region.sentence,
+    }
+    upper = base.curves.upper
+    told["impedance"] = {
+        "frequency": base.curves.frequency.tolist(), "upper": None if upper is None else upper.tolist(),
+        "lower": base.curves.lower.tolist(),
+    }
+    return {**told, **{key: _number(value) for key, value in numbers(base).items()}}
+
+
+def _row(row: Row, base: Row) -> dict[str, Any]:
+    own = numbers(row)
+    return {
+        "name": row.name, "what": row.what, **{key: _number(value) for key, value in own.items()},
+        "beyond": [key for key, value in own.items() if value is not None and not isfinite(value)],
+        "ratio": ratios(row, base), "sentence": row.region.sentence,
+    }
+
+
+def _boundary(edge: Boundary | None) -> dict[str, Any] | None:
+    return None if edge is None else {"B": list(edge.B), "K": [_number(K) for K in edge.K]}
+
+
+def _number(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None
+
+
+def write(got: ZWidth, folder: Path, command: Sequence[str] = ()) -> None:
+    """Write zwidth.json into a folder that is there."""
+    import json
+
+    text = json.dumps(summary(got, command), indent=2, allow_nan=False, default=str)
+    (folder / "zwidth.json").write_text(text + "\n")

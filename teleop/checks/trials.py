@@ -1,0 +1,191 @@
+"""The closed loops in which `check_law` tries what a law claims: hands, bodies, walls and links at random.
+
+They are made here, from teleop.physics.plant alone, because the law book imports neither side and no water.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import sin
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.errors import Refused
+from teleop.law import At, Law, messages, start_at
+from teleop.physics.contact import wall
+from teleop.physics.plant import MassDamper, Plant
+from teleop.protocol.inbox import Fixed, Playout, Zero
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import run
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+LOW = 1e-9  # J, and 1e-12 of the energy that went through: what rounding may take a ledger below zero
+LOOPS = 24
+DURATION = 0.4  # s
+
+
+def try_claims(law: Law) -> None:
+    """Raise `Refused` if a ledger that the law claims falls below zero in one of its trials."""
+    name = type(law).__name__
+    if not law.claims:
+        return
+    if "E_link" in law.claims:
+        _waves_balance(law, name)
+    for scene in trials(law, spread(name)):
+        trace = run(scene).trace
+        through = max(float(abs(trace[column]).max()) for column in trace if column.startswith("E_"))
+        for ledger in sorted(law.claims):
+            least = float(trace[ledger].min())
+            if not least >= -max(LOW, 1e-12 * through):
+                raise Refused(f"{name} claims {ledger}, which fell to {least:.3g} J over {scene.link} with "
+                              f"{scene.playout}, {scene.hand}, {scene.slave} and {scene.environment}; "
+                              f"mend the law, or leave {ledger} out of its claims")
+
+
+def _waves_balance(law: Any, name: str) -> None:
+    """An end that claims E_link may give its port no more than the waves brought it, whatever the motion.
+
+    At-most-once playout alone keeps the link's ledger from going below zero. The law's own part is that the
+    ledger's waves, a missing one being zero, are those it really works with: at the master
+    sum of f_m v + (w^2 - u^2)/2, at the slave of (u^2 - w^2)/2 - f_s v, is never below zero. The motion is
+    x(k) = x(k-1) + dt v(k), for which a spring-damper taken at the end of its tick is passive.
+    """
+    forth, back = messages(law)
+    if "u" not in forth._fields or "w" not in back._fields:
+        raise Refused(f"{name} claims E_link, but its messages carry no waves; "
+                      "call their fields u (forth) and w (back)")
+    dice, dt = spread(name), 1e-3
+    ways = (("master", 1.0, back, "w", "u"), ("slave", -1.0, forth, "u", "w"))
+    for end, sign, rx_type, rx_wave, tx_wave in ways:
+        tick, sums = getattr(law, end), getattr(law, f"{end}_sums", None)
+        s, _ = getattr(law, f"{end}_start")(start_at(0.0, 0.0, 0.0, dt))
+        x = f = stored = through = 0.0
+        for k in range(500):
+            v, touch = 2.0 * next(dice) - 1.0, 20.0 * next(dice) - 10.0
+            x += dt * v
+            at = At(x, v, touch, f, dt * v, next(dice) < 0.7, 1e-3, dt)
+            rx = rx_type(*[4.0 * next(dice) - 2.0 for _ in rx_type._fields])
+            f, tx, s = tick(s, at, rx, *([sums(s, at, rx)] if sums else []))
+            came, went = getattr(rx, rx_wave) * at.fresh, getattr(tx, tx_wave)
+            stored += dt * (sign * f * v + 0.5 * (came * came - went * went))
+            through += dt * (abs(f * v) + 0.5 * (came * came + went * went))
+            if not stored >= -1e-9 - 1e-6 * through:
+                raise Refused(f"{name} claims E_link, but by tick {k} its {end} gave its port {-stored:.3g} J "
+                              "more than the waves brought; put zero for a wave that is not fresh, solve "
+                              "force and velocity together, or leave E_link out of its claims")
+
+
+def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
+    """Scenes with energy ledgers: every delay constant at first, then with loss, jitter and copies.
+
+    Playout zero and fixed by turns, gaps never held: holding a wave is active, and no law can help it.
+    """
+    def between(low: float, high: float) -> float:
+        """Evenly spread in the logarithm."""
+        return float(low * (high / low) ** next(dice))
+
+    for i in range(LOOPS):
+        rough = i >= LOOPS // 3
+        playout: Playout = Fixed(0.01 + 0.1 * next(dice)) if i % 4 == 3 else Zero()
+        yield Scene(
+            law=law, playout=playout, energy=True, duration=DURATION, x_limit=1e3,
+            axes=3 if i % 6 == 5 else 1, observer=None if i % 2 else 200.0,
+            master=MassDamper(mass=between(0.02, 2.0), damping=2.0 * next(dice)),
+            hand=Swing(mass=next(dice), k=between(10.0, 1000.0), d=between(0.1, 20.0),
+                       reference=Tones(amplitude=0.05, rate=between(3.0, 60.0))),
+            slave=MassDamper(mass=between(0.05, 5.0), damping=2.0 * next(dice)),
+            environment=Block(k=between(10.0, 1e5), d=10.0 * next(dice), at=0.03 * (next(dice) - 0.5)),
+            link=Water(ticks=int(100 * next(dice)), loss=0.5 * next(dice) * rough, jitter=int(20 * rough),
+                       copies=0.2 * rough, key=next(dice)),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tones:
+    """Two tones that repeat no pattern within the run; `amplitude` in m, `rate` in rad/s."""
+
+    amplitude: float
+    rate: float
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+        """Positions (m) per axis."""
+        return tuple(
+            [self.amplitude * (sin(self.rate * t + i) + 0.5 * sin(2.618 * self.rate * t)) / 1.5
+             for t in (k * dt_ns / 1e9 for k in range(count))]
+            for i in range(axes)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swing:
+    """A grip that follows `Tones`."""
+
+    mass: float
+    k: float
+    d: float
+    reference: Tones
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A wall that fills x > at."""
+
+    k: float
+    d: float
+    at: float
+
+    def plant(self, body: MassDamper, dt: float) -> Plant:
+        """`body` beside this wall."""
+        return wall(body, dt, k=self.k, d=self.d, at=self.at, side=1.0)
+
+
+class Arrivals(NamedTuple):
+    """Packets as they come out of the link."""
+
+    packet: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Water:
+    """A delay of whole `ticks` and up to `jitter` more, `loss` and `copies` as probabilities."""
+
+    ticks: int
+    loss: float
+    jitter: int
+    copies: float
+    key: float
+
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+        """See `teleop.scene.Link`. The seed and the size make no difference: a trial is one fixed case."""
+        import numpy as np
+
+        del seed, size
+
+        packets = np.arange(count)
+        drawn = [_hash(packets, self.key + direction + place / 7.0) for place in range(4)]
+        kept, copied = drawn[0] >= self.loss, (drawn[0] >= self.loss) & (drawn[1] < self.copies)
+        packet = np.concatenate([packets[kept], packets[copied]])
+        late = np.concatenate([drawn[2][kept], drawn[3][copied]]) * self.jitter
+        time_ns = ((packet + self.ticks + late) * dt_ns).astype(np.int64)
+        order = np.argsort(time_ns, kind="stable")
+        return Arrivals(packet[order], time_ns[order])
+
+
+def _hash(packets: NDArray[np.int64], key: float) -> NDArray[np.float64]:
+    """Numbers in [0, 1) that look random, one a packet: enough to scatter losses, not for statistics."""
+    import numpy as np
+
+    turned: NDArray[np.float64] = (np.sin((packets + 1.0) * (12.9898 + key)) * 43758.5453) % 1.0
+    return turned
+
+
+def spread(name: str) -> Iterator[float]:
+    """An endless fixed sequence of numbers in [0, 1): a 64-bit congruential generator (Knuth, MMIX)."""
+    n = int.from_bytes(name.encode()[-8:], "little")
+    while True:
+        n = (n * 6364136223846793005 + 1442695040888963407) % (1 << 64)
+        yield (n >> 11) / (1 << 53)

@@ -1,0 +1,1 @@
+"""Devices with their guards: checked readings, and a watchdog process."""

@@ -1,0 +1,166 @@
+"""The device at a live end, as the loop trusts it: what fails or is not finite never reaches the law or the motor."""
+
+from __future__ import annotations
+
+from math import inf, isfinite, isnan
+from numbers import Real
+from typing import Any, Protocol
+
+from teleop.errors import DeviceError, Refused, number
+from teleop.protocol.endpoint import Axes, Endpoint, Reading
+
+DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
+_FLOAT = frozenset((float,))
+
+
+class Device(Protocol):
+    """A master device or a slave robot, as the live loop uses it.
+
+    **A force that `hold` has set has to lapse to zero at the device itself when it is not renewed for a stated time.**
+    Of a process that is killed or stopped, or that hangs in a driver, no line runs any more that could let go; it would
+    push the hand for ever. A device whose hardware lapses has an attribute `deadline`, that time in s (0.15, say: a
+    machine may stall for 0.07); the end renews at every tick and takes a longer stall of its own for a force that was
+    let go. A device whose hardware cannot has an attribute `watchdog`, a
+    `teleop.live.devices.heartbeat.DeviceWatchdog`: a process beside the end that does it. Of a device that has neither
+    the end says so at its start and in its summary.
+
+    What cannot be read or held raises `DeviceError`, or an OSError: the end is safe until it can again. Both functions
+    are called from one thread, but for one case: where one of them does not return, a second signal has `hold` called
+    with zeros from another thread. It should then not wait without a bound for a lock that the first call has.
+    """
+
+    def read(self, k: int) -> Reading:
+        """What it reads at tick k; the force held since the last reading acted until now.
+
+        A number may be of any real type (int, numpy's scalars); what is none (bool, str, None, complex) is refused.
+        """
+        ...
+
+    def hold(self, force: Axes) -> None:
+        """Hold this force (N, per axis) from now on: at the slave along +x, at the master against the hand, -x."""
+        ...
+
+
+def deadline_of(device: Device, endpoint: Endpoint) -> float | None:
+    """After how long (s) a force that is not renewed lapses; None: never, or it does not matter. Raises `Refused`.
+
+    Ends that go by packets have none: their ticks take as long as packets do, and their devices are simulated.
+    """
+    deadline: float | None = getattr(device, "deadline", None)
+    if deadline is None or endpoint.stepped:
+        return None
+    number("a device's deadline", deadline, above=0.0)
+    if endpoint.own.dt > deadline / 2:
+        raise Refused(f"the device's force lapses after {deadline:g} s, and this end would renew it every "
+                      f"{endpoint.own.dt:g} s; tick at least every {deadline / 2:g} s, by --rate or the scene's dt")
+    return deadline
+
+
+class Stand:
+    """A device whose failures are values. `trouble`: what is wrong with it now, None if nothing is.
+
+    `trusted`: what it reads is taken as it is. So it is where ends go by packets and must do as in virtual time, where
+    what is not finite is a run that diverged.
+    """
+
+    def __init__(self, device: Device, axes: int, *, trusted: bool = False) -> None:
+        self.device, self.trusted = device, trusted
+        self.trouble: str | None = None
+        self.forced = False  # has it been given a force, and not taken zero since
+        self.closed = False  # is it given zero alone from now on
+        self._zero = (0.0,) * axes
+        self._held_well, self._known = True, False
+        self._sound_ns: int | None = None  # when it was last well, or first asked
+
+    def read(self, k: int, now: int) -> Reading | None:
+        """What it reads at tick k, in floats; None: it could not, or a velocity, a force or NaN among it is not finite.
+
+        A position that is infinite is let through: it is a body that has left, which ends the run. Raises `Refused` if
+        its first reading is not made of numbers; a later one that is not is no reading.
+        """
+        if self._sound_ns is None:
+            self._sound_ns = now
+        try:
+            reading = self.device.read(k)
+        except (DeviceError, OSError) as error:
+            self.trouble = str(error) or type(error).__name__
+            return None
+        try:
+            reading = _in_floats(reading, len(self._zero))
+        except Refused as refused:
+            if not self._known:
+                raise
+            self.trouble = str(refused)
+            return None
+        self._known = True
+        if not self.trusted and not self._is_sound(reading):
+            self.trouble = "what it reads is not finite"
+            return None
+        if self._held_well:
+            self.trouble, self._sound_ns = None, now
+        return reading
+
+    def hold(self, force: Axes) -> bool:
+        """Have it hold `force` (N, per axis); True if it took that.
+
+        What is neither DeviceError nor OSError comes through: it is a fault.
+        """
+        force = self._zero if self.closed else force
+        pushes = any(force)
+        self.forced = self.forced or pushes
+        try:
+            self.device.hold(force)
+            self._held_well, self.forced = True, pushes
+        except (DeviceError, OSError) as error:
+            self._failed(error)
+        return self._held_well
+
+    def let_go(self) -> bool:
+        """Have it hold no force, whatever it raises; True if it took that."""
+        try:
+            self.hold(self._zero)
+        except BaseException as error:
+            self._failed(error)
+        return self._held_well
+
+    def _failed(self, error: BaseException) -> None:
+        self._held_well, self.trouble = False, str(error) or type(error).__name__
+
+    def dead(self, now: int) -> bool:
+        """Has it failed for so long that it is not worth waiting for?"""
+        return self._sound_ns is not None and now - self._sound_ns > DEAD_NS
+
+    @staticmethod
+    def _is_sound(reading: Reading) -> bool:
+        return all(map(isfinite, reading.v + (reading.f or ()))) and not any(map(isnan, reading.x))
+
+
+def _in_floats(reading: Any, axes: int) -> Reading:
+    """`reading` with every number as a float. Raises `Refused` if it is not made of numbers, one for each axis."""
+    if type(reading) is Reading:
+        x, v, f = reading
+        if (type(x) is type(v) is tuple and len(x) == len(v) == axes and _FLOAT.issuperset(map(type, x + v))
+                and (f is None or (type(f) is tuple and len(f) == axes and _FLOAT.issuperset(map(type, f))))):
+            return reading  # nearly always
+        if all(isinstance(part, tuple) and len(part) == axes and all(map(_is_number, part))
+               for part in (x, v, *(() if f is None else (f,)))):
+            return Reading(_floats(x), _floats(v), None if f is None else _floats(f))
+    sample_x, sample_v = (f"({letter}{',' if axes == 1 else f', {letter}2' * (axes - 1)})" for letter in "xv")
+    raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "
+                  f"{axes}, in m, m/s and N, f None without a force sensor; this one gave {str(reading)[:99]}; "
+                  f"write for example Reading({sample_x}, {sample_v}, None)")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _floats(part: Any) -> Axes:
+    return tuple(map(_to_float, part))
+
+
+def _to_float(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:  # a whole number beyond all floats
+        return inf if value > 0 else -inf

@@ -1,0 +1,179 @@
+"""A UDP socket as the live loops use it: it never blocks and never raises into them."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import time
+from contextlib import suppress
+from struct import Struct
+from typing import TYPE_CHECKING
+
+from teleop.live.net.address import Address
+from teleop.live.net.filter import Shape, attach, detach, program
+from teleop.protocol.secure.relayed import Caller
+
+if TYPE_CHECKING:
+    from teleop.protocol.secure.line import Line, Out
+
+# Read at ticks alone, a socket wakes nobody in between, which saves a third of the processor time.
+DRAIN = 16  # datagrams taken at one tick or wake-up whatever they cost
+SHARE = 0.3  # of a tick that may go into more of them: beyond it a flood would starve the tick
+LONGEST = 8240  # bytes: more than any packet has, sealed or not, so that a longer datagram shows as such
+STAMP = 35  # SO_TIMESTAMPNS of Linux, which Python does not name: the kernel says when a datagram came
+MEMINFO, DROPS = 55, 8  # SO_MEMINFO of Linux, and the place of the count of datagrams dropped in it
+OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells of a wall clock that was set
+SKEW_NS = 5_000_000  # between what two clocks say, and for what comes while it is looked
+ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
+_TIMESPEC = Struct("@ll")
+
+
+def arrival(stamp: int, now: int, wall: int, emptied_ns: int) -> int:
+    """When a datagram came (monotonic clock, ns) that the kernel stamped at `stamp`; `now` if that cannot be.
+
+    `now` and `wall` are the monotonic and the wall clock as it was read; at `emptied_ns` there was nothing to read.
+    """
+    age = wall - stamp
+    # What was not there when it was empty cannot have come before: the wall clock was set in between.
+    believed = 0 <= age < OLDEST_NS and age < now - emptied_ns + SKEW_NS
+    return now - age if believed else now
+
+
+class Wire:
+    """A non-blocking UDP socket with one peer. Nothing that happens on it raises into the loop.
+
+    With a `line` all that is sent is sealed, and only what its peer has sealed comes out.
+    """
+
+    def __init__(self, sock: socket.socket, peer: Address | None, line: Line | None = None) -> None:
+        sock.setblocking(False)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
+        with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
+            sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
+        self.sock, self.peer, self.line = sock, peer, line
+        self._caller = Caller() if line is not None and peer is not None else None  # of a relay on the way, if any
+        self.asked = peer  # where this end was told that its peer is; None: whoever comes
+        self._bound: Address | None = None  # its own address and port before it was kept to the peer
+        self.kept = False  # is it deaf to everybody but the peer
+        self._filtered = False
+        self.unsent = 0  # datagrams that the system did not take
+        self._emptied_ns = time.monotonic_ns()  # when there was nothing to receive
+
+    def keep_to_peer(self, shapes: tuple[Shape, ...] = ()) -> None:
+        """Take in nothing from elsewhere, nor what has none of these shapes: the system itself drops it.
+
+        So a flood costs no tick. The socket is connected, which for UDP says no more than that; and it has a filter.
+        """
+        if self.peer is not None:
+            if shapes:
+                self._filtered = attach(self.sock, program(*shapes))
+            with suppress(OSError):
+                if not self.kept:
+                    self._bound = self.sock.getsockname()
+                self.sock.connect(self.peer)
+                self.kept = True
+
+    def listen_to_all(self) -> None:
+        """Take in what comes from anywhere again, for a peer that may come back from another port."""
+        if self._filtered:
+            self._filtered = not detach(self.sock)
+        if self.kept:
+            import ctypes
+
+            # Python has no word for it: connected to an address of no family, a socket is connected no more.
+            ctypes.CDLL(None).connect(self.sock.fileno(), bytes(16), 16)
+            self.kept = False
+            with suppress(OSError):  # and a port that the system chose is given back with it
+                if self._bound is not None and self.sock.getsockname() != self._bound:
+                    self.sock.bind(self._bound)
+
+    def send(self, data: bytes) -> None:
+        """To the peer, if there is one yet. What the system does not take now is lost, as on any network."""
+        if self.line is not None:
+            sealed, self.peer = self.line.send(data), self.line.address
+            if sealed is None:
+                return  # there is no association yet: whatever matters is said again
+            data = sealed
+        if self.peer is None:
+            return
+        try:
+            if self.kept:
+                self.sock.send(data)
+            else:
+                self.sock.sendto(data, self.peer)
+        except OSError:
+            self.unsent += 1
+
+    def answer(self, data: bytes, address: Address) -> None:
+        """Send to whoever asked, the peer or one who may become it. Sealed, there is nobody but the peer."""
+        if self.line is not None:
+            self.send(data)
+            return
+        try:
+            self.sock.sendto(data, address)
+        except OSError:
+            self.unsent += 1
+
+    @property
+    def dropped(self) -> int | None:
+        """How many datagrams the system did not hand over: not ours, or no room; None if it does not tell."""
+        try:
+            told = self.sock.getsockopt(socket.SOL_SOCKET, MEMINFO, 4 * (DROPS + 1))
+        except OSError:
+            return None
+        return int.from_bytes(told[4 * DROPS :], sys.byteorder) if len(told) == 4 * (DROPS + 1) else None
+
+    def due(self, now: int) -> None:
+        """Send what the line has to say for itself: handshakes, and what was not answered of them."""
+        if self.line is not None:
+            self._say(self.line.due(now))
+
+    def end(self) -> None:
+        """Tell the peer's line that there is no more."""
+        if self.line is not None:
+            self._say(self.line.close())
+
+    def follow(self) -> None:
+        """Go with the peer to where its newest authenticated packet came from."""
+        if self.line is not None and self.line.address is not None and self.peer != self.line.address:
+            self.peer = self.line.address
+            if self.kept:
+                self.keep_to_peer()  # the filter stays
+
+    def _say(self, out: list[Out]) -> None:
+        for data, address in out:
+            with suppress(OSError):
+                self.sock.sendto(data if self._caller is None else self._caller.sends(data), address)
+
+    def receive(self) -> tuple[bytes | None, Address, int] | None:
+        """A datagram, where it came from and when (monotonic clock, ns), or None if there is none now.
+
+        Of one that was the line's own business, or that nobody but a stranger can have sent, there are no bytes.
+
+        Reading late does not make it late: the time is the kernel's, where it tells.
+        """
+        while True:
+            try:
+                data, notes, _, address = self.sock.recvmsg(LONGEST, 64)
+                break
+            except ConnectionRefusedError:  # the peer's port is not open; said once for what was sent there
+                continue
+            except OSError:  # nothing there
+                self._emptied_ns = time.monotonic_ns()
+                return None
+        now = time.monotonic_ns()
+        for level, kind, note in notes:
+            if level == socket.SOL_SOCKET and kind == STAMP and len(note) == _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack(note)
+                now = arrival(seconds * 1_000_000_000 + nanoseconds, now, time.time_ns(), self._emptied_ns)
+        at: Address = address[:2]
+        if self.line is None:
+            return data, at, now
+        if self._caller is not None and (again := self._caller.hears(data)) is not None:
+            with suppress(OSError):
+                if again:
+                    self.sock.sendto(again, at)
+            return None, at, now
+        plain, out = self.line.receive(data, at, now)
+        self._say(out)
+        return plain[0] if plain else None, at, now

@@ -1,0 +1,1 @@
+"""The process of an end: timers, signals, scheduling, suspension, and its output."""

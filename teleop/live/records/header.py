@@ -1,0 +1,77 @@
+"""What a live end's record says of itself, and which of its rows can be what it says; see `record`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, BinaryIO
+
+from teleop.errors import Refused
+from teleop.protocol.manifest import MOST_EVERY
+from teleop.scene.scene import MOST_TICKS, Scene
+from teleop.simulation.summary_shape import MOST_SEED
+from teleop.simulation.tick import columns
+from teleop.storage.strict_json import Misshapen, each, named, one_of, parse, record, text, whole
+
+OWN = ("k", "late_ns", "seq")  # columns before the end's
+LONGEST = 1 << 20  # bytes of a header
+_BLOCK = 4096  # rows that are looked at together
+_LARGEST = float(1 << 53)  # a whole number that a float holds exactly
+_HEADER = record({
+    "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=3), "scene": text,
+    "knobs": named(text), "seed": whole(low=0, high=MOST_SEED), "mode": one_of("live", "lockstep"),
+    "columns": each(text, most=100),
+}, {"every": whole(low=1, high=MOST_EVERY), "command": each(text)})
+
+
+def header_columns(scene: Scene, e: str) -> list[str]:
+    """The columns of the record of the end `e`, each once per axis where it has axes."""
+    names = [n for name in columns(scene, e) for n in ([name] * scene.axes if "@" in name else [name])]
+    return [*OWN, *[name.removesuffix("@") for name in names]]
+
+
+def read_header(file: BinaryIO) -> dict[str, Any]:
+    """The first line of a record, which leaves `file` at its first row. Raises `Misshapen`."""
+    line = file.readline(LONGEST)
+    if not line.endswith(b"\n"):
+        raise Misshapen("its first line is no header")
+    header: dict[str, Any] = parse(line)
+    _HEADER(header, "its header")
+    if len(header["columns"]) <= len(OWN):
+        raise Misshapen("its header names no column")
+    return header
+
+
+def sound_rows(file: BinaryIO, width: int) -> tuple[int, str]:
+    """How many rows from here on can be ticks of a run, and why the rest cannot: what is left out of the record.
+
+    A row can be one if its tick is whole and later than the one before, its lateness and its packet are numbers. What
+    a machine without power left unwritten, or others wrote, ends the record there, before any room is made for it.
+    """
+    import numpy as np
+
+    count, last = 0, -1.0
+    while block := file.read(8 * width * _BLOCK):
+        whole = len(block) // (8 * width)
+        table = np.frombuffer(block[: 8 * width * whole], dtype="<f8").reshape(-1, width)
+        ticks, late, played = table[:, 0], table[:, 1], table[:, 2]
+        with np.errstate(invalid="ignore"):
+            sound = (np.diff(ticks, prepend=last) > 0.0) & (ticks == np.floor(ticks)) & (ticks < MOST_TICKS)
+            sound &= (np.abs(late) < _LARGEST) & (np.abs(played) < _LARGEST) & (played == np.floor(played))
+        if not sound.all():
+            return count + int(np.argmin(sound)), "damaged, with a row that is no tick of a run"
+        count += whole
+        if whole * 8 * width < len(block):
+            return count, "cut off in the middle of a row, as by a killed process"
+        last = ticks[-1]
+    return count, ""
+
+
+def check_fits(scene: Scene, header: dict[str, Any], ticks: Sequence[int], folder: object) -> None:
+    """Refuse a record that cannot be of a run of `scene`: other columns, or ticks that the run does not have."""
+    own = (scene.dt_ns, scene.axes, header_columns(scene, header["end"]))
+    if own != (header["dt_ns"], header["axes"], header["columns"]):
+        raise Refused(f"the record in {folder} is not of the scene {scene.name} as it is here: its tick, axes or "
+                      "columns are others; install the release that wrote it, or give another folder")
+    if len(ticks) and ticks[-1] >= scene.ticks:
+        raise Refused(f"the record in {folder} has a tick {ticks[-1]}, and its run has the ticks 0 to "
+                      f"{scene.ticks - 1}; the file is damaged: give another folder")

@@ -1,0 +1,252 @@
+"""The two ends of a live run put together, and what a killed process left made whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from teleop.errors import Refused
+from teleop.live.leaving import UNRELEASED
+from teleop.live.records.header import check_fits
+from teleop.live.records.record import FILE, read_events, read_noted
+from teleop.live.records.summary import NAMES, WAYS, end_result, lateness, spread_us
+from teleop.scene.scene import Scene
+from teleop.scene.trust import stored_scene
+from teleop.simulation.result import RUNNING, Packets, Result, records_in, stored_summary
+from teleop.simulation.summary_shape import of_end
+from teleop.simulation.trace import UNKNOWN, EndRecord, assemble, far_apart
+from teleop.simulation.virtual import packet_counts, standing_notes
+from teleop.storage.folder import BEGUN, is_being_written
+from teleop.storage.strict_json import Misshapen
+
+ALONE = 1.0  # s that one end may be there before or after the other, and what both counted still belongs together
+
+
+def scene_of(folder: Path, *, trust: bool = False) -> Scene:
+    """The scene that the live end in `folder` ran, see `teleop.scene.trust`. Raises `Refused`."""
+    return _scene(_noted(folder)[0], trust)
+
+
+def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | None = None) -> Result:
+    """One result from the folders of the two ends of a run of `scene`, at the ticks that both ran. Raises `Refused`.
+
+    `channel` is what the relay counted, if it is known. What an end did not write down itself, having been
+    killed, is worked out from its record. Where one end ran without the other, what each counted over all of its own
+    ticks is left out: only what the records show of the ticks that both ran is told, and a note says so.
+    """
+    folders = {"m": master, "s": slave}
+    running = {e: is_being_written(folder) for e, folder in folders.items()}  # first: what is read then may grow
+    headers, records, ends, late = {}, {}, {}, {}
+    for e, folder in folders.items():
+        headers[e], records[e], late[e], _ = _noted(folder)
+        if headers[e]["end"] != e:
+            other = NAMES[headers[e]["end"]]
+            raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
+        check_fits(scene, headers[e], records[e].ticks, folder)
+        if running[e] or (any(running.values()) and needs_recovery(folder)):
+            ends[e] = _of_one(folder, scene, False, running[e])[0].summary()
+        else:
+            ends[e] = _summary(folder, scene, e)
+    ours, theirs = headers["m"], headers["s"]
+    stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
+    if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
+        raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
+    events = {e: read_events(folder) for e, folder in folders.items()}
+    met = [{event["why"] for event in told if event.get("what") == "met"} for told in events.values()]
+    if all(met) and not met[0] & met[1]:
+        raise Refused(f"{master} and {slave} never met; give two that ran together")
+    firsts, lasts = [_first(told) for told in events.values()], [_last(record) for record in records.values()]
+    span = range(max(firsts), min(lasts) + 1)
+    alone = max(max(firsts) - min(firsts), max(lasts) - min(lasts)) * scene.dt > ALONE
+    apart = not stepped and (alone or met[0] != met[1] or any(_killed(end) for end in ends.values()))
+    if scene.link is None:
+        records = {e: record._replace(played=None) for e, record in records.items()}
+    trace = assemble(scene, records)
+    within = span[1:]  # at its first tick there is nothing yet that another session has summed up
+    again = any(one.get("what") == "session" and one.get("k") in within for told in events.values() for one in told)
+    if again:
+        trace.makers.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
+    status, sentence = _verdict(ends)
+    own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
+    notes = [*standing_notes(scene), *[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
+    if apart or any(running.values()):
+        packets = {}
+        own = {NAMES[e]: _within(span, own[NAMES[e]], headers[e], records[e], late[e]) for e in ends}
+    if apart:
+        notes.append("one end ran without the other for a while: the packets and round trips that each counted in all "
+                     "of its own run are left out, and stand in its own folder")
+    elif not any(running.values()):
+        packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
+    run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
+    extra = {**own, "channel": channel}
+    if again:
+        notes.append("the two met anew in between, and their ledgers began anew: there is no E_link of it all")
+    notes += [f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]
+    return Result.make(scene, seed=ours["seed"], mode=ours["mode"], status=status, sentence=sentence,
+                       ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
+
+
+def needs_recovery(folder: Path) -> bool:
+    """True if no summary is in the live folder, or one that was made from a record that has grown since."""
+    if not (folder / "summary.json").is_file():
+        return True
+    try:
+        made_from = stored_summary(folder).get("recovered")
+    except (OSError, Misshapen):  # whoever reads it says what is wrong with it
+        return False
+    sizes = _sizes(folder)
+    return made_from is not None and None not in sizes.values() and made_from != sizes
+
+
+def recover(folder: Path, scene: Scene | None = None, *, trust: bool = False) -> Result:
+    """What the record in a live folder tells whose process did not come to a summary. Raises `Refused`.
+
+    It is written there as summary.json and trace.npz if that process has ended. If it still runs nothing is written,
+    and the status is `RUNNING`. `scene`: the one that was run; left out: the folder's own, see `teleop.scene.trust`.
+    """
+    running, sizes = is_being_written(folder), _sizes(folder)  # both before the record is read, which may grow
+    if FILE not in sizes:
+        ends = [folder / name for name in NAMES.values()]
+        result = merge(scene or scene_of(ends[0], trust=trust), *ends)
+        command: list[str] = []
+        if running and result.status != RUNNING:
+            result = replace(result, status=RUNNING, sentence=f"still running: both ends are over, {result.sentence}")
+    else:
+        result, command = _of_one(folder, scene, trust, running)
+    result = replace(result, path=folder, extra={**result.extra, "recovered": sizes})
+    if result.status != RUNNING:
+        result.write(folder, command)
+    return result
+
+
+def _sizes(folder: Path) -> dict[str, int | None]:
+    """The bytes of each record in a live folder, of one end or of two; None of one that cannot be looked at."""
+    names = [f"{name}/{FILE}" for name in NAMES.values()]
+    sizes: dict[str, int | None] = {}
+    for name in names if all((folder / name).is_file() for name in names) else [FILE]:
+        sizes[name] = None
+        with suppress(OSError):
+            sizes[name] = (folder / name).stat().st_size
+    return sizes
+
+
+def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tuple[Result, list[str]]:
+    """The result of one end from its record alone, and the command that it was started with."""
+    import numpy as np
+
+    if running and not (folder / FILE).is_file():
+        raise Refused(f"{folder} {BEGUN}")
+    header, record, late, notes = _noted(folder)
+    if not len(record.ticks):
+        raise Refused(f"{folder} is of a run that has not come to its first tick yet; ask again in a moment" if running
+                      else f"{folder} holds the record of a run that never came to its first tick")
+    e, scene = header["end"], scene or _scene(header, trust)
+    check_fits(scene, header, record.ticks, folder)
+    last = _last(record)
+    status, sentence = "stopped", f"the process ended without a word after tick {last}; this is made from its record"
+    if running:
+        status, sentence, notes = RUNNING, f"still running: this is its record up to tick {last}", []
+    every = header.get("every", 1)
+    events = read_events(folder)
+    first = _first(events)
+    skipped = (last - first) // every + 1 - len(record.ticks)
+    notes += [UNKNOWN] * far_apart(record.ticks)
+    sends, hears = WAYS[e]
+    came = int((np.asarray(record.played) >= 0).sum())
+    result = end_result(
+        scene, e, record, late, seed=header["seed"], mode=header["mode"], status=status, sentence=sentence,
+        told={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
+        packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=came)},
+    )
+    return result, header.get("command", [])
+
+
+def _scene(header: dict[str, Any], trust: bool) -> Scene:
+    return stored_scene(header["scene"], header["knobs"], trust=trust)
+
+
+def _summary(folder: Path, scene: Scene, e: str) -> dict[str, Any]:
+    """What the end `e` of a run of `scene` told of itself."""
+    if needs_recovery(folder):
+        return recover(folder, scene).summary()
+    try:
+        summary = stored_summary(folder)
+        of_end(NAMES[e], *WAYS[e])(summary, "summary.json")
+    except (OSError, Misshapen) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise Refused(f"{folder} holds no summary of an end ({why}); remove its summary.json, and `teleop report "
+                      f"{folder}` makes another from the record") from error
+    return summary
+
+
+def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Any, list[str]]:
+    """What an end wrote into `folder`; `Refused`, naming a folder that an end did write into, if none did."""
+    if folder.is_symlink() and folder.name in NAMES.values():
+        raise Refused(f"{folder} is a link, and what a folder links to is not opened; give the folder itself")
+    if not (folder / FILE).is_file():
+        inside = [path.parent for path in records_in(folder)]
+        whole = {at.parent if at.name in NAMES.values() and at.parent != folder else at for at in inside}
+        cure = f"one of its folders, for example {max(whole)}" if whole else "the folder that a live end wrote"
+        raise Refused(f"{folder} holds no record; give {cure}")
+    return read_noted(folder)
+
+
+def _first(events: Sequence[dict[str, Any]]) -> int:
+    """The first tick that was due of an end to which this happened."""
+    return next((int(event["k"]) for event in events if event.get("what") == "joined"), 0)
+
+
+def _last(record: EndRecord) -> int:
+    """The last tick that it ran; -1 of one that ran none."""
+    return int(record.ticks[-1]) if len(record.ticks) else -1
+
+
+def _killed(end: dict[str, Any]) -> bool:
+    return "without a word" in end["sentence"]
+
+
+def _within(
+    span: range, own: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any
+) -> dict[str, Any]:
+    """What there is to tell of an end in the ticks of `span`, out of its record; what it summed up is left out."""
+    import numpy as np
+
+    every = header.get("every", 1)
+    here = (record.ticks >= span.start) & (record.ticks < span.stop)
+    ticks = record.ticks[here]
+    first = -(-span.start // every) * every
+    kept: dict[str, Any] = {key: own[key] for key in ("status", "sentence", "sealed", "realtime") if key in own}
+    return {
+        **kept, "ticks": len(ticks), "skipped": len(range(first, span.stop, every)) - len(ticks),
+        "events": [event for event in own.get("events") or () if event.get("k") in span],
+        "late_us": spread_us(lateness(ticks, np.asarray(late)[here], header["dt_ns"], first, every)),
+    }
+
+
+def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[str, Packets]:
+    """What the two ends and the channel counted of each direction."""
+    packets = {}
+    for e, peer in (("m", "s"), ("s", "m")):
+        way = WAYS[e][0]
+        sent = ends[e]["packets"][way]["sent"]
+        heard = Packets(**ends[peer]["packets"][way])
+        lost = channel.get("counts", {}).get(way, {}).get("lost", 0)
+        packets[way] = replace(heard, sent=sent, lost=lost, in_flight=max(0, sent - heard.received - lost))
+    return packets
+
+
+def _verdict(ends: dict[str, dict[str, Any]]) -> tuple[str, str]:
+    """The status of the whole: what one end found out, the other was told."""
+    running = [NAMES[e] for e, end in ends.items() if end["status"] == RUNNING]
+    if running:
+        over = [f"; {NAMES[e]}: {end['sentence']}" for e, end in ends.items() if end["status"] != RUNNING]
+        return RUNNING, f"still running: {' and '.join(running)}; these are the ticks that both have run{''.join(over)}"
+    silent = [end for end in ends.values() if _killed(end)]
+    for status in (UNRELEASED, "diverged", "stopped"):
+        for end in (*silent, *ends.values()):  # that one was killed comes before what the others say of it
+            if end["status"] == status:
+                return status, str(end["sentence"])
+    return "ok", str(ends["m"]["sentence"])

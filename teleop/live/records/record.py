@@ -1,0 +1,203 @@
+"""The record that a live end appends to as it goes: flat, so that what is on disk can be read at any time.
+
+One line of JSON (the header), then rows of little-endian float64: tick, lateness (ns), packet played,
+and the end's columns. A row cut off at the end is left out when it is read, with a warning. What happened, and at which
+tick, goes to a file beside it as it happens, one line of JSON each.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import sys
+import warnings
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from teleop.errors import Refused
+from teleop.live.records.header import OWN, header_columns, read_header, sound_rows
+from teleop.protocol.guard import Event
+from teleop.scene.scene import Scene
+from teleop.simulation.summary_shape import EVENT
+from teleop.simulation.trace import EndRecord, blocks
+from teleop.storage.files import open_regular, read_bytes
+from teleop.storage.folder import claim
+from teleop.storage.strict_json import Misshapen, parse_line
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+FILE = "record.bin"
+EVENTS = "events.jsonl"
+EVERY = 250  # rows between two writes, at most
+EVERY_NS = 250_000_000  # and so much time, by the scene's clock
+
+
+class TruncatedRecord(UserWarning):
+    """A live record ends in the middle of a row."""
+
+
+class Recorder:
+    """Appends an end's rows to `folder/record.bin`. A full disk stops the record, never the loop."""
+
+    def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any]) -> None:
+        """`about` says which run this is, as `merge` reads it: scene, knobs, seed, mode, command."""
+        header = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about,
+                  "columns": header_columns(scene, e)}
+        self.trouble: str | None = None
+        self._rows: list[float] = []
+        self._count = 0
+        self._file: BinaryIO = (folder / FILE).open("wb")
+        self._file.write(json.dumps(header).encode() + b"\n")
+        self._file.flush()
+        self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
+        self._events = folder / EVENTS
+
+    def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
+        """One tick."""
+        self._rows += (k, late_ns, played, *row)
+        self._count += 1
+        if self._count % self._every == 0:
+            self.flush()
+
+    def note(self, event: Event) -> None:
+        """Write down that something has happened; on the disk at once."""
+        if self.trouble is not None:
+            return
+        try:
+            with self._events.open("a") as file:
+                file.write(json.dumps(event._asdict()) + "\n")
+        except OSError as error:
+            self.trouble = f"the record of events stopped at row {self._count}: {error.strerror or error}"
+
+    def flush(self) -> None:
+        """Hand what there is to the system."""
+        rows, self._rows = array("d", self._rows), []
+        if self.trouble is not None:
+            return
+        if sys.byteorder == "big":
+            rows.byteswap()
+        try:
+            self._file.write(rows.tobytes())
+            self._file.flush()
+        except OSError as error:
+            self.trouble = f"the record stopped at row {self._count}: {error.strerror or error}"
+
+    def close(self) -> None:
+        """Write the rest."""
+        self.flush()
+        try:
+            self._file.close()
+        except OSError as error:
+            self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
+
+
+class RecordFile:
+    """The rows of a record on the disk, as many as were there when it was opened: read a part at a time, never kept."""
+
+    def __init__(self, path: Path, offset: int, width: int, count: int) -> None:
+        self._path, self._offset, self._width, self._count = path, offset, width, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def part(self, start: int, stop: int) -> NDArray[np.float64]:
+        """All columns of the rows from `start` up to `stop`, of shape (rows, columns)."""
+        import numpy as np
+
+        size = 8 * self._width
+        with open_regular(self._path, links=False) as file:
+            file.seek(self._offset + size * start)
+            data = file.read(size * (stop - start))
+        if len(data) < size * (stop - start):
+            raise OSError(errno.EIO, "it has become shorter since it was opened", str(self._path))
+        return np.frombuffer(data, dtype="<f8").reshape(stop - start, self._width)
+
+    def table(self, start: int, stop: int) -> NDArray[np.float64]:
+        """The same without the columns before the end's own."""
+        return self.part(start, stop)[:, len(OWN):]
+
+
+class Column:
+    """One of the first columns of a record, which `numpy.asarray` reads as numbers of type `dtype`."""
+
+    def __init__(self, rows: RecordFile, at: int, dtype: str) -> None:
+        self._rows, self._at, self._dtype = rows, at, dtype
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        import numpy as np
+
+        out = np.empty(len(self), dtype=dtype or self._dtype)
+        for block in blocks(len(self)):
+            out[block] = self._rows.part(block.start, block.stop)[:, self._at].astype(self._dtype)
+        return out
+
+
+def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, Column]:
+    """The header, the rows and the lateness (ns) of each tick of the record in `folder`. Raises `Refused`.
+
+    Rows and lateness are read when they are asked for, as they were then: the file may be growing.
+    """
+    import numpy as np
+
+    path = folder / FILE
+    try:
+        with open_regular(path, links=False) as file:
+            header = read_header(file)
+            width, start = len(header["columns"]), file.tell()
+            count, rest = sound_rows(file, width)
+    except (OSError, Misshapen) as error:  # no file, or one of something else
+        why = error.strerror if isinstance(error, OSError) else error
+        raise Refused(f"{folder} holds no record of a live end ({why}); give the folder of one") from error
+    if rest:
+        warnings.warn(f"{path} is {rest}: row {count} and what came after it are lost", TruncatedRecord, stacklevel=2)
+    rows = RecordFile(path, start, width, count)
+    ticks = np.asarray(Column(rows, 0, "int64"))
+    return header, EndRecord(ticks, rows, Column(rows, 2, "int64")), Column(rows, 1, "float64")
+
+
+def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Column, list[str]]:
+    """The same as `read_record`, with what it warns of as sentences for the summary."""
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        found = read_record(folder)
+    return *found, [str(warning.message) for warning in warned]
+
+
+def read_events(folder: Path) -> list[dict[str, Any]]:
+    """What happened to the end whose record is in `folder`; a line that was cut off is left out."""
+    try:
+        lines = read_bytes(folder / EVENTS, links=False).splitlines()
+    except OSError:
+        return []
+    events = []
+    for line in lines:
+        with suppress(Misshapen):
+            event = parse_line(line)
+            EVENT(event, "event")
+            events.append(event)
+    return events
+
+
+@contextmanager
+def fresh_folder(out: Path | str | None, stem: str = "run") -> Iterator[tuple[Path, Callable[[], None]]]:
+    """The folder of a live run, claimed as `teleop.storage.folder.claim` does, and what to call to have it kept.
+
+    Without that call it is gone again in the end. It cannot be written beside and moved as a whole: what a killed
+    process leaves has to be found.
+    """
+    claimed = claim(out, stem)
+    kept: list[bool] = []
+    try:
+        yield claimed.path, lambda: kept.append(True)
+    finally:
+        if not kept:
+            claimed.drop()
+        claimed.close()

@@ -1,0 +1,1 @@
+"""Bodies and what they touch: exact solutions and integrated ones."""

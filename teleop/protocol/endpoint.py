@@ -1,0 +1,343 @@
+"""One live end without its sockets: bytes and `now` come in, forces and bytes go out. Sans-IO.
+
+The tick itself is the text of `teleop.simulation.tick`, the same as in virtual time. Around it: the guard, which
+decides how much of the law's force may be held; and the sessions, with each of which the law begins anew. A session
+after the first begins where the end is: its law sees positions from there (a clutch), the record goes on in the
+device's own.
+
+An end may tick at every n-th tick of the grid only, its peer at every m-th: see `teleop.protocol.rates`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from math import isfinite
+from typing import Any, NamedTuple
+
+from teleop.protocol.estimates import LinkEstimates
+from teleop.protocol.guard import Guard
+from teleop.protocol.held_force import HeldForce
+from teleop.protocol.inbox import Fixed, Inbox, Plan
+from teleop.protocol.packet import (
+    DATA,
+    MOST_SEQ,
+    Echo,
+    Kind,
+    Packet,
+    Rejection,
+    Window,
+    check_size,
+    decode,
+    encode,
+    unwrapped,
+)
+from teleop.protocol.presence import Presence
+from teleop.protocol.rates import Heard, Messages, Resampling
+from teleop.protocol.session import RENEW_NS, Session
+from teleop.scene.scene import Scene
+from teleop.simulation.source import beginnings, compiled, live_text
+from teleop.simulation.tick import ENDS, columns
+
+Axes = tuple[float, ...]
+SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
+COUNTED = ("received", "late", "overtaken", "duplicates", "refused", "played")  # of an inbox
+
+
+class Reading(NamedTuple):
+    """What a device or robot reads at a tick, per axis: the left limit at t_k. SI units."""
+
+    x: Axes
+    v: Axes
+    f: Axes | None  # force sensor: f_h at the master, f_env at the slave; None: it has none
+
+
+class Stepped:
+    """Messages played by a schedule drawn up front: the deterministic form of an inbox."""
+
+    def __init__(self, plan: Plan | None) -> None:
+        self._play = None if plan is None else plan.play
+        self._keep = 2 if plan is None else plan.lag + 2
+        self._held: dict[int, Heard] = {}
+        self._newest = -1
+
+    def put(self, packet: int, tick: int, entry: Heard) -> None:
+        if packet > self._newest - self._keep:  # a copy of one that was dropped would stay for ever
+            self._held[packet] = entry
+        if packet > self._newest:
+            self._newest = packet
+            self._held.pop(packet - self._keep, None)
+
+    def has(self, packet: int) -> bool:
+        """Has this packet come? Asked for the newest only: old ones are dropped."""
+        return packet < 0 or packet in self._held
+
+    def take(self, tick: int) -> tuple[int, Heard] | None:
+        packet = tick - 1 if self._play is None else self._play[tick]
+        return None if packet < 0 else (packet, self._held[packet])
+
+
+class Tick(NamedTuple):
+    """What one tick of an end comes to."""
+
+    force: Axes  # to hold until the next tick, N
+    datagram: bytes | None  # to send; None if the message is not finite
+    row: tuple[float, ...]  # for the record; its columns are `columns(scene, e)`
+    played: int  # the packet played at this tick, or -1
+
+
+class Endpoint:
+    """The master's or the slave's end of a scene, live.
+
+    `now` is the end's own monotonic clock in ns. `force_failed` names a force that was not finite: nothing may
+    be held then, the run has diverged.
+
+    `link` tells what the packets say of the way and of the peer's clock. One-way delays are as they are seen, from
+    the tick a packet was sent at to its coming: they carry the uncertainty of the clock offset, half the fastest round
+    trip of the first exchange. `guard` holds the safe state and the events of the run.
+    """
+
+    def __init__(self, scene: Scene, e: str, session: Session, messages: Messages | None = None) -> None:
+        self.scene, self.e, self.session = scene, e, session
+        self.stepped = messages is not None
+        self.inbox: Messages = messages if messages is not None else Inbox(scene.playout, scene.dt_ns)
+        self.rejected: Counter[str] = Counter()
+        self.received = 0  # DATA packets of the sessions, copies included
+        self.counted: Counter[str] = Counter()  # by the inboxes of earlier sessions
+        self.force_failed: str | None = None
+        self.message_failed = False  # was the law's message not finite, and so not sent
+        self.stamp_margin: float | None = None  # smallest of (sender's stamp) - (energy received here), J
+        self.every = session.every
+        self.own = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
+        dt = self.own.dt_ns / 1e9
+        self.guard = Guard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
+        # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
+        played = round(scene.playout.delay * 1e9) if isinstance(scene.playout, Fixed) else 0
+        session.renew_ns = max(session.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
+        self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
+        self._window = Window()  # so that a copy or a replay is no second measurement
+        self._tick = -1
+        self._came = 0  # the tick at which a new packet came last
+        self.presence = Presence(session, self.link, scene.dt_ns, self.every, self.guard.timeout_ns)
+        self._met = 1  # the session that the law was begun for
+        self._placed = False  # is it known where the device was before tick 0
+        self._away: Axes | None = None  # how far that is from where the scene begins, if it is not there
+        self._index: Axes | None = None  # where the law's positions count from, if not from the device's zero
+        self.held = HeldForce(scene, e, self.every, self.guard)
+        self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
+        self._shifted = 0  # ns that the grid was moved by
+        self._live = compiled(self.own, live_text(self.own, e), "live")  # now: at tick 0 there is no time for it
+        self._started: Any = None
+        law: Any = scene.law
+        self._axes = range(scene.axes)
+        from teleop.law import messages as message_types
+
+        forth, back = message_types(law, dt)
+        self._rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
+        self.hears, self._sends = (Kind.BACK, Kind.FORTH) if e == "m" else (Kind.FORTH, Kind.BACK)
+        self._rx_width, tx_width = len(self._rx_type._fields), len(tx_type._fields)
+        self._width = self._rx_width * scene.axes
+        most = max(self._rx_width, tx_width) * scene.axes
+        self._size = check_size(scene.wire_size, most, energy=scene.energy)
+        names = columns(scene, e)
+        stamps = [f"E_in_{'fwd' if e == 'm' else 'bwd'}", f"E_out_{'bwd' if e == 'm' else 'fwd'}"]
+        flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
+        self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
+        self._newest_wins = not self.stepped and not isinstance(scene.playout, Fixed)
+        self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
+        wave = ENDS[e].rx_wave if scene.has_waves else None
+        self._rates = Resampling(self._rx_type, wave, mine=self.every)
+        self._dt = dt
+
+    @property
+    def way(self) -> Any:
+        """One-way delays towards this end, ns."""
+        return self.link.way
+
+    def receive(self, data: bytes, now: int) -> list[bytes]:
+        """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
+
+        It is played from the first tick at or after its coming on, even if that tick runs late.
+        """
+        packet = decode(data, self._width)
+        if isinstance(packet, Rejection):
+            self.rejected[packet.value] += 1
+            return []
+        session, dt_ns = self.session, self.scene.dt_ns
+        if packet.kind not in DATA:
+            if not session.belongs(packet, now):
+                self.rejected["session"] += 1
+                return []
+            return session.receive(packet, now, len(data))
+        if packet.session != session.number or session.start_ns is None or session.mute():
+            self.rejected["session"] += 1
+            return []
+        if packet.kind is not self.hears:
+            self.rejected["direction"] += 1
+            return []
+        came = -((session.start_ns - now) // dt_ns)  # the tick, rounded up
+        near = self._tick if self.stepped else max(came, self._tick)
+        seq = unwrapped(packet.seq, near)
+        sent = session.start_ns + seq * dt_ns  # when, by our clock
+        if session.met != self._met and not self.stepped:
+            session.data_came(now, sent)
+            return []  # its law begins with the next tick, and nothing of it counts as of the session before
+        if seq > near and seq > (self._tick + 1 if self.stepped else near + self.presence.most_ahead()):
+            self.rejected["early"] += 1
+            self.presence.ahead(self._tick, seq - near, packet.sent_ns, now)
+            return []
+        if seq < 0 or seq < near - (1 << 30):
+            self.rejected["old"] += 1
+            return []
+        self.received += 1
+        if self._window.judge(seq, near) == "new":
+            session.data_came(now, sent)
+            self._came = came
+            self.presence.in_time()
+            if not self.stepped:
+                self.link.heard(seq, packet.sent_ns, packet.echo, now - sent, now)
+            if self._newest is None or seq > self._newest[0]:
+                self._newest = (seq, packet.sent_ns, now)
+                self.presence.newest(packet.echo, sent, now)
+        self.inbox.put(seq, max(came, self._tick + 1), Heard(self._message(packet.payload), packet.E_in))
+        return []
+
+    def tick(self, k: int, now: int, reading: Reading, trouble: str | None = None) -> Tick:
+        """Run tick k of the grid. The force is in N per axis, capped and watched as the scene says.
+
+        `trouble`: why this end may hold no force, if something of which the link knows nothing has gone wrong.
+        """
+        if self._started is None or self._met != self.session.met:
+            self._begin(k, reading)
+        got = self._rates.take(self.inbox, self._tick, k)
+        gain = self._gain(k, now, None if got is None else k - got[0], trouble)
+        if self.guard.lapsed:
+            self.held.zero()
+        seq, rx = (-1, None) if got is None else (got[0], got[1].rx)
+        x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
+        own, newest = k // self.every, seq if self.every == 1 else seq / self.every
+        held = self.held.force, self.held.since(k)
+        told = own, x, reading.v, reading.f, got is not None, newest, rx, gain, *held
+        force, tx, row = self._started.send(told)
+        if got is not None and self._E_out is not None and got[1].E_in is not None:
+            margin = got[1].E_in - row[self._E_out]
+            if self.stamp_margin is None or margin < self.stamp_margin:
+                self.stamp_margin = margin
+        if self._index is not None:
+            row = self._physical(row)
+        self._tick = k
+        if not self.held.take(force):
+            self.force_failed = f"f_{self.e}"
+        self._follow()
+        return Tick(force, self._datagram(k, now, tx, row), row, seq)
+
+    def left_out(self, k: int, trouble: str) -> Axes:
+        """Tick k cannot be run, for there is no reading: the force (N, per axis) to hold, on its way to zero."""
+        force = self.held.blind(k, self._tick, trouble)
+        self.session.let_go = not any(force)
+        return force
+
+    def stood_still(self, ns: int) -> None:
+        """This machine was suspended for `ns`: what it has of its peer is older than its clock says."""
+        self.session.end(f"stood still: this machine was suspended for {ns / 1e9:.3f} s")
+
+    def place(self, x: Axes) -> None:
+        """Where the device is before tick 0. If that is not where the scene begins, the law begins there from rest."""
+        self._placed = True
+        starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
+        if x != starts and not self.stepped:
+            self._away = tuple([a - b for a, b in zip(x, starts, strict=True)])
+
+    def join(self, k: int) -> None:
+        """The first tick of this end will be k: the run has been going on without it."""
+        if not self.stepped:
+            self._tick = k - 1
+            self.inbox = Inbox(self.scene.playout, self.scene.dt_ns, tick=k - 1)
+            self.guard.tell(k, "joined", "the other end was running already")
+            self._met = 0
+
+    def _begin(self, k: int, reading: Reading) -> None:
+        """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
+        first, self._met = self._met == 1 and self._started is None, self.session.met
+        self.held.begin(k)
+        x = reading.x
+        if first and not self._placed:
+            self.place(x)  # nobody could read it before
+        if first and self._away is not None:
+            self._index = self._counted_from(self._away)
+            self.guard.begin(k, "the device is not where the scene begins: the law's positions count from there")
+        if not first:
+            self._index = self._counted_from(x)
+            if not self.stepped:
+                inbox: Any = self.inbox
+                self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
+                self.inbox, self._tick = Inbox(self.scene.playout, self.scene.dt_ns, tick=k - 1), k - 1
+                self._window, self._newest, self._shifted = Window(), None, 0
+                self.presence.begin()
+                self.link.begin(self._rates.theirs)
+            self.guard.begin(k, "the law begins from rest, and its positions from here")
+        if self._index is not None:
+            x = tuple([a - b for a, b in zip(x, self._index, strict=True)])
+        self._rates.begin(self.session.peer_every)
+        begins = beginnings(self.own, {self.e: x})
+        self._started = self._live(self.own, begins, self.scene.law, self._dt, x, reading.v, reading.f)
+        self._started.send(None)
+
+    def _gain(self, k: int, now: int, age: int | None, trouble: str | None) -> float:
+        """The guard's gain at tick k, and whether the session is over. `age`: ticks since its message was sent."""
+        session, came, unheard = self.session, self._rates.played, 0.0
+        if not self.stepped:
+            self.presence.judge(k, now)
+            # What is not released yet waits for the first answer; a run that begins well need not.
+            waits = self.guard.safe and not self.presence.answered
+            unheard = float("inf") if waits else self.presence.unheard_ns / 1e9
+        if self._newest_wins:
+            came = self._came
+        gain = self.guard.step(
+            k, age is not None, trouble, came=came, over=session.ended, unheard=unheard, age=age or 0)
+        session.let_go = gain == 0.0
+        return gain
+
+    def _counted_from(self, x: Axes) -> Axes:
+        """Where the law's positions count from: here, to a whole step of the encoder if there is one."""
+        device: Any = getattr(self.scene, f"device_{self.e}")
+        if device is None or device.encoder is None:
+            return x
+        from teleop.stages.device import encode
+
+        return tuple([encode((device.encoder.step, 0.5), each) for each in x])
+
+    def _follow(self) -> None:
+        """Let a slave's grid follow the master's, whose clock may go at another rate."""
+        wanted = -self.link.clock.shift_ns
+        if self.e == "s" and self.session.start_ns is not None and wanted != self._shifted and not self.stepped:
+            most = self.own.dt_ns // SLEW
+            step = max(-most, min(most, wanted - self._shifted))
+            self._shifted += step
+            self.session.start_ns += step
+
+    def _physical(self, row: tuple[float, ...]) -> tuple[float, ...]:
+        """A row of the record with its positions as the device reads them."""
+        assert self._index is not None
+        out = list(row)
+        for n, i in enumerate(self._places):
+            out[i] += self._index[n % self.scene.axes]
+        return tuple(out)
+
+    def _message(self, payload: Any) -> tuple[Any, ...]:
+        n, kind = self._rx_width, self._rx_type
+        return tuple([kind(*payload[i * n : i * n + n]) for i in self._axes])
+
+    def _datagram(self, k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
+        # Floats alone: a law may give an int or one of numpy's, which the peer would take for a malformed packet.
+        payload = tuple(map(float, tx[0] if len(tx) == 1 else [number for message in tx for number in message]))
+        session = self.session
+        if not all(map(isfinite, payload)):
+            self.message_failed = True
+            return None
+        if session.number is None or session.mute():
+            return None
+        newest = self._newest
+        echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))
+        stamp = None if self._E_in is None or not isfinite(row[self._E_in]) else float(row[self._E_in])
+        return encode(Packet(self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp), self._size)

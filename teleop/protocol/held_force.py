@@ -1,0 +1,88 @@
+"""The force that a live end holds, and its way to zero where the law cannot be asked. Sans-IO.
+
+That is so while there is no reading, after a force that was not finite, and when the run is over. The force that was
+held is then scaled by the guard's gain, which falls along the watchdog's ramp, within the scene's cap: it falls in
+amount at every tick and never turns. It is open loop, so without a reading the way is short.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from teleop.protocol.guard import Guard
+from teleop.scene.scene import Scene
+from teleop.stages.safety import cap, fade
+
+BLIND_NS = 100_000_000  # the longest that a force is held without a reading
+
+
+class HeldForce:
+    """`force` (N, per axis) of end `e`, which ticks at every `every`-th tick of the scene's grid."""
+
+    def __init__(self, scene: Scene, e: str, every: int, guard: Guard) -> None:
+        self.force: tuple[float, ...] = (0.0,) * scene.axes
+        self._e, self._every, self._guard = e, every, guard
+        self._cap, self._dt_ns = scene.cap, scene.dt_ns
+        self._dt = every * scene.dt_ns / 1e9
+        self._k = 0  # the tick at which it was set last
+
+    def begin(self, k: int) -> None:
+        """The law begins at tick k."""
+        self._k = k - self._every
+
+    def since(self, k: int) -> int:
+        """How many own ticks before tick k it was set last; it is set again at k."""
+        ticks, self._k = (k - self._k) // self._every, k
+        return ticks
+
+    def take(self, force: tuple[float, ...]) -> bool:
+        """It is `force` (N, per axis) from now on; False if that is not finite, and then it is what it was."""
+        if not all(map(isfinite, force)):
+            return False
+        self.force = force
+        return True
+
+    def zero(self) -> None:
+        """It is zero, as its device has set it."""
+        self.force = (0.0,) * len(self.force)
+
+    def lost(self) -> None:
+        """The device did not take it: whatever it holds now, the next force begins at zero, along the guard's ramp."""
+        self._guard.gain = 0.0
+        self.zero()
+
+    def blind(self, k: int, ran: int, trouble: str) -> tuple[float, ...]:
+        """The force to hold at tick k, which has no reading and so no law; `ran`: the last tick that had.
+
+        After `BLIND_NS` there is none, whatever ramp and slew limit ask.
+        """
+        self._k, before = k, self._guard.gain
+        gain = self._guard.step(k, False, trouble)
+        if gain >= before:  # of a stepped end without a watchdog
+            gain = self._guard.fall()
+        if (k - ran) * self._dt_ns > BLIND_NS or self._guard.lapsed:
+            self._guard.gain = gain = 0.0
+            self.zero()
+        return self._scaled(before, gain, None)
+
+    def over(self, v: tuple[float, ...] | None, passed: int = 1) -> tuple[float, ...]:
+        """The force to hold `passed` own ticks later with the run over; one step of the slew limit, however many.
+
+        `v`: the velocity (m/s, per axis), by which the velocity cap is kept; None if it is not known.
+        """
+        before, gain = self._guard.gain, self._guard.fall(passed)
+        if self._guard.lapsed:
+            self.zero()
+        return self._scaled(before, gain, v)
+
+    def _scaled(self, before: float, gain: float, v: tuple[float, ...] | None) -> tuple[float, ...]:
+        part, limits = (gain / before if before > 0.0 else 0.0), self._cap
+        force = [part * each for each in self.force]
+        if limits is not None:
+            speed, c = limits.speed(), limits.limits(self._dt)
+            if speed is not None and v is not None and all(map(isfinite, v)):
+                along = v if self._e == "s" else tuple([-each for each in v])
+                force = [fade(speed, *each) for each in zip(force, along, strict=True)]
+            force = [cap(c, *each) for each in zip(force, self.force, strict=True)]
+        self.force = tuple(force)
+        return self.force

@@ -1,0 +1,247 @@
+"""Playout: which packet a tick plays, out of those that a link delivered.
+
+A packet sent at tick k arrives at tick `max(k+1, ceil(time/dt))`. With playout zero or hold the newest
+wins: a tick plays the greatest number that has come, if it is greater than every one played before. With
+a fixed playout delay, packet k is played at exactly tick k + D if it has come by then, and never
+otherwise. Either way a packet is played at most once and the numbers played only grow.
+
+`plan` says it for a whole direction of a link at once, drawn up front; `Inbox` says the same tick by tick,
+for datagrams that come when they come.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+
+from teleop.errors import Refused, number
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Entry = TypeVar("Entry")
+
+_REMEMBERED = 65536  # packet numbers behind the newest within which an inbox tells copies apart
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Zero:
+    """Newest wins; at a tick without a fresh packet the law is told so (a wave law puts 0: passive)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Hold:
+    """Newest wins; at a tick without a fresh packet the last message is played again (active)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    """Every packet is played `delay` after it was sent (s), late ones never; the gaps as `gaps` says."""
+
+    delay: float
+    gaps: Zero | Hold = Zero()
+
+    def __post_init__(self) -> None:
+        number("playout delay", self.delay, above=0.0, high=3600.0)
+        if not isinstance(self.gaps, (Zero, Hold)):
+            raise Refused(f"gaps are Zero() or Hold(), not {self.gaps!r}; write gaps=Zero()")
+
+    def ticks(self, dt_ns: int) -> int:
+        """The delay in ticks: rounded up, at least 1."""
+        # By way of whole nanoseconds: 0.1 + 0.2 s are 300 ticks of 1 ms, not 301.
+        return max(1, -(-round(self.delay * 1e9) // dt_ns))
+
+
+Playout = Zero | Hold | Fixed
+
+
+def repeats(playout: Playout) -> bool:
+    """Is the last message played again in the gaps?"""
+    return isinstance(playout.gaps if isinstance(playout, Fixed) else playout, Hold)
+
+
+class Plan(NamedTuple):
+    """What one direction of a link comes to over a run of `sent` ticks, one packet sent at each.
+
+    `sent = received + lost + in_flight` and `received = played + overtaken + late + waiting`.
+    """
+
+    played_at: NDArray[np.int64]  # for each tick the packet played, or -1
+    lag: int  # the greatest tick - play[tick]: messages to keep, less one
+    sent: int
+    received: int  # packets that came within the run, each counted once
+    lost: int  # never came out of the link
+    in_flight: int  # came out after the end
+    duplicates: int  # further copies within the run
+    played: int
+    overtaken: int  # a newer one was played before, or at the same tick
+    late: int  # fixed: came after its tick
+    waiting: int  # fixed: came, and its tick is after the end
+
+    @property
+    def play(self) -> list[int]:
+        """The packets played, as a list."""
+        played: list[int] = self.played_at.tolist()
+        return played
+
+
+def plan(
+    playout: Playout, packet: NDArray[np.int64], time_ns: NDArray[np.int64], count: int, dt_ns: int
+) -> Plan:
+    """The packets played at the ticks 0 .. count-1.
+
+    `packet` and `time_ns` are the arrivals: packet number (0 .. count-1, sent at the tick of its number) and
+    the time in ns when a copy of it came out of the link; lost ones are absent, duplicates there twice.
+    Raises `Refused` for a number that was not sent.
+    """
+    import numpy as np
+
+    if packet.shape != time_ns.shape or (packet.size and not 0 <= packet.min() <= packet.max() < count):
+        raise Refused(f"arrivals are packets 0 .. {count - 1} and as many times; check the link's effects")
+    tick = np.maximum(packet + 1, -(-time_ns // dt_ns))
+    numbers = np.arange(count, dtype=np.int64)
+
+    never = np.iinfo(np.int64).max
+    first = np.full(count, never, dtype=np.int64)  # the tick at which a packet came for the first time
+    np.minimum.at(first, packet, tick)
+    came = first < count
+
+    play = np.full(count, -1, dtype=np.int64)
+    late = waiting = 0
+    if isinstance(playout, Fixed):
+        due = numbers + playout.ticks(dt_ns)
+        in_time = came & (first <= due)
+        on = in_time & (due < count)
+        play[due[on]] = numbers[on]
+        late = int(np.count_nonzero(came & ~in_time))
+        waiting = int(np.count_nonzero(in_time & ~on))
+    else:
+        np.maximum.at(play, first[came], numbers[came])
+        play[1:][play[1:] <= np.maximum.accumulate(play)[:-1]] = -1
+
+    played = play >= 0
+    received = int(np.count_nonzero(came))
+    lost = int(np.count_nonzero(first == never))
+    plays = int(np.count_nonzero(played))
+    return Plan(
+        played_at=play, lag=int((numbers - play)[played].max(initial=0)),
+        sent=count, received=received, lost=lost, in_flight=count - received - lost,
+        duplicates=int(np.count_nonzero(tick < count)) - received,
+        played=plays, overtaken=received - plays - late - waiting, late=late, waiting=waiting,
+    )
+
+
+class Inbox(Generic[Entry]):
+    """The same rule for packets as they come: put in at any time, taken tick by tick.
+
+    Packets may be put before the tick they arrive at, which then waits for them, or after it was taken: then
+    they arrive at the next one. Ticks may be skipped: with newest-wins their packets compete at the tick
+    that follows; with a fixed delay their packets are late, for their instant has passed. Holds at most
+    `room` packets besides those a fixed delay keeps, none of them more than that many ticks ahead; more
+    are refused and counted, never raised, since what a peer sends decides it.
+    """
+
+    __slots__ = (
+        "_coming", "_copies", "_delay", "_kept", "_queued", "_room", "_tick", "_waits", "_window",
+        "duplicates", "late", "overtaken", "played", "received", "refused",
+    )
+
+    def __init__(self, playout: Playout, dt_ns: int, *, room: int = 4096, tick: int = -1) -> None:
+        from teleop.protocol.packet import Window  # with msgpack, which a run in virtual time does without
+
+        if room < 1:
+            raise Refused(f"an inbox needs room for at least one packet, not {room}; write room=4096")
+        self._delay = playout.ticks(dt_ns) if isinstance(playout, Fixed) else None
+        self._room = room + (self._delay or 0)
+        span = min(self._room, _REMEMBERED)
+        self._window = Window(ahead=span, size=span)
+        self._coming: dict[int, list[tuple[int, Entry]]] = {}  # by the tick of arrival
+        self._queued = 0  # packets in there
+        self._copies: dict[int, int] = {}  # further copies of them, by the tick of arrival
+        self._waits: dict[int, int] = {}  # for each of them, the earliest tick that a copy of it waits for
+        self._kept: dict[int, Entry] = {}  # fixed: those that arrived, by number, until their tick
+        self._tick = tick  # the last one taken; an end that joins a run begins behind its first ticks
+        self.received = self.duplicates = self.played = self.overtaken = self.late = self.refused = 0
+
+    @property
+    def waiting(self) -> int:
+        """Packets that arrived and whose tick is still ahead."""
+        return len(self._kept)
+
+    def put(self, packet: int, tick: int, entry: Entry) -> None:
+        """Packet number `packet` (at least 0) arrives at `tick`, carrying `entry`."""
+        tick = max(tick, packet + 1, self._tick + 1)
+        if self._queued + len(self._kept) >= self._room or tick > self._tick + self._room:
+            self.refused += 1
+            return
+        if self._waits.get(packet, tick + 1) <= tick:
+            # It cannot come first, so it takes no room: it is only counted.
+            self._copies[tick] = self._copies.get(tick, 0) + 1
+            return
+        self._waits[packet] = tick
+        self._queued += 1
+        self._coming.setdefault(tick, []).append((packet, entry))
+
+    def take(self, tick: int) -> tuple[int, Entry] | None:
+        """What `tick` plays: the packet's number and its entry, or None. Raises `Refused` going backwards."""
+        last, self._tick = self._tick, max(self._tick, tick)
+        if tick <= last:
+            raise Refused(f"tick {tick} was taken already; take a tick after {last}")
+        arrived = self._arrived(tick, skipped=tick != last + 1) if self._queued or self._copies else []
+        if self._delay is not None:
+            return self._exactly(tick - self._delay, arrived, skipped=tick != last + 1)
+        return self._newest(arrived) if arrived else None
+
+    def _arrived(self, tick: int, *, skipped: bool) -> list[tuple[int, Entry]]:
+        due = sorted(k for k in self._coming if k <= tick) if skipped else [tick]
+        arrived = [item for k in due for item in self._coming.pop(k, ())]
+        self._queued -= len(arrived)
+        for packet, _ in arrived:
+            self._waits.pop(packet, None)
+        if self._copies:
+            for k in [k for k in self._copies if k <= tick]:
+                self.duplicates += self._copies.pop(k)
+        return arrived
+
+    def _is_first(self, packet: int) -> bool:
+        """Count an arrival; is it the first copy, as far as the window remembers?"""
+        if self._window.judge(packet, self._tick) == "duplicate":
+            self.duplicates += 1
+            return False
+        self.received += 1
+        return True
+
+    def _newest(self, arrived: list[tuple[int, Entry]]) -> tuple[int, Entry] | None:
+        # The newest that came at the earlier ticks is the newest played: it won its own tick.
+        newest, fresh = self._window.newest, None
+        for item in arrived:
+            if not self._is_first(item[0]):
+                continue
+            if item[0] < newest:
+                self.overtaken += 1
+                continue
+            self.overtaken += fresh is not None
+            newest, fresh = item[0], item
+        self.played += fresh is not None
+        return fresh
+
+    def _exactly(
+        self, wanted: int, arrived: list[tuple[int, Entry]], *, skipped: bool
+    ) -> tuple[int, Entry] | None:
+        kept = self._kept
+        for packet, entry in arrived:
+            if not self._is_first(packet):
+                continue
+            if packet < wanted:
+                self.late += 1
+            else:
+                kept[packet] = entry
+        if skipped:
+            for packet in [k for k in kept if k < wanted]:
+                del kept[packet]
+                self.late += 1
+        if wanted not in kept:
+            return None
+        self.played += 1
+        return wanted, kept.pop(wanted)

@@ -1,0 +1,135 @@
+"""What both ends of a live run must agree on, as text: the first exchange compares it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+from teleop.errors import Refused
+from teleop.law import law_name
+
+if TYPE_CHECKING:
+    from teleop.scene.scene import Scene
+
+EVERY, TICK_0 = "@every", "@tick 0"  # entries of a manifest that tell and are not compared
+INSECURE = "@insecure"  # one that a relay adds: the link leaves its machine without keys, as it was asked to let it
+MOST_EVERY = 1000  # ticks of the grid to one of an end
+MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
+_CURES = {
+    "wire version": "install the same release of bilateral-teleop at both ends",
+    "scene": "start both ends with the same scene",
+    "law": "start both ends with the same --set law=NAME and the same law.* knobs",
+    "law source": "install the same release, and the same file of the law, at both ends",
+    "mode": "start both ends with --lockstep, or neither",
+    "seed": "start both ends with the same --seed",
+}
+_MADE = frozenset((  # the parts of a scene, which its knobs make
+    "master", "slave", "hand", "environment", "link", "playout", "watchdog", "cap", "device_m", "device_s", "passivity",
+    "electrical", "start_m", "start_s", "packet_size",
+))
+
+
+def manifest(scene: Scene) -> dict[str, str]:
+    """Every part of the scene, every knob, and what the files behind it hold; see `Scene.manifest`."""
+    from teleop.protocol.packet import VERSION
+
+    parts = {name: getattr(scene, name) for name in scene.__dataclass_fields__ if name not in ("name", "knobs")}
+    fixed = {
+        **parts, "wire version": VERSION, "scene": scene.name, "law": f"{law_name(scene.law)} {scene.law}",
+        "packet_size": scene.wire_size, "law source": _own_source(scene.law),
+    }
+    paths = {str(value): fingerprint(value) for value in scene.knobs.values()}
+    texts = {key: fingerprint(value) for key, value in {**scene.knobs, **fixed}.items()}
+    for path, content in paths.items():
+        if content != path:  # the same file may lie elsewhere on the other machine
+            texts = {key: text.replace(path, content) for key, text in texts.items()}
+    return texts
+
+
+def fingerprint(value: object) -> str:
+    """A knob as text; a file by its name and what is in it. Raises `Refused` if that file cannot be read."""
+    from os import PathLike
+
+    if not isinstance(value, PathLike):
+        return str(value)
+    from hashlib import sha256
+    from pathlib import Path
+
+    from teleop.storage.files import read_bytes
+
+    path = Path(value)
+    try:
+        content = read_bytes(path)
+    except OSError as error:
+        raise Refused(f"{path} cannot be read ({error.strerror or error}), and both ends compare what it holds; give "
+                      "the path of a file") from None
+    return f"{path.name} ({sha256(content).hexdigest()[:12]})"
+
+
+def _own_source(law: object) -> str:
+    """What stands in the file of a law that does not come with this package; built-in ones go by version."""
+    from pathlib import Path
+
+    from teleop import __version__
+    from teleop.law import BUILT_IN
+
+    if law_name(law) in BUILT_IN:
+        return __version__
+    end: Any = getattr(type(law), "slave", None) or type(law).force  # type: ignore[attr-defined]  # one of both
+    source = Path(end.__code__.co_filename)
+    return fingerprint(source) if source.is_file() else "not in a file"
+
+
+def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
+    """The sentence that names the first entry in which two manifests differ and what to do, or None.
+
+    Wire version, scene and law come first, for the rest follows from them; then the order of `mine`. How many more
+    differ is said of those alone that do not follow from another: a knob changes the part that it sets too.
+    "Here" is the end of `mine`: call it the other way round for the peer's sentence.
+
+    >>> manifest_difference({"k_e": "50000.0"}, {"k_e": "2000.0"})
+    'k_e is 50000.0 here and 2000.0 there: start both ends with the same --set k_e=50000.0'
+    """
+    names = dict.fromkeys([*_CURES, *mine, *theirs])
+    apart = [name for name in names if mine.get(name) != theirs.get(name)]
+    if not apart:
+        return None
+    name, *more = _causes(apart)
+    here, there = ((end.get(name, "missing") or "empty")[:300] for end in (mine, theirs))
+    if name in _CURES:
+        cure = _CURES[name]
+    elif name in mine and name in theirs:
+        cure = f"start both ends with the same --set {name}={quote(mine[name][:300])}"
+    else:
+        cure = "install the same release, and the same scene file, at both ends"
+    others = f" ({len(more)} more differ)" if more else ""
+    return f"{name} is {here} here and {there} there{others}: {cure}"
+
+
+def _causes(apart: list[str]) -> list[str]:
+    """Of the entries that differ, the first one and those that it, or another, does not bring with it."""
+    if apart[0] in ("wire version", "scene"):
+        return apart[:1]
+    follow = {"law source"} if "law" in apart else set()
+    if "mode" in apart:
+        follow.add("seed")  # only in lockstep do the ends have to agree on it
+    if any(name not in _CURES and name not in _MADE for name in apart):
+        follow |= _MADE
+    return [name for name in apart if name not in follow]
+
+
+def parted(payload: object) -> tuple[dict[str, str], dict[str, int]]:
+    """What of a manifest is compared, and the whole numbers that it tells beside that."""
+    assert isinstance(payload, dict)
+    told = {}
+    for name in (EVERY, TICK_0, INSECURE):
+        text = payload.get(name, "")
+        digits = text.removeprefix("-")
+        if digits.isascii() and digits.isdigit() and len(text) < 20:
+            told[name] = int(text)
+    if not 1 <= told.get(EVERY, 1) <= MOST_EVERY:
+        del told[EVERY]
+    if abs(told.get(TICK_0, 0)) > MOST_CLOCK_NS:
+        del told[TICK_0]
+    return {name: text for name, text in payload.items() if name not in (EVERY, TICK_0, INSECURE)}, told

@@ -1,0 +1,251 @@
+"""One end's line to its peer, over as many associations as it takes. Sans-IO.
+
+    line = Line.calling(key, peer, address)     # the end that begins
+    line = Line.listening(key, peer, secret)    # the end that waits
+    plain, back = line.receive(datagram, address, now)
+    datagram = line.send(plain)                 # to line.address; None: not now
+    back = line.due(now)                        # every few ms; `back`: (datagram, address) to send
+
+Three associations at most: the one in use, the one that is coming, and the one before, which still opens what was
+under way when the keys changed. The one in use goes on until the coming one is authenticated, so that nobody without
+the pinned certificate can end it; a peer that was killed and restarted, at either end, is met again by itself.
+
+The end that calls hears a handshake from the address that it called. Hosts with several addresses answer from any of
+them, so where the one that was called does not answer for `AGAIN_NS` longer than another, that one is heard. An answer
+bears the number of the hello, which is drawn at random for that: who does not see what this end sends has 2**47 to
+guess from, and who does see it comes into a handshake from the called address alone, or where that is silent. The
+certificate decides who it is.
+
+Where the peer is, the handshake says first: the end that calls sends to where its flights were answered from, the one
+that listens to the address that its cookie was for. Another address is challenged before it takes that one's place: see
+`Path`. A challenge and its answer are as long as the last packet, so that they cannot be told from packets.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from teleop.protocol.secure.context import first_number
+from teleop.protocol.secure.data import ANSWER, CHALLENGE
+from teleop.protocol.secure.dtls_record import Dropped, records
+from teleop.protocol.secure.gate import Gate, Where, is_for_gate
+from teleop.protocol.secure.keys import Key
+from teleop.protocol.secure.path import TOKEN, Challenge, Path
+from teleop.protocol.secure.tunnel import AGAIN_NS, LIMIT_NS, Tunnel
+
+SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
+STUCK_NS = 2_000_000_000  # a handshake without an answer for so long is with a peer that is no more
+APART_NS = 1_000_000_000  # between two that it begins
+_MOST_HELLOS = 256  # more than are sent in one handshake
+_MOST_FROM = 16  # addresses from which a handshake is heard
+_ANY, _OWN = "0.0.0.0", "127.0.0.1"  # who calls any address of this machine is answered from its first
+Out = tuple[bytes, Where]
+
+
+class Line:
+    """One end's line to the end whose certificate is pinned. Nothing that comes in raises.
+
+    `trouble`: what went wrong last, a sentence. `associations`: how many there were, all authenticated.
+    `fingerprint`: this end's own.
+    """
+
+    def __init__(self, key: Key, peer: str, address: Where | None, gate: Gate | None) -> None:
+        self.associations, self.fingerprint = 0, key.fingerprint
+        self.trouble: str | None = None
+        self._key, self._peer, self._gate = key, peer, gate
+        self._use: Tunnel | None = None
+        self._coming: Tunnel | None = None
+        self._path = Path(address)
+        self._called = address  # by the end that calls
+        self._coming_at: Where | None = address  # where its flights go
+        self._coming_from: list[Where] = []  # and from where else it is answered
+        self._elsewhere: int | None = None  # when it first was
+        self._direct = False  # is it answered from where its flights go
+        self._tries = 0  # handshakes begun since the last one that was finished
+        self._size = TOKEN  # bytes of the last packet
+        self._first = 0  # the number of its first hello
+        self._old: Tunnel | None = None
+        self._retired: Counter[str] = Counter()  # what was dropped by those that are gone
+        self._changed = 0  # when the one in use came into use
+        self._heard = 0  # when something was last opened
+        self._began: int | None = None  # when this end last began one
+        self._answered = 0  # when the one that is coming was last answered
+
+    @classmethod
+    def calling(cls, key: Key, peer: str, address: Where) -> Line:
+        """The end that begins; the first `due` does."""
+        host, port = address
+        return cls(key, peer, (_OWN if host == _ANY else host, port), None)
+
+    @classmethod
+    def listening(cls, key: Key, peer: str, secret: bytes) -> Line:
+        """The end that waits. `secret`: 32 random bytes of this process."""
+        return cls(key, peer, None, Gate(key, peer, secret))
+
+    @property
+    def address(self) -> Where | None:
+        """Where the peer is, None before an end that listens has met it."""
+        return self._path.address
+
+    @property
+    def settled(self) -> bool:
+        """Is it certain, for the time being, that the peer is at `address` and nowhere else?"""
+        return self._path.settled
+
+    @property
+    def ready(self) -> bool:
+        """Is there an association in use?"""
+        return self._use is not None and self._use.failure is None
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """What was not taken, by cause."""
+        gate = Counter() if self._gate is None else self._gate.dropped
+        there = [tunnel.dropped for tunnel in (self._use, self._coming, self._old) if tunnel is not None]
+        return sum([gate, *there], self._retired)
+
+    def send(self, plain: bytes) -> bytes | None:
+        """`plain` sealed, to go to `address`."""
+        self._size = len(plain)
+        return None if self._use is None else self._use.send(plain)
+
+    def receive(self, datagram: bytes, address: Where, now: int) -> tuple[list[bytes], list[Out]]:
+        """What a datagram carries, and what to send at once."""
+        if is_for_gate(datagram):
+            return [], self._meet(datagram, address, now)
+        # A handshake record may lie behind another: one that is not over hears only the addresses it goes to.
+        there = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None
+                 and (one.ready or self._hears(address, now))]
+        if not there:
+            self._retired[Dropped.EARLY] += 1
+        before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
+        for i, tunnel in enumerate(there):
+            plain = tunnel.receive(datagram, now)[0]
+            if plain or tunnel.words:
+                for missed, dropped in zip(there[:i], before, strict=False) if i else ():
+                    missed.dropped = dropped  # it was only meant for another one
+                if tunnel is self._coming:
+                    self._change(now)
+                self._heard = now
+                known = not tunnel.words and not self._path.matters(address, now)
+                return plain, [] if known else self._genuine(tunnel, address, now)
+            if tunnel.failure is not None:
+                self._ended(tunnel)
+        for tunnel, dropped in zip(there[1:], before[1:], strict=False):
+            tunnel.dropped = dropped  # one datagram counts once
+        if self._use is not None and self._path.matters(address, now) and self._use.is_genuine(datagram):
+            return [], self._sealed(self._path.heard(address, now))  # a copy
+        return [], []
+
+    def due(self, now: int) -> list[Out]:
+        """What is to be sent by now: handshakes, and what was not answered of them."""
+        out: list[Out] = []
+        if self._old is not None and now - self._changed > LIMIT_NS:
+            self._retired += self._old.dropped
+            self._old = None
+        for tunnel, at in ((self._use, self.address), (self._coming, self._coming_at)):
+            if tunnel is not None and at is not None:
+                out += [(data, at) for data in tunnel.due(now)]
+        out += self._sealed(self._path.due(now))
+        if self._coming is not None and self._coming.failure is not None:
+            self._ended(self._coming)
+        if self._coming is not None and self._gate is None and now - self._answered > STUCK_NS:
+            self._retired += self._coming.dropped
+            self._coming = None
+            self.trouble = ("nothing answers; start the other end first, and if it runs, check the address, and that "
+                            f"its --peer-fingerprint is that of this key: {self.fingerprint}")
+        quiet = not self.ready or now - max(self._heard, self._changed) > SILENT_NS
+        rested = self._began is None or now - self._began > APART_NS
+        return out + self.renew(now) if quiet and rested else out
+
+    def renew(self, now: int) -> list[Out]:
+        """Begin another association beside the one in use, for new keys; only the end that calls can."""
+        at = self.address if self._tries % 2 else self._called  # by turns: it may be back, or have moved
+        if self._gate is not None or self._coming is not None or at is None:
+            return []
+        self._began = self._answered = now
+        self._tries += 1
+        self._coming_at, self._coming_from, self._elsewhere, self._direct = at, [], None, False
+        self._coming, self._first = Tunnel.towards(self._key, self._peer, now), first_number()
+        return [(data, at) for data in self._coming.begin(now, first=self._first)]
+
+    def close(self) -> list[Out]:
+        """End all there is; what tells the peer."""
+        at = self.address
+        return [(data, at) for one in (self._use, self._coming) if one is not None and at for data in one.close()]
+
+    def _meet(self, datagram: bytes, address: Where, now: int) -> list[Out]:
+        if self._gate is not None:
+            let_in, back = self._gate.receive(datagram, address, now)
+            self.trouble = self._gate.refused or self.trouble
+            if let_in is not None:
+                self._coming, self._coming_at = let_in, address
+                if not self.ready:
+                    self._change(now)
+            return [(data, address) for data in back]
+        coming, at = self._coming, self._coming_at
+        asked = [one.number - self._first for one in records(datagram) or [] if one.is_request]
+        answers = all(0 <= number < _MOST_HELLOS for number in asked)  # or it is of another handshake
+        if asked and answers and address == at:
+            self._direct = True
+        elif asked and answers and address not in self._coming_from and len(self._coming_from) < _MOST_FROM:
+            self._coming_from.append(address)
+            self._elsewhere = now if self._elsewhere is None else self._elsewhere
+        if coming is None or at is None or not answers or not self._hears(address, now):
+            self._retired[Dropped.EPOCH] += 1
+            return []
+        back = coming.receive(datagram, now)[1]
+        self._answered = now
+        if coming.failure is not None:
+            self._ended(coming)
+        elif coming.ready:
+            self._change(now)
+        return [(data, at) for data in back]  # to where the hello came to its end: a cookie is for the way that it took
+
+    def _hears(self, address: Where, now: int) -> bool:
+        """Is the handshake that is coming heard from there?"""
+        if address == self._coming_at or self._elsewhere is None or self._direct:
+            return address == self._coming_at
+        return address in self._coming_from and now - self._elsewhere > AGAIN_NS
+
+    def _change(self, now: int) -> None:
+        """The coming association is the one in use from now on."""
+        if self._old is not None:
+            self._retired += self._old.dropped
+        self._old, self._use, self._coming = self._use, self._coming, None
+        self._changed = self._heard = now
+        self.associations += 1
+        self._tries = 0
+        if self._coming_at is not None:
+            self._path.settle(self._coming_at)
+
+    def _genuine(self, tunnel: Tunnel, address: Where, now: int) -> list[Out]:
+        """What to send when something genuine and new has come from this address."""
+        words, tunnel.words = tunnel.words, []
+        if tunnel is not self._use:
+            return []
+        out: list[Out] = []
+        for word in words:
+            token, what = word[:TOKEN], word[-1:]
+            if what == ANSWER:
+                self._path.answered(token, now)
+            elif what == CHALLENGE and self.address is not None:
+                # Also to where the peer is known to be: a challenge that was copied may have come from anywhere.
+                answer = tunnel.send(word[:-1], ANSWER)
+                out += [(answer, at) for at in {address, self.address} if answer is not None]
+        if self._path.matters(address, now):
+            out += self._sealed(self._path.heard(address, now))
+        return out
+
+    def _sealed(self, challenges: list[Challenge]) -> list[Out]:
+        out: list[Out] = []
+        for token, at in challenges:
+            data = None if self._use is None else self._use.send(token.ljust(self._size, b"\0"), CHALLENGE)
+            out += [] if data is None else [(data, at)]
+        return out
+
+    def _ended(self, tunnel: Tunnel) -> None:
+        self.trouble = tunnel.failure
+        if tunnel is self._coming:
+            self._retired += tunnel.dropped
+            self._coming = None

@@ -1,0 +1,232 @@
+"""The keyword parameters of a scene, read from texts or from Python, each checked by name and type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import fields, replace
+from functools import lru_cache
+from inspect import Parameter, signature
+from numbers import Real
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, get_args, get_type_hints
+
+from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
+from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, law_name
+from teleop.protocol.inbox import Fixed, Hold, Zero
+from teleop.scene.library import house
+
+_TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+
+@lru_cache(maxsize=64)
+def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
+    """A scene function's knobs: `name -> (type, default)`; the default is `...` where one must be given.
+
+    A knob without an annotation is of its default's type; one without a default too is a number.
+    """
+    try:
+        hints = get_type_hints(function)
+    except Exception as error:
+        raise Refused(f"the types of a scene's knobs cannot be read ({error}); import them at the top of its file, "
+                      "outside of `if TYPE_CHECKING:`") from error
+    parameters = signature(function).parameters.values()
+    for p in parameters:
+        if p.kind not in (Parameter.KEYWORD_ONLY, Parameter.POSITIONAL_OR_KEYWORD):
+            raise Refused(f"a scene takes each knob by its name, so `{p}` cannot be one; "
+                          "write for example `def scene(*, k_e: float = 1e3) -> Scene:`")
+    defaults = {p.name: ... if p.default is p.empty else p.default for p in parameters}
+    return {name: (hints[name] if name in hints else _kind(name, default), default)
+            for name, default in defaults.items()}
+
+
+def _kind(name: str, default: Any) -> Any:
+    """The type of a knob that has no annotation."""
+    if name == "law" or _is_law(default):
+        return Law | OnePortLaw
+    if isinstance(default, (Zero, Hold, Fixed)):
+        return Zero | Hold | Fixed
+    if isinstance(default, (bool, str, Path)):
+        return Path if isinstance(default, Path) else type(default)
+    if default is None:
+        return float | None
+    if default is ... or isinstance(default, Real):
+        return float  # of a whole number too: who writes k=1000 does not mean that k counts something
+    if isinstance(default, tuple) and all(isinstance(each, Real) for each in default):
+        return float | tuple[float, ...]
+    if all(hasattr(default, each) for each in ("coefficients", "start", "step")):
+        from teleop.stages.device import VelocityEstimator
+
+        return VelocityEstimator
+    return type(default)
+
+
+def settle(
+    name: str, function: Callable[..., Any], given: Mapping[str, object]
+) -> tuple[dict[str, object], dict[str, tuple[object, Any]]]:
+    """All knobs of a scene with their values; of what every scene has, what was given, to be shown and to be set.
+
+    Raises `Refused` for what is not known, for what is no value, and for a knob that only the scene's own link would
+    have read where that link is replaced: it would be turned, shown, and change nothing.
+    """
+    known = knobs_of(function)
+    values: dict[str, Any] = {key: default for key, (_, default) in known.items() if default is not ...}
+    of_scene: dict[str, tuple[object, Any]] = {}
+    of_law: dict[str, object] = {}
+    for key, value in given.items():
+        if key.startswith("law.") and "law" in known:
+            of_law[key.removeprefix("law.")] = value
+        elif key == "link" and key not in known:
+            of_scene[key] = _link(value)
+        elif key == "x_limit" and key not in known:
+            of_scene[key] = (limit := _number(key, value, whole=False, vector=False)), limit
+        elif key not in known:
+            raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, 'link', 'x_limit'])}")
+        else:
+            values[key] = read(key, value, known[key][0])
+    missing = [key for key in known if key not in values]
+    if missing:
+        raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
+    if of_law:
+        values["law"] = _tuned(values["law"], of_law)
+    if "link" in of_scene:
+        for key in given:
+            if key in known and _only_in_link(function, key, values, known[key][1]):
+                text = f"delay({values[key]})" if key == "delay" else "delay(0.04) | uniform(0.02) | bernoulli(0.02)"
+                raise Refused(f"{key} sets nothing but the link of scene {name}, and link={of_scene['link'][0]} takes "
+                              f"that link's place; leave {key} out and write the whole link, for example "
+                              f"link='{text}'")
+    return values, of_scene
+
+
+@lru_cache(maxsize=64)
+def _found_in_link(_: Callable[..., Any]) -> dict[str, bool]:
+    """What is known of a scene function's knobs by now, for `_only_in_link`; to be added to."""
+    return {}
+
+
+def _only_in_link(function: Callable[..., Any], key: str, values: Mapping[str, Any], default: Any) -> bool:
+    """Does a knob change the link of a scene and nothing else of it? Found by turning it, once for each function."""
+    known = _found_in_link(function)
+    if key not in known:
+        known[key] = _turned(function, key, values, default)
+    return known[key]
+
+
+def _turned(function: Callable[..., Any], key: str, values: Mapping[str, Any], default: Any) -> bool:
+    now = values[key]
+    others = [default] if default is not ... else []
+    if type(now) in (int, float):
+        others += [now / 2.0, 2.0 * now, now + 1.0] if type(now) is float else [now + 1, now - 1]
+    for other in others:
+        with suppress(Exception):  # a value that the scene does not take; what is wrong with its own, it says itself
+            if other == now:
+                continue
+            one, two = (dict(vars(function(**{**values, key: value}))) for value in (now, other))
+            if one.pop("link") != two.pop("link"):  # and where both are equal, it may be by chance
+                return bool(one == two)
+    return False
+
+
+def read(key: str, value: object, hint: Any) -> object:
+    """`value` (a text, or already of the type) as the knob's type. Raises `Refused`."""
+    kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    if NoneType in kinds and (value is None or value == "none"):
+        return None
+    if bool in kinds:
+        return _truth(key, value)
+    if Path in kinds:
+        return _path(key, value)
+    if Zero in kinds or hint == Zero | Hold | Fixed:
+        return _playout(key, value)
+    if float in kinds or int in kinds:
+        return _number(key, value, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds))
+    if key == "law" or Law in kinds or OnePortLaw in kinds:
+        return _law(key, value)
+    if any(getattr(kind, "__name__", "") == "VelocityEstimator" for kind in kinds) and isinstance(value, str):
+        from teleop.stages.velocity.named import ESTIMATORS
+
+        return ESTIMATORS.read(value)
+    if str in kinds and isinstance(value, str):
+        return value
+    if isinstance(value, str):
+        raise Refused(f"{key} cannot be written as text; set it from Python")
+    return value
+
+
+def _truth(key: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, str) and value.lower() in _TRUTH:
+        return _TRUTH[value.lower()]
+    raise Refused(f"{key} is true or false, not {value!r}; write {key}=true")
+
+
+def _path(key: str, value: object) -> Path:
+    if isinstance(value, (str, Path)) and str(value):
+        return Path(value)
+    raise Refused(f"{key} is the path of a file, not {value!r}")
+
+
+def _number(key: str, value: object, *, whole: bool, vector: bool) -> object:
+    if vector and isinstance(value, str) and "," in value:
+        return tuple(_number(key, part, whole=whole, vector=False) for part in value.split(","))
+    if vector and isinstance(value, tuple):
+        return tuple(_number(key, part, whole=whole, vector=False) for part in value)
+    if isinstance(value, str):
+        try:
+            value = float(value)
+        except ValueError:
+            what = "one number" if "," in str(value) else "a number"
+            raise Refused(f"{key} must be {what}, not {value!r}; write for example {key}=1.5") from None
+    return whole_number(key, value) if whole else number(key, value)
+
+
+def _is_law(value: object) -> bool:
+    return hasattr(value, "master_start") or hasattr(value, "force")
+
+
+def _law(key: str, value: object) -> object:
+    if isinstance(value, str):
+        return find_law(value)()
+    if not _is_law(value):
+        raise Refused(f"{key} must be a law or the name of one, not {value!r}; write {key}=wave")
+    return value
+
+
+def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
+    own = [f.name for f in fields(law)]
+    for key in changes:
+        if key not in own:
+            whose = [name for name in BUILT_IN if key in [f.name for f in fields(find_law(name))]]  # type: ignore[arg-type]  # laws are dataclasses
+            also = f" (law {' and '.join(whose)} has)" if whose else ""
+            raise Refused(f"law {law_name(law)} has no knob {key!r}{also}; {nearest(key, own)}")
+    values = {key: _number(f"law.{key}", value, whole=False, vector=False) for key, value in changes.items()}
+    try:
+        return replace(law, **values)
+    except WrongNumber as wrong:
+        raise wrong.called(f"law.{wrong.name}") from None
+
+
+def _playout(key: str, value: object) -> Zero | Hold | Fixed:
+    """`zero`, `hold`, `fixed:0.1` or `fixed:0.1:hold` (gaps)."""
+    if isinstance(value, (Zero, Hold, Fixed)):
+        return value
+    kind, *rest = str(value).split(":")
+    gaps: dict[str, Zero | Hold] = {"zero": Zero(), "hold": Hold()}
+    if kind in gaps and not rest:
+        return gaps[kind]
+    if kind == "fixed" and rest and (len(rest) == 1 or rest[1] in gaps):
+        with suppress(ValueError):
+            return Fixed(float(rest[0]), gaps[rest[1]] if len(rest) > 1 else Zero())
+    raise Refused(f"{key} is zero, hold, fixed:SECONDS or fixed:SECONDS:hold, not {value!r}; write {key}=fixed:0.1")
+
+
+def _link(value: object) -> tuple[str, Any]:
+    module = house("channel.link")
+    if value is None or value == "none":
+        return "none", None
+    if isinstance(value, str):
+        return value, module.parse_link(value)
+    return module.describe(value), value  # what is no link, the scene refuses

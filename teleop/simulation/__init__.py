@@ -1,0 +1,1 @@
+"""Virtual time: the tick, the loop made of it, and the result of a run."""

@@ -1,0 +1,143 @@
+"""The scene's bodies as exact steps: the gripped master, the slave in what it touches, the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.errors import Refused
+from teleop.scene.scene import Environment, Reference, Scene
+
+if TYPE_CHECKING:
+    from teleop.physics.plant import Force, MassDamper, Move, Plant
+
+
+class Held(NamedTuple):
+    """The coefficients of the bodies, and their inner states at the first tick."""
+
+    grip: Any
+    z_m: Any
+    c: tuple[Any, ...]  # of the slave, for each axis
+    z_s: tuple[Any, ...]
+
+
+class Bodies(NamedTuple):
+    """What moves between two ticks of a run in virtual time."""
+
+    master: Any  # the coefficients of the master's motion and of its grip's force
+    slaves: list[Plant]  # for each axis; none in a scene without a slave
+    instead: Mapping[str, Any] = MappingProxyType({})  # of the functions that the tick's text names, by those names
+    inner_m: Any = None  # the master's inner state at the first tick, if it has one
+    report_m: Callable[[Any], Mapping[str, float]] | None = None  # what to say of that state afterwards
+
+    def functions(self) -> dict[str, Any]:
+        """What the text of a run names of the bodies, by those names."""
+        own = {f"move{i}": plant.move for i, plant in enumerate(self.slaves)}
+        return {**own, **{f"force{i}": plant.force for i, plant in enumerate(self.slaves)}, **self.instead}
+
+    def held(self) -> Held:
+        """The numbers that it begins with."""
+        return Held(self.master, self.inner_m, tuple([plant.c for plant in self.slaves]),
+                    tuple([plant.start for plant in self.slaves]))
+
+
+def exact_bodies(scene: Scene) -> Bodies:
+    """The scene's own bodies: without an error of integration, or with one that is kept to `scene.tolerance`."""
+    slaves = slave_plants(scene)
+    if scene.master.friction == 0.0 and scene.electrical is None:
+        return Bodies(master_plant(scene), slaves)
+    held = held_master(scene)
+    return Bodies(held.c, slaves, {"move_held": held.move, "held_force": held.force}, held.start, held.report)
+
+
+def master_plant(scene: Scene) -> Any:
+    """The coefficients of the master's motion where that is linear: with the hand gripped to it, or alone."""
+    from teleop.physics.plant import free_space, grip
+
+    dt = scene.dt_ns / 1e9
+    if scene.hand is None:
+        return free_space(scene.master, dt).c
+    # A plain tuple: it unpacks faster than a NamedTuple, at every tick.
+    return tuple(grip(scene.master, scene.hand.mass, scene.hand.k, scene.hand.d, dt))
+
+
+def held_master(scene: Scene) -> Plant:
+    """The master where its motion has an inner state: friction, or a motor damped by a shunt."""
+    hand = scene.hand
+    grip = (hand.mass, hand.k, hand.d) if hand is not None else (0.0, 0.0, 0.0)
+    dt = scene.dt_ns / 1e9
+    if scene.electrical is None:
+        from teleop.physics.implicit import implicit_master
+
+        return implicit_master(scene.master, *grip, dt, friction=scene.master.friction, tol=scene.tolerance)
+    from teleop.physics.relaxing import relaxing_master
+
+    if scene.master.friction > 0.0:
+        raise Refused("friction of the master and electrical damping do not go together yet; leave one of them out")
+    return relaxing_master(scene.master, *grip, dt, b_e=scene.electrical.b, cutoff=scene.electrical.cutoff)
+
+
+def slave_plants(scene: Scene) -> list[Plant]:
+    """The slave's motion in what it touches, for each axis."""
+    body = scene.slave
+    if body is None:
+        return []
+    plants = [_slave(scene, body, one) for one in scene.environments]
+    if any(plant.start is not None for plant in plants):  # they share the lines of the tick
+        return [plant if plant.start is not None else with_inner(plant) for plant in plants]
+    return plants
+
+
+def _slave(scene: Scene, body: MassDamper, environment: Environment | None) -> Plant:
+    """The slave in one environment, which may be carried along a path."""
+    dt = scene.dt_ns / 1e9
+    path: Reference | None = getattr(environment, "path", None)
+    still: Any = environment if path is None else environment.environment  # type: ignore[union-attr]
+    if body.friction > 0.0 or (still is not None and not hasattr(still, "plant")):
+        plant = _integrated(scene, body, still)
+    elif still is None:
+        from teleop.physics.plant import free_space
+
+        plant = free_space(body, dt)
+    else:
+        plant = still.plant(body, dt)
+    if path is None:
+        return plant
+    from teleop.physics.carried import carried
+
+    places, = path.samples(1, scene.ticks + 1, scene.dt_ns)
+    return carried(plant, places, body, dt)
+
+
+def _integrated(scene: Scene, body: MassDamper, environment: Any) -> Plant:
+    """The slave where its motion has no closed form, to the scene's tolerance."""
+    from teleop.physics.implicit import Resistance, implicit_plant
+
+    if environment is not None and not hasattr(environment, "resistance"):
+        raise Refused(f"a slave with friction is not known in {type(environment).__name__}, which has no "
+                      "resistance(); write friction=0, or take a wall, a tissue or a Hunt-Crossley body")
+    resistance = Resistance() if environment is None else environment.resistance()
+    return implicit_plant(body, scene.dt_ns / 1e9, resistance=resistance, friction=body.friction, tol=scene.tolerance)
+
+
+def with_inner(plant: Plant) -> Plant:
+    """A plant without an inner state, called like those that have one."""
+    from teleop.physics.plant import bound
+
+    return plant._replace(move=bound(_move_beside, plant.move), force=bound(_force_beside, plant.force), start=())
+
+
+def _move_beside(move: Move, c: Any, x: float, v: float, f: float, z: Any) -> tuple[Any, ...]:
+    return (*move(c, x, v, f), z)
+
+
+def _force_beside(force: Force, c: Any, x: float, v: float, z: Any) -> float:  # noqa: ARG001
+    return force(c, x, v)
+
+
+def reference_samples(scene: Scene) -> tuple[Sequence[float], ...] | None:
+    """Where the hand wants to be, per axis, at the ticks 0 .. n: one more than the run has."""
+    if scene.hand is None:
+        return None
+    return scene.hand.reference.samples(scene.axes, scene.ticks + 1, scene.dt_ns)

@@ -1,0 +1,212 @@
+"""Figures of a run, each with its SI unit, worked out from its trace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from teleop.scene.scene import Scene
+from teleop.simulation.trace import blocks
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+UNITS = {
+    "x_err_rms": "m", "x_err_max": "m", "f_err_rms": "N", "f_err_max": "N", "f_m_max": "N", "f_s_max": "N",
+    "f_h_max": "N", "f_env_max": "N", "T_fwd_mean": "s", "T_fwd_max": "s", "T_bwd_mean": "s", "T_bwd_max": "s",
+    "fresh_fwd": "1", "fresh_bwd": "1", "E_link_min": "J", "E_link_end": "J", "E_port_min": "J",
+    "E_port_end": "J", "E_fwd_min": "J", "E_bwd_min": "J", "g_m_min": "1", "g_s_min": "1",
+}
+MEANING = {
+    "x_err_rms": "tracking: slave against the master as it was one forward delay ago",
+    "f_err_rms": "force felt against the force touched one backward delay ago",
+    "T_fwd_mean": "age of a forward message when it was first played",
+    "fresh_fwd": "share of the slave's ticks with a fresh message",
+    "E_link_min": "smallest energy stored in the link",
+    "E_fwd_min": "forward: sender's stamped energy less what was received, smallest",
+    "g_m_min": "smallest gain the master's watchdog came to",
+}
+
+
+TINY = 1e-300
+
+
+def metrics(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
+    """Those of `worked_out` that are finite."""
+    return finite(worked_out(scene, trace))
+
+
+def finite(every: dict[str, float]) -> dict[str, float]:
+    """Those that are finite."""
+    return {name: value for name, value in every.items() if isfinite(value)}
+
+
+def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
+    """Every figure of `UNITS` that the scene has, by name; of one end's trace, those that it is enough for.
+
+    Tracking error is `|x_s(k) - x_m(k - d)|` with d the median age, in ticks, at which forward messages were
+    played; force error is `|f_m(k) - f_env(k - d)|` with that of the backward ones. Without a link d is 1.
+    """
+    ticks = len(trace["t"])
+    if not ticks:
+        return {}
+    dt = scene.dt_ns / 1e9
+    out: dict[str, float] = {}
+    for way, seq in (("fwd", "seq_s"), ("bwd", "seq_m")):
+        age = _ages(trace, seq, dt)
+        if age is not None:
+            out |= _delays(way, age, ticks)
+    if "x_m" in trace and "x_s" in trace:
+        for name in ("x_err", "f_err"):
+            out |= _worst(name, _error(scene, trace, name))
+    forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
+    out |= {f"{name}_max": _greatest(trace[name]) for name in forces}
+    for ledger in ("E_link", "E_port"):
+        if ledger in trace:
+            energy = trace[ledger]
+            out |= {f"{ledger}_min": float(energy.min()), f"{ledger}_end": float(energy[-1])}
+    for way, e in (("fwd", "s"), ("bwd", "m")):
+        if {f"E_in_{way}", f"E_out_{way}", f"seq_{e}"} <= trace.keys():
+            out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
+    out |= {f"{g}_min": float(trace[g].min()) for g in ("g_m", "g_s") if g in trace}
+    return out
+
+
+def of_plan(way: str, play: Sequence[int], dt: float) -> dict[str, float]:
+    """What a run has of one direction ("fwd" or "bwd") by itself: `play` are the packets played at its ticks, or -1."""
+    import numpy as np
+
+    played = np.asarray(play)
+    fresh = np.flatnonzero(played >= 0)
+    return _delays(way, (fresh - played[fresh]) * dt, len(played))
+
+
+def _delays(way: str, age: NDArray[np.float64], ticks: int) -> dict[str, float]:
+    out = {f"fresh_{way}": len(age) / ticks}
+    return {**out, f"T_{way}_mean": float(age.mean()), f"T_{way}_max": float(age.max())} if len(age) else out
+
+
+def tracking(scene: Scene, trace: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """Tracking error `x_err` (m) and force error `f_err` (N) at every tick, as `metrics` defines them.
+
+    NaN at the ticks before the other end's value of one delay ago exists.
+    """
+    return {name: _error(scene, trace, name) for name in ("x_err", "f_err")}
+
+
+def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.float64]:
+    """One of the two errors of `tracking`."""
+    mine, theirs, seq = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}[name]
+    dt = scene.dt_ns / 1e9
+    lag = _lag(_ages(trace, seq, dt), dt)
+    return _behind(trace[mine], trace[theirs], _ticks(trace, dt), lag)
+
+
+def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:
+    import numpy as np
+
+    t = trace["t"]
+    ticks = np.empty(len(t), dtype=np.int64)
+    for block in blocks(len(t)):
+        ticks[block] = np.rint(t[block] / dt)
+    return ticks
+
+
+def _ages(trace: Mapping[str, Any], seq: str, dt: float) -> NDArray[np.float64] | None:
+    """Ages (s) of the fresh messages when they were played; None without a link."""
+    import numpy as np
+
+    if seq not in trace:
+        return None
+    played, t = trace[seq], trace["t"]
+    age = np.empty(int(np.count_nonzero(played >= 0)))
+    at = 0
+    for block in blocks(len(t)):
+        fresh = played[block] >= 0
+        some = (np.rint(t[block] / dt).astype(np.int64)[fresh] - played[block][fresh]) * dt
+        age[at : at + len(some)] = some
+        at += len(some)
+    return age
+
+
+def _lag(age: NDArray[np.float64] | None, dt: float) -> int:
+    """The median age in whole ticks, a half rounded up; 1 without a link."""
+    import numpy as np
+
+    if age is None:
+        return 1
+    if not len(age):
+        return 0
+    age.partition(len(age) // 2)
+    return int(np.floor(age[len(age) // 2] / dt + 0.5))
+
+
+def _greatest(column: NDArray[Any]) -> float:
+    """The greatest magnitude; NaN if there is one."""
+    import numpy as np
+
+    return float(np.max([magnitude(column[block]).max() for block in blocks(len(column))]))
+
+
+def magnitude(column: NDArray[Any]) -> NDArray[Any]:
+    """Magnitude over the axes, without squares that overflow where the magnitude does not."""
+    import numpy as np
+
+    with np.errstate(all="ignore"):  # the last rows of a run that diverged
+        size: NDArray[Any] = np.abs(column)
+        if column.ndim == 1:
+            return size
+        # As `teleop.sweeps.kernels.measures.magnitude3` has it, in the same order: a sweep gives the same bits.
+        top = np.maximum(size.max(axis=1), TINY)
+        parts = (column / top[:, None]).T
+        total = parts[0] * parts[0]
+        for part in parts[1:]:
+            total = total + part * part
+        return np.asarray(top * np.sqrt(total))
+
+
+def _behind(mine: NDArray[Any], theirs: NDArray[Any], ticks: NDArray[np.int64], lag: int) -> NDArray[np.float64]:
+    """Magnitude of `mine(k) - theirs(k - lag)`; NaN before the first tick at which both exist."""
+    import numpy as np
+
+    size = np.full(len(ticks), np.nan)
+    with np.errstate(all="ignore"):
+        for block in blocks(len(ticks)):
+            at = np.searchsorted(ticks, ticks[block] - lag, side="right") - 1
+            has = at >= 0
+            size[block][has] = magnitude(mine[block][has] - theirs[at[has]])
+    return size
+
+
+def _worst(name: str, size: NDArray[np.float64]) -> dict[str, float]:
+    """RMS and maximum, from the first tick on at which there is an error to speak of."""
+    import numpy as np
+
+    has = ~np.isnan(size)
+    if not has.any():
+        return {}
+    size = size[has.argmax():]
+    total = 0.0
+    with np.errstate(all="ignore"):
+        for block in blocks(len(size)):  # summed in the order of the ticks, as a sweep does as it goes
+            total = np.add.accumulate(np.concatenate([[total], size[block] * size[block]]))[-1]
+        return {f"{name}_rms": float(np.sqrt(total / len(size))), f"{name}_max": float(size.max())}
+
+
+def _stamped(trace: Mapping[str, Any], way: str, e: str, dt: float) -> float:
+    """Smallest of (energy the sender had put in when it sent) - (energy taken out when it was played)."""
+    import numpy as np
+
+    played = trace[f"seq_{e}"]
+    ticks, sent, taken = _ticks(trace, dt), trace[f"E_in_{way}"], trace[f"E_out_{way}"]
+    least = []
+    with np.errstate(all="ignore"):
+        for block in blocks(len(ticks)):
+            row = np.searchsorted(ticks, played[block])
+            ok = (played[block] >= 0) & (row < len(ticks))
+            ok[ok] = ticks[row[ok]] == played[block][ok]
+            if ok.any():
+                least.append((sent[row[ok]] - taken[block][ok]).min())
+    return float(np.min(least)) if least else 0.0

@@ -1,0 +1,228 @@
+"""What a run leaves: a status with its sentence, figures, packet counts, and the trace."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from teleop.errors import Refused
+from teleop.scene.scene import Scene
+from teleop.simulation.metrics import UNITS, finite, worked_out
+from teleop.simulation.trace import blocks
+from teleop.storage.files import read_bytes, replacing
+from teleop.storage.folder import BEGUN, is_being_written, new_folder
+from teleop.storage.strict_json import Misshapen, parse, plain, written
+
+if TYPE_CHECKING:
+    from teleop.protocol.inbox import Plan
+
+RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
+LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
+
+
+def versions() -> dict[str, str]:
+    """What a summary says it was made by."""
+    import numpy
+
+    from teleop import __version__
+
+    return {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Packets:
+    """Counts of one direction. `rejected` names the cause of each refusal; it happens live only."""
+
+    sent: int = 0
+    received: int = 0
+    lost: int = 0
+    late: int = 0
+    overtaken: int = 0
+    duplicates: int = 0
+    in_flight: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def of_plan(cls, plan: Plan) -> Packets:
+        """The counts of a direction that was drawn up front."""
+        return cls(sent=plan.sent, received=plan.received, lost=plan.lost, late=plan.late, overtaken=plan.overtaken,
+                   duplicates=plan.duplicates, in_flight=plan.in_flight)
+
+    @classmethod
+    def without_link(cls, ticks: int) -> Packets:
+        """No queue and no packets: each end sees the other's last message."""
+        return cls(sent=ticks, received=max(0, ticks - 1), in_flight=min(1, ticks))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """One run. `status` is ok, diverged or stopped; `trace` maps names to arrays, one row per tick."""
+
+    scene: str
+    parameters: Mapping[str, object]
+    seed: int
+    mode: str  # virtual, lockstep or live
+    status: str
+    sentence: str
+    ticks: int
+    dt: float
+    run_time: float | None  # s
+    metrics: Mapping[str, float]
+    packets: Mapping[str, Packets]
+    notes: Sequence[str] = ()
+    extra: Mapping[str, object] = field(default_factory=dict)
+    trace: Mapping[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+
+    @classmethod
+    def make(
+        cls, scene: Scene, *, seed: int, mode: str, status: str, sentence: str, ticks: int, run_time: float | None,
+        trace: Mapping[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
+        extra: Mapping[str, object] | None = None,
+    ) -> Result:
+        """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite."""
+        every = worked_out(scene, trace)
+        lost = ", ".join(sorted(every.keys() - finite(every).keys()))
+        notes = [*notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
+        return cls(
+            scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=status, sentence=sentence,
+            ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=finite(every), packets=packets,
+            notes=tuple(notes), extra=extra or {}, trace=trace,
+        )
+
+    def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
+        """What goes into summary.json: a number that is not finite as the text "inf", "-inf" or "nan"."""
+        summary: dict[str, Any] = plain({
+            "status": self.status, "sentence": self.sentence, "scene": self.scene, "mode": self.mode,
+            "parameters": dict(self.parameters), "seed": self.seed,
+            "versions": versions(),
+            "command": list(command), "dt": self.dt, "ticks": self.ticks, "run_time": self.run_time,
+            "metrics": {k: {"value": v, "unit": UNITS[k]} for k, v in self.metrics.items()},
+            "packets": {way: asdict(counts) for way, counts in self.packets.items()},
+            "notes": list(self.notes), **self.extra,
+        })
+        return summary
+
+    def save(self, folder: Path, command: Sequence[str] = ()) -> Result:
+        """Write summary.json and trace.npz as the new `folder`, all of it or nothing."""
+        with new_folder(folder) as new:
+            self.write(new.inside, command)
+        return replace(self, path=folder)
+
+    def write(self, folder: Path, command: Sequence[str] = ()) -> None:
+        """Write the files of the run into a folder that is there, each in the place of one that it may hold."""
+        text = written(self.summary(command), indent=2)
+        with replacing(folder / "trace.npz") as file:
+            write_arrays(file, self.trace)
+        with replacing(folder / "summary.json") as file:
+            file.write(text.encode() + b"\n")
+
+
+def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
+    """Write arrays to a file as `numpy.savez` does, with one of them in memory at a time."""
+    from zipfile import ZIP_STORED, ZipFile
+
+    import numpy as np
+
+    with ZipFile(file, "w", ZIP_STORED, allowZip64=True) as archive:
+        for name in arrays:
+            array = np.ascontiguousarray(arrays[name])
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array_header_1_0(entry, np.lib.format.header_data_from_array_1_0(array))
+                for block in blocks(len(array)):
+                    entry.write(array[block].data)
+
+
+def parameters(scene: Scene) -> dict[str, object]:
+    """The scene's knobs as JSON can hold them; the law by its name and numbers."""
+    from dataclasses import fields, is_dataclass
+
+    from teleop.law import law_name
+
+    plain: dict[str, object] = {}
+    for key, value in {**scene.knobs, "law": scene.law}.items():
+        if key == "law" and is_dataclass(value):
+            plain[key] = {"name": law_name(value), **{f.name: getattr(value, f.name) for f in fields(value)}}
+        else:
+            plain[key] = value if isinstance(value, int | float | str | list | tuple | None) else str(value)
+    return plain
+
+
+def load_result(folder: Path | str, *, trust: bool = False) -> Result:
+    """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none.
+
+    Of a live run whose process was killed the summary is made from its record and written; of one that goes on, with
+    the status `RUNNING`, nothing is written.
+
+    The folder may be of unknown origin: nothing in it is run, no link is followed, and memory goes with the size of its
+    files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.scene.trust`.
+    """
+    at = Path(folder)
+    try:
+        if has_record(at):
+            from teleop.live.records.merge import needs_recovery, recover
+
+            if needs_recovery(at):  # a live run whose process was killed, or goes on
+                result = recover(at, trust=trust)
+                if result.status == RUNNING:
+                    return result
+        elif is_being_written(at):
+            raise Refused(f"{at} {BEGUN}")
+        return _read(at)
+    except Refused:
+        raise
+    except Exception as error:  # no folder, no JSON, no zip, cut short, of another version
+        raise Refused(
+            f"{at} holds no complete run ({_why(error)}); give the folder that `teleop run` printed"
+        ) from error
+
+
+def _why(error: Exception) -> str:
+    """What is wrong with a stored run, and with which of its files where that is known."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{Path(str(error.filename)).name}: {error.strerror}" if error.filename else error.strerror
+    return str(error) if isinstance(error, Misshapen) else f"{type(error).__name__}: {error}"
+
+
+def has_record(folder: Path) -> bool:
+    """Is there any of `records_in`?"""
+    return next(records_in(folder), None) is not None
+
+
+def records_in(folder: Path) -> Iterator[Path]:
+    """The records of live ends in `folder`, in the folders of it, and in those below them."""
+    return (path for level in ("", "*/", "*/*/") for path in folder.glob(f"{level}record.bin"))
+
+
+def stored_summary(folder: Path) -> dict[str, Any]:
+    """What the summary.json in `folder` holds, its shape checked. Raises `OSError` or `Misshapen`."""
+    from teleop.simulation.summary_shape import RUN
+
+    summary: dict[str, Any] = parse(read_bytes(folder / "summary.json", links=False))
+    RUN(summary, "summary.json")
+    return summary
+
+
+def _read(at: Path) -> Result:
+    import numpy as np
+
+    from teleop.storage.archive import read_arrays
+
+    summary = stored_summary(at)
+    trace = read_arrays(at / "trace.npz", summary["ticks"])
+    t = None if "t" not in trace else np.asarray(trace["t"], dtype=float)
+    if t is None or t.ndim != 1 or not (np.isfinite(t).all() and (np.diff(t) > 0.0).all() and
+                                         (np.abs(t) <= LATEST).all()):
+        raise Misshapen(f"trace.npz has no times t that grow from row to row, up to {LATEST:g} s")
+    known = {"status", "sentence", "scene", "mode", "parameters", "seed", "dt", "ticks", "run_time"}
+    rest = {"versions", "command", "metrics", "packets", "notes"}
+    return Result(
+        **{key: summary[key] for key in known},
+        metrics={key: entry["value"] for key, entry in summary["metrics"].items()},
+        packets={way: Packets(**counts) for way, counts in summary["packets"].items()},
+        notes=tuple(summary["notes"]), extra={k: v for k, v in summary.items() if k not in known | rest},
+        trace=trace, path=at,
+    )

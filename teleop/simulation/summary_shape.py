@@ -1,0 +1,69 @@
+"""What the summary of a run must look like for a table to be made of it, whoever wrote it."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from teleop.scene.scene import MOST_TICKS
+from teleop.simulation.result import Packets
+from teleop.storage.strict_json import (
+    Check,
+    Misshapen,
+    between,
+    each,
+    either,
+    named,
+    one_of,
+    optional,
+    real,
+    record,
+    text,
+    whole,
+)
+
+MOST_SEED = (1 << 64) - 1
+TICK = whole(low=-1, high=MOST_TICKS)
+COUNT = whole(low=0)
+EVENT = record({"k": TICK, "what": text, "why": text})
+_ESTIMATE = either(real, one_of("inf", "-inf", "nan"))  # of a run that diverged, see `strict_json.written`
+_TIMES = record({"mean": real})
+_COUNTS: dict[str, Check] = {each.name: COUNT for each in fields(Packets)} | {"rejected": named(COUNT)}
+
+
+def packets(value: object, name: str) -> None:
+    """The counts of one direction."""
+    record({}, _COUNTS)(value, name)
+    other = next((key for key in value if key not in _COUNTS), None)  # type: ignore[attr-defined]  # an object
+    if other is not None:
+        raise Misshapen(f"{name} has {other[:40]!r}, which is no count of packets")
+
+
+def end(value: object, name: str) -> None:
+    """What an end of a live run said of itself."""
+    record({}, {
+        "status": text, "sentence": text, "ticks": COUNT, "skipped": whole(), "events": optional(each(EVENT)),
+        "late_us": optional(named(real)), "cpu": optional(real), "run_time": optional(real), "rtt": optional(_TIMES),
+        "jitter": real, "lost": whole(), "reordered": whole(),
+        "peer_clock": optional(record({}, {"drift": optional(real)})),
+    })(value, name)
+    if isinstance(value, dict) and value.get("rtt"):
+        record({"jitter": real, "lost": whole(), "reordered": whole()})(value, name)
+
+
+def of_end(name: str, *ways: str) -> Check:
+    """The summary of the run of one end, "master" or "slave", with the counts of the directions `ways`."""
+    return record({name: end, "packets": record(dict.fromkeys(ways, packets))})
+
+
+RUN = record({
+    "status": text, "sentence": text, "scene": text, "mode": text, "seed": whole(low=0, high=MOST_SEED),
+    "parameters": record({}, {"law": either(text, record({"name": text}))}),
+    "dt": between(1e-6, 10.0), "ticks": whole(low=0, high=MOST_TICKS), "run_time": optional(real),
+    "metrics": named(record({"value": real})), "packets": named(packets), "notes": each(text),
+}, {
+    "versions": named(text), "command": each(text), "end": one_of("master", "slave"), "master": end, "slave": end,
+    "integration": optional(named(record({
+        "error_estimate_max": _ESTIMATE, "error_estimate_sum": _ESTIMATE, "substeps_max": real,
+        "ticks_over_tolerance": real, "tolerance": real,
+    }))),
+})

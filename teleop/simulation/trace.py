@@ -1,0 +1,257 @@
+"""From the rows that the two ends left to the columns of a trace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from math import nan
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from teleop.scene.scene import Scene
+from teleop.simulation.tick import columns
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+BLOCK = 16384  # rows that are worked on at a time, so that a long run needs no second copy of a column
+
+AHEAD = 1_000_000  # ticks without a row that a record may have, 17 min at 1 kHz ...
+AHEAD_EACH = 100  # ... and so many more for each row, for what is worked out at every tick in between
+UNKNOWN = ("its rows lie so far apart that the forces that were not recorded, and how late ticks were, are not worked "
+           "out in between")
+
+Reference = tuple[Sequence[float], ...] | None  # the hand's, per axis at the ticks 0 .. n
+
+
+class Rows(Protocol):
+    """Rows of float64 that are read a part at a time, such as those of a file."""
+
+    def table(self, start: int, stop: int) -> NDArray[np.float64]:
+        """The rows from `start` up to `stop`, of shape (rows, columns)."""
+        ...
+
+
+class EndRecord(NamedTuple):
+    """What one end wrote down: the ticks it ran, its rows, the packets it played."""
+
+    ticks: Any  # whole numbers, one for each row
+    rows: Sequence[float] | Rows  # flat floats, or what reads them
+    played: Any | None  # the packet played at each of these ticks, or -1; None without a link
+
+
+class Columns(Mapping[str, Any]):
+    """The columns of a trace by name, each an array made when it is asked for and not kept: half an hour is 15 MB each.
+
+    `makers` has the function that makes each.
+    """
+
+    def __init__(self, makers: dict[str, Callable[[], NDArray[Any]]]) -> None:
+        self.makers = makers
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.makers[name]()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.makers
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.makers)
+
+    def __len__(self) -> int:
+        return len(self.makers)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """`count` rows in parts of at most `BLOCK`."""
+    return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
+
+
+def seconds(ticks: Any, dt_ns: int) -> NDArray[np.float64]:
+    """The times (s) of ticks."""
+    import numpy as np
+
+    t = np.empty(len(ticks))
+    for block in blocks(len(t)):
+        t[block] = np.asarray(ticks[block], dtype=np.int64) * dt_ns / 1e9
+    return t
+
+
+def end_columns(scene: Scene, e: str, record: EndRecord, reference: Reference = None) -> Columns:
+    """One end's columns as arrays of shape (rows,), or (rows, axes) where there are several axes.
+
+    `reference` are the hand's samples at the ticks, if the caller has them already.
+    """
+    import numpy as np
+
+    table = _Table(scene, e, record)
+    makers: dict[str, Callable[[], NDArray[Any]]] = {name: partial(table.column, name) for name in table.places}
+    if record.played is not None:
+        makers[f"seq_{e}"] = lambda: np.array(record.played, dtype=np.int64)
+    until = _until(scene, record.ticks)
+    if e == "m" and "f_h" not in makers:
+        makers["f_h"] = partial(_hand_force, until or scene, table, reference, known=until is not None)
+    if e == "s" and "f_env" not in makers:
+        makers["f_env"] = partial(_touch, until or scene, table, known=until is not None)
+    return Columns(makers)
+
+
+def far_apart(ticks: Sequence[int], first: int = 0) -> bool:
+    """Do these ticks, of which `first` was the first that was due, leave out too many to look at each of those?"""
+    return len(ticks) > 0 and int(ticks[-1]) - first >= AHEAD + AHEAD_EACH * len(ticks)
+
+
+def _until(scene: Scene, ticks: Sequence[int]) -> Scene | None:
+    """The scene as far as these ticks go; None if that is too far for as few as they are."""
+    if far_apart(ticks):
+        return None
+    last = int(ticks[-1]) if len(ticks) else 0
+    return scene if last >= scene.ticks - 1 else replace(scene, duration=(last + 1) * scene.dt_ns / 1e9)
+
+
+def assemble(scene: Scene, records: Mapping[str, EndRecord], reference: Reference = None) -> Columns:
+    """The trace of a run: `t`, then each end's columns, at the ticks that both ends ran."""
+    import numpy as np
+
+    ends = {e: end_columns(scene, e, record, reference) for e, record in records.items()}
+    ticks_m, ticks_s = (np.asarray(records[e].ticks, dtype=np.int64) for e in ("m", "s" if "s" in ends else "m"))
+    if not np.array_equal(ticks_m, ticks_s):
+        _, *both = np.intersect1d(ticks_m, ticks_s, assume_unique=True, return_indices=True)
+        ends = {e: Columns({name: partial(_picked, make, at) for name, make in ends[e].makers.items()})
+                for e, at in zip(("m", "s"), both, strict=True)}
+        ticks_m = ticks_m[both[0]]
+    makers: dict[str, Callable[[], NDArray[Any]]] = {"t": partial(seconds, ticks_m, scene.dt_ns), **ends["m"].makers}
+    makers |= ends["s"].makers if "s" in ends else {}
+    return Columns({**makers, **(_ledgers(Columns(makers)) if scene.energy else {})})
+
+
+def _picked(make: Callable[[], NDArray[Any]], at: NDArray[np.int64]) -> NDArray[Any]:
+    return make()[at]
+
+
+def _ledgers(sums: Columns) -> dict[str, Callable[[], NDArray[Any]]]:
+    """E_link and E_port from each end's own sums, so that both ways of running add in the same order.
+
+    They are not added to `sums` itself: what held each other would keep all rows until the next garbage collection.
+    """
+    import numpy as np
+
+    def link() -> NDArray[Any]:
+        with np.errstate(all="ignore"):  # a run that diverges ends with sums that are infinite
+            stored: NDArray[Any] = sums["E_in_fwd"]
+            stored -= sums["E_out_fwd"]
+            back = sums["E_in_bwd"]
+            back -= sums["E_out_bwd"]
+            stored += back
+            return stored
+
+    def port() -> NDArray[Any]:
+        with np.errstate(all="ignore"):
+            given: NDArray[Any] = sums["E_port_m"]
+            if "E_port_s" in sums:
+                given -= sums["E_port_s"]
+            return given
+
+    return {**({"E_link": link} if "E_in_fwd" in sums else {}), "E_port": port}
+
+
+class _Table:
+    """The rows of an end and where in them each column stands."""
+
+    def __init__(self, scene: Scene, e: str, record: EndRecord) -> None:
+        import numpy as np
+
+        names = columns(scene, e)
+        widths = [scene.axes if "@" in name else 1 for name in names]
+        ends = np.add.accumulate(widths).tolist()
+        self.places = {name.removesuffix("@"): slice(end - width, end)
+                       for name, width, end in zip(names, widths, ends, strict=True)}
+        self.ticks = record.ticks
+        rows: Any = record.rows
+        self._read = rows.table if hasattr(rows, "table") else _slices(np.asarray(rows, dtype=float), ends[-1])
+
+    def __len__(self) -> int:
+        return len(self.ticks)
+
+    def part(self, block: slice) -> NDArray[np.float64]:
+        """The rows of `block`, of shape (rows, columns)."""
+        return self._read(block.start, block.stop)
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """One column of all rows."""
+        import numpy as np
+
+        at = self.places[name]
+        width = at.stop - at.start
+        out = np.empty(len(self) if width == 1 else (len(self), width))
+        for block in blocks(len(self)):
+            part = self.part(block)[:, at]
+            out[block] = part[:, 0] if width == 1 else part
+        return out
+
+
+def _slices(flat: NDArray[np.float64], width: int) -> Callable[[int, int], NDArray[np.float64]]:
+    """What gives the rows from one up to another of a table that lies flat in memory."""
+    whole = flat.reshape(-1, width)
+    return lambda start, stop: whole[start:stop]
+
+
+def _per_axis(part: NDArray[Any], at: slice) -> NDArray[Any]:
+    """One column of some rows as an array of shape (axes, rows)."""
+    return part[:, at].T
+
+
+def _of_axes(count: int, axes: int) -> NDArray[np.float64]:
+    import numpy as np
+
+    return np.empty(count) if axes == 1 else np.empty((count, axes))
+
+
+def _hand_force(scene: Scene, table: _Table, reference: Reference, *, known: bool) -> NDArray[Any]:
+    """f_h of a master without a force sensor, worked out after the run from what it recorded; NaN if not `known`."""
+    import numpy as np
+
+    from teleop.physics.plant import grip_force
+    from teleop.simulation.bodies import master_plant, reference_samples
+
+    out = _of_axes(len(table), scene.axes)
+    if not known:
+        out[:] = np.nan
+        return out
+    reference = reference or reference_samples(scene)
+    if reference is None:
+        out[:] = 0.0
+        return out
+    c, dt = master_plant(scene), scene.dt_ns / 1e9
+    paths = [np.asarray(axis, dtype=float) for axis in reference]
+    held = np.zeros((scene.axes, 1))  # the force of the tick before
+    with np.errstate(all="ignore"):  # the last rows of a run that diverged
+        for block in blocks(len(table)):
+            part = table.part(block)
+            x, v, f = (_per_axis(part, table.places[name]) for name in ("x_m", "v_m", "f_m"))
+            before, held = np.concatenate([held, f[:, :-1]], axis=1), f[:, -1:]
+            k = np.asarray(table.ticks[block], dtype=np.int64)
+            for i, r in enumerate(paths):
+                slope = np.where(k > 0, (r[k] - r[k - 1]) / dt, 0.0)
+                force = grip_force(c, x[i], v[i], before[i], r[k], slope)  # type: ignore[arg-type]  # rows at once
+                out[(block, i)[: out.ndim]] = force
+    return out
+
+
+def _touch(scene: Scene, table: _Table, *, known: bool) -> NDArray[Any]:
+    """f_env of a slave whose law reads no force, worked out after the run; NaN if not `known`."""
+    from teleop.simulation.bodies import slave_plants
+
+    out = _of_axes(len(table), scene.axes)
+    if not known:
+        out[:] = nan
+        return out
+    plants = slave_plants(scene)
+    for block in blocks(len(table)):
+        part = table.part(block)
+        x, v = (_per_axis(part, table.places[name]).tolist() for name in ("x_s", "v_s"))
+        for i, plant in enumerate(plants):
+            forces = [plant.force(plant.c, a, b) for a, b in zip(x[i], v[i], strict=True)]
+            out[(block, i)[: out.ndim]] = forces
+    return out

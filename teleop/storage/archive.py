@@ -1,0 +1,80 @@
+"""The arrays of a run in a file of numpy's (npz), read without trusting what the file says of itself.
+
+The sizes in the head of the archive and in the heads of its arrays are compared with each other and with the number of
+rows that the run has before room is made for any array. Objects, which would be pickles, are refused.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
+
+from teleop.storage.files import open_regular
+from teleop.storage.strict_json import Misshapen
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MOST_ARRAYS = 256
+MOST_AXES = 16
+INFLATED = 256 * 2**20  # bytes of all arrays of an archive that is compressed; of one that is not, its own size
+_NAME = re.compile(r"([A-Za-z_][A-Za-z0-9_]{0,63})\.npy")
+_HEAD = 4096  # bytes that numpy's head of one array takes at most
+
+
+def read_arrays(path: Path, rows: int) -> dict[str, NDArray[Any]]:
+    """The arrays of the archive at `path` by name: numbers or truths, each (rows,) or (rows, axes).
+
+    Raises `OSError`, `Misshapen`, or what `zipfile` and numpy raise of a broken archive. A link is not followed.
+    """
+    with open_regular(path, links=False) as file, ZipFile(file) as archive:
+        parts = archive.infolist()
+        size = file.seek(0, 2)
+        whole = sum(part.file_size for part in parts)
+        if len(parts) > MOST_ARRAYS:
+            raise Misshapen(f"it has {len(parts)} arrays, more than {MOST_ARRAYS}")
+        if whole > max(size, INFLATED):
+            raise Misshapen(f"its {size} bytes would inflate to {whole}")
+        arrays: dict[str, NDArray[Any]] = {}
+        for part in parts:
+            name = _NAME.fullmatch(part.filename)
+            if name is None or name[1] in arrays or part.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+                raise Misshapen(f"{part.filename[:80]!r} in it is no array of its own")
+            arrays[name[1]] = _array(archive, part, name[1], rows)
+        return arrays
+
+
+def _array(archive: ZipFile, part: ZipInfo, name: str, rows: int) -> NDArray[Any]:
+    import numpy as np
+    from numpy.lib.format import read_array_header_1_0, read_magic
+
+    with archive.open(part) as stream:
+        if read_magic(stream) != (1, 0):
+            raise Misshapen(f"{name} is no array of numpy's format 1.0")
+        shape, by_columns, dtype = read_array_header_1_0(stream, max_header_size=_HEAD)
+        if dtype.kind not in "fiub" or not (4 if dtype.kind == "f" else 1) <= dtype.itemsize <= 8:
+            raise Misshapen(f"{name} holds {dtype}, and a trace holds numbers")
+        if shape[:1] != (rows,) or len(shape) > 2 or not all(1 <= each <= MOST_AXES for each in shape[1:]):
+            raise Misshapen(f"{name} is of shape {shape}, and the run has {rows} rows")
+        count = rows * (shape[1] if len(shape) == 2 else 1)
+        if part.file_size - stream.tell() != count * dtype.itemsize:
+            raise Misshapen(f"{name} is of another size than its head says")
+        flat: NDArray[Any] = np.empty(count, dtype)
+        _fill(stream, flat.view(np.uint8))
+    got = flat.reshape(shape[::-1]).T if by_columns else flat.reshape(shape)
+    return np.asarray(got)
+
+
+def _fill(stream: Any, room: NDArray[Any]) -> None:
+    import numpy as np
+
+    at = 0
+    while at < len(room):
+        block = stream.read(min(1 << 20, len(room) - at))
+        if not block:
+            raise Misshapen("it ends in the middle of an array")
+        room[at : at + len(block)] = np.frombuffer(block, np.uint8)
+        at += len(block)
+    stream.read(1)  # has the checksum looked at

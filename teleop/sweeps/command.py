@@ -1,0 +1,171 @@
+"""What `teleop sweep` does: run a grid of rows, show how far that has come, and leave a folder that can go on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+
+from teleop.errors import Refused
+from teleop.simulation.result import versions
+from teleop.sweeps.pictures.report import Wish, joined, limits_of, status_lines, summary_of, write
+
+if TYPE_CHECKING:
+    from teleop.sweeps.cluster import Cluster
+    from teleop.sweeps.grid import Grid
+    from teleop.sweeps.runner import Sweep
+    from teleop.sweeps.table import Table
+
+MANY = 1_000_000_000  # rows: more are a slip of the keyboard unless somebody says --yes
+
+
+class Swept(NamedTuple):
+    """A sweep as far as it came."""
+
+    plan: Sweep
+    table: Table
+    folder: Path
+    interrupted: bool
+    seconds: float
+    ran: int  # rows that were run now
+    limits: Mapping[str, float]  # what rows run for and may not pass, where that is the same for all
+    cluster: tuple[str, int] | None = None  # its scheduler, and how many workers sent rows; none: this machine
+
+    def summary(self, command: Sequence[str]) -> dict[str, Any]:
+        """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
+        return {
+            **self.plan.definition(), "versions": {**versions(), **_compilers(self.plan)},
+            "rows": len(self.plan.grid), "done": len(self.table),
+            "ran": self.ran,
+            "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
+            "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in self.plan.ran.items()],
+            "seconds": self.seconds, "interrupted": self.interrupted,
+            "command": list(command), "path": str(self.folder), "limits": dict(self.limits),
+            "cluster": self.cluster and {"address": self.cluster[0], "workers": self.cluster[1]},
+        }
+
+    def write(self, command: Sequence[str]) -> dict[str, Any]:
+        """Write summary.json, which says how far the sweep has come and how, into its folder; what it holds now."""
+        told = joined(self.summary(command), summary_of(self.folder))
+        write(told, self.folder)
+        return told
+
+    def text(self) -> str:
+        """The sweep in a few lines."""
+        from teleop.terminal.run_table import whole
+
+        rate = f", {self.ran / self.seconds:.3g} rows a second" if self.seconds > 0.0 and self.ran else ""
+        turned = ", ".join(self.plan.grid.knobs) or "seeds"
+        lines = [f"sweep    {self.plan.scene}, {whole(len(self.plan.grid))} rows of {turned}",
+                 *status_lines(self.table)]
+        found = not self.ran and len(self.table) == len(self.plan.grid)
+        lines.append(f"engine   {self.plan.engine}: {self.plan.why}{rate}" if not found else
+                     "engine   none, for no row was left to run: summary.json says which ran them")
+        lines += [f"         {rows} rows by {engine}: {why}" for (engine, why), rows in self.plan.ran.items() if why]
+        if self.cluster is not None:
+            lines.append(f"cluster  {self.cluster[0]}, rows by {self.cluster[1]} of its workers")
+        lines += [str(self.table), f"written to {self.folder}"]
+        if self.interrupted:
+            lines.append("interrupted: the same command goes on from here")
+        return "\n".join(lines)
+
+
+def carry_out(
+    name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
+    out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, wish: Wish | None = None,
+    latin: int | None = None, random: int | None = None, cluster: str | None = None,
+) -> Swept:
+    """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.typed`). Raises `Refused`.
+
+    `wish`: the picture that will be drawn of it, refused here if no row could make it possible.
+    `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it. `cluster`: the
+    address of a dask scheduler whose workers run the rows.
+    """
+    from teleop.sweeps.runner import carry_out as run_rows
+    from teleop.sweeps.runner import prepare
+    from teleop.sweeps.store import Store
+    from teleop.terminal.run_table import RowsProgress, whole
+
+    wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
+    points = _points(axes, seeds, latin, random)
+    plan = prepare(name, points, metrics=wanted, fixed=knobs, engine=engine)
+    rows = len(plan.grid)
+    if rows > MANY and not yes:
+        raise Refused(f"this is {whole(rows)} rows; write fewer values, or --yes if you mean it")
+    if wish is not None:
+        _check_picture(plan, wish)
+    folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"
+    line = None if stream is None else RowsProgress(stream)
+
+    def show(done: int, of: int) -> None:
+        if line is not None:
+            line.show(done, of, clock())
+
+    def tell(sentence: str) -> None:
+        if line is not None and stream is not None:
+            line.end()
+            print("teleop:", sentence, file=stream, flush=True)
+
+    interrupted = False
+    with _workers(cluster, tell) as pool:
+        began = clock()
+        before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
+        try:
+            table = run_rows(plan, executor=pool, out=folder, show=show)
+        except KeyboardInterrupt:
+            if not (folder / "sweep.json").is_file():
+                raise  # nothing was begun
+            interrupted = True
+            table = Store.look(folder).table()
+        finally:
+            if line is not None:
+                line.end()
+        seconds = clock() - began
+    where = None if pool is None else (pool.address, len(pool.workers))
+    limits = limits_of(plan.scene, {**plan.fixed, **plan.grid.point(0)[0]}, plan.grid.knobs)
+    return Swept(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
+
+
+def _check_picture(plan: Sweep, wish: Wish) -> None:
+    """Refuse the picture of a sweep whose grid cannot give one, before anything is run."""
+    from teleop.sweeps.pictures.picture import check
+
+    several = {name: [point[i] for point in points] for names, points in plan.grid.axes for i, name in enumerate(names)
+               if any(point[i] != points[0][i] for point in points)}
+    numeric = [name for name, values in several.items()
+               if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)]
+    metrics = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
+    check([*several], numeric, wish.kind, wish.metric, metrics)
+
+
+def _compilers(plan: Sweep) -> dict[str, str]:
+    """The versions of what compiled rows, if anything did."""
+    if all(engine == "plain" for engine, _ in plan.ran):
+        return {}
+    return {name: version(name) for name in ("numba", "llvmlite")}
+
+
+@contextmanager
+def _workers(cluster: str | None, tell: Callable[[str], None]) -> Iterator[Cluster | None]:
+    """Those of the cluster at an address; none: the sweep's own threads."""
+    if cluster is None:
+        yield None
+        return
+    from teleop.sweeps.cluster import connected
+
+    with connected(cluster, tell) as pool:
+        yield pool
+
+
+def _points(axes: Sequence[str], seeds: int, latin: int | None, random: int | None) -> Grid:
+    from teleop.sweeps.grid import grid, sampled
+    from teleop.sweeps.typed import parse_axes, parse_ranges
+
+    if latin is not None and random is not None:
+        raise Refused("--latin and --random are two ways to draw points; leave one of them out")
+    count = latin or random
+    if count is None:
+        return grid(parse_axes(axes), seeds)
+    return sampled(parse_ranges(axes), count, latin=latin is not None, seeds=seeds)

@@ -1,0 +1,1 @@
+"""Compiled kernels: one loop a structure, run over many rows."""

@@ -1,0 +1,55 @@
+"""Rows laid out for compiled code: many at one call, so that Python is asked for nothing while they run.
+
+A *tile* is what a kernel runs side by side: one row, or as many as it has lanes. All numbers of all tiles stand in flat
+arrays, tile after tile; within a tile number after number, each with its lanes. Schedules and paths are not copied: a
+kernel is told where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from teleop.sweeps.kernels.kernel import Inputs, Told
+
+Tile = list[tuple[Inputs, tuple[int, int]]]  # rows with their lags, one for each lane
+
+
+def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[Told]]:
+    """What a kernel tells of the rows of these tiles; `figures`: how many it gives of each."""
+    import numpy as np
+
+    rows = [row for tile in tiles for row, _ in tile]
+    if rows[0].flat is not None and rows[0].flat.arrays and len(tiles) > 1:  # arrays of its own for each tile
+        return [told for tile in tiles for told in called(kernel, [tile], figures)]
+    width, first = len(tiles[0]), rows[0]
+    flats = [row.flat for row in rows if row.flat is not None]
+    reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
+    waters = {id(row.water): row.water for row in rows}
+    drawn = {key: (address_of(water.plays[1]), address_of(water.plays[0])) for key, water in waters.items()}
+    hands = {id(row.path): row.path for row in rows}
+    ways = {key: [address_of(axis) for axis in path] for key, path in hands.items()}
+    played = np.array([drawn[id(row.water)] for row in rows], dtype=np.int64)
+    paths = np.array([ways[id(row.path)] for row in rows], dtype=np.int64)
+    lags = np.array([lag for tile in tiles for _, lag in tile], dtype=np.int64)
+    sizes = [max(max(row.water.size, *lag) for row, lag in tile) for tile in tiles]
+    out = np.empty(len(tiles) * (figures + 2) * width)
+    kernel(len(tiles), by_lane(reals), np.array(flats[0].wholes, dtype=np.int64), tuple(flats[0].arrays), first.ticks,
+           by_lane(played.reshape(len(tiles), width, 2)), by_lane(paths.reshape(len(tiles), width, -1)),
+           np.array([1 << size.bit_length() for size in sizes], dtype=np.int64),
+           by_lane(lags.reshape(len(tiles), width, 2)), out)
+    columns: list[Any] = out.reshape(len(tiles), figures + 2, width).transpose(0, 2, 1).tolist()
+    return [[Told(int(column[0]), tuple(column[1:])) for column in tile] for tile in columns]
+
+
+def by_lane(numbers: Any) -> Any:
+    """Numbers (tile, row, number) as a flat array in the order tile, number, lane."""
+    import numpy as np
+
+    return np.ascontiguousarray(numbers.transpose(0, 2, 1)).ravel()
+
+
+def address_of(array: Any) -> int:
+    """Where the numbers of an array are, in memory."""
+    address: int = array.ctypes.data
+    return address

@@ -1,0 +1,273 @@
+"""Modules of compiled kernels: one for each structure of scene and engine, in the user's cache folder.
+
+A module imports the functions that its text names and compiles them; nothing of theirs is copied into it. Numba notices
+neither an edit in a function that a cached one calls nor a new version of itself, so the module's name is a hash of the
+text, of the source of every function in it, and of the versions: an edited law makes another module. It is written
+whole, by a rename, so several processes may do so at once. Where the folder cannot be written to, or other users may
+write there (`teleop.sweeps.kernels.cache_folder`), it lives in memory.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from importlib import import_module
+from importlib.util import cache_from_source, module_from_spec, spec_from_file_location
+from inspect import signature
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any, Protocol, cast
+
+from teleop.errors import Refused
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import Bodies
+from teleop.simulation.source import record
+from teleop.storage.files import replacing
+from teleop.sweeps.kernels.bytecode import unlike_python
+from teleop.sweeps.kernels.cache_folder import made_private, open_to_others, tell_once
+from teleop.sweeps.kernels.digest import constants, digest, named_in, sources
+from teleop.sweeps.kernels.kernel import NotCompiled, kernel_text, names_of, tree_of
+from teleop.sweeps.kernels.leaves import expression, leaves
+
+TEXT = '''"""Generated: the {engine} kernel of one structure of scene. Delete it whenever you like."""
+from math import inf, nan
+from numba import njit
+from teleop.sweeps.kernels.compiled import compiled_part
+from teleop.sweeps.kernels.{engine} import *
+from teleop.simulation.source import record
+
+{parts}
+
+
+@njit(error_model="numpy", nogil=True)
+{loop}
+
+{kernels}'''
+KERNEL = '''
+@njit(cache=True, error_model="numpy", nogil=True)
+def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, out):
+    for t in range(tiles):
+        base = t * {reals}
+        given, law, dt, x_limit, start_m, start_s, held = {tree}
+{call}
+'''
+
+
+def folder() -> Path:
+    """Where the modules are kept."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "bilateral-teleop" / "kernels"
+
+
+MOST_NUMBERS = 500  # of a row
+
+
+class Engine(Protocol):
+    """What a compiled engine puts into a module of its own: the module `teleop.sweeps.NAME`."""
+
+    SOURCES: tuple[str, ...]  # the modules of its own that a kernel is made with
+    FEATURES: frozenset[str]  # of the tick's text
+    REAL: str  # how a float is taken from `reals` at `base`; {} is its number
+    WIDTH: int  # scenes side by side
+    CALLS: Mapping[str, str]  # the kernels of a module by name: how each calls `loop` for tile t
+
+    @staticmethod
+    def maker(word: str) -> str:
+        """The function that makes the part called `word` of what stands at a place."""
+        ...
+
+
+def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str, *, keep: bool = True) -> ModuleType:
+    """The loaded module of a kernel. Raises `NotCompiled` or an error of numba's where a part is not made for that.
+
+    `keep`: in the cache folder, else in memory alone.
+    """
+    text, name = module_text(scene, bodies, measures, engine)
+    return _loaded(text, name) if keep else _in_memory(text, f"teleop_kernel_{name}")
+
+
+def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str) -> tuple[str, str]:
+    """The module of a kernel, and the name that it goes by."""
+    import numba
+    import numpy
+
+    own = cast("Engine", import_module(f"teleop.sweeps.kernels.{engine}"))
+    lines: list[str] = []
+    pieces: list[Any] = []
+    for word, part in sorted(names_of(scene, bodies).items()):
+        if isinstance(part, float):
+            continue  # inf and nan
+        for each in _pieces(part):
+            if isinstance(each, FunctionType) and (odd := unlike_python(each)):
+                raise NotCompiled(f"{each.__qualname__} has {odd}")
+        places = [_place(word, each) for each in _pieces(part)]
+        lines.append(f"{word} = {own.maker(word)}({', '.join(map(repr, places))})")
+        pieces += _pieces(part)
+
+    def class_name(kind: Any) -> str:
+        names: tuple[str, ...] = kind._fields
+        word = f"{kind.__name__}_of_{'_'.join(names)}"
+        made = f"record({kind.__name__!r}, {names})" if record(kind.__name__, names) is kind else (
+            f"compiled_part({_place(word, kind)!r})")
+        if (line := f"{word} = {made}") not in lines:
+            lines.append(line)
+        return word
+
+    flat, width = leaves(tree_of(scene, bodies)), own.WIDTH
+    if len(flat.reals) > MOST_NUMBERS:  # a long line of late forces, say: compiling takes minutes
+        raise NotCompiled(f"it has {len(flat.reals)} numbers, above {MOST_NUMBERS}, which are too many to be laid out")
+    tree = expression(flat.shape, own.REAL, class_name)
+    axes = range(scene.axes if scene.hand is not None else 0)
+    words = {
+        "row": (len(measures) + 2) * width, "width": width,
+        "one_path": f"({''.join(f'paths[(t * {len(axes)} + {i}) * {width}], ' for i in axes)})",
+        "own_paths": f"({''.join(f'each(paths, t * {len(axes)} + {i}), ' for i in axes)})",
+    }
+    kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
+                      for name, call in own.CALLS.items())
+    text = TEXT.format(engine=engine, kernels=kernels, parts=os.linesep.join(lines),
+                       loop=kernel_text(scene, measures, own.FEATURES))
+    stack = [_text_of(name) for name in own.SOURCES]
+    versions = [sys.version, numba.__version__, numpy.__version__]
+    return text, digest([text, *sources(pieces), *stack, *versions])
+
+
+@lru_cache
+def _text_of(name: str) -> str:
+    return Path(import_module(name).__file__ or "").read_text()
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """A function compiled as every part of a kernel is: numpy's errors, no lock, no fast-math."""
+    from numba import njit
+
+    compiled: Any = njit(error_model="numpy", nogil=True)
+    return compiled(function)
+
+
+def part_at(place: str) -> Any:
+    """What stands at "module:name"."""
+    module, _, names = place.partition(":")
+    part: Any = import_module(module)
+    for name in names.split("."):
+        part = getattr(part, name)
+    return part
+
+
+def compiled_part(place: str, *inner: str) -> Any:
+    """What stands at "module:name", compiled if it is a function; with `inner`, bound to the function there."""
+    return _bound(part_at(place), compiled_part(*inner)) if inner else jitted(part_at(place))
+
+
+def _pieces(part: Any) -> tuple[Any, ...]:
+    """A part, or the two that `teleop.physics.plant.bound` made it of."""
+    own = isinstance(part, partial) and len(part.args) == 1 and not part.keywords
+    return (part.func, *_pieces(part.args[0])) if own else (part,)
+
+
+def _bound(function: FunctionType, inner: Any) -> Any:
+    """`teleop.physics.plant.bound`, compiled. Each argument by name: of `*rest` numba makes an indirect call."""
+    rest = ", ".join(list(signature(function).parameters)[1:])
+    names = {"function": jitted(function), "inner": inner}
+    return jit(eval(f"lambda {rest}: function(inner, {rest})", names))
+
+
+_JITTED: dict[Any, Any] = {}
+
+
+def jitted(part: Any) -> Any:
+    """A plain function compiled, with the plain functions that it names; anything else as it is."""
+    if not isinstance(part, FunctionType):
+        return part
+    key = part, digest(constants([part]))  # numba takes what a function names as it is now, and for ever
+    if key not in _JITTED:
+        own = FunctionType(part.__code__, {"__builtins__": __builtins__}, part.__name__, part.__defaults__)
+        _JITTED[key] = jit(own)
+        own.__globals__.update({name: jitted(thing) for name, thing in named_in(part).items()})
+    return _JITTED[key]
+
+
+def _place(word: str, part: Any) -> str:
+    """Where a part is found again by another process."""
+    place = f"{part.__module__}:{part.__qualname__}"
+    if "<" in place:
+        raise NotCompiled(f"{word} is made during the run, not found in a module")
+    if getattr(part, "__closure__", None):
+        raise NotCompiled(f"{word} of {part.__module__} holds what it was made with, which no other process finds")
+    return place
+
+
+def _loaded(text: str, name: str) -> ModuleType:
+    """The module of this name, written first if it is not there."""
+    full = f"teleop_kernel_{name}"
+    if full in sys.modules:
+        return sys.modules[full]
+    path = folder() / f"{full}.py"
+    try:
+        made_private(path.parent)
+        cached = Path(cache_from_source(str(path))).parent  # Python's own
+        why = open_to_others(path.parent, full) or (open_to_others(cached, full) if cached.exists() else None)
+        if why:
+            tell_once(why)
+            return _in_memory(text, full)
+        if not path.exists() or path.read_text() != text:
+            with replacing(path) as file:
+                file.write(text.encode())
+    except OSError:
+        return _in_memory(text, full)
+    spec = spec_from_file_location(full, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[full] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[full]
+        raise
+    if why := _kept_elsewhere(module, full):
+        tell_once(why)
+        return _in_memory(text, full)
+    return module
+
+
+def _kept_elsewhere(module: ModuleType, full: str) -> str | None:
+    """Why the pickles that numba keeps of a module may be of another user; nothing has been read of them yet."""
+    own = [folder(), *[Path(each) for each in (os.environ.get("NUMBA_CACHE_DIR"),) if each]]
+    for part in vars(module).values():
+        where = getattr(getattr(part, "stats", None), "cache_path", None)
+        if where is None:
+            continue
+        if not any(Path(where).absolute().is_relative_to(each.absolute()) for each in own):
+            return f"numba keeps them in {where}; unset what tells it so, such as .numba_config.yaml"
+        if why := open_to_others(Path(where), full):
+            return why
+    return None
+
+
+def _in_memory(text: str, full: str) -> ModuleType:
+    module = ModuleType(full)
+    sys.modules[full] = module
+    exec(compile(text.replace("cache=True, ", ""), f"<{full}>", "exec"), module.__dict__)
+    return module
+
+
+def need_numba(engine: str) -> None:
+    """Refuse an engine that is not installed."""
+    from importlib.util import find_spec
+
+    if find_spec("numba") is None:
+        raise Refused(f"engine {engine} needs numba: pip install 'bilateral-teleop[batch]', or take --engine plain")
+
+
+def cause(error: Exception) -> str:
+    """Why something is not compiled, in one line: of numba's many the one that names the cause."""
+    if isinstance(error, NotCompiled):
+        return str(error)
+    lines = [line.strip() for line in str(error).splitlines()]
+    noise = ("Failed in", "During:", "File", "- Resolution", "<")
+    told = [line for line in lines if line and not line.startswith(noise)]
+    said = " ".join(told[:2]) if told and told[0].endswith(":") else "".join(told[:1])
+    return f"{type(error).__name__}: {said[:200]}"

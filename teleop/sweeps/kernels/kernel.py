@@ -1,0 +1,191 @@
+"""A scene's loop with running figures in place of a record: run as it is, or compiled.
+
+It is the text of `teleop.simulation.tick` and the functions that text names, so a sweep runs the very lines that a
+single run and a live end run, in the same order, and gives the same bits. What is compiled is each of these functions
+as it stands; fast-math is off, so every engine agrees with plain Python to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import lru_cache
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.law import law_name
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import Bodies
+from teleop.simulation.source import beginnings, parts, record, specialise
+from teleop.simulation.tick import BLOCKS, LOOP, MASTER, features
+from teleop.sweeps.kernels.leaves import Leaves
+from teleop.sweeps.kernels.measures import MAGNITUDES, SUMS, known, least, most, root_mean, sound
+from teleop.sweeps.kernels.text import COMPILED, PLAIN
+
+if TYPE_CHECKING:
+    from teleop.protocol.inbox import Plan
+
+
+class NotCompiled(Exception):
+    """Why a structure of scene has no compiled kernel."""
+
+
+class NotVectorised(NotCompiled):
+    """Why a structure of scene has no kernel over lanes."""
+
+
+class Inputs(NamedTuple):
+    """What a row gives its kernel."""
+
+    tree: Any  # its numbers, see `tree_of`
+    flat: Leaves | None  # the same laid out flat, for compiled code
+    ticks: int
+    water: Water
+    path: Any  # of the hand: lists for plain Python, arrays for compiled code
+
+
+class Told(NamedTuple):
+    """What a kernel says of a row."""
+
+    ran: int  # ticks; below zero if it left the bounds in the last of them
+    figures: tuple[float, ...]  # the measures, and 1.0 if all is finite
+
+
+class Kernel(NamedTuple):
+    """A loop made for one structure of scene."""
+
+    engine: str
+    measures: tuple[str, ...]  # the figures that it gives, in order
+    run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[Told]]  # of rows and their lags
+    width: int = 1  # rows that it runs at once
+    why: str = ""  # it runs them, where another engine was asked for
+    plainer: Callable[[str], Kernel] | None = None  # what to run rows by, and why, that it turns out not to be made for
+
+
+def available(scene: Scene) -> frozenset[str]:
+    """The figures that a kernel of this scene can give."""
+    return _available(features(scene))
+
+
+@lru_cache(maxsize=256)
+def _available(has: frozenset[str]) -> frozenset[str]:
+    named = {name for name, (feature, _) in SUMS.items()
+             if feature in has or feature not in ("waves", "energy", "watchdog")}
+    of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
+    return frozenset(named - of_slave if "alone" in has else named)
+
+
+def kernel_text(scene: Scene, measures: Sequence[str], engine: frozenset[str] = frozenset()) -> str:
+    """The source of a scene's loop that works out `measures` as it goes, and at its end whether all is finite.
+
+    `engine`: the features of the text that an engine adds.
+    """
+    has = features(scene)
+    last = ["<<x_m@>>", "<<v_m@>>", "<<f_m@>>"]
+    last += ["<<x_s@>>", "<<v_s@>>", "<<f_s@>>"] * (scene.slave is not None)
+    last += ["E_link"] * ("waves" in has) + ["E_port"] * ("energy" in has)
+    measured = "".join(f"{SUMS[name][1]}, " for name in measures)
+    own = COMPILED if "compiled" in engine else PLAIN
+    told = f"({measured}sound(({', '.join(last)})),)"
+    loop, *texts = [text.replace("{measured}", told) for text in (LOOP, *own.values())]
+    blocks = {**BLOCKS, **dict(zip(own, texts, strict=True))}
+    more = {"kernel", *engine, *(SUMS[name][0] for name in measures)}
+    more |= {"felt_s"} if more & {"f_err", "f_env_max"} else set()
+    more |= {"felt_m"} if "f_h_max" in more else set()
+    return specialise(loop, scene, MASTER, frozenset(more), blocks)
+
+
+def names_of(scene: Scene, bodies: Bodies) -> dict[str, Any]:
+    """What the kernel's text names."""
+    return {
+        **parts(scene), **bodies.functions(), "most": most, "least": least, "root_mean": root_mean, "known": known,
+        "sound": sound, "magnitude": MAGNITUDES[scene.axes],
+    }
+
+
+def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
+    """The kernel in plain Python."""
+    names = names_of(scene, bodies)
+    exec(compile(kernel_text(scene, measures), f"<kernel of scene {scene.name}>", "exec"), names)
+    loop = names["loop"]
+
+    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
+        told = []
+        for row, lag in zip(rows, lags, strict=True):
+            given, law, dt, x_limit, start_m, start_s, held = row.tree
+            forth, back = [None if plan is None else plan.play for plan in row.water.plans]
+            told.append(Told(*loop(given, law, dt, row.ticks, x_limit, start_m, start_s, back, forth, row.water.size,
+                                   row.path, held, *lag)))
+        return told
+
+    return Kernel("plain", tuple(measures), run)
+
+
+class Water(NamedTuple):
+    """The link of a row, drawn up front: what rows with the same link, seed and clock share."""
+
+    plans: tuple[Plan | None, Plan | None]  # forth, back
+    plays: tuple[Any, Any]  # the same as arrays
+    lags: tuple[int, int]
+    size: int  # of a ring of messages
+
+    @classmethod
+    def of(cls, plans: tuple[Plan | None, Plan | None]) -> Water:
+        """That of two plans."""
+        import numpy as np
+
+        plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
+        lags = tuple([1 if plan is None else lag_of(play) for plan, play in zip(plans, plays, strict=True)])
+        size = max((plan.lag for plan in plans if plan is not None), default=0) + 1
+        return cls(plans, plays, lags, size)  # type: ignore[arg-type]  # there are two
+
+    def lags_until(self, ran: int) -> tuple[int, int]:
+        """Those of a run that ended early."""
+        if ran == len(self.plays[0]):
+            return self.lags
+        forth, back = [1 if plan is None else lag_of(play[:ran]) for plan, play in
+                       zip(self.plans, self.plays, strict=True)]
+        return forth, back
+
+
+def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any, ...]:
+    """The numbers of a row, as the text names them."""
+    starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
+    law = scene.law
+    if compiled:
+        names = tuple([field.name for field in fields(law)])
+        try:
+            law = record("Law", names)(*[float(getattr(law, name)) for name in names])
+        except (TypeError, ValueError):
+            odd = next(name for name in names if type(getattr(law, name)) not in (float, int, bool))
+            raise NotCompiled(f"law {law_name(law)} has {odd}={getattr(law, odd)!r}, which is no number") from None
+    return (beginnings(scene, starts), law, scene.dt_ns / 1e9, scene.x_limit, starts["m"], starts["s"],
+            bodies.held())
+
+
+def lag_of(play: Any) -> int:
+    """The median age of the messages that were played, in ticks, as `teleop.simulation.metrics` has it."""
+    import numpy as np
+
+    fresh = np.flatnonzero(play >= 0)
+    ages = np.sort(fresh - play[fresh])
+    return int(ages[len(ages) // 2]) if len(ages) else 0
+
+
+def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
+    """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run."""
+    lags = [row.water.lags for row in rows]
+    all_told = kernel.run(rows, lags)
+    # The lag of a run that ended early is that of the messages which came until then.
+    own = {i: rows[i].water.lags_until(-told.ran) for i, told in enumerate(all_told) if told.ran < 0}
+    again = [i for i, lag in own.items() if lag != lags[i]]
+    if again:
+        anew = kernel.run([rows[i] for i in again], [own[i] for i in again])
+        for i, told in zip(again, anew, strict=True):
+            all_told[i] = told
+    found = []
+    for told in all_told:
+        status = "ok" if told.ran >= 0 and told.figures[-1] == 1.0 else "diverged"
+        named = zip(kernel.measures, told.figures[:-1], strict=True)
+        found.append((status, abs(told.ran), {name: float(value) for name, value in named if isfinite(value)}))
+    return found

@@ -1,0 +1,179 @@
+"""What compiled text does with lanes as a whole: put them together, choose between them, take one of them.
+
+A *tree* is what a law or a body gives: a number, or a tuple or NamedTuple of trees. These are intrinsics of numba's:
+they are called in compiled code, and each makes the instructions for the types that it meets. Where a scalar kernel
+names them too (`where`) they mean the same of plain numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.extending import intrinsic
+
+from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, Lanes, Mask, lanes, mask, types
+
+
+def intrinsic_of(make: Callable[..., Any]) -> Any:
+    """`numba.extending.intrinsic`, which has no types."""
+    return intrinsic(make)
+
+
+def tree_type(kind: Any, leaf: Callable[[Any], Any]) -> Any:
+    """The type of a tree with other types for its numbers."""
+    if not isinstance(kind, types.BaseTuple):
+        return leaf(kind)
+    own = kind.instance_class if isinstance(kind, types.BaseNamedTuple) else None
+    return types.BaseTuple.from_types(tuple([tree_type(each, leaf) for each in kind.types]), own)
+
+
+def tree_value(context: Any, builder: Any, kind: Any, result: Any, value: Any, leaf: Callable[[Any, Any], Any]) -> Any:
+    """The value of a tree of type `result`, made of one of type `kind`: `leaf(kind, value)` for each number."""
+    if not isinstance(kind, types.BaseTuple):
+        return leaf(kind, value)
+    parts = [tree_value(context, builder, each, there, builder.extract_value(value, i), leaf)
+             for i, (each, there) in enumerate(zip(kind.types, result.types, strict=True))]
+    return context.make_tuple(builder, result, parts)
+
+
+def numbers_in(kind: Any) -> int:
+    """How many numbers a tree of this type has."""
+    return sum(map(numbers_in, kind.types)) if isinstance(kind, types.BaseTuple) else 1
+
+
+@intrinsic_of
+def spread(typingctx: Any, tree: Any) -> Any:  # noqa: ARG001
+    """The tree with its numbers in every lane."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return tree_value(context, builder, tree, sig.return_type, args[0],
+                          lambda kind, value: value if isinstance(kind, Mask) else context.cast(
+                              builder, value, kind, lanes))
+
+    return tree_type(tree, lambda kind: kind if isinstance(kind, Mask) else lanes)(tree), make
+
+
+@intrinsic_of
+def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
+    """The tree of lane i; what has no lanes is the same in all."""
+
+    def one(kind: Any) -> Any:
+        return {lanes: types.float64, mask: types.boolean}.get(kind, kind)
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        def leaf(kind: Any, value: Any) -> Any:
+            if isinstance(kind, Lanes):
+                return builder.extract_element(value, args[1])
+            return builder.extract_element(value, args[1]) if isinstance(kind, Mask) else value
+
+        return tree_value(context, builder, tree, sig.return_type, args[0], leaf)
+
+    return tree_type(tree, one)(tree, types.intp), make
+
+
+@intrinsic_of
+def put(typingctx: Any, tree: Any, i: Any, one: Any) -> Any:  # noqa: ARG001
+    """A tree of lanes with the numbers of the tree `one` in lane i."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        def into(kind: Any, there: Any, value: Any, other: Any) -> Any:
+            if not isinstance(kind, types.BaseTuple):
+                return builder.insert_element(value, context.cast(builder, other, there, types.float64), args[1])
+            return context.make_tuple(builder, kind, [
+                into(each, also, builder.extract_value(value, n), builder.extract_value(other, n))
+                for n, (each, also) in enumerate(zip(kind.types, there.types, strict=True))])
+
+        return into(tree, one, args[0], args[2])
+
+    return tree(tree, types.intp, one), make
+
+
+@intrinsic_of
+def where(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
+    """`here` in the lanes that are true, `there` in the others; of plain numbers, one of them."""
+    if Lanes in (type(here), type(there)) or isinstance(which, Mask):
+        kind = lanes
+        here = here if isinstance(here, types.BaseTuple) else lanes
+    else:
+        here = kind = typingctx.unify_types(here, there)
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        value = vector_of(builder, args[1], _REALS) if isinstance(sig.args[1], types.BaseTuple) else args[1]
+        return builder.select(args[0], value, args[2])
+
+    return kind(mask if isinstance(which, Mask) else types.boolean, here, kind), make
+
+
+_REALS, _WHOLES = True, False
+
+
+def vector_of(builder: Any, numbers: Any, real: bool) -> Any:
+    """A tuple of whole numbers, one for each lane, as a vector of them or of floats."""
+    whole = ir.IntType(64)
+    vector = ir.Constant(ir.VectorType(whole, WIDTH), ir.Undefined)
+    for i in range(WIDTH):
+        vector = builder.insert_element(vector, builder.extract_value(numbers, i), ir.Constant(ir.IntType(32), i))
+    return builder.sitofp(vector, VECTOR) if real else vector
+
+
+@intrinsic_of
+def whole(typingctx: Any, number: Any) -> Any:  # noqa: ARG001
+    """Whole numbers, one for each lane, as lanes; one by itself as it is."""
+    if not isinstance(number, types.BaseTuple):
+        return number(number), lambda context, builder, sig, args: args[0]  # noqa: ARG005
+    return lanes(number), lambda context, builder, sig, args: vector_of(builder, args[0], _REALS)  # noqa: ARG005
+
+
+@intrinsic_of
+def came(typingctx: Any, seq: Any) -> Any:  # noqa: ARG001
+    """Is a packet's number one from zero on; in each lane, where each has its own."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        if isinstance(seq, Lanes):
+            return builder.fcmp_ordered(">=", args[0], ir.Constant(VECTOR, [0.0] * WIDTH))
+        numbers = vector_of(builder, args[0], _WHOLES) if isinstance(seq, types.BaseTuple) else args[0]
+        return builder.icmp_signed(">=", numbers, ir.Constant(numbers.type, None))
+
+    return (mask if isinstance(seq, types.BaseTuple | Lanes) else types.boolean)(seq), make
+
+
+@intrinsic_of
+def some(typingctx: Any, which: Any) -> Any:  # noqa: ARG001
+    """Is a lane of the mask true."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        bits = builder.bitcast(args[0], ir.IntType(WIDTH))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+
+    return types.boolean(which), make
+
+
+@intrinsic_of
+def within(typingctx: Any, x: Any, limit: Any) -> Any:  # noqa: ARG001
+    """Where `-limit < x < limit`."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        return builder.and_(builder.fcmp_ordered("<", builder.fneg(args[1]), args[0]),
+                            builder.fcmp_ordered("<", args[0], args[1]))
+
+    return mask(lanes, lanes), make
+
+
+def address(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
+    """A pointer to eight floats of a flat array, from place `at` on."""
+    start = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(start, [at]), VECTOR.as_pointer())
+
+
+@intrinsic_of
+def load(typingctx: Any, array: Any, at: Any) -> Any:  # noqa: ARG001
+    """Eight floats of a flat array from place `at` on."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(address(context, builder, sig.args[0], *args), align=8)
+
+    return lanes(array, types.intp), make
+
+

@@ -1,0 +1,40 @@
+"""The engine `scalar`: a kernel compiled by numba that runs one scene at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import Bodies
+from teleop.sweeps.kernels.calls import called
+from teleop.sweeps.kernels.compiled import module
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, Told
+from teleop.sweeps.kernels.lanewise import came, where, whole
+from teleop.sweeps.kernels.rings import ago, packet, received, ring, sample, sent
+
+__all__ = ["ago", "came", "packet", "received", "ring", "sample", "sent", "where", "whole"]
+
+FEATURES = frozenset({"compiled"})
+REAL = "reals[base + {}]"
+WIDTH = 1
+CALLS = {"kernel": """\
+        out[t * {row}], told = loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[2 * t], plays[2 * t + 1],
+                                    sizes[t], {one_path}, held, lags[2 * t], lags[2 * t + 1])
+        for i in range(len(told)):
+            out[t * {row} + 1 + i] = told[i]"""}
+SOURCES = ("teleop.sweeps.kernels.lanewise", "teleop.sweeps.kernels.rings", "teleop.sweeps.kernels.scalar")
+
+
+def maker(word: str) -> str:  # noqa: ARG001 - every part is made alike
+    """What makes the part called `word`."""
+    return "compiled_part"
+
+
+def scalar(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
+    """The kernel of a scene's structure. Raises `NotCompiled` where a part of it is not made for that."""
+    kernel = module(scene, bodies, measures, "scalar", keep=keep).kernel
+
+    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
+        return [told for told, in called(kernel, [[each] for each in zip(rows, lags, strict=True)], len(measures))]
+
+    return Kernel("scalar", tuple(measures), run)

@@ -1,0 +1,78 @@
+"""The engine `vector`: a kernel compiled by numba that runs eight scenes side by side over the whole horizon.
+
+The eight share their structure, their number of ticks and every whole number; each float has a lane for each of them.
+Where they share their link's schedule and their hand's path too they are `alike`, and these are read once for all
+eight; where not, they are `apart`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import Bodies
+from teleop.simulation.tick import features
+from teleop.sweeps.kernels.calls import Tile, called
+from teleop.sweeps.kernels.compiled import cause, module
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotVectorised, Told, tree_of
+from teleop.sweeps.kernels.lane_parts import lane_end, lane_part
+from teleop.sweeps.kernels.lanes import WIDTH
+from teleop.sweeps.kernels.lanewise import came, load, some, spread, where, whole, within
+from teleop.sweeps.kernels.leaves import leaves
+from teleop.sweeps.kernels.rings import ago, each, packet, received, ring, sample, sent, tell
+
+__all__ = ["WIDTH", "ago", "came", "each", "lane_end", "lane_part", "load", "packet", "received", "ring", "sample",
+           "sent", "some", "spread", "tell", "where", "whole", "within"]
+
+FEATURES = frozenset({"compiled", "lanes"})
+REAL = f"load(reals, base + {{}} * {WIDTH})"
+CALLS = {
+    "alike": """\
+        loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[t * 2 * {width}], plays[(2 * t + 1) * {width}],
+             sizes[t], {one_path}, held, lags[t * 2 * {width}], lags[(2 * t + 1) * {width}],
+             out[t * {row}:(t + 1) * {row}], spread(0.0))""",
+    "apart": """\
+        loop(given, law, dt, ticks, x_limit, start_m, start_s, each(plays, 2 * t), each(plays, 2 * t + 1),
+             sizes[t], {own_paths}, held, each(lags, 2 * t), each(lags, 2 * t + 1),
+             out[t * {row}:(t + 1) * {row}], spread(0.0))""",
+}
+SOURCES = tuple(f"teleop.sweeps.kernels.{name}"
+                for name in ("lanes", "lanewise", "rings", "lane_parts", "bytecode", "vector"))
+OF_THE_LAW = ("begin_", "law_", "sums_")
+
+
+def maker(word: str) -> str:
+    """What makes the part called `word`."""
+    return "lane_end" if word.startswith(OF_THE_LAW) else "lane_part"
+
+
+def vector(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
+    """The kernel of a scene's structure. Raises `NotVectorised` where that has no lanes, `NotCompiled` as `scalar`."""
+    from numba.core.errors import NumbaError
+
+    if features(scene) & {"inner_m", "inner_s"}:
+        raise NotVectorised("a body with an inner state is moved one scene at a time")
+    if leaves(tree_of(scene, bodies)).arrays:
+        raise NotVectorised("a part with a list among its numbers runs one scene at a time")
+    kernels = module(scene, bodies, measures, "vector", keep=keep)
+
+    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
+        tiles: dict[str, list[tuple[int, Tile]]] = {"alike": [], "apart": []}
+        for first in range(0, len(rows), WIDTH):
+            tile = list(zip(rows[first:first + WIDTH], lags[first:first + WIDTH], strict=True))
+            one, lag = tile[0]
+            alike = all(row.water is one.water and row.path is one.path and own == lag for row, own in tile)
+            tile += [tile[-1]] * (WIDTH - len(tile))  # lanes without a row of their own repeat the last
+            tiles["alike" if alike else "apart"].append((first, tile))
+        found: dict[int, Told] = {}
+        for name, several in tiles.items():
+            if several:
+                try:
+                    told = called(getattr(kernels, name), [tile for _, tile in several], len(measures))
+                except NumbaError as error:  # compiled at the first call of its name
+                    raise NotVectorised(f"rows of schedules of their own have no lanes: {cause(error)}") from error
+                for (first, _), ones in zip(several, told, strict=True):
+                    found |= enumerate(ones, first)
+        return [found[i] for i in range(len(rows))]
+
+    return Kernel("vector", tuple(measures), run, WIDTH)

@@ -1,0 +1,113 @@
+"""The delay-scenario test matrix run, a sweep for each block, and told: what ended as expected, and what did not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO
+
+from teleop.sweeps.matrix_file import BUILT_IN, METRICS, Block, Row, read_matrix
+from teleop.sweeps.runner import sweep
+
+Show = Callable[[int, int], None]
+
+
+class Outcome(NamedTuple):
+    """A row and what came."""
+
+    row: Row
+    status: str
+    ticks: int
+    figures: Mapping[str, float]  # those of `METRICS` that the run has
+    x_limit: str  # m, beyond which it has diverged
+
+    @property
+    def as_expected(self) -> bool:
+        """Did the run end with the status that was expected."""
+        return self.status == self.row.expect
+
+    def line(self) -> str:
+        """What was expected, what came, and why, in one line."""
+        ended = "stayed within" if self.status == "ok" else "was not finite or passed"
+        told = "".join(f", {name} {value:.3g}" for name, value in self.figures.items())
+        return (f"{self.row.id}: expected {self.row.expect} ({self.row.why}), came {self.status}: {ended} "
+                f"{self.x_limit} in {self.ticks} ticks{told}")
+
+
+def run_block(block: Block, *, executor: Executor | None = None, out: Path | None = None, show: Show | None = None
+              ) -> list[Outcome]:
+    """Run a block as one sweep in plain Python, in the order of its rows. `out`: the folder of that sweep."""
+    rows = block.rows()
+    ran = sweep(block.scene, block.axes(), seeds=block.seeds or 1, metrics=METRICS, fixed=block.fixed,
+                engine="plain", executor=executor, out=out, show=show)
+    limit = f"x_limit = {block.fixed['x_limit']} m" if "x_limit" in block.fixed else "its x_limit"
+    return [Outcome(rows[came["row"]], came["status"], came["ticks"],
+                    {name: came[name] for name in METRICS if name in came}, limit) for came in ran]
+
+
+def run_matrix(blocks: tuple[Block, ...], *, executor: Executor | None = None, out: Path | None = None,
+               show: Show | None = None) -> dict[str, list[Outcome]]:
+    """Run every block; what came, by the block's name. `out`: a folder that takes the folder of each block's sweep."""
+    total, done = sum(len(block.rows()) for block in blocks), 0
+    came: dict[str, list[Outcome]] = {}
+    for block in blocks:
+        def told(here: int, _: int, before: int = done) -> None:
+            if show is not None:
+                show(before + here, total)
+
+        came[block.name] = run_block(block, executor=executor, out=out and out / block.name, show=told)
+        done += len(came[block.name])
+    return came
+
+
+def table(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> str:
+    """What came, a line a block, and a line for each row that is not as expected."""
+    lines = [("block", "scene", "rows", "as expected")]
+    for block in blocks:
+        lines.append((block.name, block.scene, str(len(came[block.name])), str(_good(came[block.name]))))
+    every = [outcome for outcomes in came.values() for outcome in outcomes]
+    lines.append(("in all", "", str(len(every)), str(_good(every))))
+    wide = [max(len(line[i]) for line in lines) for i in range(4)]
+    said = [f"{a:<{wide[0]}}  {b:<{wide[1]}}  {c:>{wide[2]}}  {d:>{wide[3]}}" for a, b, c, d in lines]
+    wrong = [outcome.line() for outcome in every if not outcome.as_expected]
+    last = f"{len(wrong)} of {len(every)} rows not as expected:" if wrong else f"all {len(every)} rows as expected"
+    return "\n".join([*said, last, *wrong])
+
+
+def summary(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> dict[str, Any]:
+    """The same as JSON can hold it, with every row."""
+    every = [outcome for outcomes in came.values() for outcome in outcomes]
+    return {
+        "rows": len(every), "as_expected": _good(every),
+        "blocks": [{"name": block.name, "scene": block.scene, "rows": len(came[block.name]),
+                    "as_expected": _good(came[block.name])} for block in blocks],
+        "unexpected": [outcome.line() for outcome in every if not outcome.as_expected],
+        "outcomes": [{**one.row._asdict(), "status": one.status, "ticks": one.ticks, **one.figures} for one in every],
+    }
+
+
+def answer(path: str | None, *, out: str | None, command: Sequence[str], clock: Callable[[], float],
+           stream: TextIO | None) -> tuple[dict[str, Any], str]:
+    """What `teleop matrix` says of the matrix at `path`, as JSON can hold it and as text. Raises `Refused`."""
+    from teleop.terminal.run_table import Progress
+
+    blocks = read_matrix(BUILT_IN if path is None else path)
+    line = None if stream is None else Progress(stream, float(sum(len(block.rows()) for block in blocks)))
+
+    def show(done: int, of: int) -> None:
+        if line is not None:
+            line.show(float(done), clock(), f"{done} of {of} rows")
+
+    began = clock()
+    try:
+        came = run_matrix(blocks, out=None if out is None else Path(out), show=show)
+    finally:
+        if line is not None:
+            line.end()
+    told = {"matrix": str(path or BUILT_IN), "seconds": clock() - began, "path": out, "command": list(command)}
+    return {**told, **summary(blocks, came)}, "\n".join([table(blocks, came), *([f"written to {out}"] if out else [])])
+
+
+def _good(outcomes: list[Outcome]) -> int:
+    return sum(outcome.as_expected for outcome in outcomes)

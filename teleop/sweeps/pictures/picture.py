@@ -1,0 +1,183 @@
+"""Pictures of a sweep: where it is stable over two knobs, a metric over two knobs, a metric over one. Needs `plot`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from teleop.errors import Refused, nearest
+from teleop.sweeps.pictures.layout import (
+    GREY,
+    TEXTS,
+    Knob,
+    Panel,
+    axes_knobs_of,
+    gradient_map,
+    groups_of,
+    pairs_of,
+    panels_of,
+    scale,
+    spacing,
+    spread,
+    text_of,
+    unit_of,
+    varying,
+)
+from teleop.sweeps.pictures.maps import draw_maps
+from teleop.terminal.figure import literal, need_plot, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from teleop.sweeps.table import Table
+
+KINDS = ("stability", "metric", "curves")
+LINES = 7  # at most, in one panel
+
+
+def draw(
+    table: Table, path: Path, kind: str | None = None, *, metric: str | None = None, title: str = "",
+    units: Mapping[str, str] | None = None, words: Mapping[str, str] | None = None,
+) -> None:
+    """Draw `table` into the PNG file `path`, whole or not at all.
+
+    `kind`: "stability" (two knobs as axes, cells coloured by status, or by the share of seeds that end ok, and the
+    boundary between them), "metric" (the median over the seeds that end ok), "curves" (a metric over one knob, with
+    its quartiles and extremes over the seeds; a line for each value of another). Left out: of two knobs with numbers
+    a map, of the metric if that is given or every row ended ok, else of stability; of one curves. Knobs left over have
+    a panel for each value. `metric` is one of `table.metrics`, left out the first. `units` are those of knobs, `words`
+    what the legend says of a status. Points without a grid (a random sample) are drawn as such. Raises `Refused` if
+    the extra is missing, nothing varies, or the file cannot be written.
+    """
+    need_plot()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    knobs, notes = varying(table, units or {})
+    numeric = [knob.name for knob in knobs if knob.numeric]
+    check([knob.name for knob in knobs], numeric, kind, metric, table.metrics)
+    if kind is None:
+        plain = metric is None and ({*table.counts()} != {"ok"} or not table.metrics)
+        kind = "curves" if len(numeric) < 2 else "stability" if plain else "metric"
+    metric = metric or next(iter(table.metrics), None)
+    axes_knobs = axes_knobs_of(knobs, kind)
+    others = [knob for knob in knobs if knob not in axes_knobs]
+    sampled = [knob for knob in others if pairs_of(knob, axes_knobs[0]) is not None]  # of no value has it two rows
+    panels, note = panels_of(table, [knob for knob in others if knob not in sampled])
+    notes += [f"{knob.name} varies too" for knob in sampled]
+    columns = min(3, len(panels))
+    lines = -(-len(panels) // columns)
+    figure = Figure(figsize=(1.9 + 3.7 * columns + 1.6 * (columns == 1), 1.2 + 3.3 * lines), dpi=120,
+                    layout="constrained")
+    FigureCanvasAgg(figure)
+    every: Any = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    for axes in every.ravel()[len(panels):]:
+        axes.set_axis_off()
+    shown = [*zip(every.ravel(), panels, strict=False)]
+    if kind == "curves":
+        left = _curves(figure, shown, table, axes_knobs, str(metric))
+    else:
+        left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words or {})
+    for at, (axes, _) in enumerate(shown):
+        if at % columns == 0:
+            axes.set_ylabel(axes_knobs[1].label if kind != "curves" else literal(f"{metric}{unit_of(str(metric))}"))
+        if at + columns >= len(panels):  # the lowest of its column, maybe above an empty place
+            axes.set_xlabel(axes_knobs[0].label)
+            axes.tick_params(axis="x", labelbottom=True)
+    ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
+    told = (title, f"{len(table)} rows: {ended}", *notes, note, left)
+    figure.suptitle(literal(" · ".join(part for part in told if part)), fontsize=11)
+    save(figure, path)
+
+
+def check(knobs: Sequence[str], numeric: Sequence[str], kind: str | None, metric: str | None, metrics: Sequence[str]
+          ) -> None:
+    """Refuse a picture that cannot be: `knobs` have several values, `numeric` of them are numbers."""
+    if kind is not None and kind not in KINDS:
+        raise Refused(f"there is no picture {kind!r}; {nearest(kind, KINDS)}")
+    if not knobs or (kind not in (None, "curves") and len(numeric) < 2):
+        need = "a knob" if kind in (None, "curves") else "two knobs with numbers"
+        raise Refused(f"a picture of this kind needs {need} with several values each, and the grid has "
+                      f"{', '.join(knobs) or 'none'}; widen the grid, for example delay=0:0.5:51")
+    if metric is not None and metric not in metrics:
+        raise Refused(f"the rows have no metric {metric!r}; {nearest(metric, metrics)}" if metrics else
+                      f"the rows have no metric, and so no {metric}; sweep with it, --metrics {metric}")
+    if metric is not None and kind == "stability":
+        raise Refused(f"a stability map shows how rows ended, and no metric; leave {metric} out, or write "
+                      "--picture metric")
+    if not metrics and (kind in ("metric", "curves") or len(numeric) < 2):
+        raise Refused("the rows have no metric to draw; sweep with one, for example --metrics x_err_rms")
+
+
+def _curves(
+    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[Knob], metric: str
+) -> str:
+    """Median, quartiles and extremes over the seeds; a cross where not every run ended ok. What was left out."""
+    import numpy as np
+
+    x, by = knobs[0], knobs[1] if len(knobs) > 1 else None
+    places = [0] if by is None else spread(len(by.values), LINES)
+    where_x = np.array(x.values) if x.numeric else np.arange(len(x.values))
+    every: list[float] = []
+    for axes, panel in shown:
+        crossed = 0
+        for i, place in enumerate(places):
+            rows = panel.rows if by is None else panel.rows[by.place[panel.rows] == place]
+            if not len(rows):
+                continue
+            ok = table["status"][rows] == "ok"
+            groups = groups_of(table[metric][rows], x.place[rows], ok, len(x.values))
+            five = np.array([np.quantile(each, (0.0, 0.25, 0.5, 0.75, 1.0)) if len(each) else [np.nan] * 5
+                             for each in groups]).T
+            every += five[np.isfinite(five)].tolist()
+            gradient = by is not None and by.numeric
+            colour = gradient_map()(0.9 * i / max(1, len(places) - 1)) if gradient else TEXTS[i % len(TEXTS)]
+            at = where_x if x.numeric else where_x + 0.1 * (i - (len(places) - 1) / 2.0)  # texts: side by side
+            if max(map(len, groups)) > 1 and x.numeric:
+                axes.fill_between(at, five[0], five[4], color=colour, alpha=0.12, linewidth=0.0)
+                axes.fill_between(at, five[1], five[3], color=colour, alpha=0.28, linewidth=0.0)
+            elif max(map(len, groups)) > 1:
+                axes.vlines(at, five[0], five[4], color=colour, alpha=0.4, linewidth=1.5)
+                axes.vlines(at, five[1], five[3], color=colour, alpha=0.4, linewidth=5.0)
+            under = 0 if gradient else len(places) - 1 - i  # wider below others, so that equal ones are both seen
+            axes.plot(at, five[2], color=colour, marker="o", markersize=3.0 + 0.4 * under if x.numeric else 5.0,
+                      linewidth=1.3 + 0.4 * under if x.numeric else 0.0,
+                      label=None if by is None else literal(f"{by.name} {text_of(by.values[place])}", most=80))
+            bad = np.unique(x.place[rows][~ok])
+            if len(bad):  # above the axis, in heights of the panel
+                (crosses,) = axes.plot(at[bad], np.full(len(bad), 0.025 + 0.035 * crossed), color=colour,
+                                       marker="x", markersize=5.0, linestyle="none",
+                                       transform=axes.get_xaxis_transform())
+                crosses.set_in_layout(False)
+                crossed += 1
+        if x.numeric:
+            scale(axes, "x", x.values)
+        else:
+            texts = [literal(text_of(value)) for value in x.values]
+            long = sum(map(len, texts)) > 36
+            axes.set_xticks(where_x, texts, rotation=20.0 if long else 0.0, ha="right" if long else "center")
+        axes.set_title(panel.title, fontsize=10)
+        axes.grid(visible=True, linewidth=0.4, alpha=0.5)
+    scaled, linear = spacing(np.array(every))
+    if scaled != "linear":  # the panels share it
+        shown[0][0].set_yscale(scaled, **({"linthresh": linear} if scaled == "symlog" else {}))
+    _explain(figure, shown, table)
+    left = by is not None and len(places) < len(by.values)
+    return f"{len(places)} of {len(by.values)} values of {by.name}" if by is not None and left else ""
+
+
+def _explain(figure: Figure, shown: list[tuple[Axes, Panel]], table: Table) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    known = {label: handle for axes, _ in shown
+             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if any(axes.collections for axes, _ in shown):
+        known |= {"quartiles of the seeds": Patch(color=GREY, alpha=0.45), "extremes": Patch(color=GREY, alpha=0.2)}
+    if set(table.counts()) - {"ok"}:
+        known["not every run ok"] = Line2D([], [], marker="x", color=GREY, linestyle="none")
+    if known:
+        figure.legend([*known.values()], [*known], loc="outside lower center",
+                      ncols=min(3 if len(shown) == 1 else 6, len(known)), frameon=False, fontsize=9)

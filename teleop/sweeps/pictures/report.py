@@ -1,0 +1,181 @@
+"""What is told of a sweep's folder: its summary over all the calls that ran rows, its refusals, its picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.errors import Refused
+from teleop.scene.catalogue import units_of
+from teleop.simulation.result import has_record
+from teleop.storage import strict_json as stored
+from teleop.storage.files import read_bytes, replacing
+from teleop.storage.folder import is_being_written
+from teleop.storage.strict_json import Misshapen, parse
+from teleop.terminal.printable import printable
+
+if TYPE_CHECKING:
+    from teleop.sweeps.table import Table
+
+SUMMARY = "summary.json"
+OF_A_CALL = ("command", "engine", "why", "engines", "ran", "seconds", "interrupted", "cluster", "versions")
+SENTENCES = 3  # that are shown
+_SHAPE = stored.record({}, {
+    "scene": stored.text, "rows": stored.whole(low=0), "engine": stored.text, "why": stored.optional(stored.text),
+    "runs": stored.each(stored.record({})), "limits": stored.named(stored.real),
+})
+
+
+class Wish(NamedTuple):
+    """The picture asked for: a kind of `teleop.sweeps.pictures.picture.KINDS` and a metric; none: what suits."""
+
+    kind: str | None = None
+    metric: str | None = None
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """What summary.json of a sweep's folder holds; nothing if there is none that can be read."""
+    try:
+        got: dict[str, Any] = parse(read_bytes(folder / SUMMARY, links=False))
+        _SHAPE(got, SUMMARY)
+    except (OSError, Misshapen):
+        return {}
+    return got
+
+
+def joined(told: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+    """A call's summary after that of earlier calls: `runs` has an entry for each that ran rows, the last also on top.
+
+    A call that found every row there changes nothing of how they were made.
+    """
+    runs: list[dict[str, Any]] = before["runs"] if isinstance(before.get("runs"), list) else []
+    if told["ran"]:
+        runs = [*runs, {key: told[key] for key in OF_A_CALL if key in told}]
+    last = runs[-1] if runs and not told["ran"] else {}
+    return {**told, **{key: last[key] for key in OF_A_CALL if key in last}, "runs": runs}
+
+
+def write(told: Mapping[str, Any], folder: Path) -> None:
+    """Write summary.json, whole or not at all. Raises `Refused` if that cannot be."""
+    try:
+        with replacing(folder / SUMMARY) as file:
+            file.write(stored.written(told, indent=2).encode() + b"\n")
+    except OSError as error:
+        raise Refused(f"cannot write to {folder} ({error.strerror or error}); the rows are kept, and the same "
+                      "command goes on") from error
+
+
+def sentences(table: Table, *, refused: bool) -> dict[str, int]:
+    """What was said of how many rows, of those that were refused or of all others; the most frequent first."""
+    import numpy as np
+
+    said = table["sentence"][(table["status"] == "refused") == refused]
+    texts, counts = np.unique([str(text) for text in said.tolist() if text is not None], return_counts=True)
+    return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda pair: -pair[1]))
+
+
+def status_lines(table: Table) -> list[str]:
+    """How many rows ended how, why some were refused, and which of a user's own metrics failed."""
+    from teleop.terminal.run_table import whole
+
+    counts = ", ".join(f"{whole(count)} {printable(status)}" for status, count in table.counts().items())
+    lines = [f"status   {whole(len(table))} done: {counts or 'none'}"]
+    for label, refused in (("refused", True), ("metrics", False)):
+        every = [*sentences(table, refused=refused).items()]
+        for i, (sentence, count) in enumerate(every[:SENTENCES]):
+            lines.append(f"{'' if i else label:<8} {whole(count)} row{'s' * (count > 1)}: {printable(sentence)}")
+        if len(every) > SENTENCES:
+            rest = every[SENTENCES:]
+            lines.append(f"         and {whole(len(rest))} more sentence{'s' * (len(rest) > 1)} in "
+                         f"{whole(sum(count for _, count in rest))} rows, which rows.jsonl has")
+    return lines
+
+
+def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
+    """What a sweep's folder holds: as JSON can hold it, as text, and its rows. It may still be growing."""
+    from teleop.sweeps.store import Store
+    from teleop.terminal.run_table import whole
+
+    store = Store.look(folder)
+    table = store.table()
+    told = {**summary_of(folder), **store.definition, "done": len(table), "counts": table.counts(), "path": str(folder)}
+    if "scene" not in told:
+        raise Refused(f"{folder} holds a sweep of no scene; give the folder that `teleop sweep` printed")
+    rows = f"{whole(told['rows'])} rows" if "rows" in told else "rows"
+    lines = [printable(f"sweep    {told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"),
+             *status_lines(table)]
+    if "engine" in told:
+        lines.append(printable(f"engine   {told['engine']}: {told.get('why')}"))
+    calls = len(told.get("runs", ()))
+    lines += [f"         {calls} calls ran rows; {SUMMARY} has each"] if calls > 1 else []
+    return told, "\n".join([*lines, str(table)]), table
+
+
+def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> Path:
+    """Draw sweep.png into a sweep's folder; where it is. Raises `Refused` if that cannot be.
+
+    `trust`: the scene's own file may be run, for the units of its knobs.
+    """
+    from teleop.scene.library import known_scenes
+    from teleop.sweeps.pictures.picture import draw
+
+    name = str(told["scene"])
+    limits = told.get("limits") or {}
+    words = {}
+    if "x_limit" in limits:
+        words["diverged"] = f"diverged: beyond x_limit = {limits['x_limit']:g} m"
+    if "duration" in limits:
+        within = f"within {limits['x_limit']:g} m for " if "x_limit" in limits else ""
+        words["ok"] = f"ok: {within}{limits['duration']:g} s"
+    draw(table, folder / "sweep.png", wish.kind, metric=wish.metric, title=Path(name).stem,
+         units=units_of(name, table.knobs) if trust or name in known_scenes() else {}, words=words)
+    return folder / "sweep.png"
+
+
+def drawn(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> str:
+    """Draw a sweep and say where; that it cannot be is no error, for its rows are there."""
+    if not len(table):
+        return "no figure: no row is there yet"
+    try:
+        return f"drawn in {picture(table, folder, told, wish, trust=trust)}"
+    except Refused as refused:
+        return f"no figure: {refused}"
+
+
+def report(folder: Path, wish: Wish, *, quiet: bool, trust: bool = False) -> tuple[dict[str, Any], str]:
+    """What `teleop report` says of a sweep, as JSON can hold it and as text; it is drawn if that can be.
+
+    A picture that is wished for must be (`Refused`); without a wish, and `quiet`, there is none. `trust`: see
+    `picture`.
+    """
+    from teleop.terminal.figure import drawable, need_plot
+
+    told, text, table = told_of(folder)
+    if any(wish):
+        need_plot()
+        return told, f"{text}\ndrawn in {picture(table, folder, told, wish, trust=trust)}"
+    if not quiet and drawable() and len(table):
+        text += "\n" + drawn(table, folder, told, wish, trust=trust)
+    return told, text
+
+
+def check_run(at: Path, wish: Wish) -> None:
+    """Refuse what is no run's folder, in the words of what is there, and a wish for another picture than a run has."""
+    if not at.is_dir():
+        raise Refused(f"there is no folder {at}; give the one that `teleop run` or `teleop sweep` printed")
+    if not (at / "trace.npz").is_file() and not has_record(at) and not is_being_written(at):
+        inside = sorted(each.parent for each in [*at.glob("*/trace.npz"), *at.glob("*/sweep.json")])
+        cure = f"one of the folders in it, such as {inside[-1]}" if inside else \
+            "the folder that `teleop run` or `teleop sweep` printed"
+        raise Refused(f"{at} holds no run and no sweep; give {cure}")
+    if any(wish):
+        raise Refused(f"{at} holds a run, which has one figure; leave --picture and --metric out")
+
+
+def limits_of(scene: str, knobs: Mapping[str, Any], turned: Sequence[str]) -> dict[str, float]:
+    """What every row of a sweep runs for (s) and may not pass (m), as its first row has it; without what is turned."""
+    from teleop.scene.scene import load_scene
+
+    made = load_scene(scene, **knobs)
+    return {key: getattr(made, key) for key in ("duration", "x_limit") if key not in turned}

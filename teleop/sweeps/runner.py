@@ -1,0 +1,254 @@
+"""Sweeps: a grid of knobs and seeds over one scene, in chunks, by any executor."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from os import PathLike, cpu_count
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from teleop.errors import Refused, nearest
+from teleop.scene.scene import Scene, load_scene
+from teleop.simulation.metrics import UNITS
+from teleop.sweeps.chunk import WHOLE, Done, Job, Measure, whole_runs, work
+from teleop.sweeps.grid import Grid, grid, listed, plain
+from teleop.sweeps.kernels.digest import digest, file_digest, sources
+from teleop.sweeps.kernels.kernel import available
+from teleop.sweeps.store import Store
+from teleop.sweeps.table import Table, TableBuilder
+
+ENGINES = ("plain", "scalar", "vector")
+CHUNK = 0.5  # s of work that a chunk aims at
+LARGEST = 4096  # rows in one
+POLL = 1.0  # s after which an executor is asked again how much it can take
+WORTH = 4.0  # s of plain Python above which compiling is worth its time
+PLAIN = 4e-6  # s a tick, about
+MOST_LAWS = 32  # of an axis that are looked at beforehand
+ENDS = ("master_start", "slave_start", "master", "slave", "master_sums", "slave_sums", "start", "force")
+FEW = 16  # rows that are not worth putting side by side
+USUAL = ("x_err_rms", "x_err_max", "f_m_max", "E_link_min", "E_port_min")
+
+Show = Callable[[int, int], None]
+
+
+@dataclass(kw_only=True)
+class Sweep:
+    """A sweep and how far it has come."""
+
+    scene: str
+    grid: Grid
+    fixed: Mapping[str, object]
+    measures: tuple[Measure, ...]
+    engine: str
+    why: str  # the engine
+    sources: str = ""  # a digest of what of the sweep is the user's own: scene file, laws, metrics
+    ran: Counter[tuple[str, str]] = field(default_factory=Counter)  # rows by engine, and why it was not the one above
+
+    def definition(self) -> dict[str, Any]:
+        """What the folder of this sweep is held to."""
+        from teleop import __version__
+
+        return {
+            "scene": self.scene, "fixed": {key: plain(listed(key, [value])[0]) for key, value in self.fixed.items()},
+            "grid": self.grid.definition(), "metrics": _names(self.measures), "sources": self.sources,
+            "version": __version__,
+        }
+
+
+def sweep(
+    scene: str | PathLike[str], axes: Mapping[Any, Iterable[Any]] | Grid | None = None, *,
+    seeds: int | Iterable[int] = 1, metrics: Sequence[Measure] | None = None,
+    fixed: Mapping[str, object] | None = None, engine: str | None = None, executor: Executor | None = None,
+    out: Path | str | None = None, show: Show | None = None,
+) -> Table:
+    """Run `scene` (a name, or the path of a file) at every point of a grid and with every seed.
+
+        sweep("soft_tissue", {"law": ["wave", "direct"], "delay": [0.0, 0.05]}, seeds=3)["x_err_rms"]
+
+    `axes`: knobs and their values as `load_scene` takes them; a tuple of knobs goes with a list of tuples. `fixed`:
+    knobs that are the same in every row. `metrics`: names of `teleop.simulation.metrics.UNITS`, or functions of a
+    `Result`, which cost a whole record. `engine`: plain, scalar or vector; left out, by the amount of work and what is
+    installed. `executor`: any of concurrent.futures; left out, threads. `out`: a folder that rows are appended to as
+    they finish; the same sweep there goes on where it stopped. `show` is told rows done and rows in all. Raises
+    `Refused`.
+    """
+    plan = prepare(scene, axes, seeds=seeds, metrics=metrics, fixed=fixed, engine=engine)
+    return carry_out(plan, executor=executor, out=out, show=show)
+
+
+def prepare(
+    scene: str | PathLike[str], axes: Mapping[Any, Iterable[Any]] | Grid | None = None, *,
+    seeds: int | Iterable[int] = 1, metrics: Sequence[Measure] | None = None,
+    fixed: Mapping[str, object] | None = None, engine: str | None = None,
+) -> Sweep:
+    """The sweep, checked before anything is run or written: its first row must make a scene."""
+    scene = str(scene) if isinstance(scene, PathLike) else scene
+    points = axes if isinstance(axes, Grid) else grid(axes or {}, seeds)
+    fixed = dict(fixed or {})
+    twice = [knob for knob in points.knobs if knob in fixed]
+    if twice:
+        raise Refused(f"{twice[0]} is an axis of the grid and set besides; leave one of them out")
+    first = load_scene(scene, **{**fixed, **points.point(0)[0]})
+    others = _of_each_law(scene, points, fixed)
+    known = {name for one in (first, *others) for name in available(one)}
+    measures = tuple(name for name in USUAL if name in known) if metrics is None else _checked(metrics)
+    chosen, why = _engine(engine, first, len(points), measures)
+    # As the scene has it, so that "0.30" and 0.3 are the same sweep.
+    read = {key: first.knobs[key] for key, value in fixed.items()
+            if isinstance(value, str) and isinstance(first.knobs.get(key), bool | int | float)}
+    return Sweep(scene=scene, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen, why=why,
+                 sources=_own_sources(scene, [one.law for one in (first, *others)], measures))
+
+
+def _of_each_law(name: str, points: Grid, fixed: Mapping[str, object]) -> list[Scene]:
+    """The first row's scene with every other law of the grid; what is refused, its rows will say."""
+    found = []
+    laws = [value for knobs, values in points.axes for at in values for knob, value in zip(knobs, at, strict=True)
+            if knob == "law"]
+    for law in laws[1:MOST_LAWS]:
+        with suppress(Refused):
+            found.append(load_scene(name, **{**fixed, **points.point(0)[0], "law": law}))
+    return found
+
+
+def _checked(metrics: object) -> tuple[Measure, ...]:
+    """The metrics that were asked for. Raises `Refused`."""
+    if isinstance(metrics, str) or not isinstance(metrics, Iterable):
+        raise Refused(f"metrics are a list, not {metrics!r}; write for example metrics=['x_err_rms']")
+    measures = tuple(metrics)
+    for one in measures:
+        if isinstance(one, str) and one not in UNITS:
+            raise Refused(f"there is no metric {one!r}; {nearest(one, UNITS)}")
+        if not isinstance(one, str) and not (callable(one) and hasattr(one, "__name__")):
+            raise Refused(f"a metric is the name of one, or a function of a Result with a name, not {one!r}")
+    names = _names(measures)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise Refused(f"{twice} is asked for twice; name each metric once")
+    return measures
+
+
+def _names(measures: Iterable[Measure]) -> list[str]:
+    return [one if isinstance(one, str) else one.__name__ for one in measures]
+
+
+def _own_sources(name: str, laws: Iterable[Any], measures: Iterable[Measure]) -> str:
+    """A digest of the scene file, laws and metrics that are the user's own; the others go by the version."""
+    texts = [file_digest(Path(name))] if name.endswith(".py") else []
+    own = [law for law in laws if not type(law).__module__.startswith("teleop.laws.")]
+    functions = [getattr(type(law), end) for law in own for end in ENDS if hasattr(type(law), end)]
+    for part in (*functions, *[one for one in measures if not isinstance(one, str)]):
+        texts += sources([part])
+    return digest(texts) if texts else ""
+
+
+def _engine(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
+    from importlib.util import find_spec
+
+    if asked is None and whole_runs(measures, scene):
+        return "plain", WHOLE
+    if asked is not None:
+        if asked not in ENGINES:
+            raise Refused(f"there is no engine {asked!r}; {nearest(asked, ENGINES)}")
+        if asked != "plain":
+            from teleop.sweeps.kernels.compiled import need_numba
+
+            need_numba(asked)
+        return asked, "as asked for"
+    seconds = PLAIN * scene.ticks * rows
+    if seconds < WORTH:
+        return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
+    if find_spec("numba") is None:
+        return "plain", "numba is not installed; with it this would be some 50 times faster (the extra `batch`)"
+    if rows < FEW:
+        return "scalar", f"about {seconds:.3g} s of plain Python in {rows} rows, so it is compiled for one at a time"
+    return "vector", f"about {seconds:.3g} s of plain Python, so it is compiled for eight rows at once"
+
+
+def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str | None = None, show: Show | None = None
+              ) -> Table:
+    """Run what is not done yet of a sweep."""
+    total = len(plan.grid)
+    store = None if out is None else Store.open(Path(out), plan.definition())
+    builder = TableBuilder(plan.grid.knobs, tuple(_names(plan.measures)))
+    try:
+        count = 0 if store is None else len(store.done)
+        if show is not None:
+            show(count, total)
+        waiting = iter(range(total)) if store is None else chain.from_iterable(store.done.gaps(total))
+        for finished in _chunks(plan, waiting, total - count, executor):
+            plan.ran.update(finished.ran)
+            if store is not None:
+                store.append(finished.rows)
+            else:
+                for row in finished.rows:
+                    builder.add(row)
+            count += len(finished.rows)
+            if show is not None:
+                show(count, total)
+        return builder.table() if store is None else store.table()
+    finally:
+        if store is not None:
+            store.close()
+
+
+def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None) -> Iterator[Done]:
+    """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back.
+
+    Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together.
+    """
+    pool, own = _pool(executor)
+    stop = Event()
+    told = (stop.is_set,) if executor is None else ()  # others may be in other processes
+    each, size = 0.0, 1  # s a row, rows of the last chunk
+    running: set[Future[Done]] = set()
+    try:
+        while True:
+            while len(running) < 2 * (workers := getattr(pool, "_max_workers", 4)):  # of a cluster the number changes
+                if each > 0.0:  # rows to come may cost more: grow step by step
+                    size = max(1, min(LARGEST, int(CHUNK / each), 4 * size, left // (2 * workers)))
+                    size -= size % 8 if size > 8 else 0  # as many as an engine may run side by side
+                job = _job(plan, list(islice(waiting, size)))
+                if not job.rows:
+                    break
+                left -= len(job.rows)
+                running.add(pool.submit(work, job, *told))
+            if not running:
+                return
+            for future in wait(running, POLL, FIRST_COMPLETED).done:
+                running.remove(future)
+                done = future.result()
+                spent = done.seconds / len(done.rows)
+                each = max(spent, each / 8.0)  # the first may have compiled
+                yield done
+    finally:
+        stop.set()
+        for future in running:
+            future.cancel()
+        if own:
+            pool.shutdown(cancel_futures=True)
+
+
+def _pool(executor: Executor | None) -> tuple[Executor, bool]:
+    """Whom the jobs are handed to, and whether it is to be shut down after them."""
+    if executor is None:
+        return ThreadPoolExecutor(cpu_count() or 1), True
+    if type(executor).__module__.startswith("distributed."):
+        from teleop.sweeps.cluster import Cluster
+
+        return Cluster(executor), True  # the client that it is of stays open
+    return executor, False
+
+
+def _job(plan: Sweep, numbers: list[int]) -> Job:
+    rows = []
+    for number in numbers:
+        knobs, seed = plan.grid.point(number)
+        rows.append((number, knobs, seed))
+    return Job(plan.scene, dict(plan.fixed), rows, plan.measures, plan.engine)

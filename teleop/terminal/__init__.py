@@ -1,0 +1,1 @@
+"""The terminal: options, tables, progress lines, and figures."""

@@ -1,0 +1,200 @@
+"""What may be typed: the commands, their options and their help."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Callable, Mapping
+
+from teleop.terminal.options import Parser, scene_options, whole
+
+Do = Callable[[Namespace], None]
+
+EXAMPLES = """\
+examples:
+  teleop run hard_wall
+  teleop run canonical --set law=pfra --set law.alpha=0.2 --set delay=0.1 --plot
+  teleop run hard_wall --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)' --seed 7 --json
+  teleop demo jittery_wan
+  teleop precision hard_wall --set k_e=1e6
+  teleop stability soft_tissue --set law=direct --critical k_e
+  teleop passivity virtual_coupling --plot
+  teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02
+  teleop sweep soft_tissue --grid law=direct,wave delay=0:0.1:21 k_e=10:1e4:21:log --plot
+  teleop matrix
+  teleop list hard_wall
+  teleop report runs/hard_wall-1
+"""
+
+
+def parser(do: Mapping[str, Do]) -> ArgumentParser:
+    """The parser of the command line; `do` has what each command does, by its name."""
+    whole_parser = Parser(
+        prog="teleop", epilog=EXAMPLES, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False,
+        description="A delayed bilateral teleoperation stack: run a scene in virtual time or live.",
+    )
+    whole_parser.add_argument("--version", action="version", version=_version())
+    whole_parser.set_defaults(do=None)
+    commands = whole_parser.add_subparsers(title="commands", metavar="COMMAND")
+    for name, (text, options) in COMMANDS.items():
+        added: ArgumentParser = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+        added.set_defaults(do=do[name])
+        options(added)
+    return whole_parser
+
+
+def _json(added: ArgumentParser, what: str = "print one JSON object and nothing else") -> None:
+    added.add_argument("--json", action="store_true", help=what)
+
+
+def _out(added: ArgumentParser, stem: str) -> None:
+    added.add_argument("--out", metavar="DIR", help=f"the new folder to write; default runs/{stem}-NUMBER")
+
+
+def _plot(added: ArgumentParser, what: str) -> None:
+    added.add_argument("--plot", action="store_true", help=f"draw {what} too (needs the extra `plot`)")
+
+
+def _picture(added: ArgumentParser, then: str) -> None:
+    added.add_argument("--picture", metavar="KIND", help="stability (how rows ended, over two knobs), metric (one over "
+                       f"two knobs) or curves (one over one knob); left out: by what varies and how rows ended{then}")
+    added.add_argument("--metric", metavar="NAME", help=f"the metric that it shows; left out: the first{then}")
+
+
+def _run(added: ArgumentParser) -> None:
+    scene_options(added)
+    _out(added, "SCENE")
+    _json(added)
+    _plot(added, "figure.png")
+
+
+def _demo(added: ArgumentParser) -> None:
+    scene_options(added, default="hard_wall")
+    _out(added, "SCENE")
+    _json(added)
+    _plot(added, "figure.png")
+    added.add_argument("--lockstep", action="store_true",
+                       help="step both ends together over UDP: bit for bit what `teleop run` gives")
+    added.add_argument("--realtime", action="store_true",
+                       help="ask the system for SCHED_FIFO, locked memory and no garbage collection in all three")
+
+
+def _sweep(added: ArgumentParser) -> None:
+    scene_options(added, seed=False)
+    added.add_argument("--grid", metavar="KNOB=VALUES", nargs="+", action="extend", default=[],
+                       help="axes of the grid: delay=0:0.5:51, k_e=1e2:1e6:9:log, law=wave,pfra; several are "
+                       "crossed, in one --grid or in several")
+    added.add_argument("--seeds", metavar="N", type=whole, default=1,
+                       help="every point with the seeds 0 .. N-1; left out: 1")
+    added.add_argument("--latin", metavar="N", type=whole, help="N points drawn from the ranges of --grid "
+                       "(delay=0:0.5, k_e=1e2:1e6:log, law=wave,pfra) in place of all of them: a Latin hypercube")
+    added.add_argument("--random", metavar="N", type=whole, help="the same, each point by itself")
+    added.add_argument("--metrics", metavar="NAMES", help="which figures, joined by commas; left out: the tracking "
+                       "error, the largest force, the energies")
+    added.add_argument("--engine", metavar="NAME", help="plain, or compiled: scalar, vector (extra `batch`); left "
+                       "out: by the amount of work")
+    added.add_argument("--cluster", metavar="ADDRESS", help="HOST:PORT of a dask scheduler whose workers run the rows "
+                       "(needs the extra `cluster`); left out: this machine")
+    added.add_argument("--out", metavar="DIR", help="the folder of the sweep, new or to be gone on with; default "
+                       "runs/SCENE-sweep")
+    added.add_argument("--yes", action="store_true", help="more than 1e9 rows are meant")
+    _json(added)
+    _plot(added, "sweep.png")
+    _picture(added, "; draws sweep.png, as --plot does")
+
+
+def _matrix(added: ArgumentParser) -> None:
+    added.add_argument("file", metavar="FILE", nargs="?",
+                       help="a matrix of your own, TOML; left out: the built-in scenarios/matrix.toml")
+    added.add_argument("--out", metavar="DIR", help="a folder that keeps the rows, a sweep for each block, and can be "
+                       "gone on with; left out: none")
+    _json(added)
+
+
+def _precision(added: ArgumentParser) -> None:
+    scene_options(added)
+    _out(added, "SCENE-precision")
+    _json(added)
+    added.add_argument("--rounds", metavar="N", type=whole,
+                       help="how often each is timed; left out: as often, and as many, as fit into a minute")
+
+
+def _stability(added: ArgumentParser) -> None:
+    scene_options(added)
+    added.add_argument("--critical", metavar="KNOB", help="find the value of this knob at which the verdict changes")
+    added.add_argument("--range", metavar="LOW:HIGH", help="where to look for it; left out: a hundredth of the knob's "
+                       "own value to a hundred times that")
+    added.add_argument("--tol", metavar="X", help="how closely, in the knob's unit; left out: 1e-6 of the value (with "
+                       "--time: a step of the search halved 5 times)")
+    added.add_argument("--continuous", action="store_true", help="the delay margin in continuous time too")
+    added.add_argument("--time", action="store_true",
+                       help="judge by a run in virtual time: for scenes that are not linear")
+    _json(added)
+
+
+def _passivity(added: ArgumentParser) -> None:
+    scene_options(added)
+    added.add_argument("--range", metavar="LOW:HIGH", help="frequencies in Hz; left out: 0.1 to half the rate, of two "
+                       "ports 0.49 of it")
+    added.add_argument("--out", metavar="DIR", help="write summary.json and curves.npz into this new folder")
+    _json(added)
+    _plot(added, "passivity.png, without --out into runs/SCENE-passivity-NUMBER,")
+
+
+def _zwidth(added: ArgumentParser) -> None:
+    scene_options(added)
+    added.add_argument("--range-k", metavar="LOW:HIGH", help="stiffness (N/m) in which to look for what is stable and "
+                       "what comes to rest; left out: all")
+    added.add_argument("--range-b", metavar="LOW:HIGH", help="the same of damping (N s/m)")
+    _out(added, "SCENE-zwidth")
+    _json(added)
+
+
+def _list(added: ArgumentParser) -> None:
+    added.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect or a velocity estimator")
+
+
+def _report(added: ArgumentParser) -> None:
+    added.add_argument("run", metavar="FOLDER",
+                       help="the folder that a run or a sweep wrote; or that of a master that ran by hand")
+    added.add_argument("slave", metavar="SLAVE", nargs="?",
+                       help="the folder of the slave of that master: puts the two ends together, as a new run")
+    added.add_argument("--out", metavar="DIR", help="with SLAVE: the new folder to write; default runs/SCENE-NUMBER")
+    added.add_argument("--trust", action="store_true", help="run the scene's own file, and read the files, that the "
+                       "folder names: for folders of your own, or that you have read")
+    _picture(added, " (of a sweep)")
+    _json(added, "print the stored summary and nothing else")
+
+
+def _doctor(added: ArgumentParser) -> None:
+    added.add_argument("--clear", action="store_true", help="remove the compiled kernels")
+    _json(added)
+
+
+def _keygen(added: ArgumentParser) -> None:
+    added.add_argument("name", metavar="NAME", help="the file to write, NAME.key")
+    _json(added)
+
+
+COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
+    "run": ("Run a scene in virtual time: the same seed gives the same bits.", _run),
+    "demo": ("Run a scene live, slave, channel and master as three processes.", _demo),
+    "sweep": ("Run a scene over a grid of knobs and seeds; the same command goes on where it stopped.", _sweep),
+    "matrix": ("Run the delay-scenario test matrix: laws, scenes, delays and losses, each row against the status "
+               "expected of it.", _matrix),
+    "precision": ("Measure error against run time: the exact steps beside every other way to integrate.", _precision),
+    "stability": ("Count the unstable roots of a linear scene's exact sampled loop, and find its margins.", _stability),
+    "passivity": ("Two-port: hybrid matrix, Llewellyn's criterion, transparency; one port: is its sampled controller "
+                  "passive.", _passivity),
+    "zwidth": ("Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, and "
+               "what widens it. Ctrl-C keeps what is done.", _zwidth),
+    "list": ("List scenes, laws, effects and velocity estimators, or the knobs of one of them.", _list),
+    "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
+    "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
+    "report": ("Show a stored run or sweep again, and draw it if the extra `plot` is there.", _report),
+}
+
+
+def _version() -> str:
+    from teleop import __version__
+
+    return f"bilateral-teleop {__version__}"

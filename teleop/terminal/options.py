@@ -1,0 +1,134 @@
+"""What the commands share: the options that name a scene, and how a refusal leaves the process."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
+
+from teleop.errors import Refused, nearest
+
+DONE, FAULT, WRONG, FORCED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes; FORCED: a device's force may still be on
+
+
+class Parser(ArgumentParser):
+    """An argument parser that refuses in one sentence where argparse would print its usage and exit."""
+
+    def error(self, message: str) -> NoReturn:
+        raise Refused(f"{message}; see {self.prog} --help")
+
+    def _check_value(self, action: Action, value: Any) -> None:
+        """What argparse asks of every value: here also that it is not empty."""
+        if action.choices is not None and value not in action.choices:
+            raise Refused(f"there is no {str(action.metavar).lower()} {value!r}; {nearest(value, action.choices)}")
+        if value == "":
+            where = " ".join([*action.option_strings[:1], str(action.metavar)])
+            raise Refused(f"{where} must not be empty: it is {action.help}")
+
+
+def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: bool = True) -> None:
+    """Add SCENE (which may be left out if there is a `default`), --set, --link and, unless there are many, --seed."""
+    parser.add_argument(
+        "scene", metavar="SCENE", nargs=None if default is None else "?", default=default,
+        help="a scene's name (see `teleop list`) or the path of a .py file with a function `scene`"
+        + (f"; left out: {default}" if default else ""),
+    )
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[],
+        help="a knob of the scene, its law (law=pfra) or a knob of the law (law.b=4); may be repeated",
+    )
+    if seed:
+        parser.add_argument(
+            "--seed", metavar="N", type=_seed, default=0, help="keys every random draw of the link; left out: 0"
+        )
+    parser.add_argument(
+        "--link", metavar="SPEC",
+        help="another link in place of the scene's, for example 'delay(0.05) | bernoulli(0.02)'; "
+        "'delay(0.05) ; delay(0.2)' differs forth and back, none is no link",
+    )
+
+
+def knobs_from(args: Namespace) -> dict[str, str]:
+    """The knobs that were given, as texts: those of --set, the last one counts, and --link as `link`."""
+    knobs: dict[str, str] = {}
+    for text in args.set:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise Refused(f"--set {text} gives no knob a value; write for example --set delay=0.1")
+        knobs[name.strip()] = value.strip()
+    return knobs if args.link is None else {**knobs, "link": args.link}
+
+
+def guarded(work: Callable[[], int]) -> int:
+    """Do `work` and return its exit code, or say in one sentence on stderr why it was not done.
+
+    A refusal is exit code 2, and so is what the operating system refuses; Ctrl-C is 130. A reader of the
+    output that has seen enough (`| head`) is no error. What is a bug keeps its traceback.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by whoever started this, as a service manager may: nobody listens
+            setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115 (it is open as long as the process)
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = partial(_warn, warnings.showwarning)
+            code = work()
+        print(end="", flush=True)  # what fails here would otherwise fail after us, where nobody can say it
+        return code
+    except Refused as refused:
+        return complain(str(refused), WRONG)
+    except KeyboardInterrupt:
+        return complain("interrupted; nothing half-written is left, so just type it again", INTERRUPTED)
+    except BrokenPipeError:
+        return _let_go_of_output(DONE)
+    except MemoryError:
+        return complain("out of memory; a shorter duration or a greater dt needs less", WRONG)
+    except OSError as error:
+        code = complain(f"the system refused ({error}); see to that and type it again", WRONG)
+        return _let_go_of_output(code)
+
+
+def _warn(python: Callable[..., None], message: Warning | str, category: type[Warning], *where: Any) -> None:
+    """Say a warning of this package as a sentence; any other is told with its place, as Python does."""
+    if category.__module__.startswith("teleop."):
+        complain(str(message), DONE)
+    else:
+        python(message, category, *where)
+
+
+def complain(sentence: str, code: int) -> int:
+    """Say `sentence` on stderr; returns `code`."""
+    from teleop.terminal.printable import printable
+
+    print("teleop:", printable(" ".join(sentence.splitlines())), file=sys.stderr)
+    return code
+
+
+def _let_go_of_output(code: int) -> int:
+    """Point standard output at nothing, so that the interpreter's own flush at the end cannot fail."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return code
+
+
+def whole(text: str) -> int:
+    """A count that is at least 1, as argparse's `type`."""
+    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
+        raise ArgumentTypeError(f"must be a whole number of at least 1, not {text!r}; write for example 3")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    from teleop.simulation.virtual import check_seed
+
+    try:
+        seed = int(text) if text.isascii() and text.isdecimal() else text
+        check_seed(seed)  # type: ignore[arg-type]  # a text is what it refuses
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from None
+    return int(seed)

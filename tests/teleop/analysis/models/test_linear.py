@@ -1,0 +1,172 @@
+"""The matrices of a linear scene are the tick itself; what is not linear is refused, with what to do instead."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pytest
+
+from channel.link import parse_link
+from master.hand import Grip, Hold
+from slave.tissue import Tissue
+from slave.wall import Wall
+from teleop import Refused, Scene, load_scene, run
+from teleop.analysis.models.linear import linear_scene, link_ticks, matrix
+from teleop.law import At, start_at
+from teleop.laws.direct import Direct
+from teleop.laws.pfra import PFRA
+from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper
+from teleop.protocol.inbox import Fixed
+from teleop.protocol.inbox import Hold as Repeat
+from teleop.stages.safety import Cap, Watchdog
+
+
+class Everything(NamedTuple):
+    x: float
+    force: float
+
+
+class Memory(NamedTuple):
+    one: float
+    two: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nosy:
+    """A linear law that reads all there is to read, and remembers."""
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def master_start(self, at: At) -> tuple[Memory, Everything]:
+        return Memory(at.x, 0.0), Everything(at.x, 0.0)
+
+    slave_start = master_start
+
+    def master(self, s: Memory, at: At, rx: Everything) -> tuple[float, Everything, Memory]:
+        late = at.age if at.age < 1.0 else at.dt
+        push = 20.0 * (at.x - rx.x) + 3.0 * at.v + 0.1 * at.f + 0.2 * at.f_held + 2.0 * at.dx / at.dt
+        push += 5e3 * late * at.x
+        return push + 0.5 * s.two, Everything(at.x, push - s.one), Memory(0.9 * s.one + at.x, 0.5 * s.two + rx.force)
+
+    slave = master
+
+
+def scene_of(law: Any, **changes: Any) -> Scene:
+    scene = Scene(
+        law=law, master=MassDamper(mass=0.1, damping=0.5), slave=MassDamper(mass=0.5, damping=1.0),
+        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Hold()), environment=Tissue(k=200.0, d=2.0),
+        link=parse_link("delay(0.004) ; delay(0.0065)"), duration=0.4, start_m=0.01, start_s=0.02,
+    )
+    return replace(scene, **changes)
+
+
+def by_matrices(scene: Scene) -> dict[str, Any]:
+    """Positions and forces of a run from rest at its start, by nothing but the matrices and two queues."""
+    linear, axes, law = linear_scene(scene), scene.axes, scene.law
+    rows: dict[str, list[Any]] = {"x_m": [], "f_m": [], "x_s": [], "f_s": []}
+    queues, states = {}, {}
+    for e, start, at, delay in (("m", law.master_start, scene.vector("start_m", scene.start_m), linear.back),
+                                ("s", law.slave_start, scene.vector("start_s", scene.start_s), linear.forth)):
+        end = linear.master if e == "m" else linear.slave
+        begun = [start(start_at(x, 0.0, 0.0, scene.dt)) for x in at]
+        law_state = [number for s, _ in begun for number in s]
+        motion = [number for x in at for number in (x, 0.0, 0.0)]
+        size = (len(end.A) - len(motion) - len(law_state)) // axes
+        extra = {0: [], 1: list(at), 2: [0.0, 0.0] * axes, 3: [*at, *[0.0, 0.0] * axes]}[size]
+        states[e] = np.array([*motion, *extra, *law_state])
+        queues[e] = deque([np.array([number for _, rx in begun for number in rx])] * delay)
+    for _ in range(scene.ticks):
+        sent = {}
+        for e, end in (("m", linear.master), ("s", linear.slave)):
+            state, rx = states[e], queues[e].popleft()
+            rows[f"x_{e}"].append(state[0:3 * axes:3])
+            sent[e] = end.C @ state + end.D @ rx
+            states[e] = end.A @ state + end.B @ rx
+            rows[f"f_{e}"].append(states[e][2:3 * axes:3])
+        queues["s"].append(sent["m"])
+        queues["m"].append(sent["s"])
+    return {name: np.array(row).squeeze() for name, row in rows.items()}
+
+
+class TestTheMatrices:
+    @pytest.mark.parametrize("law", [Wave(), Direct(), PFRA(alpha=1.0), Nosy()], ids=lambda law: type(law).__name__)
+    @pytest.mark.parametrize("changes", [
+        {}, {"observer": None}, {"hand": None}, {"environment": None}, {"link": None}, {"watchdog": Watchdog()},
+        {"axes": 3, "start_m": (0.01, 0.0, -0.03)}, {"energy": True}, {"dt": 1e-4, "duration": 0.05},
+    ], ids=lambda changes: "-".join(changes) or "plain")
+    def test_run_as_the_tick_runs(self, law: Any, changes: dict[str, Any]) -> None:
+        scene = scene_of(law, playout=Repeat(), **changes)
+        scene = replace(scene, link=scene.link and parse_link("delay(0)")) if type(law) is Nosy else scene
+        trace, ours = run(scene).trace, by_matrices(scene)
+        for name, column in ours.items():
+            size = np.abs(trace[name]).max()
+            np.testing.assert_allclose(column, trace[name], rtol=0.0, atol=1e-9 * size, err_msg=name)
+
+    def test_know_how_old_a_message_is(self) -> None:
+        found = linear_scene(scene_of(Nosy(), hand=None, observer=None))
+        assert (found.forth, found.back) == (4, 7)
+        for end, age in ((found.master, 0.007), (found.slave, 0.004)):
+            touched = 0.1 * (200.0 if end is found.slave else 0.0)
+            assert end.A[2, 0] == pytest.approx(20.0 + touched + 2.0 / 1e-3 + 5e3 * age)
+
+    def test_do_not_depend_on_where_things_rest(self) -> None:
+        here = linear_scene(scene_of(Wave()))
+        there = linear_scene(scene_of(Wave(), environment=Tissue(k=200.0, d=2.0, at=0.3)))
+        for one, other in zip(here.slave, there.slave, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
+
+
+class TestWhatIsNotLinear:
+    @pytest.mark.parametrize(("changes", "words"), [
+        ({"environment": Wall(k=1e3)}, ["Wall", "--time", "bonded tissue"]),
+        ({"environment": Wall(k=1e3, at=5e3)}, ["Wall"]),
+        ({"environment": (None, Wall(k=1e3)), "axes": 2}, ["Wall"]),
+        ({"cap": Cap(f_max=1e3)}, ["cap", "--time", "leave the cap out"]),
+        ({"law": PFRA(alpha=0.5)}, ["pfra", "master", "--time", "alpha=1"]),
+        ({"link": parse_link("delay(0.01) | bernoulli(0.01)")}, ["same number of ticks", "--link 'delay(0.05)'"]),
+        ({"link": parse_link("delay(0.01) | uniform(0.01)")}, ["same number of ticks"]),
+        ({"link": parse_link("delay(0.01)"), "playout": Fixed(0.005)}, ["same number of ticks"]),
+    ])
+    def test_is_refused_with_what_to_do_instead(self, changes: dict[str, Any], words: list[str]) -> None:
+        with pytest.raises(Refused) as refused:
+            linear_scene(scene_of(changes.pop("law", Direct()), **changes))
+        for word in words:
+            assert word in str(refused.value)
+
+    def test_is_not_a_wall_without_force_nor_pfra_that_reflects_all(self) -> None:
+        linear_scene(scene_of(PFRA(alpha=1.0), environment=Wall(k=0.0)))
+
+    @pytest.mark.parametrize("bent", [
+        lambda v: [abs(v[0]), v[1]],
+        lambda v: [max(v[0], -1e5), v[1]],
+        lambda v: [v[0] if abs(v[0]) > 1e-5 else 0.0, v[1]],
+        lambda v: [v[0] * v[1]],
+        lambda v: [1.0 / v[0]],
+        lambda _: [float("nan")],
+    ])
+    def test_is_seen_however_far_out_or_near_it_bends(self, bent: Any) -> None:
+        assert matrix(bent, 2) is None
+
+    def test_leaves_an_affine_function_its_matrix(self) -> None:
+        found = matrix(lambda v: [3.0 * v[0] - 1e6 * v[1] + 7.0, 1e-7 * v[1]], 2)
+        np.testing.assert_allclose(found, [[3.0, -1e6], [0.0, 1e-7]], rtol=1e-9)
+
+
+class TestTheDelay:
+    @pytest.mark.parametrize(("link", "playout", "ticks"), [
+        ("none", None, (1, 1)),
+        ("delay(0)", None, (1, 1)),
+        ("delay(0.0042) ; delay(0.005)", None, (5, 5)),
+        ("delay(0.3) ; delay(2.5)", None, (300, 2500)),
+        ("delay(0.01) | uniform(0.01)", Fixed(0.03), (30, 30)),
+        ("delay(0.01)", Fixed(0.0101), (11, 11)),
+    ])
+    def test_is_counted_in_whole_ticks_from_sending_to_use(
+        self, link: str, playout: Any, ticks: tuple[int, int]
+    ) -> None:
+        scene = load_scene("soft_tissue", link=link)
+        assert link_ticks(scene if playout is None else replace(scene, playout=playout)) == ticks

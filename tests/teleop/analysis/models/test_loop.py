@@ -1,0 +1,170 @@
+"""The root count against the eigenvalues of whole loops, for ends of every kind."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import nextafter
+from typing import Any
+
+import numpy as np
+import pytest
+
+import teleop.analysis.models.margins
+from teleop.analysis.models.curve import circle
+from teleop.analysis.models.linear import Linear, StateSpace
+from teleop.analysis.models.loop import Loop, sampled_loop, transfer
+from teleop.analysis.models.margins import critical_round_trip, dense, dominant, gain_margin, integrators
+
+
+def random_end(dice: np.random.Generator, states: int, into: int, out: int, radius: float) -> StateSpace:
+    A = dice.normal(size=(states, states))
+    A *= radius / np.abs(np.linalg.eigvals(A)).max()
+    return StateSpace(A, dice.normal(size=(states, into)), dice.normal(size=(out, states)) * 0.2,
+                      dice.normal(size=(out, into)) * 0.4)
+
+
+def random_loop(seed: int) -> Linear:
+    """Ends of 1 to 5 states, stable or not, 1 to 3 fields each way, up to 40 ticks of delay."""
+    dice = np.random.default_rng(seed)
+    forth, back = dice.integers(1, 4, 2)
+    radius = dice.choice([0.5, 0.98, 0.9999, 1.02], 2)
+    return Linear(random_end(dice, int(dice.integers(1, 6)), int(back), int(forth), radius[0]),
+                  random_end(dice, int(dice.integers(1, 6)), int(forth), int(back), radius[1]),
+                  int(dice.integers(1, 20)), int(dice.integers(1, 20)), 1e-3)
+
+
+def roots_of(linear: Linear) -> Any:
+    """Independently: both delay lines in full, forth and back."""
+    m, s = linear.master, linear.slave
+    sizes = [len(m.A), len(s.A), *[len(m.C)] * linear.forth, *[len(s.C)] * linear.back]
+    at = np.concatenate([[0], np.cumsum(sizes)])
+    block = [slice(a, b) for a, b in pairwise(at)]
+    whole = np.zeros((at[-1], at[-1]))
+    first_forth, first_back = 2, 2 + linear.forth
+    heard_m, heard_s = block[-1], block[first_back - 1]
+    whole[block[0], block[0]], whole[block[0], heard_m] = m.A, m.B
+    whole[block[1], block[1]], whole[block[1], heard_s] = s.A, s.B
+    whole[block[first_forth], block[0]] = m.C
+    whole[block[first_forth], heard_m] += m.D
+    whole[block[first_back], block[1]] = s.C
+    whole[block[first_back], heard_s] += s.D
+    for i in range(3, len(sizes)):
+        if i != first_back:
+            whole[block[i], block[i - 1]] += np.eye(sizes[i])
+    return np.linalg.eigvals(whole)
+
+
+class TestTheCount:
+    @pytest.mark.parametrize("seed", range(30))
+    def test_is_that_of_the_eigenvalues_at_every_radius_and_gain(self, seed: int) -> None:
+        linear = random_loop(seed)
+        sizes = {gain: np.abs(roots_of(scaled(linear, gain))) for gain in (1.0, 0.05, 3.0)}
+        for radius in (1.0, 0.9, 0.99, 1.003, 1.05):
+            loop = sampled_loop(linear, radius)
+            for gain, size in sizes.items():
+                assert np.abs(size - radius).min() > 1e-9
+                assert loop.outside(linear.round_trip, gain) == np.count_nonzero(size > radius), (gain, radius)
+
+    def test_sees_a_resonance_far_narrower_than_its_first_samples(self) -> None:
+        """It rings for billions of ticks, and beside it there is nothing; its peak is 3."""
+        pole = (1.0 - 2e-10) * np.exp(1.2345j)
+        A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+        for sign in (1.0, -1.0):
+            end = StateSpace(A, np.array([[1.0], [0.0]]), sign * np.array([[1.2e-9, 0.0]]), np.zeros((1, 1)))
+            unit = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
+            for delay in (2, 3, 4, 5):
+                linear = Linear(end, unit, 1, delay - 1, 1e-3)
+                sizes = np.abs(np.linalg.eigvals(dense(linear)))
+                assert sampled_loop(linear).outside(delay) == np.count_nonzero(sizes > 1.0 + 1e-11)
+
+    @pytest.mark.parametrize("rise", [1e-3, 1e-4, 1e-5])
+    def test_sees_a_peak_that_passes_1_between_two_samples(self, rise: float) -> None:
+        """Then there are as many roots as the delay turns in the band that is above 1, and no more."""
+        pole = 0.5 * np.exp(1.1j)
+        A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+        end = StateSpace(A, np.array([[1.0], [0.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+        unit = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
+        theta = np.linspace(0.5, 1.5, 200_001)
+        gain = transfer(end, np.exp(1j * theta))[:, 0, 0]
+        top = np.abs(gain).max()
+        linear = Linear(end._replace(C=end.C * (1.0 + rise) / top), unit, 1_000, 2_000, 1e-3)
+        above = np.flatnonzero(np.abs(gain) * (1.0 + rise) / top > 1.0)
+        psi = np.angle(gain[above[[0, -1]]]) - 3_000 * theta[above[[0, -1]]]
+        turns = np.floor(psi / (2.0 * np.pi))
+        assert turns[0] > turns[1]
+        assert sampled_loop(linear).outside(3_000) == 2 * (turns[0] - turns[1])
+
+    @pytest.mark.parametrize("states", [1, 2])
+    def test_leaves_out_what_rests_and_counts_it_by_itself(self, states: int) -> None:
+        """A free mass with damping (one root at 1) and without (two), beside a loop that is stable."""
+        A = np.array([[1.0, 1e-3], [0.0, 1.0 if states == 2 else 0.99]])
+        master = StateSpace(A, np.array([[0.0], [1e-3]]), np.array([[0.0, 0.0]]), np.ones((1, 1)))
+        slave = StateSpace(np.array([[0.5]]), np.ones((1, 1)), np.array([[0.1]]), np.zeros((1, 1)))
+        linear = Linear(master, slave, 3, 3, 1e-3)
+        assert sampled_loop(linear).outside(6) == 0
+        assert integrators(linear) == states
+
+    def test_of_a_gain_on_its_own_is_the_delay_itself(self) -> None:
+        """z^d = g has d roots of the same magnitude, all outside if g > 1."""
+        def unit(gain: float) -> StateSpace:
+            return StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.array([[gain]]))
+
+        for delay in (2, 7, 20_001):
+            for gain, count in ((1.01, delay), (-1.01, delay), (0.99, 0), (-0.99, 0)):
+                linear = Linear(unit(gain), unit(1.0), 1, delay - 1, 1e-3)
+                assert sampled_loop(linear).outside(delay) == count
+
+
+class TestTheMargins:
+    @pytest.mark.parametrize("seed", [*range(16), 26, 29, 37])
+    def test_put_a_root_on_the_unit_circle(self, seed: int) -> None:
+        linear = random_loop(seed)
+        margin = gain_margin(linear)
+        stable = np.abs(roots_of(linear)).max() < 1.0
+        if margin is None:
+            assert stable or np.abs(roots_of(scaled(linear, 1e-6))).max() > 1.0
+            return
+        assert (margin > 1.0) == stable
+        near = 1e-7 if stable else 1e-4  # a root that leaves at z = 1 is seen when it is 1e-9 out
+        assert np.abs(roots_of(scaled(linear, margin * (1.0 - near)))).max() < 1.0
+        assert np.abs(roots_of(scaled(linear, margin * (1.0 + near)))).max() > 1.0
+        if stable:  # nothing happens on the way there
+            assert all(np.abs(roots_of(scaled(linear, g))).max() < 1.0 for g in np.linspace(1.0, margin, 20)[:-1])
+
+    @pytest.mark.parametrize("seed", range(12))
+    def test_name_the_first_unstable_round_trip(self, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        linear = scaled(random_loop(seed), 0.3)
+        counts: list[float] = []
+        outside = Loop.outside
+        monkeypatch.setattr(Loop, "outside", lambda loop, *args: counts.append(args[0]) or outside(loop, *args))
+        critical = critical_round_trip(linear)
+        assert len(counts) <= 3  # at 2 ticks, and on both sides of the answer
+        most = 40 if critical is None else critical
+        sizes = [np.abs(roots_of(linear._replace(forth=1, back=d - 1))).max() for d in range(2, most + 1)]
+        assert [d for d, size in enumerate(sizes, 2) if size > 1.0] == ([] if critical is None else [critical])
+
+    @pytest.mark.parametrize("seed", [*range(6), 35])
+    def test_find_the_same_last_mode_by_either_way(self, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        linear = random_loop(seed)._replace(forth=70, back=60)
+        roots = roots_of(linear)
+        greatest = roots[np.abs(roots).argmax()]
+        for most in (400, 0):
+            monkeypatch.setattr(teleop.analysis.models.margins, "MOST_STATES", most)
+            mode = dominant(linear, 0)
+            assert mode is not None
+            assert abs(mode.z) == pytest.approx(abs(greatest), abs=1e-7)
+            assert np.abs(roots - mode.z).min() < 1e-6
+
+
+def scaled(linear: Linear, gain: float) -> Linear:
+    return linear._replace(slave=linear.slave._replace(C=gain * linear.slave.C, D=gain * linear.slave.D))
+
+
+def test_the_curve_keeps_outside_the_circle() -> None:
+    for radius in (1.0, 1.5):
+        curve = circle(radius, 1e-6)
+        z = curve.point(np.linspace(0.0, curve.length, 1001))
+        assert (np.abs(z) >= radius).all()
+        assert z[0].imag == 0.0
+        assert z[-1].real == pytest.approx(-radius)
+        assert not curve.outside(np.array([nextafter(radius, 0.0) + 0j]))[0]

@@ -1,0 +1,202 @@
+"""Stability of a scene without a slave, against the exact model written out by hand, and against runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from master.hand import Grip, Hold
+from scenarios.encoder_wall import scene as encoder_wall
+from teleop.analysis.models.one_port_loop import controller, one_port
+from teleop.analysis.stability.assess import critical, is_stable, stability
+from teleop.analysis.stability.swing import swing
+from teleop.errors import Refused
+from teleop.laws.virtual_coupling import VirtualCoupling, rendered_impedance
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import run
+from teleop.stages.device import Device, Encoder
+from teleop.stages.velocity.backward_difference import BackwardDifference
+from teleop.stages.velocity.levant import Levant
+from teleop.stages.velocity.low_pass import LowPass
+
+M, B, T = 0.04, 0.8, 1e-3
+
+
+def scene(K: float = 800.0, *, damper: float = 0.0, delay: int = 0, every: int = 1, velocity: Any = None,
+          **other: Any) -> Scene:
+    device = Device(velocity=velocity or BackwardDifference(), delay=delay, every=every)
+    return Scene(law=VirtualWall(K=K, B=damper), master=MassDamper(mass=M, damping=B), device_m=device, dt=T,
+                 **{"duration": 1.0, **other})
+
+
+def by_hand(K: float, damper: float, delay: int, every: int = 1) -> float:
+    """Spectral radius of a held force on a mass, spring and backward-difference damper, delay as a shift register."""
+    step = expm(np.array([[0.0, 1.0, 0.0], [0.0, -B / M, -1.0 / M], [0.0, 0.0, 0.0]]) * T)
+    n = 3 + delay + 1  # x, v, x before, forces on their way, the force held
+    whole = np.eye(n)
+    for k in range(every):
+        tick = np.zeros((n, n))
+        new = np.zeros(n)
+        new[[0, 2]] = K + damper / T, -damper / T
+        line = [np.eye(n)[3 + i] for i in range(delay)] + [new]
+        force = line[0] if k == 0 else np.eye(n)[-1]
+        tick[:2] = step[:2, :2] @ np.eye(n)[:2] + np.outer(step[:2, 2], force)
+        tick[2, 0] = 1.0
+        for i in range(delay):
+            tick[3 + i] = line[i + 1]
+        tick[-1] = force
+        whole = tick @ whole
+    return float(np.abs(np.linalg.eigvals(whole)).max())
+
+
+class TestTheLoop:
+    @pytest.mark.parametrize("delay", [0, 1, 4])
+    @pytest.mark.parametrize("every", [1, 3])
+    @pytest.mark.parametrize("damper", [0.0, 0.4])
+    def test_has_the_roots_of_the_model_by_hand(self, delay: int, every: int, damper: float) -> None:
+        roots = one_port(scene(300.0, damper=damper, delay=delay, every=every)).roots()
+        assert np.abs(roots).max() == pytest.approx(by_hand(300.0, damper, delay, every), abs=1e-9)
+
+    @pytest.mark.parametrize(("delay", "printed"), [(0, 1605.35), (1, 536.28), (5, 148.08), (10, 78.745), (100, 9.741)])
+    def test_is_lost_at_the_computed_stiffness(self, delay: int, printed: float) -> None:
+        edge = critical(lambda K: scene(K, delay=delay), "K", low=1.0, high=1e5)
+        assert edge.value == pytest.approx(printed, abs=0.006 if printed > 10.0 else 0.0006)
+        assert edge.stable == "below"
+
+    def test_with_a_damper_is_lost_earlier_than_the_linear_rule_says(self) -> None:
+        edge = critical(lambda K: scene(K, damper=B, delay=5), "K", low=1.0, high=1e5)
+        assert edge.value == pytest.approx(282.69, abs=0.006)
+        assert edge.value < (B + B) / (0.5 * T + 5 * T)
+
+    def test_is_the_same_wherever_the_wall_stands(self) -> None:
+        there = replace(scene(), law=VirtualWall(K=800.0, at=0.37))
+        assert np.sort_complex(one_port(there).roots()) == pytest.approx(np.sort_complex(one_port(scene()).roots()))
+
+    @pytest.mark.parametrize("velocity", [BackwardDifference(), LowPass(cutoff=50.0)])
+    @pytest.mark.parametrize("every", [1, 4])
+    def test_says_what_a_run_does_on_both_sides(self, velocity: Any, every: int) -> None:
+        def made(K: float) -> Scene:  # pressed 50 N deep, so that a small swing stays in contact
+            return scene(K, damper=0.3, velocity=velocity, every=every, start_m=50.0 / (50.0 + K) + 1e-6, duration=3.0,
+                         hand=Grip(mass=0.0, k=50.0, d=0.0, reference=Hold(at=1.0)))
+
+        edge = critical(made, "K", low=10.0, high=1e5).value
+        for K, grows in ((0.97 * edge, False), (1.03 * edge, True)):
+            x = run(made(K)).trace["x_m"]
+            late, early = np.ptp(x[-300:]), np.ptp(x[500:800])
+            assert (late > early) == grows
+
+
+class TestALongDelay:
+    """Of the computation: kept as a number, as the link's is in a scene with a slave."""
+
+    @pytest.mark.parametrize(("K", "delay"), [(30.0, 40), (5.0, 100), (12.0, 100), (300.0, 57)])
+    def test_has_the_roots_of_the_dense_model(self, K: float, delay: int) -> None:
+        got = stability(scene(K, delay=delay))
+        greatest = by_hand(K, 0.0, delay)
+        assert got.mode is not None
+        assert abs(got.mode.z) == pytest.approx(greatest, abs=1e-7)
+        assert (got.unstable > 0) == (greatest > 1.0)
+
+    def test_of_ten_seconds_is_no_dearer_than_of_ten_milliseconds(self) -> None:
+        got = stability(scene(0.05, delay=10_000))
+        assert got.verdict == "stable"
+        assert got.critical_round_trip is not None
+        least = got.critical_round_trip
+        assert not is_stable(scene(0.05, delay=least))
+        assert is_stable(scene(0.05, delay=least - 1))
+
+    def test_of_a_law_that_reads_the_held_force_is_dense_and_has_a_limit(self) -> None:
+        slow = stability(scene(300.0, every=3))
+        assert slow.tried is not None
+        assert slow.critical_round_trip is not None
+        with pytest.raises(Refused, match="renew the force at every tick"):
+            stability(scene(300.0, every=3, delay=5000))
+
+
+class TestTheController:
+    def test_is_spring_and_damper_of_the_reading(self) -> None:
+        law = controller(scene(700.0, damper=0.5))
+        for theta in (0.01, 0.5, 3.0):
+            z = np.exp(1j * theta)
+            got = law.C @ np.linalg.solve(z * np.eye(len(law.A)) - law.A, law.B) + law.D
+            assert got[0, 0] == pytest.approx(700.0 + 0.5 * (1.0 - 1.0 / z) / T, rel=1e-9)
+
+    def test_has_its_delay_in_it(self) -> None:
+        law = controller(scene(700.0, delay=3))
+        z = np.exp(0.7j)
+        got = law.C @ np.linalg.solve(z * np.eye(len(law.A)) - law.A, law.B) + law.D
+        assert got[0, 0] == pytest.approx(700.0 * z**-3, rel=1e-9)
+
+    @pytest.mark.parametrize("weights", [(0.0, 0.0), (0.0, 1.0), (0.5, 0.5), (1.0, 1.0)])
+    def test_of_a_virtual_coupling_is_its_impedance_by_every_integrator(self, weights: tuple[float, float]) -> None:
+        """Though the tool starts on the wall's surface, where the law has a kink."""
+        law = VirtualCoupling(mass=0.1, k_e=2e4, d_e=1.0, theta_f=weights[0], theta_x=weights[1])
+        got = controller(replace(scene(), law=law))
+        for theta in (0.01, 0.5, 3.0):
+            z = np.exp(1j * theta)
+            H = got.C @ np.linalg.solve(z * np.eye(len(got.A)) - got.A, got.B) + got.D
+            assert H[0, 0] * T / (1.0 - 1.0 / z) == pytest.approx(rendered_impedance(law, z, T), rel=1e-7)
+
+    def test_of_a_velocity_that_no_device_has_is_refused(self) -> None:
+        bare = replace(scene(700.0, damper=0.5), device_m=None)
+        with pytest.raises(Refused, match="name an estimator"):
+            controller(bare)
+
+
+class TestTheAnswer:
+    def test_has_margins_that_are_the_edges(self) -> None:
+        got = stability(scene(800.0))
+        assert got.verdict == "stable"
+        assert got.gain_margin is not None
+        assert got.gain_margin * 800.0 == pytest.approx(1605.35, abs=0.01)
+        assert got.critical_round_trip == 1
+        assert is_stable(scene(800.0))
+        assert not is_stable(scene(800.0, delay=1))
+
+    def test_of_what_is_not_linear_says_what_to_do(self) -> None:
+        for part, word in (({"device_m": Device(encoder=Encoder(step=1e-5))}, "encoder"),
+                           ({"device_m": Device(velocity=Levant(L=1.0))}, "estimator Levant is not linear"),
+                           ({"master": MassDamper(mass=M, damping=B, friction=0.1)}, "friction")):
+            with pytest.raises(Refused, match=word):
+                stability(replace(scene(), **part))
+
+
+class TestInTime:
+    """What is not linear is judged by a run: an encoder's limit cycle is its own verdict."""
+
+    @pytest.mark.parametrize(("knobs", "hertz"), [({"K": 2500.0}, 34.5), ({"every": 5}, 21.0)])
+    def test_a_wall_too_stiff_or_too_slow_hums(self, knobs: dict[str, Any], hertz: float) -> None:
+        got = swing(encoder_wall(**knobs))
+        assert got.verdict == "limit cycle"
+        assert got.frequency == pytest.approx(hertz, abs=1.0)
+
+    @pytest.mark.parametrize("knobs", [{}, {"every": 5, "cap": 0.8}])
+    def test_a_soft_one_or_a_passivity_controller_brings_it_to_rest(self, knobs: dict[str, Any]) -> None:
+        got = swing(encoder_wall(**knobs))
+        assert (got.verdict, got.rests) == ("stable", True)
+
+    def test_a_passivity_controller_leaves_a_hum_of_a_step_of_the_encoder(self) -> None:
+        """It is a limit cycle, 33 times less than without the controller, and counts as rest."""
+        got, without = (swing(encoder_wall(K=2500.0, cap=cap)) for cap in (0.8, None))
+        assert (got.verdict, got.rests) == ("limit cycle", True)
+        assert got.amplitude is not None
+        assert without.amplitude is not None
+        assert got.amplitude == pytest.approx(26e-6, abs=1e-6)
+        assert without.amplitude > 30.0 * got.amplitude
+        assert "0.84 steps of the encoder, of which 2 count as rest" in got.sentence
+
+    @pytest.mark.parametrize(("K", "steps"), [(1450.0, 5.4), (1550.0, 12.5), (1600.0, 14.6)])
+    @pytest.mark.parametrize("duration", [1.5, 5.0])
+    def test_a_decay_onto_a_limit_cycle_is_no_rest_however_short_the_run(
+        self, K: float, steps: float, duration: float
+    ) -> None:
+        """After 1.5 s these still fall, and were called stable."""
+        got = swing(encoder_wall(K=K, duration=duration))
+        assert (got.verdict, got.rests) == ("limit cycle", False)
+        assert got.amplitude == pytest.approx(0.5 * steps * 2.0 * np.pi * 0.01 / 1024.0, rel=0.03)

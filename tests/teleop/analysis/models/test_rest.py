@@ -1,0 +1,113 @@
+"""What a run comes to, by oscillators whose decay is known in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import teleop.simulation.virtual
+from master.hand import Grip, Hold
+from teleop.analysis.models.rest import QUIET, frequency, settled
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.stages.device import Device, Encoder
+from teleop.stages.velocity.backward_difference import BackwardDifference
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pushing:
+    """A user's law: a damper of the wrong sign."""
+
+    g: float  # N s/m
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def start(self, at: Any) -> tuple[()]:
+        return ()
+
+    def force(self, s: tuple[()], at: Any) -> tuple[float, tuple[()]]:
+        return -self.g * at.v, s
+
+
+def spring(damping: float, **other: Any) -> Scene:
+    """1 kg at 10 Hz on a hand's spring, let go 1 mm off; the wall is out of reach. Decays as exp(-damping t/2)."""
+    hand = Grip(mass=0.0, k=(20.0 * np.pi) ** 2, d=damping, reference=Hold(at=0.0))
+    made = Scene(law=VirtualWall(K=1.0, at=1.0), master=MassDamper(mass=1.0), hand=hand, start_m=1e-3, dt=1e-3,
+                 device_m=Device(velocity=BackwardDifference()), duration=2.0)
+    return replace(made, **other)
+
+
+class TestRest:
+    @pytest.mark.parametrize("damping", [30.0, 5.0, 1.0])
+    def test_is_a_swing_that_is_gone_however_long_that_takes(self, damping: float) -> None:
+        got = settled(spring(damping))
+        assert (got.verdict, got.rests) == ("stable", True)
+        assert got.amplitude is not None
+        assert got.amplitude < QUIET
+
+    def test_a_decay_slower_than_the_longest_run_is_seen_to_be_one(self) -> None:
+        got = settled(spring(0.1))  # e^-3.2 in 64 s
+        assert (got.verdict, got.rests) == ("stable", True)
+        assert "still dies away after 64 s: 10 Hz" in got.sentence
+        # The last window is the last eighth, and its swing that of its beginning without the wandering of the mean.
+        assert got.amplitude == pytest.approx(1e-3 * np.exp(-0.05 * 56.0), rel=0.02)
+
+    def test_what_nothing_damps_swings_for_ever(self) -> None:
+        got = settled(spring(0.0))
+        assert (got.verdict, got.rests) == ("limit cycle", False)
+        assert got.amplitude == pytest.approx(1e-3, rel=1e-2)
+        assert got.frequency == pytest.approx(10.0, rel=1e-3)
+
+    @pytest.mark.parametrize("damping", [-1.0, -0.05])
+    def test_what_grows_is_unstable_whether_it_diverges_or_not(self, damping: float) -> None:
+        got = settled(spring(1.0, law=Pushing(g=1.0 - damping)))
+        assert (got.verdict, got.rests) == ("unstable", False)
+        assert (got.amplitude is None) == (damping == -1.0)
+
+    @pytest.mark.parametrize(("step", "rests"), [(1.1e-3, True), (0.9e-3, False)])
+    def test_within_two_steps_of_an_encoder_a_limit_cycle_counts_as_rest(self, step: float, rests: bool) -> None:
+        coarse = Device(encoder=Encoder(step=step), velocity=BackwardDifference())
+        got = settled(spring(0.0, device_m=coarse))  # 2 mm peak to peak
+        assert (got.verdict, got.rests) == ("limit cycle", rests)
+        assert ("count as rest" in got.sentence) == rests
+
+    def test_a_slow_decay_behind_an_encoder_is_not_trusted(self) -> None:
+        fine = Device(encoder=Encoder(step=1e-6), velocity=BackwardDifference())
+        got = settled(spring(0.1, device_m=fine))
+        assert (got.verdict, got.rests) == ("limit cycle", False)
+        assert "has not come to rest after 64 s" in got.sentence
+
+    @pytest.mark.parametrize(("sizes", "lengths"), [
+        ([1.0, 1.0], 2),
+        ([1.0, 0.5, 0.5], 3),  # it stays at each length, but not the same
+        ([1.0, 0.5, 0.25, 1e-8], 4),
+    ])
+    def test_two_lengths_must_agree_and_then_it_ends(
+        self, sizes: list[float], lengths: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        asked: list[int] = []
+
+        def swinging(scene: Scene, **_: int) -> SimpleNamespace:
+            t = np.arange(scene.ticks) * 1e-3
+            asked.append(scene.ticks)
+            x = sizes[len(asked) - 1] * np.sin(80.0 * np.pi * t)
+            return SimpleNamespace(status="ok", ticks=scene.ticks, dt=1e-3, trace={"x_m": x})
+
+        monkeypatch.setattr(teleop.simulation.virtual, "run", swinging)
+        got = settled(spring(0.0))
+        assert asked == [2000 * 2**i for i in range(lengths)]
+        assert got.amplitude == pytest.approx(sizes[-1], rel=0.1)
+        assert got.verdict == ("stable" if sizes[-1] < QUIET else "limit cycle")
+
+    def test_is_looked_for_after_what_moved_it(self) -> None:
+        assert settled(spring(0.1, duration=4.0), since=2000).sentence.startswith("still dies away after 64 s")
+
+
+def test_a_frequency_between_two_lines_is_found() -> None:
+    t = np.arange(4000) * 1e-3
+    assert frequency(np.sin(2.0 * np.pi * 17.123 * t), 1e-3) == pytest.approx(17.123, abs=5e-3)

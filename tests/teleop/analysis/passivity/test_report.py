@@ -1,0 +1,139 @@
+"""`teleop passivity` as a user asks it: one port and two, tables, JSON, files, figures, refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from teleop import Refused, load_scene
+from teleop.__main__ import main
+from teleop.analysis.models import sampled
+from teleop.analysis.passivity.coupling import ANTICIPATES, UNSTABLE
+from teleop.analysis.passivity.one_port import one_port
+from teleop.analysis.passivity.report import ask, summary, table
+from teleop.stages.velocity.low_pass import LowPass
+
+T = 1e-3
+
+
+class TestOnePort:
+    def test_a_wall(self) -> None:
+        got = one_port(load_scene("virtual_wall", **{"law.K": 800.0, "law.B": 0.3}))
+        assert got.needed.damping == pytest.approx(0.7, rel=1e-9)
+        assert got.stiffness == pytest.approx(800.0)
+        assert got.passive
+        assert not one_port(load_scene("virtual_wall", **{"law.K": 800.0, "law.B": 0.41})).passive
+
+    @pytest.mark.parametrize(("delay", "every"), [(3, 1), (0, 4), (2, 3)])
+    def test_delay_and_slow_renewal(self, delay: int, every: int) -> None:
+        got = one_port(load_scene("virtual_wall", delay=delay, every=every, **{"law.B": 0.2}))
+        wanted = sampled.needed_damping(sampled.spring_damper(800.0, 0.2, T), T, d=delay, every=every)
+        assert got.needed.damping == pytest.approx(wanted.damping, rel=1e-8)
+
+    def test_a_filtered_velocity(self) -> None:
+        from dataclasses import replace
+
+        scene = load_scene("virtual_wall", **{"law.B": 0.4})
+        assert scene.device_m is not None
+        slow = replace(scene, device_m=replace(scene.device_m, velocity=LowPass(cutoff=30.0)))
+        wanted = sampled.needed_damping(sampled.filtered_wall(800.0, 0.4, T, 30.0), T)
+        assert one_port(slow).needed.damping == pytest.approx(wanted.damping, rel=1e-8)
+
+    def test_the_closed_form_of_a_coupling_is_its_controller(self) -> None:
+        from teleop.analysis.passivity.one_port import _controller
+
+        scene = load_scene("virtual_coupling")
+        th = np.geomspace(1e-2, 3.0, 20)
+        by_ticks, closed = (sampled.smooth(E, th) for E in (_controller(scene, T), one_port(scene).E))
+        assert by_ticks == pytest.approx(closed, rel=1e-7)
+
+    def test_a_coupling_to_an_active_tool(self) -> None:
+        got = one_port(load_scene("virtual_coupling", b=1.2, **{
+            "law.theta_f": 0.0, "law.k_e": 2000.0, "law.mass": 1e-3})).behind
+        assert got is not None
+        assert got.alpha.alpha == np.inf  # on the circle 2 m/T - k_e T/2 = 1, but E has a pole at infinity
+        assert got.gamma == pytest.approx(0.7)
+        assert got.miller == pytest.approx(1.2 * 0.7 / 1.9)
+        assert got.most == pytest.approx(0.7 - 0.04 / 0.9, rel=1e-6)
+        assert {name: (lack.alpha, lack.why) for name, lack in got.integrators.items()} == {
+            "explicit": (np.inf, UNSTABLE), "semi-implicit": (np.inf, ANTICIPATES), "trapezoid": (0.0, ""),
+            "backward": (0.0, "")}
+
+    def test_no_damper_makes_an_explicit_tool_passive(self) -> None:
+        got = ask(load_scene("virtual_coupling", **{"law.theta_f": 0.3, "law.mass": 0.1}))
+        told = json.loads(json.dumps(summary(got), allow_nan=False, default=str))["coupling"]
+        assert told["alpha_e"] is None
+        assert told["alpha_by_integrator"] == {
+            "explicit": None, "semi-implicit": None, "trapezoid": 0.0, "backward": 0.0}
+        assert told["why_not"] == {"alpha_e": ANTICIPATES, "explicit": UNSTABLE, "semi-implicit": ANTICIPATES}
+        assert f"not passive by any alpha_e: {ANTICIPATES}" in table(got)
+        assert f"explicit {UNSTABLE}, semi-implicit {ANTICIPATES}, trapezoid passive" in table(got)
+
+    def test_an_explicit_tool_that_grows_by_itself(self) -> None:
+        with pytest.raises(Refused, match="grows by itself"):
+            one_port(load_scene("virtual_coupling", **{"law.theta_f": 0.0, "law.theta_x": 0.0}))
+
+    def test_a_semi_implicit_tool_needs_a_mass(self) -> None:
+        """z = -1 is a root of m (z-1)^2 + B T (z-1) + (K + k_e) T^2 z at 4 m = 2 B T + (K + k_e) T^2."""
+        least = (2 * 0.2 * T + 101_000.0 * T**2) / 4
+        own = {"law.theta_f": 0.0, "law.k_e": 1e5}
+        assert one_port(load_scene("virtual_coupling", **own, **{"law.mass": 1.01 * least})).behind is not None
+        with pytest.raises(Refused, match="grows by itself"):
+            one_port(load_scene("virtual_coupling", **own, **{"law.mass": 0.99 * least}))
+
+    def test_a_scene_with_a_slave_is_the_other_question(self) -> None:
+        with pytest.raises(Refused, match="two ports"):
+            one_port(load_scene("canonical"))
+
+
+@pytest.mark.parametrize("name", ["virtual_wall", "virtual_coupling", "encoder_wall", "canonical", "soft_tissue"])
+def test_every_answer_is_json_and_a_short_table(name: str) -> None:
+    answer = ask(load_scene(name))
+    told = json.loads(json.dumps(summary(answer), allow_nan=False, default=str))
+    assert told["ports"] == (1 if "wall" in name or name == "virtual_coupling" else 2)
+    assert answer.sentence in table(answer)
+    assert len(table(answer).splitlines()) <= 12
+
+
+class TestCommand:
+    def test_json(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["passivity", "virtual_wall", "--set", "law.K=1600", "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["needed_damping"] == pytest.approx(0.8, rel=1e-9)
+        assert told["passive"]
+
+    def test_files_and_figure(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        pytest.importorskip("matplotlib")
+        for scene in ("virtual_coupling", "soft_tissue"):
+            out = tmp_path / scene
+            assert main(["passivity", scene, "--out", str(out), "--plot", "--json"]) == 0
+            assert json.loads(capsys.readouterr().out)["path"] == str(out)
+            assert {path.name for path in out.iterdir()} == {"summary.json", "curves.npz", "passivity.png"}
+            assert (out / "passivity.png").read_bytes()[:4] == b"\x89PNG"
+            with np.load(out / "curves.npz") as curves:
+                assert all(np.isfinite(curves[key]).all() for key in curves if not key.endswith("eta"))
+
+    @pytest.mark.parametrize(("typed", "said"), [
+        (["passivity", "hard_wall", "--set", "law=pfra"], "law.alpha=1"),
+        (["passivity", "jittery_wan"], "delay(0.05)"),
+        (["passivity", "virtual_wall", "--range", "10"], "LOW:HIGH"),
+        (["passivity", "virtual_wall", "--range", "10:1"], "lower one first"),
+        (["passivity", "virtual_wall", "--range", "1:501"], "half the rate"),
+        (["passivity", "canonical", "--range", "1:499"], "not above 0.49 of the rate, 490 Hz"),
+        (["passivity", "virtual_wall", "--set", "velocity=end_fit(noise=1e-5)", "--set", "law.B=0.3"],
+         "take a linear one, --set 'velocity=backward_difference()'"),
+        (["passivity", "virtual_wall", "--range", "1:nan"], "lower one first"),
+    ])
+    def test_wrong_requests_are_answered_in_one_sentence(
+            self, typed: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
+            monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.chdir(tmp_path)
+        assert main(typed) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert said in err
+        assert len(err.splitlines()) == 1
+        assert not list(tmp_path.iterdir())

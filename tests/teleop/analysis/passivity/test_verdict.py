@@ -1,0 +1,165 @@
+"""Passive, not passive, not known: a one-port with its encoder, friction, cap, shunt and passivity controller."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop import load_scene
+from teleop.analysis.passivity.one_port import one_port
+from teleop.analysis.passivity.report import ask, summary, table
+from teleop.analysis.zwidth.passive import passive_region
+from teleop.scene.scene import Scene
+from teleop.stages.safety import Cap
+
+T = 1e-3
+D = 6e-5
+
+
+def wall(K: float = 800.0, B: float = 0.0, **own: Any) -> Scene:
+    return load_scene("virtual_wall", **{"law.K": K, "law.B": B}, **own)
+
+
+def inside(scene: Scene, corners: Any = None, scale: float = 1.0) -> bool | None:
+    """Is the scene's own (K, B) in the region that `teleop zwidth` claims?"""
+    law: Any = scene.law
+    corners = passive_region(scene).corners if corners is None else corners
+    K, B, around = law.K * scale, law.B * scale, [(0.0, 0.0), *corners]
+    sides = [(a[0] - b[0]) * (B - b[1]) - (a[1] - b[1]) * (K - b[0])
+             for a, b in zip(around, around[1:] + around[:1], strict=True)]
+    return len(corners) > 1 and all(side <= 0.0 for side in sides)
+
+
+class TestAgreesWithTheZWidth:
+    @pytest.mark.parametrize(("step", "friction", "delay"), [
+        (None, 0.0, 0), (None, 0.1, 2), (D, 0.0, 0), (D, 0.02, 0), (D, 0.06, 1), (D, 1.0, 0),
+    ])
+    def test_walls(self, step: float | None, friction: float, delay: int) -> None:
+        corners = passive_region(wall(friction=friction, step=step, delay=delay)).corners
+        seen = set()
+        for K in (10.0, 100.0, 300.0, 500.0, 650.0, 700.0, 1000.0, 1550.0, 1650.0, 3000.0):
+            for B in (0.0, 0.03, 0.3, 0.9):
+                scene = wall(K, B, friction=friction, step=step, delay=delay)
+                claimed = inside(scene, corners)
+                if {inside(scene, corners, scale) for scale in (0.99, 1.01)} != {claimed}:
+                    continue  # at the polygon's edge
+                got = one_port(scene).passive
+                seen.add(claimed)
+                if claimed:
+                    assert got is True
+                elif step is None or friction == 0.0 or B == 0.0:
+                    assert got is False  # both conditions are necessary
+                else:
+                    assert got is not True
+        assert seen == ({False} if step and not friction else {True, False})
+
+    @pytest.mark.parametrize("b_e", [0.1, 1.0, 10.0])
+    @pytest.mark.parametrize(("K", "B"), [(1200.0, 0.3), (1200.0, 0.7), (2000.0, 0.0), (400.0, 0.9)])
+    def test_a_shunt_counts_as_there(self, K: float, B: float, b_e: float) -> None:
+        scene = load_scene("virtual_coupling", b_e=b_e, law="virtual_wall", **{"law.K": K, "law.B": B})
+        assert one_port(scene).passive is inside(scene)
+
+    def test_some_walls_are_passive_by_the_shunt_alone(self) -> None:
+        own = {"law": "virtual_wall", "law.K": 400.0, "law.B": 0.9}
+        assert one_port(load_scene("virtual_coupling", **own)).passive is False
+        with_shunt = one_port(load_scene("virtual_coupling", b_e=10.0, **own))
+        assert with_shunt.passive is True
+        assert "the shunt of its motor adds" in with_shunt.verdict.sentence
+        slow = load_scene("virtual_coupling", b_e=10.0, every=2, **own)
+        assert one_port(slow).passive is None
+        assert one_port(slow).left_out == ("electrical damping",)
+
+
+class TestEncoder:
+    @pytest.mark.parametrize("K", [400.0, 1450.0])
+    def test_without_friction_nothing_is_passive(self, K: float) -> None:
+        got = ask(load_scene("encoder_wall", K=K))
+        assert summary(got)["passive"] is False
+        assert got.sentence.startswith("not passive: without Coulomb friction nothing takes up")
+        assert got.left_out == ()
+        assert "left out" not in table(got)
+        assert "no spring is passive behind it without friction" in table(got)
+
+    def test_but_a_wall_of_nothing_is(self) -> None:
+        assert one_port(wall(0.0, 0.0, step=D)).passive is True
+
+    @pytest.mark.parametrize(("friction", "passive"), [(0.0239, False), (0.0241, True)])
+    def test_a_spring_alone_is_at_the_bound_of_abbott_and_okamura(self, friction: float, passive: bool) -> None:
+        got = one_port(wall(step=D, friction=friction))
+        assert got.passive is passive
+        assert got.verdict.asked == pytest.approx(800.0 * D / 2)
+        assert got.quantised == pytest.approx(2 * friction / D)
+
+    @pytest.mark.parametrize(("B", "b", "friction", "passive"), [
+        (0.1, 0.8, 0.0299, None), (0.1, 0.8, 0.0301, True), (0.5, 0.8, 10.0, False), (0.5, 0.8, 0.01, False),
+    ])
+    def test_with_a_damper(self, B: float, b: float, friction: float, passive: bool | None) -> None:
+        """(D/2)(K + 2 B/T) is enough; less may be."""
+        got = one_port(wall(B=B, b=b, step=D, friction=friction))
+        assert got.passive is passive
+        assert got.verdict.asked == pytest.approx(D / 2 * (800.0 + 2 * B / T))
+        assert got.quantised is None  # a bound of springs alone
+
+    def test_behind_a_virtual_coupling_it_has_no_known_bound(self) -> None:
+        got = ask(load_scene("virtual_coupling", step=D, friction=1.0))
+        assert summary(got)["passive"] is None
+        assert summary(got)["quantised_stiffness"] is None
+        assert "a spring alone" not in table(got)
+        assert got.sentence.startswith("not known: ")
+
+    @pytest.mark.parametrize("share", [0.9, 1.1])
+    @pytest.mark.parametrize(("d", "n"), [(0, 1), (1, 1), (2, 1), (0, 3), (1, 4), (5, 3)])
+    def test_a_slow_handle_gains_from_an_edge_what_friction_must_take(self, share: float, d: int, n: int) -> None:
+        """To and fro over an edge of the encoder, turning as the force changes: energy is made iff K D/2 > fc."""
+        K, speed, b = 800.0, 1e-6, 0.8
+        half = n * (2 * d // n + 1)  # ticks one way: the edge is crossed between two readings that are used
+        time = np.arange(40 * half + 1)
+        way = np.where((time[:-1] - d) // half % 2 == 0, -1.0, 1.0)  # turns at ticks d + i half
+        x = np.r_[0.0, np.cumsum(way)] * speed * T
+        x -= 0.5 * (x[4 * half:].max() + x[4 * half:].min())  # the edge in the middle
+        read = D * np.floor(x / D)
+        late = time[4 * half:-1]
+        f = K * read[(late - d) // n * n]
+        f -= 0.5 * (f.max() + f.min())  # the hand holds the rest, over a closed path for nothing
+        lost = share * K * D / 2 * speed + b * speed**2
+        assert (-(f * way[late] * speed).sum() > lost * len(late)) == (share < 1.0)
+
+
+class TestLeftOut:
+    def test_a_passivity_controller_is_not_judged(self) -> None:
+        for K, without in ((400.0, "without it passive"), (2000.0, "without it not passive")):
+            got = ask(load_scene("encoder_wall", K=K, cap=0.8, step=None))
+            assert summary(got)["passive"] is None
+            assert got.left_out == ("passivity controller",)
+            assert got.sentence.startswith(f"not known with its passivity controller; {without}: the device has")
+            assert "left out" in table(got)
+
+    @pytest.mark.parametrize(("own", "slew", "passive"), [
+        ({}, None, True), ({}, 100.0, None), ({"B": 0.1}, None, None), ({"K": 2000.0}, 100.0, False),
+        ({"K": 2000.0, "friction": 0.1}, None, None), ({"step": D}, None, False), ({"step": D}, 100.0, None),
+        ({"step": D, "friction": 1.0}, None, True),
+    ])
+    def test_a_cap(self, own: dict[str, float], slew: float | None, passive: bool | None) -> None:
+        got = one_port(replace(wall(**own), cap=Cap(f_max=2.0, slew=slew)))
+        assert got.passive is passive
+        assert got.left_out == (("cap",) if passive is None else ())
+
+    @pytest.mark.parametrize("limit", [{"v_max": 0.1}, {"power": 1.0}])
+    def test_a_cap_on_driving_force_may_take_braking_force_within_a_tick(self, limit: dict[str, float]) -> None:
+        assert one_port(replace(wall(), cap=Cap(f_max=2.0, **limit))).passive is None
+
+    @settings(max_examples=60)
+    @given(x=st.lists(st.floats(-5e-3, 5e-3), min_size=5, max_size=40), d=st.integers(0, 2), f_max=st.floats(0.1, 3.0))
+    def test_a_capped_spring_makes_no_more_than_its_bound(self, x: list[float], d: int, f_max: float) -> None:
+        """Over a closed path, from and to rest: straight from the samples, at constant velocity between them."""
+        K = 800.0
+        path = np.r_[np.zeros(d + 1), x, np.zeros(d + 1)]
+        f = np.clip(K * path, 0.0, f_max)
+        moved = np.diff(path)
+        made = (np.r_[np.zeros(d), f[: len(moved) - d]] * moved).sum()
+        assert -made <= K * (T / 2 + d * T) * (moved**2 / T).sum() + 1e-12

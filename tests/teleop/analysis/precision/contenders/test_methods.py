@@ -1,0 +1,232 @@
+"""Fixed-step methods: their published stability functions and orders, and contact solved inside a stage."""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Callable
+from math import inf, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from teleop.analysis.precision.contenders.contenders import method_bodies, stepped, sub_step, touch_of
+from teleop.analysis.precision.contenders.methods import METHODS, Method, Touch
+from teleop.errors import Refused
+from teleop.physics.contact import wall
+from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
+from teleop.scene.scene import load_scene
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.virtual import run
+
+BY_NAME = {method.name: method for method in METHODS}
+G = 1.0 - sqrt(0.5)
+STABILITY: dict[str, Callable[[complex], complex]] = {  # R(z) of y' = lambda y, z = h lambda; Hairer & Wanner II, IV.3
+    "euler": lambda z: 1 + z,
+    "rk4": lambda z: 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24,
+    "backward_euler": lambda z: 1 / (1 - z),
+    "midpoint": lambda z: (1 + z / 2) / (1 - z / 2),
+    "trapezoid": lambda z: (1 + z / 2) / (1 - z / 2),
+    "sdirk2": lambda z: (1 + (1 - 2 * G) * z) / (1 - G * z) ** 2,
+    "radau": lambda z: (1 + z / 3) / (1 - 2 * z / 3 + z**2 / 6),
+}
+every_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
+
+
+def bonded(m: float = 0.5, b: float = 1.0, k: float = 2000.0, d: float = 3.0) -> Touch:
+    return Touch(m, b, k, d, edge=-inf, floor=-inf)
+
+
+def matrix(method: Method, touch: Touch, h: float) -> np.ndarray:
+    a11, a12, _, a21, a22, _ = sub_step(method, touch, h)
+    return np.array([[a11, a12], [a21, a22]])
+
+
+# Where nothing is touched or let go
+
+
+@pytest.mark.parametrize("name", STABILITY)
+@pytest.mark.parametrize("h", [1e-3, 0.02, 0.3])
+def test_a_mode_is_multiplied_by_the_published_stability_function(name: str, h: float) -> None:
+    touch = bonded()
+    root = cmath.sqrt((touch.b + touch.d) ** 2 - 4 * touch.m * touch.k)
+    modes = [(-(touch.b + touch.d) + sign * root) / (2 * touch.m) for sign in (1, -1)]
+    got = np.sort_complex(np.linalg.eigvals(matrix(BY_NAME[name], touch, h)))
+    want = np.sort_complex(np.array([STABILITY[name](h * mode) for mode in modes]))
+    np.testing.assert_allclose(got, want, rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["semi_implicit_euler", "verlet"])
+def test_the_split_methods_keep_area_where_nothing_damps(name: str) -> None:
+    assert np.linalg.det(matrix(BY_NAME[name], bonded(b=0.0, d=0.0), 0.01)) == pytest.approx(1.0, abs=1e-13)
+
+
+@every_method
+def test_halving_the_step_of_a_bonded_body_shows_the_order(method: Method) -> None:
+    dt, touch = 0.02, bonded()
+    exact = spring_damper(MassDamper(mass=0.5, damping=1.0), dt, k=2000.0, d=3.0, at=0.01)
+    want = np.array(exact.move(exact.c, 0.02, 0.3, 4.0)[:2])
+
+    def error(n: int) -> float:
+        plant = stepped(method, touch._replace(at=0.01), dt, n)
+        return float(np.abs(np.array(plant.move(plant.c, 0.02, 0.3, 4.0)[:2]) - want).max())
+
+    assert np.log2(error(32) / error(64)) == pytest.approx(method.order, abs=0.25)
+
+
+@every_method
+def test_the_gripped_master_comes_to_the_exact_one(method: Method) -> None:
+    body, dt = MassDamper(mass=0.1, damping=0.5), 0.01
+    held = tuple(grip(body, 0.4, 200.0, 5.0, dt))
+    scene = load_scene("canonical", dt=dt)
+    assert exact_bodies(scene).master == held
+    at = (0.01, 0.2, 0.7, 0.011, 0.015)
+    want = np.array(move_gripped(held, *at))
+    errors = []
+    for n in (8, 16):
+        bodies = method_bodies(scene, method, n)
+        errors.append(np.abs(np.array(bodies.instead["move_gripped"](bodies.master, *at)) - want).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.3)
+
+
+@every_method
+def test_free_space_has_no_edge_to_touch(method: Method) -> None:
+    body = MassDamper(mass=0.5, damping=2.0)
+    exact = free_space(body, 1e-3)
+    plant = stepped(method, touch_of(exact, body), 1e-3, 4)
+    assert plant.force(plant.c, 3.0, 2.0) == 0.0
+    assert plant.move(plant.c, 3.0, 2.0, 1.0)[:2] == pytest.approx(exact.move(exact.c, 3.0, 2.0, 1.0)[:2], rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["backward_euler", "sdirk2", "radau"])
+def test_l_stable_methods_are_calm_where_the_step_is_far_too_long(name: str) -> None:
+    assert np.abs(np.linalg.eigvals(matrix(BY_NAME[name], bonded(k=1e12, d=0.0), 1e-3))).max() < 1e-2
+    assert np.abs(np.linalg.eigvals(matrix(BY_NAME["euler"], bonded(k=1e12, d=0.0), 1e-3))).max() > 1e2
+
+
+# At a wall
+
+BODY = MassDamper(mass=0.5, damping=1.0)
+
+
+def beside_wall(method: Method, n: int, dt: float, **wanted: float) -> tuple[Plant, Plant]:
+    """The exact plant at a wall, and the method's."""
+    knobs = {"k": 2e4, "d": 10.0, "at": 0.03, "side": 1.0} | wanted
+    exact = wall(BODY, dt, **knobs)
+    return exact, stepped(method, touch_of(exact, BODY), dt, n)
+
+
+@every_method
+@pytest.mark.parametrize(("x", "v"), [(0.0295, 0.4), (0.031, -0.5), (0.03001, -0.2), (0.032, 0.1)])
+def test_through_making_and_losing_contact_every_method_comes_to_the_exact_step(
+    method: Method, x: float, v: float
+) -> None:
+    def error(n: int) -> float:
+        exact, plant = beside_wall(method, n, 4e-3)
+        return abs(plant.move(plant.c, x, v, 1.5)[0] - exact.move(exact.c, x, v, 1.5)[0])
+
+    assert error(4096) < 3e-7
+    assert error(4096) < 0.1 * error(8) + 1e-15
+
+
+@every_method
+def test_the_other_side_is_the_mirror_image(method: Method) -> None:
+    _, one = beside_wall(method, 3, 2e-3)
+    _, other = beside_wall(method, 3, 2e-3, side=-1.0, at=-0.03)
+    for x, v in ((0.0297, 0.3), (0.031, 0.1), (0.031, -2.0)):
+        a, b, _ = one.move(one.c, x, v, 1.0)
+        c, d, _ = other.move(other.c, -x, -v, -1.0)
+        assert (a, b) == (-c, -d)
+        assert one.force(one.c, x, v) == -other.force(other.c, -x, -v)
+
+
+@every_method
+def test_a_wall_does_not_pull_a_body_that_is_drawn_out_fast(method: Method) -> None:
+    _, plant = beside_wall(method, 2, 1e-4)
+    x, v = 0.0301, -1.0  # k p + d v is far below 0
+    free = stepped(method, Touch(0.5, 1.0), 1e-4, 2)
+    assert plant.move(plant.c, x, v, 1.0)[:2] == pytest.approx(free.move(free.c, x, v, 1.0)[:2], rel=1e-12)
+
+
+@given(
+    p=st.floats(-1e-3, 1e-3), u=st.floats(-1.0, 1.0), f=st.floats(-20.0, 20.0),
+    k=st.sampled_from([0.0, 1e3, 1e6]), d=st.sampled_from([0.0, 10.0, 1e3]),
+)
+def test_a_backward_euler_step_satisfies_its_own_equation(p: float, u: float, f: float, k: float, d: float) -> None:
+    """`m (U - u)/h + b U + g = f` with g the wall's force at the end, or on the surface between 0 and d U."""
+    if k == d == 0.0:
+        return
+    h = 1e-3
+    exact = wall(BODY, h, k=k, d=d, at=0.0, side=1.0)
+    plant = stepped(BY_NAME["backward_euler"], touch_of(exact, BODY), h, 1)
+    q, w, _ = plant.move(plant.c, p, u, f)
+    assert q == pytest.approx(p + h * w, abs=1e-15)
+    g = f - 0.5 * (w - u) / h - w
+    rounding = 1e-9 * (abs(f) + 500.0 * (abs(w) + abs(u))) + 1e-300  # the least numbers have no digits to lose
+    if q == 0.0:
+        assert -rounding <= g <= d * max(w, 0.0) + rounding
+    else:
+        assert g == pytest.approx(max(0.0, k * q + d * w) if q > 0.0 else 0.0, abs=rounding)
+
+
+@pytest.mark.parametrize(("p", "u", "f"), [(-1e-4, 0.5, 1.0), (-5e-4, 0.6, 1.0), (1e-4, -0.2, 0.0), (2e-4, -0.4, 1.0)])
+def test_radau_solves_its_two_stages_together_with_their_contact(p: float, u: float, f: float) -> None:
+    """Butcher's tableau with the wall's force at both stages, from an independent root finder."""
+    from scipy.optimize import fsolve
+
+    h, k, d = 1e-3, 2e4, 0.0
+    a = h * np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]])
+
+    def push(q: np.ndarray) -> np.ndarray:
+        return np.where(q > 0.0, np.maximum(k * q, 0.0), 0.0)
+
+    def residual(w: np.ndarray) -> np.ndarray:
+        return w - u - a @ ((f - w - push(p + a @ w)) / 0.5)
+
+    want = fsolve(residual, np.full(2, u), xtol=1e-13)
+    exact = wall(BODY, h, k=k, d=d, at=0.0, side=1.0)
+    plant = stepped(BY_NAME["radau"], touch_of(exact, BODY), h, 1)
+    got = plant.move(plant.c, p, u, f)
+    assert got[:2] == pytest.approx((p + (a @ want)[1], want[1]), rel=1e-9)
+
+
+# In a run
+
+
+def test_a_run_with_the_exact_bodies_handed_in_is_the_same_run() -> None:
+    scene = load_scene("canonical", duration=0.4)
+    one, other = run(scene), run(scene, bodies=exact_bodies(scene))
+    assert all(np.array_equal(one.trace[name], other.trace[name]) for name in one.trace)
+
+
+@every_method
+def test_bodies_handed_in_are_those_that_move(method: Method) -> None:
+    scene = load_scene("canonical", duration=0.4)
+    exact = run(scene).trace
+
+    def error(n: int) -> float:
+        got = run(scene, bodies=method_bodies(scene, method, n)).trace
+        return max(float(np.abs(got[name] - exact[name]).max()) for name in ("x_m", "x_s"))
+
+    assert 1e-8 < error(1) < 0.02
+    assert error(8) < 0.7 * error(1)
+
+
+def test_a_master_that_nobody_holds_is_moved_too() -> None:
+    from dataclasses import replace
+
+    scene = replace(load_scene("canonical", duration=0.1), hand=None)
+    bodies = method_bodies(scene, BY_NAME["euler"], 1)
+    x, v, _ = bodies.instead["move_free"](bodies.master, 1.0, 2.0, -3.0)
+    assert (x, v) == pytest.approx((1.0 + 2.0e-3, 2.0 + 1e-3 * (-3.0 - 0.5 * 2.0) / 0.1), rel=1e-13)
+    assert bodies.instead["move_free"] is not move_free
+
+
+def test_an_environment_without_a_known_equation_is_refused() -> None:
+    def my_move(*state: float) -> tuple[float, float, int]:
+        return state[1], state[2], 0
+
+    odd = free_space(BODY, 1e-3)._replace(move=my_move)
+    with pytest.raises(Refused, match=r"my_move; precision compares methods on walls, bonded tissue and free space"):
+        touch_of(odd, BODY)

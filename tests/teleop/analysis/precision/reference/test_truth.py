@@ -1,0 +1,301 @@
+"""A comparison where bodies have no closed form: the reference, the default's error beside its estimate, marks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import teleop.analysis.precision.measure
+import teleop.analysis.precision.reference.agreement
+import teleop.analysis.precision.reference.truth as truth_module
+from slave.hunt_crossley import HuntCrossley
+from slave.wall import Wall
+from teleop.analysis.precision.contenders.methods import METHODS
+from teleop.analysis.precision.costs import step_costs
+from teleop.analysis.precision.measure import Contender, Entry, Precision, contenders, measure, verdicts
+from teleop.analysis.precision.reference.agreement import Agreement, wobbled
+from teleop.analysis.precision.reference.deviation import felt
+from teleop.analysis.precision.reference.tight import reference_bodies
+from teleop.analysis.precision.reference.truth import Truth, truth_of
+from teleop.analysis.precision.report import summary, table
+from teleop.errors import Refused
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.virtual import run
+from tests.teleop.analysis.precision.contenders.test_nonlinear import HC, RUBBING, SCENES
+from tests.teleop.analysis.precision.test_measure import entry, quick, same, strike  # noqa: F401 - a fixture
+
+Typed = Callable[..., Any]
+
+
+def clock() -> Callable[[], int]:
+    """One that ticks a microsecond whenever it is read."""
+    return count(0, 1000).__next__
+
+
+def truth(scene: Scene) -> Truth:
+    return truth_of(scene, 0, clock(), patient=False, show=lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def pressed() -> Precision:
+    """A blow against a Hunt-Crossley body, and some ticks of pressing it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(teleop.analysis.precision.reference.agreement, "RADAU", 2)
+        patch.setattr(teleop.analysis.precision.measure, "TOLERANCES", (1e-6,))
+        return measure(strike(environment=HC, duration=0.05), clock=clock(), rounds=1)
+
+
+def by_key(got: Precision) -> dict[str, Entry]:
+    return {each.key: each for each in got.entries}
+
+
+class TestTheReference:
+    def test_it_is_radaus_and_dop853s_run_differs_by_as_much_as_it_says(self, pressed: Precision) -> None:
+        found = pressed.truth
+        assert found.method == "Radau"
+        other = run(pressed.scene, bodies=reference_bodies(pressed.scene, "DOP853")).trace
+        for name in ("x_s", "x_m", "f_env"):
+            assert found.off[name] == np.abs(other[name] - found.result.trace[name]).max()
+        assert 0.0 < found.off["x_s"] < 1e-13
+        assert found.off["f_env"] < 1e-8
+        assert "every change of mode located" in found.sentence
+
+    @pytest.mark.parametrize("name", SCENES)
+    def test_only_what_has_no_closed_form_is_integrated(self, name: str, quick: None) -> None:  # noqa: F811
+        scene = strike(**{"duration": 0.02, **SCENES[name]})
+        found = truth(scene)
+        assert found.agreement.differences.keys() == {"DOP853", "Radau"}
+        exact = not any(word in name for word in ("Hunt", "friction", "axes", "nobody", "without"))
+        assert (found.method == "exact") == exact
+        assert all(x < (1e-14 if exact else 2e-9) for x, _ in found.agreement.differences.values())
+        assert (found.estimated is None) == exact
+        assert same(found.result, run(scene)) or not exact
+
+    def test_it_is_told_how_far_it_is(self) -> None:
+        shown: list[tuple[float, str]] = []
+        truth_of(strike(environment=HC, duration=0.06), 0, clock(), patient=True, show=lambda *said: shown.append(said))
+        parts = [part for part, _ in shown]
+        assert parts == sorted(parts)
+        assert {text for _, text in shown} >= {"the reference by DOP853", "the reference by Radau"}
+
+    def test_where_radau_takes_too_long_dop853_has_the_run_and_radau_some_ticks(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        scene = strike(environment=HC, duration=0.02)
+        long = truth(scene)
+        monkeypatch.setattr(truth_module, "_foretold", lambda *_: ({"DOP853": 1.0, "Radau": 1e3}, 1e-12, 0.0))
+        brief = truth(scene)
+        assert brief.method == "DOP853"
+        assert "Radau, which would take about 1000 s for the run (--rounds 1 has it)" in brief.sentence
+        assert 1e-12 < brief.off["x_s"] < 1e-9
+        assert np.abs(brief.result.trace["x_s"] - long.result.trace["x_s"]).max() < 1e-14
+
+    def test_a_reference_that_takes_far_too_long_is_refused_unless_asked_for(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(truth_module, "_foretold", lambda *_: ({"DOP853": 900.0, "Radau": 1e4}, 0.0, 0.0))
+        with pytest.raises(Refused, match=r"would take about 900 s; .* --set duration=5, or write --rounds 1"):
+            truth(strike(environment=HC))
+
+    def test_the_time_it_will_take_is_foretold_by_the_clock(self) -> None:
+        scene = strike(environment=HC, duration=0.03)
+        seconds, x, _ = teleop.analysis.precision.reference.truth._foretold(scene, 0, clock(), 30)
+        assert seconds == pytest.approx({"DOP853": 30 * 1e-6 / 24, "Radau": 30 * 1e-6 / 24})
+        assert x < 1e-14
+
+    def test_without_scipy_it_is_refused(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(truth_module, "there", lambda: False)
+        monkeypatch.setattr(teleop.analysis.precision.measure, "there", lambda: False)
+        with pytest.raises(Refused, match="type: pip install scipy"):
+            measure(strike(environment=HC), clock=clock(), rounds=1)
+
+
+    def test_a_master_that_remembers_is_put_off_too(self) -> None:
+        scene = strike(**SCENES["electrical damping"])
+        own = exact_bodies(scene)
+        worth = Agreement(sentence="", x=1e-9, v=2e-9, differences={})
+        state = (own.master, 0.01, 0.2, 0.5, 0.01, 0.0101, own.inner_m)
+        one, other = (bodies.instead["move_held"](*state) for bodies in (own, wobbled(scene, worth)))
+        assert abs(one[0] - other[0]) == pytest.approx(1e-9, rel=1e-6)
+        assert abs(one[1] - other[1]) == pytest.approx(2e-9, rel=1e-6)
+        assert one[2] == other[2]
+
+
+class TestTheDefault:
+    def test_it_is_the_first_by_its_own_name(self, pressed: Precision) -> None:
+        first = pressed.entries[0]
+        assert (first.key, first.contender.label) == ("default", "default: SDIRK2 to 1e-09 m a tick")
+        own, want = run(pressed.scene).trace, pressed.result.trace
+        assert first.errors["x_s"].max == np.abs(own["x_s"] - want["x_s"]).max()
+
+    def test_its_true_error_over_the_run_is_near_what_it_estimated(self, pressed: Precision) -> None:
+        estimated = pressed.truth.estimated
+        assert estimated is not None
+        true = pressed.entries[0].errors["x_s"].max
+        assert 0.05 * estimated < true < 3.0 * estimated
+        assert pressed.truth.estimates["slave"]["ticks_over_tolerance"] == 0
+
+    def test_so_is_that_of_one_tick(self, pressed: Precision) -> None:
+        most = pressed.truth.estimates["slave"]["error_estimate_max"]
+        assert 0.1 * most < pressed.agreement.differences["DOP853"][0] < 2.0 * most + 1e-10
+        assert pressed.agreement.changes > 0
+
+    @pytest.mark.parametrize("name", ["the same with friction", "a master with friction",
+                                      "Hunt-Crossley that moves, and friction"])
+    def test_the_same_with_friction_over_a_whole_run(self, name: str) -> None:
+        scene = strike(**{"duration": 0.3, **SCENES[name]})
+        own, want = run(scene), run(scene, bodies=reference_bodies(scene, "DOP853"))
+        said: Any = own.extra["integration"]
+        estimated = sum(one["error_estimate_sum"] for one in said.values())
+        assert np.abs(own.trace["x_s"] - want.trace["x_s"]).max() < 3.0 * estimated + 1e-12
+
+    def test_a_tighter_tolerance_is_a_smaller_error(self, pressed: Precision) -> None:
+        finer = run(replace(pressed.scene, tolerance=1e-11)).trace
+        off = np.abs(finer["x_s"] - pressed.result.trace["x_s"]).max()
+        assert off < 0.05 * pressed.entries[0].errors["x_s"].max
+
+
+class TestTheContenders:
+    def test_all_but_radau_iia_take_part_and_that_is_said(self, pressed: Precision) -> None:
+        keys = [each.key for each in pressed.entries]
+        names = [m.name for m in METHODS if m.name != "radau"]
+        assert set(keys) == {"default", "DOP853/1e-06", "LSODA/1e-06", "Radau/1e-06"} | {
+            f"{name}/{n}" for name in names for n in (1, 4, 16, 64)}
+        assert pressed.left_out == {"radau": "no solver for its coupled stages where a body is not piecewise linear"}
+
+    def test_finer_is_more_accurate_and_by_the_order_where_the_force_is_smooth(self, pressed: Precision) -> None:
+        entries = by_key(pressed)
+        for method in METHODS:
+            if method.name != "radau":
+                size = [entries[f"{method.name}/{n}"].errors["x_s"].max for n in (16, 64)]
+                assert size[1] < size[0] * 4.0 ** (0.2 - min(method.order, 2.0))
+
+    def test_with_friction_scipys_solvers_are_left_out_and_why(self) -> None:
+        scene = strike(environment=None, slave=RUBBING, duration=0.01)
+        got = measure(scene, clock=clock(), rounds=1)
+        assert {each.contender.rtol for each in got.entries} == {None}
+        assert "friction jumps at rest" in got.left_out["scipy's solvers"]
+        assert "left out" in table(got)
+
+    def test_what_misses_and_what_diverges_on_a_stiff_body_is_marked_and_kept(self, quick: None) -> None:  # noqa: F811
+        stiff = strike(environment=HuntCrossley(k=1e13, lam=0.1, at=1.0005e-3), duration=0.06, x_limit=10.0)
+        got = measure(stiff, clock=clock(), rounds=1)
+        entries = by_key(got)
+        assert (got.result.status, entries["default"].missed) == ("ok", 0)
+        assert entries["euler/1"].status == "diverged"
+        assert any(each.missed for each in got.entries if each.status == "ok")
+        lines = table(got).splitlines()
+        assert any(line.startswith("euler/1 ") and "diverged" in line for line in lines)
+        assert any("missed" in line for line in lines)
+        assert len(got.entries) == len(list(contenders(stiff)))
+
+    def test_friction_alone_is_not_felt_as_a_contact(self) -> None:
+        scene = strike(environment=None, slave=RUBBING)
+        assert not felt(scene, run(scene).trace).any()
+
+    def test_what_lies_below_the_references_own_error_is_not_told_apart(self) -> None:
+        first, better = entry("default", 100.0, 1e-8, 1e-5), entry("a", 130.0, 1e-9, 1e-6)
+        assert verdicts([first, better])[1].beaten_by == "default"
+        assert verdicts([first, better], {"x_s": 1e-14, "f_env": 1e-9})[1].beaten_by is None
+
+    def test_a_default_that_diverged_where_the_reference_does_not_beats_nobody(self) -> None:
+        lost, worse = entry("default", 100.0, 1e-8, 1e-5, "diverged"), entry("a", 130.0, 1e-7, 1e-4)
+        assert verdicts([lost, worse], {"x_s": 1e-14, "f_env": 1e-9}, "ok")[1].beaten_by is None
+
+    def test_so_it_is_in_a_comparison(self, quick: None) -> None:  # noqa: F811
+        """By a clock that runs faster and faster finer ones, which come later, are slower."""
+        slower = (1000 * n * n for n in count())
+        got = by_key(measure(strike(environment=HC, duration=0.03), clock=slower.__next__, rounds=1))
+        assert got["rk4/64"].ns_per_tick > 1.2 * got["default"].ns_per_tick
+        assert got["rk4/64"].errors["x_s"].max < got["default"].errors["x_s"].max
+        assert got["rk4/64"].beaten_by is None
+        assert got["euler/64"].beaten_by == "default"
+
+    def test_an_inner_state_goes_on_from_tick_to_tick_where_steps_are_timed(self) -> None:
+        scene = strike(environment=HC, duration=0.02)
+        seen: list[int] = []
+
+        def spy(_: Any, x: float, v: float, f: float, z: int) -> tuple[float, float, int, int]:  # noqa: ARG001
+            seen.append(z)
+            return x, v, 0, z + 1
+
+        own = exact_bodies(scene)
+        bodies = own._replace(slaves=[own.slaves[0]._replace(move=spy, start=7)])
+        step_costs([Contender(method="spy", label="spy", bodies=bodies)], scene, run(scene).trace, clock(), 20, 1)
+        assert seen == [*range(7, 27), *range(7, 27)]
+
+
+class TestWhatIsTold:
+    def test_the_table_has_the_true_error_beside_the_estimate(self, pressed: Precision) -> None:
+        lines = table(pressed).splitlines()
+        assert lines[1].startswith("default ")
+        assert "estimated " in lines[1]
+        for label in ("reference ", "default, one tick", "default, the run", "default, its effort", "left out"):
+            assert any(line.startswith(label) for line in lines)
+        assert not any(line.startswith("exact") for line in lines)
+
+    def test_so_has_json(self, pressed: Precision) -> None:
+        told = json.loads(json.dumps(summary(pressed), allow_nan=False, default=str))
+        assert told["reference"]["method"] == "Radau"
+        assert told["reference"]["off_by"]["x_s"] == pressed.truth.off["x_s"]
+        assert told["estimates"]["slave"]["tolerance"] == 1e-9
+        assert told["methods"][0]["name"] == "default"
+        assert set(told["reference"]["step_ns"]) == {"default", "semi_implicit_euler/1"}
+
+    def test_progress_goes_from_nothing_to_all(self, quick: None) -> None:  # noqa: F811
+        shown: list[float] = []
+        measure(strike(environment=HC, duration=0.02), clock=clock(), rounds=1, show=lambda part, _: shown.append(part))
+        assert shown == sorted(shown)
+        assert (shown[0], shown[-1]) == (0.0, 1.0)
+
+    def test_the_command_writes_table_files_and_figure(
+        self, typed: Typed, quick: None, tmp_path: Path  # noqa: F811
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        (tmp_path / "own.py").write_text(OWN)
+        got = typed("precision", "own.py", "--rounds", "1", "--out", "here")
+        assert got.code == 0
+        assert got.out.endswith("written to here\n")
+        assert {path.name for path in (tmp_path / "here").iterdir()} == {"summary.json", "errors.npz", "precision.png"}
+        assert json.loads((tmp_path / "here" / "summary.json").read_text())["methods"][0]["name"] == "default"
+
+    def test_a_wall_that_moves_is_compared_with_the_exact_run(self, quick: None) -> None:  # noqa: F811
+        scene = strike(**{"duration": 0.04, **SCENES["a wall that moves"]})
+        got = measure(scene, clock=clock(), rounds=1)
+        assert got.entries[0].key == "exact"
+        assert got.left_out == {}
+        assert got.entries[0].errors["x_s"].max < 1e-13
+        assert by_key(got)["radau/64"].errors["x_s"].max < 1e-6
+
+    def test_a_scene_without_a_slave_is_refused_in_one_sentence(self, typed: Typed) -> None:
+        typed("precision", "virtual_wall").assert_refused("ways to move a slave", "virtual_wall has none", "hard_wall")
+
+
+def test_walls_without_friction_are_left_to_the_exact_steps() -> None:
+    scene = strike(environment=Wall(k=1e4, at=1e-3), master=MassDamper(mass=0.1, damping=0.5, friction=0.1))
+    exact, other = run(scene), run(scene, bodies=reference_bodies(scene, "DOP853"))
+    assert np.abs(exact.trace["x_s"] - other.trace["x_s"]).max() < 1e-9
+
+
+OWN = '''
+from master.hand import Grip, Hold
+from slave.hunt_crossley import HuntCrossley
+from teleop import Scene
+from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper
+
+def scene() -> Scene:
+    "A push into something that stiffens."
+    return Scene(law=Wave(), master=MassDamper(mass=0.1), slave=MassDamper(mass=0.5, friction=0.01), start_s=0.0011,
+                 environment=HuntCrossley(k=1e6, lam=1.0, at=0.001), duration=0.01,
+                 hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Hold(at=0.02)))
+'''

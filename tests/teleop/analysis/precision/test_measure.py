@@ -1,0 +1,420 @@
+"""Error against run time: the reference proves itself, every contender is measured, and nothing is dropped."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import teleop.analysis.precision.measure
+import teleop.analysis.precision.reference.agreement as agreement_module
+from channel.delay import Delay
+from master.hand import Grip, Hold
+from slave.tissue import Tissue
+from slave.wall import Wall
+from teleop.analysis.precision.contenders.contenders import method_bodies, touch_of
+from teleop.analysis.precision.contenders.methods import METHODS
+from teleop.analysis.precision.contenders.outsiders import outsider_bodies
+from teleop.analysis.precision.measure import Contender, Entry, Precision, contenders, measure, verdicts
+from teleop.analysis.precision.reference.agreement import agreement, wobbled
+from teleop.analysis.precision.reference.deviation import NEAR, Error, contacts, errors, felt, missed
+from teleop.analysis.precision.reference.located import located
+from teleop.analysis.precision.report import summary, table
+from teleop.errors import Refused
+from teleop.laws.direct import Direct
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene, load_scene
+from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.virtual import run
+
+Typed = Callable[..., Any]
+BY_NAME = {method.name: method for method in METHODS}
+
+
+def strike(**other: Any) -> Scene:
+    """A slave that is drawn into a wall within some ticks, and bounces there."""
+    return Scene(**{
+        "law": Direct(K=500.0, B=5.0, kf=0.05), "master": MassDamper(mass=0.1, damping=0.5),
+        "slave": MassDamper(mass=0.3, damping=1.0), "start_m": 0.02,
+        "hand": Grip(mass=0.4, k=300.0, d=5.0, reference=Hold(at=0.02)), "link": Delay(2e-3),
+        "environment": Wall(k=1e5, d=5.0, at=1e-3), "duration": 0.08, **other,
+    })
+
+
+def same(one: Any, other: Any) -> bool:
+    return all(np.array_equal(one.trace[name], other.trace[name]) for name in one.trace)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One state of each kind is enough where the reference is not what is tried."""
+    monkeypatch.setattr(agreement_module, "RADAU", 1)
+    monkeypatch.setattr(agreement_module, "CHANGES", 2)
+    monkeypatch.setattr(agreement_module, "OTHERS", 2)
+    monkeypatch.setattr(teleop.analysis.precision.measure, "TOLERANCES", (1e-6,))
+
+
+@pytest.fixture(scope="module")
+def struck() -> Precision:
+    """A comparison on a stiff wall, timed by a clock that ticks a microsecond whenever it is read."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(agreement_module, "RADAU", 2)
+        return measure(strike(), clock=count(0, 1000).__next__, rounds=2)
+
+
+def by_key(got: Precision) -> dict[str, Entry]:
+    return {entry.key: entry for entry in got.entries}
+
+
+class TestTheReference:
+    @pytest.mark.parametrize(("name", "knobs"), [
+        ("canonical", {}), ("canonical", {"k_e": 1e6, "d_e": 0.0}), ("canonical", {"k_e": 1e8}),
+        ("canonical", {"k_e": 1e9, "d_e": 100.0}), ("hard_wall", {"k_e": 1e6, "duration": 2.0}),
+        ("canonical", {"k_e": 1e3, "d_e": 100.0}), ("soft_tissue", {}), ("free_motion", {}),
+    ])
+    def test_one_exact_step_is_that_of_dop853_and_radau_with_events(
+        self, name: str, knobs: dict[str, float], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(agreement_module, "RADAU", 2)
+        scene = load_scene(name, **{"duration": 0.7, **knobs})
+        trace = run(scene).trace
+        got = agreement(scene, trace)
+        assert set(got.differences) == {"DOP853", "Radau"}
+        assert all(x < 1e-11 and v < 1e-9 for x, v in got.differences.values())
+        assert "gave up" not in got.sentence
+        walled = isinstance(scene.environment, Wall)
+        assert (got.changes > 0) == walled  # or it would compare smooth motion only
+
+    def test_the_ticks_compared_are_those_in_which_contact_is_made_and_lost(self, quick: None) -> None:
+        scene = strike(environment=Wall(k=1e5, d=50.0, at=1e-3))
+        trace = run(scene).trace
+        at = trace["f_env"] > 0.0
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(agreement_module, "CHANGES", 1000)
+            got = agreement(scene, trace)
+        assert got.changes >= (at[1:] != at[:-1]).sum() >= 3
+        assert f"({got.changes} with a change of mode)" in got.sentence
+
+    def test_a_bounce_between_two_ticks_is_among_them(self) -> None:
+        scene = strike(environment=Wall(k=1e9, d=0.0, at=1.0005e-3))
+        trace = run(scene).trace
+        unseen = felt(scene, trace)[:-1] & (trace["f_env"][:-1] == 0.0) & (trace["f_env"][1:] == 0.0)
+        assert unseen.any()
+        got = agreement(scene, trace)
+        assert got.changes >= min(unseen.sum(), 20)
+        assert got.differences["DOP853"][0] < 1e-11
+
+    def test_events_are_located_to_rounding_not_to_interpolation(self, quick: None) -> None:
+        scene = load_scene("canonical", duration=2.5, k_e=1e6, d_e=0.0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(agreement_module, "CHANGES", 24)
+            assert agreement(scene, run(scene).trace).differences["DOP853"][1] < 2e-14
+
+    def test_a_whole_run_with_located_events_is_the_exact_run(self) -> None:
+        scene = strike()
+        exact = run(scene).trace
+        assert len(contacts(exact["f_env"] > 0.0)) >= 1
+        assert np.diff(exact["f_env"] > 0.0).sum() >= 3
+        for solver, ticks in (("DOP853", 80), ("Radau", 25)):
+            own = exact_bodies(scene)
+            touch = touch_of(own.slaves[0], scene.slave)
+
+            def move(_: Any, x: float, v: float, f: float, touch: Any = touch, solver: str = solver) -> Any:
+                return *located(touch, 1e-3, x, v, f, solver)[:2], 0
+
+            slaves = [own.slaves[0]._replace(move=move)]
+            some = replace(scene, duration=ticks * 1e-3)
+            got = run(some, bodies=Bodies(own.master, slaves)).trace
+            assert np.abs(got["x_s"] - exact["x_s"][:ticks]).max() < 1e-11
+            assert np.abs(got["f_env"] - exact["f_env"][:ticks]).max() < 1e-6
+
+    def test_an_exact_step_that_were_wrong_would_show(self, quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
+        scene = strike()
+        trace = run(scene).trace
+        crooked = exact_bodies(scene)
+        plant = crooked.slaves[0]
+        bent = plant._replace(move=lambda c, x, v, f: (plant.move(c, x, v, f)[0] + 1e-9, *plant.move(c, x, v, f)[1:]))
+        monkeypatch.setattr(agreement_module, "exact_bodies", lambda _: crooked._replace(slaves=[bent]))
+        monkeypatch.setattr(agreement_module, "touch_of", lambda _, body: touch_of(plant, body))
+        assert agreement(scene, trace).differences["DOP853"][0] == pytest.approx(1e-9, rel=1e-3)
+
+    def test_the_run_put_off_by_nothing_is_the_run_and_by_more_is_further_off(self, quick: None) -> None:
+        scene = strike()
+        reference = run(scene)
+        worth = agreement(scene, reference.trace)
+        assert same(reference, run(scene, bodies=wobbled(scene, replace(worth, x=0.0, v=0.0))))
+        off = [errors(run(scene, bodies=wobbled(scene, replace(worth, x=x, v=0.0))).trace, reference.trace)["x_s"].max
+               for x in (1e-13, 1e-11)]
+        assert 1e-13 < off[0] < 1e-9
+        assert off[1] == pytest.approx(100.0 * off[0], rel=0.5)
+
+    def test_what_no_integrator_can_follow_is_not_compared_and_says_so(self) -> None:
+        scene = strike(environment=Wall(k=1e14, d=0.0, at=1e-3))
+        got = agreement(scene, run(scene).trace)
+        assert got.differences == {}
+        assert got.sentence.startswith("not compared: the fastest mode goes through")
+        assert got.x > 0.0
+
+    def test_without_scipy_the_rest_is_measured_and_that_is_said(
+        self, quick: None, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(agreement_module, "there", lambda: False)
+        monkeypatch.setattr(teleop.analysis.precision.measure, "there", lambda: False)
+        got = measure(strike(duration=0.02), clock=count(0, 1000).__next__, rounds=1)
+        assert got.agreement.sentence == "not compared: scipy is not installed"
+        assert all(e.contender.rtol is None for e in got.entries)
+        assert len(got.entries) == 37
+
+
+class TestContacts:
+    def test_a_bounce_within_one_tick_is_felt_though_no_tick_sees_a_force(self) -> None:
+        scene = strike(environment=Wall(k=1e9, d=0.0, at=1.0005e-3))
+        trace = run(scene).trace
+        felt_at = felt(scene, trace)
+        unseen = felt_at & (trace["f_env"] == 0.0)
+        assert unseen.any()
+        turned = np.flatnonzero((trace["v_s"][:-1] > 0.0) & (trace["v_s"][1:] < -0.5 * trace["v_s"][:-1]))
+        assert len(turned)
+        assert felt_at[turned].all()
+
+    @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
+    @pytest.mark.parametrize("damping", [0.0, 20.0])
+    def test_in_free_space_nobody_feels_anything(self, method: Any, damping: float) -> None:
+        scene = strike(environment=None, slave=MassDamper(mass=0.3, damping=damping))
+        assert not felt(scene, run(scene, bodies=method_bodies(scene, method, 4)).trace).any()
+
+    def test_contacts_near_each_other_are_one_and_one_that_was_not_felt_is_missed(self) -> None:
+        touching = np.zeros(200, dtype=bool)
+        touching[[20, 21, 21 + NEAR, 100, 150]] = True
+        touches = contacts(touching)
+        assert touches == [(20, 21 + NEAR), (100, 100), (150, 150)]
+        other = np.zeros(200, dtype=bool)
+        other[[25, 100 + NEAR]] = True
+        assert missed(other, touches) == 1
+        assert missed(other[:120], touches) == 0  # it did not live to see the last one
+        assert contacts(np.zeros(5, dtype=bool)) == []
+
+
+class TestAComparison:
+    def test_all_contenders_are_there_the_exact_one_first(self, struck: Precision) -> None:
+        keys = [entry.key for entry in struck.entries]
+        assert keys[0] == "exact"
+        assert set(keys) == {"exact"} | {f"{m.name}/{n}" for m in METHODS for n in (1, 4, 16, 64)} | {
+            f"{solver}/{rtol}" for solver in ("DOP853", "LSODA", "Radau") for rtol in ("1e-03", "1e-06", "1e-09")
+        }
+        assert struck.left_out == {}
+        assert {e.runs for e in struck.entries if e.contender.rtol is None} == {2}
+
+    @pytest.mark.parametrize("key", ["euler/1", "rk4/16", "sdirk2/4", "LSODA/1e-06"])
+    def test_errors_are_the_distance_from_the_exact_run(self, struck: Precision, key: str) -> None:
+        method, step = key.split("/")
+        scene = struck.scene
+        bodies = outsider_bodies(scene, method, float(step)) if method == "LSODA" else (
+            method_bodies(scene, BY_NAME[method], int(step)))
+        got, want = run(scene, bodies=bodies).trace, run(scene).trace
+        entry = by_key(struck)[key]
+        for name in ("x_s", "x_m", "f_env"):
+            off = np.abs(got[name] - want[name])
+            assert entry.errors[name] == pytest.approx((off.max(), np.sqrt(np.mean(off**2)), off[-1]), rel=1e-12)
+        assert entry.peak_ratio == pytest.approx(got["f_env"].max() / want["f_env"].max())
+
+    def test_finer_is_more_accurate_and_nobody_comes_near_exact(self, struck: Precision) -> None:
+        entries = by_key(struck)
+        own = entries["exact"].errors["x_s"].max
+        assert 0.0 < own < 1e-11
+        for method in METHODS:
+            size = {n: entries[f"{method.name}/{n}"].errors["x_s"].max for n in (1, 64)}
+            assert size[64] < size[1]
+            assert size[64] > 1e3 * own
+
+    def test_a_run_is_timed_by_the_clock_that_is_given(self, struck: Precision) -> None:
+        assert {e.ns_per_tick for e in struck.entries} == {1000.0 / 80}
+
+    def test_tracking_and_numerical_error_lie_side_by_side_along_the_run(self, struck: Precision) -> None:
+        along = struck.along
+        trace = run(struck.scene).trace
+        np.testing.assert_array_equal(along["t"], trace["t"])
+        np.testing.assert_allclose(along["x_err"][2:], np.abs(trace["x_s"][2:] - trace["x_m"][:-2]))
+        np.testing.assert_allclose(along["f_err"][2:], np.abs(trace["f_m"][2:] - trace["f_env"][:-2]))
+        assert np.isnan(along["x_err"][:2]).all()
+        assert np.nanmax(along["x_s:euler/1"]) == by_key(struck)["euler/1"].errors["x_s"].max
+
+    def test_a_long_run_keeps_the_largest_error_of_every_stretch(
+        self, quick: None, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(teleop.analysis.precision.measure, "BINS", 7)
+        got = measure(strike(), clock=count(0, 1000).__next__, rounds=1)
+        assert all(len(column) == 7 for column in got.along.values())
+        assert np.nanmax(got.along["f_env:rk4/1"]) == by_key(got)["rk4/1"].errors["f_env"].max
+
+    def test_what_diverges_or_misses_is_marked_and_kept(self, quick: None) -> None:
+        hard = strike(environment=Wall(k=1e9, d=0.0, at=1e-3), duration=0.3)
+        got = measure(hard, clock=count(0, 1000).__next__, rounds=1)
+        entries = by_key(got)
+        assert got.result.status == "ok"
+        lost = entries["semi_implicit_euler/1"]
+        assert lost.status == "diverged"
+        assert np.isnan(lost.errors["x_s"].end)
+        assert sum(e.missed > 0 for e in got.entries) > 0
+        assert entries["exact"].missed == 0
+        lines = table(got).splitlines()
+        assert any(line.startswith("semi_implicit_euler/1 ") and "diverged" in line for line in lines)
+        told = next(m for m in summary(got)["methods"] if m["name"] == "semi_implicit_euler/1")
+        assert told["status"] == "diverged"
+        assert told["errors"]["x_s"]["end"] is None
+        json.dumps(summary(got), allow_nan=False, default=str)
+
+    def test_a_scene_that_diverges_by_itself_is_compared_up_to_there(self, quick: None) -> None:
+        got = measure(strike(law=Direct(K=2000.0, B=8.0, kf=3.0), link=Delay(0.05), duration=3.0, x_limit=10.0,
+                             environment=Tissue(k=2000.0, d=0.0)), clock=count(0, 1000).__next__, rounds=1)
+        assert got.result.status == "diverged"
+        assert got.entries[0].beaten_by is None
+        assert 1e-15 < got.entries[0].errors["x_s"].max < 1e-3 * by_key(got)["rk4/1"].errors["x_s"].max + 1e-9
+
+    def test_every_axis_counts(self, quick: None) -> None:
+        scene = strike(axes=3, environment=(None, Wall(k=1e5, at=1e-3), Tissue(k=500.0, d=1.0)),
+                       start_m=(0.0, 0.02, 0.01), hand=None, duration=0.05)
+        got = by_key(measure(scene, clock=count(0, 1000).__next__, rounds=1))
+        a, b = run(scene, bodies=method_bodies(scene, BY_NAME["euler"], 1)).trace["x_s"], run(scene).trace["x_s"]
+        assert got["euler/1"].errors["x_s"].max == pytest.approx(np.linalg.norm(a - b, axis=1).max())
+
+
+def entry(method: str, time: float, x: float, f: float, status: str = "ok") -> Entry:
+    return Entry(contender=Contender(method=method, label=method, bodies=Bodies((), [])), status=status, sentence="",
+                 ns_per_tick=time, runs=1, errors={"x_s": Error(x, x, x), "f_env": Error(f, f, f)}, peak_ratio=1.0,
+                 missed=0)
+
+
+def beaten(*entries: Entry) -> dict[str, str | None]:
+    return {e.key: e.beaten_by for e in verdicts(entries)}
+
+
+class TestTheVerdict:
+    def test_beaten_is_less_accurate_and_more_than_1_2_times_slower(self) -> None:
+        got = beaten(entry("exact", 100.0, 1e-12, 1e-9), entry("a", 119.0, 1e-3, 1.0), entry("b", 121.0, 1e-3, 1.0),
+                     entry("c", 50.0, 1e-2, 1.0))
+        assert got == {"exact": None, "a": None, "b": "exact", "c": None}
+
+    def test_it_takes_both_the_position_and_the_force(self) -> None:
+        got = beaten(entry("exact", 500.0, 1e-12, 1e-9), entry("a", 100.0, 1e-6, 1e-2), entry("b", 200.0, 1e-3, 1e-3),
+                     entry("c", 200.0, 1e-3, 1e-1))
+        assert got == {"exact": None, "a": None, "b": None, "c": "a"}
+
+    def test_below_the_rounding_of_the_exact_run_all_are_alike(self) -> None:
+        assert beaten(entry("exact", 100.0, 1e-12, 1e-9), entry("a", 130.0, 0.0, 0.0))["a"] == "exact"
+        assert beaten(entry("exact", 130.0, 1e-12, 1e-9), entry("a", 100.0, 1e-14, 0.0))["exact"] == "a"
+
+    def test_what_diverged_beats_nobody_unless_the_scene_itself_does(self) -> None:
+        exact, lost = entry("exact", 100.0, 1e-12, 1e-9), entry("a", 10.0, 1e-3, 1.0, "diverged")
+        assert beaten(exact, lost, entry("b", 90.0, 1e-2, 1.0)) == {"exact": None, "a": None, "b": None}
+        assert beaten(replace(exact, status="diverged"), lost, entry("b", 90.0, 1e-2, 1.0, "diverged"))["b"] == "a"
+
+
+class TestTheBudget:
+    def test_what_does_not_fit_into_a_minute_is_left_out_and_named(self, quick: None) -> None:
+        slow = count(0, 2_000_000_000).__next__  # every reading is 2 s after the last
+        got = measure(strike(duration=0.02), clock=slow)
+        assert got.entries[0].key == "exact"
+        assert got.left_out
+        assert {e.key for e in got.entries} | set(got.left_out) == {c.key for c in contenders(strike(duration=0.02))}
+        assert all("a shorter duration or --rounds 1 has it" in why for why in got.left_out.values())
+        assert all(key in table(got) for key in got.left_out)
+
+    def test_rounds_that_were_asked_for_are_made_whatever_they_take(self, quick: None) -> None:
+        got = measure(strike(duration=0.02), clock=count(0, 100_000_000).__next__, rounds=3)
+        assert got.left_out == {}
+        assert got.rounds == 3
+
+    def test_progress_goes_from_nothing_to_all(self, quick: None) -> None:
+        shown: list[float] = []
+        measure(strike(duration=0.02), clock=count(0, 1000).__next__, rounds=2, show=lambda part, _: shown.append(part))
+        assert shown == sorted(shown)
+        assert (shown[0], shown[-1]) == (0.0, 1.0)
+
+    def test_a_run_far_too_long_is_refused_before_anything_is_run(self) -> None:
+        with pytest.raises(Refused, match=r"2000000 ticks are too many .* --set duration=10, or write --rounds 1"):
+            measure(strike(duration=2000.0), clock=lambda: 0)
+
+    @pytest.mark.parametrize("rounds", [0, -1, True, 1.5, "2"])
+    def test_what_is_no_number_of_rounds_is_refused(self, rounds: Any) -> None:
+        with pytest.raises(Refused, match=r"rounds must be a whole number of at least 1, .*; write --rounds 3"):
+            measure(strike(), clock=lambda: 0, rounds=rounds)
+
+
+class TestTheCommand:
+    def test_table_files_and_figure(self, typed: Typed, quick: None, tmp_path: Path) -> None:
+        pytest.importorskip("matplotlib")
+        got = typed("precision", "canonical", "--set", "duration=0.3", "--rounds", "1", "--out", "here")
+        assert got.code == 0
+        for word in ("exact ", "radau/64", "LSODA/1e-06", "not beaten: ", "tracking error", "f_env rms"):
+            assert word in got.out
+        assert got.out.endswith("written to here\n")
+        assert {path.name for path in (tmp_path / "here").iterdir()} == {"summary.json", "errors.npz", "precision.png"}
+        assert (tmp_path / "here" / "precision.png").read_bytes().startswith(b"\x89PNG")
+        with np.load(tmp_path / "here" / "errors.npz") as arrays:
+            assert {"t", "x_err", "f_err", "x_s:exact", "f_env:radau/64"} <= set(arrays)
+
+    def test_json_is_one_object_and_what_is_in_the_folder(self, typed: Typed, quick: None, tmp_path: Path) -> None:
+        got = typed("precision", "canonical", "--set", "duration=0.05", "--rounds", "1", "--json")
+        assert got.err == ""
+        told = json.loads(got.out)
+        assert told.pop("path") == "runs/canonical-precision-1"
+        assert told == json.loads((tmp_path / "runs" / "canonical-precision-1" / "summary.json").read_text())
+        assert told["methods"][0]["name"] == "exact"
+        assert told["ticks"] == 50
+        assert told["reference"]["per_tick"]["DOP853"]["x"] < 1e-11
+        assert set(told["reference"]["step_ns"]) == {"exact", "semi_implicit_euler/1"}
+
+    @pytest.mark.parametrize(("arguments", "words"), [
+        (["hard_wal"], ["did you mean hard_wall?"]), (["canonical", "--set", "dely=1"], ["dely", "delay"]),
+        (["canonical", "--rounds", "0"], ["--rounds", "at least 1", "'0'"]),
+        (["canonical", "--rounds", "some"], ["--rounds", "'some'"]),
+        (["canonical", "--rounds", "-2"], ["--rounds"]),
+        (["canonical", "--set", "duration=1e5"], ["too many", "--set duration=10"]),
+        (["canonical", "--out", "taken"], ["taken", "--out"]), ([], ["SCENE", "--help"]),
+        (["odd.py"], ["sideways", "walls, bonded tissue and free space"]),
+    ])
+    def test_a_wrong_request_is_one_sentence_and_leaves_nothing(
+        self, typed: Typed, tmp_path: Path, arguments: list[str], words: list[str]
+    ) -> None:
+        (tmp_path / "taken").mkdir()
+        (tmp_path / "odd.py").write_text(ODD)
+        typed("precision", *arguments).assert_refused(*words)
+        assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"taken", "odd.py"}
+
+    def test_ctrl_c_leaves_nothing_half_written(
+        self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def stopped(*_: Any, **__: Any) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(teleop.analysis.precision.measure, "measure", stopped)
+        assert typed("precision", "canonical").code == 130
+        assert list(tmp_path.iterdir()) == []
+
+
+ODD = '''
+from dataclasses import dataclass
+from teleop import Scene
+from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper, Plant, no_force
+
+def sideways(c, x, v, f):
+    return x, v, 0
+
+@dataclass(frozen=True, kw_only=True)
+class Odd:
+    def plant(self, body, dt):
+        return Plant(sideways, no_force, ())
+
+def scene() -> Scene:
+    "A world of its own."
+    body = MassDamper(mass=1.0)
+    return Scene(law=Wave(), master=body, slave=body, environment=Odd(), duration=0.05)
+'''

@@ -1,0 +1,518 @@
+"""Stability against published and computed numbers, against runs in virtual time, and as a user asks for it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from channel.delay import Delay
+from master.hand import Grip, Hold
+from slave.tissue import Tissue
+from slave.wall import Wall
+from teleop import Refused, Scene, load_scene, run
+from teleop.analysis.models.continuous import Continuous, continuous
+from teleop.analysis.stability.assess import critical, is_stable, lowest, stability
+from teleop.analysis.stability.swing import swing
+from teleop.errors import number
+from teleop.law import At
+from teleop.laws.direct import Direct
+from teleop.laws.pfra import PFRA
+from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper
+from teleop.stages.safety import Cap
+
+Typed = Callable[..., Any]
+
+
+class Motion(NamedTuple):
+    x: float  # m
+    v: float  # m/s
+
+
+class Force(NamedTuple):
+    f: float  # N
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionPosition:
+    """A user's law: each end is tied to the other by a spring and a damper, and damped by Bd."""
+
+    K: float = 2000.0
+    B: float = 8.0
+    Bd: float = 0.0
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def master_start(self, at: At) -> tuple[tuple[()], Motion]:
+        return (), Motion(at.x, 0.0)
+
+    slave_start = master_start
+
+    def master(self, s: tuple[()], at: At, rx: Motion) -> tuple[float, Motion, tuple[()]]:
+        return self.K * (at.x - rx.x) + self.B * (at.v - rx.v) + self.Bd * at.v, Motion(at.x, at.v), s
+
+    def slave(self, s: tuple[()], at: At, rx: Motion) -> tuple[float, Motion, tuple[()]]:
+        return self.K * (rx.x - at.x) + self.B * (rx.v - at.v) - self.Bd * at.v, Motion(at.x, at.v), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualWall:
+    """A spring that is worked out at the far end of the link."""
+
+    K: float
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def master_start(self, at: At) -> tuple[tuple[()], Force]:
+        return (), Force(0.0)
+
+    def slave_start(self, at: At) -> tuple[tuple[()], Force]:
+        return (), Force(0.0)
+
+    def master(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Force, tuple[()]]:
+        return rx.f, Force(at.x), s
+
+    def slave(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Force, tuple[()]]:
+        return 0.0, Force(self.K * rx.f), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filtered:
+    """Position-force with the wall's force through a filter at the slave, and the hand's share taken off."""
+
+    K: float = 400.0
+    B: float = 4.0
+    cut: float = 300.0  # 1/s
+    share: float = 0.4  # of f_h, at the master
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def master_start(self, at: At) -> tuple[tuple[()], Force]:
+        return (), Force(0.0)
+
+    def slave_start(self, at: At) -> tuple[Force, Motion]:
+        return Force(0.0), Motion(at.x, 0.0)
+
+    def master(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Motion, tuple[()]]:
+        return rx.f - self.share * at.f, Motion(at.x, at.v), s
+
+    def slave(self, s: Force, at: At, rx: Motion) -> tuple[float, Force, Force]:
+        after = Force(s.f - math.expm1(-self.cut * at.dt) * (at.f - s.f))
+        return self.K * (rx.x - at.x) + self.B * (rx.v - at.v), after, after
+
+
+HANDLE = MassDamper(mass=0.04, damping=0.8)  # kg, N s/m
+SOFT, STIFF = Direct(K=400.0, B=4.0), Direct(K=2000.0, B=8.0)
+
+
+def handles(law: Any, *, wall: float = 400.0, hand: tuple[float, float] = (100.0, 2.0), **changes: Any) -> Scene:
+    """Two handles, a hand of no mass, and a wall that is held on to."""
+    grip = Grip(mass=0.0, k=hand[0], d=hand[1], reference=Hold())
+    scene = Scene(law=law, master=HANDLE, slave=HANDLE, hand=grip, environment=Tissue(k=wall, d=0.0), duration=1.0)
+    return replace(scene, **changes)
+
+
+PUBLISHED = [  # law, wall (N/m), ms, Hz, first unstable ticks at 1 kHz and at 10 kHz
+    (SOFT, 400.0, 9.504, 14.235, 9, 95),
+    (STIFF, 2000.0, 1.520, None, 2, 15),
+    (PositionPosition(), 2000.0, 14.840, None, 11, 144),
+]
+
+
+class TestTheDelayMargin:
+    @pytest.mark.parametrize(("law", "wall", "ms", "hz", "at_1_khz", "at_10_khz"), PUBLISHED)
+    def test_is_the_computed_one_without_a_clock_and_with(
+        self, law: Any, wall: float, ms: float, hz: float | None, at_1_khz: int, at_10_khz: int
+    ) -> None:
+        found = continuous(handles(law, wall=wall))
+        assert found.stable_without_delay
+        assert found.round_trip is not None
+        assert round(found.round_trip * 1e3, 3) == ms
+        assert hz is None or round(found.frequency or 0.0, 3) == hz
+        assert stability(handles(law, wall=wall)).critical_round_trip == at_1_khz
+        assert stability(handles(law, wall=wall, dt=1e-4)).critical_round_trip == at_10_khz
+
+    def test_of_a_firm_hand_on_a_soft_coupling_is_none(self) -> None:
+        firm = handles(SOFT, hand=(400.0, 8.0))
+        assert continuous(firm) == Continuous(True, None, None)
+        found = stability(replace(firm, link=Delay(30.0)))
+        assert (found.verdict, found.critical_round_trip, found.delay_margin) == ("stable", None, None)
+
+    def test_is_that_of_a_transfer_function_by_hand(self) -> None:
+        """|L| = 1 of `L = k_e (B s + K)/((m s^2 + (b+d) s + k)(m s^2 + (b+B) s + K + k_e))`."""
+        def L(w: float) -> complex:
+            s = 1j * w
+            own = (0.04 * s * s + 2.8 * s + 100.0) * (0.04 * s * s + 4.8 * s + 800.0)
+            return 400.0 * (4.0 * s + 400.0) / own
+
+        w = brentq(lambda w: abs(L(w)) - 1.0, 60.0, 200.0, xtol=1e-12)
+        found = continuous(handles(SOFT))
+        assert found.frequency == pytest.approx(w / (2.0 * math.pi), rel=1e-9)
+        # The loop is closed with a minus: f_m acts against the hand.
+        assert found.round_trip == pytest.approx((np.angle(-L(w)) % (2.0 * math.pi)) / w, rel=1e-9)
+
+    def test_counts_both_ways_together(self) -> None:
+        for forth, back in ((4, 5), (1, 8), (7, 2)):
+            link = handles_link(forth, back)
+            assert not is_stable(handles(SOFT, link=link))
+            assert is_stable(handles(SOFT, link=handles_link(forth, back - 1)))
+            assert stability(handles(SOFT, link=link)).delay_margin == -1
+
+    @pytest.mark.parametrize("observer", [None, 200.0])
+    def test_of_a_law_with_memory_and_a_force_sensor_is_the_limit_of_short_ticks(self, observer: float | None) -> None:
+        hand = Grip(mass=0.1, k=100.0, d=2.0, reference=Hold())
+        scene = replace(handles(Filtered(), observer=observer, dt=1e-5, duration=0.1), hand=hand)
+        limit = continuous(scene).round_trip
+        ticks = stability(scene).critical_round_trip
+        assert limit is not None
+        assert ticks is not None
+        # Two half ticks of hold and the force that is read a tick late.
+        assert ticks * 1e-5 == pytest.approx(limit, abs=5e-5)
+
+    def test_of_pfra_that_reflects_all_is_that_of_direct_reflection(self) -> None:
+        pfra = PFRA(alpha=1.0, K=400.0, B=4.0)
+        assert continuous(handles(pfra)).round_trip == pytest.approx(continuous(handles(SOFT)).round_trip, rel=1e-9)
+        assert stability(handles(pfra)).critical_round_trip == 9
+
+    def test_of_the_worst_axis_is_the_scenes(self) -> None:
+        scene = handles(SOFT, axes=3, environment=(None, Tissue(k=400.0, d=0.0), Tissue(k=100.0, d=0.0)))
+        assert stability(scene).critical_round_trip == 9
+        assert round((continuous(scene).round_trip or 0.0) * 1e3, 3) == 9.504
+
+    @pytest.mark.parametrize("k_e", [50.0, 2e3, 1e6])
+    def test_of_waves_is_none(self, k_e: float) -> None:
+        scene = load_scene("soft_tissue", k_e=k_e)
+        assert continuous(scene) == Continuous(True, None, None)
+        found = stability(scene)
+        assert (found.verdict, found.critical_round_trip) == ("stable", None)
+        assert found.integrators == 1  # two hands that agree on a force may stand anywhere
+        assert found.gain_margin == pytest.approx(1.0, abs=1e-6)  # so that any more makes it wander off
+
+
+def handles_link(forth: int, back: int) -> Any:
+    from channel.link import parse_link
+
+    return parse_link(f"delay({forth}e-3) ; delay({back}e-3)")
+
+
+class TestPublishedNumbers:
+    @pytest.mark.parametrize(("delay", "K"), [(5, 148.08), (10, 78.75), (100, 9.741)])
+    def test_the_critical_stiffness_of_a_delayed_virtual_wall(self, delay: int, K: float) -> None:
+        """The wall stands at the far end of a round trip of as many ticks; the published digits, and a polynomial."""
+        def wall(stiffness: float) -> Scene:
+            link = handles_link(delay - 2, 2)
+            return Scene(law=VirtualWall(K=stiffness), master=HANDLE, slave=HANDLE, link=link, duration=1.0)
+
+        found = critical(wall, "K", low=1.0, high=1e4)
+        assert found.value == pytest.approx(K, rel=1e-4)
+        assert found.stable == "below"
+        e, m, b, dt = math.exp(-0.8e-3 / 0.04), 0.04, 0.8, 1e-3
+        closed = np.concatenate([np.convolve([1.0, -1.0], [1.0, -e]), np.zeros(delay)])
+        closed[-2:] += found.value * np.array([dt / b - (1 - e) * m / b**2, (1 - e) * m / b**2 - e * dt / b])
+        assert np.abs(np.roots(closed)).max() == pytest.approx(1.0, abs=1e-7)
+        margin = stability(wall(2.0)).gain_margin
+        assert margin is not None
+        assert 2.0 * margin == pytest.approx(found.value, rel=2e-6)
+
+    @pytest.mark.parametrize(("Bd", "verdict"), [(15.0, "unstable"), (20.0, "stable")])
+    def test_damping_injection_needs_the_sum_of_the_delays(self, Bd: float, verdict: str) -> None:
+        """Two free 5 kg masses, 400 N/m, 50 ms each way."""
+        body = MassDamper(mass=5.0)
+        law = PositionPosition(K=400.0, B=0.0, Bd=Bd)
+        found = stability(Scene(law=law, master=body, slave=body, link=Delay(0.05), duration=1.0))
+        assert found.verdict == verdict
+        assert found.integrators == 1  # both free masses together may stand anywhere
+        assert found.mode is not None
+        assert (found.mode.growth > 0.0) == (verdict == "unstable")
+
+
+class TestTheDominantMode:
+    @pytest.mark.parametrize(("law", "delay"), [("direct", 0.03), ("direct", 0.01), ("wave", 0.006), ("direct", 0.4)])
+    def test_is_what_a_run_grows_or_dies_with(self, law: str, delay: float) -> None:
+        scene = load_scene("soft_tissue", law=law, delay=delay, amplitude=0.0, frequency=0.0, dt=2e-3, duration=20.0)
+        scene = replace(scene, start_m=1e-3, x_limit=1e300, energy=False)
+        mode = stability(scene).mode
+        trace = run(scene).trace["x_m"]
+        assert mode is not None
+        loud = int(np.flatnonzero(np.abs(trace) > 1e-9)[-1])
+        # Under waves the master stays where it came to: its steps are the motion.
+        part = trace[loud - 2500:loud] if law == "direct" else np.diff(trace)[2000:2600]
+        # A motion of one mode alone obeys x(k+2) = 2 Re z x(k+1) - |z|^2 x(k).
+        (sum_, product), *_ = np.linalg.lstsq(np.column_stack([part[1:-1], part[:-2]]), part[2:], rcond=None)
+        z = complex(sum_ / 2.0, math.sqrt(-product - sum_ * sum_ / 4.0))
+        assert z == pytest.approx(complex(mode.z.real, abs(mode.z.imag)), abs=2e-6)
+        assert mode.growth == pytest.approx(math.log(abs(z)) / 2e-3, abs=2e-3)
+        assert mode.frequency == pytest.approx(math.atan2(z.imag, z.real) / (2.0 * math.pi * 2e-3), rel=1e-3)
+
+    def test_of_a_loop_that_nothing_closes_is_an_ends_own(self) -> None:
+        """A slave in free space reflects no force, so all that lasts is the hand on the master."""
+        for delay in (0.01, 5.0):
+            mode = stability(load_scene("free_motion", law="direct", delay=delay)).mode
+            assert mode is not None
+            assert mode.growth == pytest.approx(-5.5 / (2 * 0.5), rel=1e-6)
+
+
+class TestALongDelay:
+    def test_of_ten_thousand_samples_each_way_needs_no_matrix_of_that_size(self) -> None:
+        tracemalloc.start()
+        try:
+            found = stability(load_scene("soft_tissue", law="direct", delay=10.0))
+            most = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+        assert found.round_trip == 20_000
+        assert most < 50e6  # bytes; the matrix would take 3.2e9
+        # Roots lie 1/T apart along the band in which |L| > 1, up to about 4.3 Hz, a pair each; none grows at more
+        # than log(max |L|)/T.
+        assert 90 < found.unstable < 2 * 4.3 * 20.0
+        assert found.mode is not None
+        assert 0.5 / 20.0 < found.mode.growth < 1.0 / 20.0
+
+
+class TestACriticalValue:
+    def test_parts_stable_from_unstable_within_the_tolerance(self) -> None:
+        def scene(k_e: float) -> Scene:
+            return load_scene("soft_tissue", law="direct", k_e=k_e)
+
+        for tol in (10.0, 1e-3):
+            found = critical(scene, "k_e", low=1.0, high=1000.0, tol=tol)
+            assert found.high - found.low <= tol
+            assert is_stable(scene(found.low))
+            assert not is_stable(scene(found.high))
+
+    def test_takes_the_change_nearest_to_the_scenes_own_value_and_says_how_many_there_are(self) -> None:
+        def scene(k_e: float) -> Scene:
+            return load_scene("soft_tissue", law="direct", k_e=k_e, delay=0.005)
+
+        soft = critical(scene, "k_e", low=10.0, high=1e6, near=100.0)
+        hard = critical(scene, "k_e", low=10.0, high=1e6, near=1e5)
+        assert (soft.stable, hard.stable) == ("below", "above")
+        assert soft.changes == hard.changes == 2
+        assert soft.value < hard.value
+
+    def test_tells_where_each_change_is(self) -> None:
+        def scene(k_e: float) -> Scene:
+            return load_scene("soft_tissue", law="direct", k_e=k_e, delay=0.005)
+
+        found = critical(scene, "k_e", low=10.0, high=1e5, near=1e5, tol=0.1)
+        assert [one.stable for one in found.all] == ["below", "above"]
+        assert (found.value, found.low, found.high, found.stable) == found.all[1]
+        for one in found.all:
+            assert one.high - one.low <= 0.1
+            assert is_stable(scene(one.low)) == (one.stable == "below") != is_stable(scene(one.high))
+
+    def test_of_a_whole_number_is_the_first_beyond_the_change(self) -> None:
+        asked: list[float] = []
+
+        def scene(delay: float) -> Scene:
+            asked.append(delay)
+            return load_scene("virtual_wall", delay=delay)
+
+        found = critical(scene, "delay", low=0.0, high=400.0, whole=True)
+        assert (found.value, found.low, found.high) == (2, 1, 2)
+        assert is_stable(scene(1))
+        assert not is_stable(scene(2))
+        assert all(isinstance(one, int) for one in asked)
+
+    @pytest.mark.parametrize(("low", "high"), [(0.2, 0.7), (0.5, 1.5)])
+    def test_of_a_whole_number_is_not_between_two(self, low: float, high: float) -> None:
+        with pytest.raises(Refused, match="not two"):
+            critical(lambda _: handles(SOFT), "delay", low=low, high=high, whole=True)
+
+    def test_where_verdicts_alternate_is_the_lowest_tried(self) -> None:
+        """Below it all that were tried are alike; a bisection would have come to some change or other."""
+        asked: dict[float, bool] = {}
+
+        def judge(value: Any) -> bool:
+            asked[value] = value < 30.0 or int(value) % 3 == 0
+            return asked[value]
+
+        made: Any = lambda value: value  # noqa: E731  # no scene is needed where the judge needs none
+        found = lowest(made, "K", low=20.0, high=120.0, judge=judge, places=21)
+        assert found.value == found.high == min(value for value, rested in asked.items() if not rested)
+        assert found.low == max(value for value in asked if value < found.value)
+        assert (found.stable, found.method, found.tried) == ("below", "stepwise", len(asked))
+        assert found.high - found.low == pytest.approx(5.0 / 2**5)
+        assert found.changes == len(found.all) > 3
+        assert all(asked[one.low] == (one.stable == "below") != asked[one.high] for one in found.all)
+        close = lowest(made, "K", low=20.0, high=120.0, judge=judge, places=21, tol=1e-3)
+        assert close.high - close.low <= 1e-3
+
+    @pytest.mark.parametrize(("low", "high", "side"), [(1.0, 50.0, "stable"), (500.0, 5e3, "unstable")])
+    def test_that_is_not_there_is_refused_with_the_side(self, low: float, high: float, side: str) -> None:
+        with pytest.raises(Refused, match=f"the scene is {side} at all 33 values tried, and unstable at its own"):
+            critical(lambda k: load_scene("soft_tissue", law="direct", k_e=k), "k_e", low=low, high=high, near=200.0)
+
+    @pytest.mark.parametrize(("low", "high"), [(2.0, 2.0), (3.0, 1.0), (float("nan"), 1.0)])
+    def test_in_no_range_is_refused(self, low: float, high: float) -> None:
+        with pytest.raises(Refused, match="range"):
+            critical(lambda _: handles(SOFT), "k", low=low, high=high)
+
+
+class TestVirtualTime:
+    @pytest.mark.parametrize(("delay", "verdict"), [(0.008, "stable"), (0.013, "stable"), (0.016, "unstable"),
+                                                    (0.1, "unstable")])
+    def test_agrees_with_the_roots_where_there_are_any(self, delay: float, verdict: str) -> None:
+        scene = load_scene("soft_tissue", law="direct", delay=delay)
+        assert stability(scene).verdict == verdict
+        assert swing(scene).verdict == verdict
+
+    def test_tells_a_limit_cycle_from_both(self) -> None:
+        """A cap bounds an unstable linear loop: it then swings where its phase is right for any gain.
+
+        The cap's describing function is real, so the frequency is that of the loop whose gain is lowered to its
+        margin (A. Gelb and W. E. Vander Velde, Multiple-Input Describing Functions, 1968, ch. 3).
+        """
+        scene = replace(handles(STIFF, wall=2000.0, link=Delay(2e-3)), duration=4.0)
+        margin = stability(scene).gain_margin
+        assert margin is not None
+        assert margin < 1.0
+        at_margin = stability(replace(scene, law=replace(STIFF, kf=margin))).mode
+        found = swing(replace(scene, cap=Cap(f_max=0.5)))
+        assert found.verdict == "limit cycle"
+        assert at_margin is not None
+        assert found.frequency == pytest.approx(at_margin.frequency, rel=0.1)
+        assert found.amplitude is not None
+        assert 1e-5 < found.amplitude < 1e-2
+
+    def test_looks_where_the_slave_touches(self) -> None:
+        """In free space this scene is stable; pressed against its wall it bounces for ever."""
+        scene = load_scene("hard_wall", law="direct")
+        assert swing(scene).verdict == "limit cycle"
+        assert swing(replace(scene, environment=None)).verdict == "stable"
+
+    def test_kicks_a_scene_that_stands_still(self) -> None:
+        """Kicked, it bounces for ever; without the delay it comes to rest."""
+        still = handles(SOFT, environment=Wall(k=400.0, at=-1e-3), link=Delay(0.02), duration=4.0)
+        assert swing(still).verdict == "limit cycle"
+        assert swing(replace(still, link=None)).verdict == "stable"
+
+    def test_needs_no_hand(self) -> None:
+        assert swing(replace(handles(Wave(), link=Delay(0.01), duration=3.0), hand=None)).verdict == "stable"
+
+
+class TestTheCommand:
+    def test_says_verdict_mode_and_margins(self, typed: Typed) -> None:
+        answer = typed("stability", "soft_tissue", "--set", "law=direct", "--continuous")
+        assert (answer.code, answer.err) == (0, "")
+        for words in ("unstable: 2 roots outside", "grows", "50 + 50 = 100 ticks", "29 ticks", "dB", "28.788 ms"):
+            assert words in answer.out
+
+    def test_with_json_is_one_object(self, typed: Typed) -> None:
+        answer = typed("stability", "soft_tissue", "--set", "law=direct", "--critical", "k_e", "--json")
+        told = json.loads(answer.out)
+        assert (told["verdict"], told["unstable"], told["round_trip"]) == ("unstable", 2, 100)
+        assert told["critical"]["knob"] == "k_e"
+        edge = told["critical"]["value"]
+        for factor, verdict in ((0.999, "stable"), (1.001, "unstable")):
+            settings = ["--set", "law=direct", "--set", f"k_e={factor * edge}"]
+            assert json.loads(typed("stability", "soft_tissue", *settings, "--json").out)["verdict"] == verdict
+
+    @pytest.mark.parametrize(("knob", "unit"), [("k_e", "N/m"), ("law.K", "N/m"), ("law.kf", "")])
+    def test_says_the_unit_of_the_critical_value(self, typed: Typed, knob: str, unit: str) -> None:
+        answer = typed("stability", "soft_tissue", "--set", "law=direct", "--set", "delay=0.005", "--critical", knob)
+        found = re.search(rf"critical +{knob} = [0-9.e+-]+ ?(\S*) \(within [0-9.e+-]+ ?(\S*)\)", answer.out)
+        assert found is not None, answer
+        assert found.groups() == (unit, unit)
+
+    def test_finds_a_knob_of_the_law_and_takes_another_link(self, typed: Typed) -> None:
+        answer = typed("stability", "soft_tissue", "--set", "law=direct", "--link", "delay(0.02) ; delay(0.03)",
+                       "--critical", "law.kf", "--range", "0.1:1", "--tol", "1e-4", "--json")
+        told = json.loads(answer.out)
+        assert (told["forth"], told["back"]) == (20, 30)
+        assert told["critical"]["value"] == pytest.approx(told["gain_margin"], abs=1e-4)
+
+    def test_runs_what_is_not_linear(self, typed: Typed) -> None:
+        answer = typed("stability", "hard_wall", "--set", "law=direct", "--time", "--json")
+        told = json.loads(answer.out)
+        assert (told["verdict"], told["method"]) == ("limit cycle", "virtual time")
+        assert number("frequency", told["frequency"], above=0.0) == pytest.approx(3.14, abs=0.01)
+
+    def test_finds_a_critical_value_in_virtual_time(self, typed: Typed) -> None:
+        answer = typed("stability", "soft_tissue", "--set", "law=direct", "--time", "--critical", "delay",
+                       "--range", "0.005:0.05", "--tol", "1e-3", "--json")
+        assert json.loads(answer.out)["critical"]["value"] == pytest.approx(0.0145, abs=1.5e-3)
+
+    def test_bisects_a_whole_number_over_whole_numbers(self, typed: Typed) -> None:
+        answer = typed("stability", "virtual_wall", "--critical", "delay", "--range", "0:10")
+        assert "delay = 2 ticks is the first that is unstable, 1 is not yet" in answer.out
+        told = json.loads(typed("stability", "virtual_wall", "--critical", "every", "--range", "1:9", "--json").out)
+        assert (told["critical"]["value"], told["critical"]["low"], told["critical"]["high"]) == (5, 4, 5)
+
+    def test_lists_every_change(self, typed: Typed) -> None:
+        arguments = ["stability", "soft_tissue", "--set", "law=direct", "--set", "delay=0.005", "--critical", "k_e",
+                     "--range", "10:1e5"]
+        told = json.loads(typed(*arguments, "--json").out)["critical"]
+        assert told["all"][0] == {key: told[key] for key in ("value", "low", "high", "stable")}
+        assert (told["changes"], len(told["all"])) == (2, 2)
+        assert f"the verdict changes also at {told['all'][1]['value']:.7g} N/m (stable above)" in typed(*arguments).out
+
+    @pytest.mark.parametrize("duration", ["1.5", "10"])
+    def test_behind_an_encoder_names_the_lowest_that_hums_however_long_the_runs(
+        self, typed: Typed, duration: str
+    ) -> None:
+        arguments = ["stability", "encoder_wall", "--time", "--critical", "K", "--range", "100:5000", "--set",
+                     f"duration={duration}"]
+        answer = typed(*arguments)
+        assert "K = 1201 N/m is the lowest of 26 values tried that does not come to rest, to 2 steps of the encoder; " \
+            "the next below, 1194 N/m, does" in answer.out
+
+    @pytest.mark.parametrize(("arguments", "words"), [
+        (["canonical"], ["Wall", "--time", "tissue"]),
+        (["hard_wall"], ["cap", "--time"]),
+        (["soft_tissue", "--set", "law=pfra"], ["pfra", "--time", "alpha=1"]),
+        (["soft_tissue", "--link", "delay(0.05) | bernoulli(0.1)"], ["ticks", "--link"]),
+        (["soft_tissue", "--critical", "k_x"], ["k_x", "did you mean k_e?"]),
+        (["soft_tissue", "--critical", "energy"], ["energy", "number"]),
+        (["soft_tissue", "--critical", "k_e"], ["no critical value", "stable at its own, k_e=200", "--range"]),
+        (["soft_tissue", "--critical", "k_e", "--range", "9:1"], ["9:1", "lower value first"]),
+        (["soft_tissue", "--critical", "k_e", "--range", "5:5"], ["5:5", "empty"]),
+        (["soft_tissue", "--critical", "k_e", "--range", "5"], ["LOW:HIGH"]),
+        (["soft_tissue", "--critical", "k_e", "--range", "1:inf"], ["finite"]),
+        (["soft_tissue", "--critical", "k_e", "--tol", "0"], ["tol", "above 0"]),
+        (["soft_tissue", "--critical", "delay", "--set", "delay=0"], ["delay", "--range LOW:HIGH"]),
+        (["soft_tissue", "--range", "1:2"], ["--critical KNOB"]),
+        (["soft_tissue", "--time", "--continuous"], ["leave one"]),
+    ])
+    def test_refuses_in_one_sentence(self, typed: Typed, arguments: list[str], words: list[str]) -> None:
+        typed("stability", *arguments).assert_refused(*words)
+
+
+class TestWithoutAClock:
+    def test_a_law_that_keeps_samples_is_refused(self) -> None:
+        @dataclass(frozen=True, kw_only=True)
+        class Differences(PositionPosition):
+            def master(self, s: Any, at: At, rx: Motion) -> Any:
+                return 0.1 * (at.x - s.x) / at.dt, Motion(at.x, at.v), Motion(at.x, 0.0)
+
+            def master_start(self, at: At) -> Any:
+                return Motion(at.x, 0.0), Motion(at.x, 0.0)
+
+        with pytest.raises(Refused, match="no limit for short ticks"):
+            continuous(handles(Differences()))
+
+    def test_a_law_that_names_the_tick_before_is_refused(self) -> None:
+        @dataclass(frozen=True, kw_only=True)
+        class Held(PositionPosition):
+            def master(self, s: Any, at: At, rx: Motion) -> Any:
+                return 0.5 * at.f_held, Motion(at.x, at.v), s
+
+        with pytest.raises(Refused, match="f_held"):
+            continuous(handles(Held()))
+
+    def test_a_loop_that_is_unstable_without_delay_says_so(self) -> None:
+        assert continuous(handles(PositionPosition(K=-500.0, B=0.0))) == Continuous(False, 0.0, None)
+
+
+def test_a_matched_wave_whose_coefficients_cancel_was_called_not_linear() -> None:
+    """b = B = K: the coupling's part of w_s is the difference of large numbers, and no reason to refuse."""
+    assert continuous(load_scene("soft_tissue", law=Wave(b=10.0, K=10.0, B=10.0))).stable_without_delay

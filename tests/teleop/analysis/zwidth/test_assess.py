@@ -1,0 +1,426 @@
+"""The whole of a Z-width: its rows, what an interrupt keeps, the JSON, the figures, and wrong requests."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import teleop.analysis.zwidth.assess
+import teleop.analysis.zwidth.figure
+import teleop.analysis.zwidth.measured
+import teleop.analysis.zwidth.report
+from teleop.analysis.zwidth.assess import ZWidth, assess, span
+from teleop.analysis.zwidth.plane import Span
+from teleop.analysis.zwidth.report import numbers, ratios, said, summary, table, write
+from teleop.errors import Refused
+from teleop.scene.scene import Scene, load_scene
+
+Typed = Callable[..., Any]
+LEVERS = ["as it is", "damping x2", "encoder", "rate x2", "velocity filter", "virtual coupling",
+          "passivity controller", "electrical damping"]
+
+
+@pytest.fixture(scope="module")
+def found() -> ZWidth:
+    """That of the built-in wall."""
+    return assess(load_scene("virtual_wall"))
+
+
+def theory(scene: Scene) -> ZWidth:
+    """What is found without the runs in virtual time."""
+    def until(_: float, doing: str) -> None:
+        if doing.startswith("at rest"):
+            raise KeyboardInterrupt
+
+    return assess(scene, show=until)
+
+
+def rows(got: ZWidth) -> dict[str, dict[str, float | None]]:
+    return {row.name: numbers(row) for row in got.rows}
+
+
+class TestLevers:
+    def test_every_lever_is_there_and_the_scene_comes_first(self, found: ZWidth) -> None:
+        assert [row.name for row in found.rows] == LEVERS
+        assert not found.interrupted
+        assert numbers(found.base)["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
+        assert numbers(found.base)["stable_K_free"] == pytest.approx(1605.35, abs=5e-3)
+
+    def test_each_pulls_the_way_it_must(self, found: ZWidth) -> None:
+        own = {row.name: ratios(row, found.base) for row in found.rows}
+        assert own["damping x2"]["passive_K"] == pytest.approx(2.0)
+        assert own["damping x2"]["passive_B"] == pytest.approx(2.0)
+        assert own["rate x2"]["passive_K"] == pytest.approx(2.0)
+        assert own["rate x2"]["passive_B"] == pytest.approx(1.0)
+        assert (own["velocity filter"]["passive_B"] or 0.0) > 5.0
+        assert own["encoder"]["passive_K"] == 0.0
+        assert (own["encoder"]["K_at_rest"] or 1.0) < 0.9
+        assert own["virtual coupling"]["passive_K"] == pytest.approx(1.0, rel=1e-4)
+        assert 1.2 < (own["electrical damping"]["passive_K"] or 0.0) < 2.0
+        for name in ("damping x2", "rate x2", "passivity controller", "electrical damping"):
+            assert (own[name]["K_at_rest"] or 0.0) > 1.2, name
+
+    def test_a_passivity_controller_is_measured_and_not_claimed_for(self, found: ZWidth) -> None:
+        row = rows(found)["passivity controller"]
+        assert row["passive_K"] is row["stable_K"] is row["z_width_1hz"] is None
+        assert row["K_at_rest"]
+
+    def test_what_rests_lies_at_the_edge_of_the_linear_loop(self, found: ZWidth) -> None:
+        for name in ("as it is", "damping x2", "rate x2", "electrical damping", "virtual coupling"):
+            row = rows(found)[name]
+            assert row["K_at_rest"] == pytest.approx(row["stable_K"], rel=0.05), name
+
+    def test_an_encoder_is_made_finer_and_coarser_and_left_out(self) -> None:
+        got = theory(load_scene("virtual_wall", step=2e-5, friction=0.01))
+        own = rows(got)
+        assert own["resolution x4"]["passive_K"] == pytest.approx(1600.0)
+        assert own["resolution /4"]["passive_K"] == pytest.approx(2.0 * 0.01 / 8e-5)
+        assert own["no encoder"]["passive_B"] == pytest.approx(0.8)
+        assert any("its encoder, its Coulomb friction" in note for note in got.notes)
+        assert any("electrical damping left out" in note for note in got.notes)
+
+    def test_a_scene_with_a_controller_has_the_row_without(self) -> None:
+        got = assess(load_scene("encoder_wall", every=5, cap=0.8))
+        own = rows(got)
+        assert own["as it is"]["passive_K"] is None
+        assert own["no controller"]["passive_K"] == 0.0
+        assert (own["as it is"]["K_at_rest"] or 0.0) > 1.5 * (own["no controller"]["K_at_rest"] or 1e9)
+
+    def test_a_coupled_scene_is_asked_too(self) -> None:
+        own = rows(theory(load_scene("virtual_coupling")))
+        assert own["as it is"]["passive_K"] == pytest.approx(1600.0, rel=1e-4)
+        assert own["no coupling"]["passive_K"] == pytest.approx(1600.0, rel=1e-6)
+
+
+    def test_a_lever_that_does_not_apply_is_left_out_and_said_why(self) -> None:
+        got = theory(load_scene("virtual_wall", dt=1e-6, duration=0.01, b=0.0))
+        assert {"rate x2", "damping x2"}.isdisjoint(rows(got))
+        assert any("rate x2 left out: dt must be at least 1e-06" in note for note in got.notes)
+        assert any("damping x2 left out" in note for note in got.notes)
+
+
+class TestPlane:
+    def test_both_hands_and_what_was_measured_are_there(self, found: ZWidth) -> None:
+        assert found.stable is not None
+        assert found.stable_free is not None
+        assert found.stable_free.K[0] == pytest.approx(1605.35, abs=5e-3)
+        assert [B for B, _ in found.measured] == [0.0, 0.4, 0.8, 1.6, 4.0]
+        assert found.measured[0][1] == found.base.rest
+
+    def test_a_range_bounds_both(self) -> None:
+        got = assess(load_scene("virtual_wall"), span_K=Span(0.0, 3000.0), span_B=Span(0.5, 1.0))
+        assert got.stable is not None
+        assert got.stable_free is not None
+        assert (got.stable.B[0], got.stable.B[-1]) == (0.5, 1.0)
+        assert set(got.stable.K) == {float("inf")}
+        assert {B for B, _ in got.measured} == {0.0, 0.8}  # the scene's own B, and what lies in the range
+        assert dict(got.measured)[0.8] == float("inf")
+        told = summary(got)
+        assert told["stable"]["hand"]["K"] == [None] * 41
+        assert "K_at_rest" in told["levers"][0]["beyond"]
+        assert "no limit" in table(got)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs in virtual time too short to be trusted."""
+    monkeypatch.setattr(teleop.analysis.zwidth.measured, "LASTING", 0.1)
+    monkeypatch.setattr(teleop.analysis.zwidth.measured, "TICKS", (100, 100))
+
+
+class TestInterrupt:
+    @pytest.mark.parametrize("text", ["stable region", "rate x2", "at rest, B", "at rest, damping"])
+    def test_what_was_done_until_then_is_kept(self, text: str, short: None) -> None:
+        def stop(_: float, doing: str) -> None:
+            if doing.startswith(text):
+                raise KeyboardInterrupt
+
+        got = assess(load_scene("virtual_wall"), show=stop)
+        assert got.interrupted
+        assert got.base.curves.width == pytest.approx(253.809, abs=1e-3)
+        assert (got.stable is None) == (text == "stable region")
+        names = [row.name for row in got.rows]
+        assert names == (LEVERS[:1] if text == "stable region" else LEVERS[:3] if text == "rate x2" else LEVERS)
+        assert len(got.measured) == (5 if "damping" in text else 0)
+        told = json.loads(json.dumps(summary(got), allow_nan=False))
+        assert told["status"] == "interrupted"
+        assert table(got).count("interrupted") == 1
+
+    def test_before_anything_is_done_there_is_nothing_to_keep(self) -> None:
+        def stop(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            assess(load_scene("virtual_wall"), show=stop)
+
+    def test_progress_goes_from_nothing_to_all_and_never_back(self, short: None) -> None:
+        parts: list[float] = []
+        assess(load_scene("virtual_wall"), show=lambda *told: parts.append(told[0]))
+        assert parts == sorted(parts)
+        assert (parts[0], parts[-1]) == (0.0, 1.0)
+        assert len(parts) > 100
+
+
+class TestJson:
+    def test_it_has_every_number_with_its_unit(self, found: ZWidth) -> None:
+        told = json.loads(json.dumps(summary(found, ["teleop", "zwidth"]), allow_nan=False))
+        assert told["status"] == "done"
+        assert told["z_width_1hz"] == pytest.approx(told["z_max_1hz"] - told["z_min_1hz"])
+        assert told["units"]["z_width_1hz"] == "N s/m"
+        assert told["units"]["area"] == "decades x decades"
+        assert told["gap"] == pytest.approx(told["area"] / 3.0)
+        assert told["passive"]["corners"] == [[0.0, 0.0], pytest.approx([1600.0, 0.0]), pytest.approx([0.0, 0.8])]
+        assert len(told["impedance"]["frequency"]) == len(told["impedance"]["upper"]) == len(told["impedance"]["lower"])
+        assert told["parameters"]["law"]["K"] == 800.0
+        assert [lever["name"] for lever in told["levers"]] == LEVERS
+        assert told["levers"][1]["ratio"]["z_width_1hz"] == pytest.approx(2.0, rel=1e-3)
+        assert told["stable"]["free"]["K"][0] == pytest.approx(1605.35, abs=5e-3)
+        assert set(told["levers"][0]) > set(numbers(found.base))
+        for key in numbers(found.base):
+            assert key in told["units"], key
+
+    def test_the_table_says_them_too(self, found: ZWidth) -> None:
+        text = table(found)
+        for words in ("253.8", "x2", "passivity controller", "Z_max 254.6, Z_min 0.8385", "5.058", "29700"):
+            assert words in text, words
+        assert max(map(len, text.splitlines()[:10])) < 130
+
+    @pytest.mark.parametrize(("value", "text"), [
+        (None, "-"), (float("inf"), "no limit"), (0.0, "0"), (12345.6, "12350"), (0.83853, "0.8385"),
+    ])
+    def test_numbers_have_four_digits_and_no_exponents(self, value: float | None, text: str) -> None:
+        assert said(value) == text
+
+
+def left_by(typed: Typed, folder: str) -> set[str]:
+    """The files in the folder, and nothing beside it, after an interrupt of the command."""
+    with pytest.raises(SystemExit) as left:
+        typed("zwidth", "virtual_wall", "--out", folder)
+    assert left.value.code == 130
+    assert [path.name for path in Path().iterdir()] == [folder]
+    return {path.name for path in Path(folder).iterdir()}
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Ctrl-C as a process has it that was started at a terminal."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+class TestCommand:
+    @pytest.fixture(autouse=True)
+    def quick(self, monkeypatch: pytest.MonkeyPatch, found: ZWidth) -> None:
+        """The command shows an answer that was found before."""
+        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", lambda *_, **__: found)
+
+    def test_it_leaves_a_new_folder_with_json_and_figures(self, typed: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        answer = typed("zwidth", "virtual_wall")
+        assert (answer.code, answer.err) == (0, "")
+        assert "253.8" in answer.out
+        folder = Path("runs/virtual_wall-zwidth-1")
+        assert {file.name for file in folder.iterdir()} == {"zwidth.json", "plane.png", "impedance.png", "levers.png"}
+        assert json.loads((folder / "zwidth.json").read_text())["command"][:2] == ["teleop", "zwidth"]
+
+    def test_it_prints_one_object(self, typed: Typed) -> None:
+        told = json.loads(typed("zwidth", "virtual_wall", "--json", "--out", "here").out)
+        assert told["path"] == "here"
+        assert Path("here/zwidth.json").is_file()
+
+    def test_interrupted_it_leaves_what_is_done_and_says_so(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, found: ZWidth
+    ) -> None:
+        part = replace(found, rows=found.rows[:1], stable=None, stable_free=None, measured=[], interrupted=True)
+        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", lambda *_, **__: part)
+        with pytest.raises(SystemExit) as left:
+            typed("zwidth", "virtual_wall", "--out", "part")
+        assert left.value.code == 130
+        assert json.loads(Path("part/zwidth.json").read_text())["status"] == "interrupted"
+
+
+    def test_raised_while_it_draws_it_leaves_the_numbers_and_whole_figures(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        pytest.importorskip("matplotlib")
+
+        def stop(_: ZWidth, folder: Path) -> None:
+            (folder / "plane.png").write_bytes(b"whole")
+            (folder / ".impedance.png.part").write_bytes(b"half")
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(teleop.analysis.zwidth.figure, "draw", stop)
+        assert left_by(typed, "here") == {"plane.png", "zwidth.json"}
+        told = json.loads(Path("here/zwidth.json").read_text())
+        assert told["status"] == "interrupted"
+        assert told["notes"][-1] == "interrupted before it was drawn: impedance.png, levers.png"
+        assert told["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
+
+    @pytest.mark.parametrize("what", ["swallowed", "another error", "twice"])
+    def test_what_libraries_make_of_a_signal_is_an_interrupt_still(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, what: str
+    ) -> None:
+        pytest.importorskip("matplotlib")
+
+        def stop(*_: object) -> None:
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                if what == "twice":
+                    signal.raise_signal(signal.SIGINT)
+                if what != "swallowed":
+                    raise ImportError("half of a library") from None
+
+        monkeypatch.setattr(teleop.analysis.zwidth.figure, "draw", stop)
+        assert left_by(typed, "here") == {"zwidth.json"}
+        assert json.loads(Path("here/zwidth.json").read_text())["status"] == "interrupted"
+
+    def test_an_error_without_an_interrupt_stays_one(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        pytest.importorskip("matplotlib")
+
+        def fail(*_: object) -> None:
+            raise ZeroDivisionError
+
+        monkeypatch.setattr(teleop.analysis.zwidth.figure, "draw", fail)
+        with pytest.raises(ZeroDivisionError):
+            typed("zwidth", "virtual_wall", "--out", "here")
+        assert not list(Path().iterdir())
+
+    @pytest.mark.parametrize("when", ["all is found", "it is written", "half is found, then again"])
+    def test_a_signal_between_the_parts_waits_until_the_numbers_are_written(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, found: ZWidth, when: str
+    ) -> None:
+        def quick(*_: object, show: Callable[[float, str], None], **__: object) -> ZWidth:
+            if when == "half is found, then again":
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(signal.SIGINT)
+                return replace(found, interrupted=True)
+            show(1.0, "done")
+            if when == "all is found":
+                signal.raise_signal(signal.SIGINT)
+            return found
+
+        def slow(*args: Any) -> None:
+            if when == "it is written":
+                signal.raise_signal(signal.SIGINT)
+            write(*args)
+
+        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", quick)
+        monkeypatch.setattr(teleop.analysis.zwidth.report, "write", slow)
+        assert left_by(typed, "here") == {"zwidth.json"}
+        assert json.loads(Path("here/zwidth.json").read_text())["status"] == "interrupted"
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+    def test_a_signal_that_got_lost_while_it_was_looked_for_is_raised_again(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, found: ZWidth
+    ) -> None:
+        def quick(*_: object, show: Callable[[float, str], None], **__: object) -> ZWidth:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                show(0.5, "further")
+            return replace(found, interrupted=True)
+
+        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", quick)
+        assert "zwidth.json" in left_by(typed, "here")
+
+    def test_who_ignores_ctrl_c_or_has_a_handler_keeps_it(self, typed: Typed, monkeypatch: pytest.MonkeyPatch,
+                                                          ctrl_c: None, found: ZWidth) -> None:
+        seen: list[object] = []
+
+        def quick(*_: object, **__: object) -> ZWidth:
+            seen.append(signal.getsignal(signal.SIGINT))
+            return found
+
+        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", quick)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        typed("zwidth", "virtual_wall", "--json", "--out", "here")
+        assert seen == [signal.SIG_IGN] == [signal.getsignal(signal.SIGINT)]
+
+
+CHILD = """
+import signal, sys
+from itertools import islice
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import teleop.analysis.zwidth.assess as assess, teleop.analysis.zwidth.measured as measured
+every = assess.levers
+assess.levers = lambda scene: islice(every(scene), 1)
+measured.LASTING, measured.TICKS = 0.1, (100, 100)
+from teleop.__main__ import main
+raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here"]))
+"""
+
+
+class TestSignal:
+    """A real Ctrl-C at a process that draws: sent as soon as a file is seen."""
+
+    @pytest.mark.parametrize(("seen", "taps"), [("zwidth.json", 1), ("zwidth.json", 3), ("plane.png", 1),
+                                                ("impedance.png", 2)])
+    def test_it_keeps_what_is_whole_and_says_what_is_not(
+        self, process: Typed, ended: Typed, tmp_path: Path, seen: str, taps: int
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        child = process("-c", CHILD)
+        while child.poll() is None and not list(tmp_path.glob(f"here/.part/{seen}")):
+            time.sleep(0.001)
+        for _ in range(taps):
+            child.send_signal(signal.SIGINT)
+        answer = ended(child)
+        assert answer.code == 130, answer.err
+        assert "Traceback" not in answer.err
+        assert [path.name for path in tmp_path.iterdir()] == ["here"]
+        told = json.loads((tmp_path / "here/zwidth.json").read_text())
+        assert told["status"] == "interrupted"
+        assert told["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
+        names = {path.name for path in (tmp_path / "here").iterdir()}
+        drawn = names - {"zwidth.json"}
+        assert {seen, "zwidth.json"} <= names
+        assert told["notes"][-1] == "interrupted before it was drawn: " + ", ".join(
+            name for name in ("plane.png", "impedance.png", "levers.png") if name not in drawn)
+        for name in drawn:
+            picture = (tmp_path / "here" / name).read_bytes()
+            assert picture.startswith(b"\x89PNG"), name
+            assert b"IEND" in picture[-12:], name
+        assert "written to here" in answer.out
+
+
+class TestWrongRequests:
+    @pytest.mark.parametrize(("typed_in", "words"), [
+        (("hard_wall",), ("has a slave", "teleop zwidth virtual_wall")),
+        (("virtual_wall", "--range-k", "5:1"), ("--range-k 5:1 is empty", "lower value first")),
+        (("virtual_wall", "--range-b", "1:1"), ("--range-b 1:1 is empty",)),
+        (("virtual_wall", "--range-b=-1:2"), ("below 0",)),
+        (("virtual_wall", "--range-k", "10"), ("not LOW:HIGH", "--range-k 0:2000")),
+        (("virtual_wall", "--range-k", "a:b"), ("not LOW:HIGH",)),
+        (("virtual_wall", "--range-k", "0:nan"), ("must be finite",)),
+        (("virtual_wall", "--range-k", "0:inf"), ("must be finite",)),
+    ])
+    def test_they_are_answered_in_one_sentence(self, typed: Typed, typed_in: tuple[str, ...], words: tuple[str, ...]
+                                               ) -> None:
+        typed("zwidth", *typed_in).assert_refused(*words)
+        assert not Path("runs").exists()
+
+    def test_a_law_without_stiffness_and_damping(self) -> None:
+        class Nothing:
+            def start(self, at: Any) -> tuple[()]:
+                return ()
+
+            def force(self, s: tuple[()], at: Any) -> tuple[float, tuple[()]]:
+                return 0.0, s
+
+        with pytest.raises(Refused, match=r"no stiffness K and damping B .* --set law=virtual_wall"):
+            assess(replace(load_scene("virtual_wall"), law=Nothing()))
+
+    def test_left_out_a_range_is_everything(self) -> None:
+        assert span("--range-k", None) == Span(0.0, None)
+        assert span("--range-k", "1:2e3") == Span(1.0, 2000.0)

@@ -1,0 +1,253 @@
+"""The passive region: closed forms, the damping condition asked point by point, and what bounds it further."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import expm1, pi
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from teleop.analysis.models.sampled import (
+    filtered_wall,
+    needed_damping,
+    quantised_stiffness,
+    spring_damper,
+    wall_damping,
+)
+from teleop.analysis.passivity import coupling
+from teleop.analysis.zwidth.passive import effective_damping, passive_region
+from teleop.analysis.zwidth.polygon import Point
+from teleop.laws.virtual_coupling import VirtualCoupling
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.physics.plant import MassDamper
+from teleop.physics.relaxing import ElectricalDamping
+from teleop.scene.scene import Scene
+from teleop.stages.device import Device, Encoder, encode
+from teleop.stages.passivity_controller import PassivityController
+from teleop.stages.velocity.backward_difference import BackwardDifference
+from teleop.stages.velocity.levant import Levant
+from teleop.stages.velocity.low_pass import LowPass
+
+WALL = VirtualWall(K=800.0)
+
+
+def handle(*, b: float = 0.8, dt: float = 1e-3, friction: float = 0.0, law: Any = WALL,
+           **device: Any) -> Scene:
+    """The canonical handle on a virtual wall."""
+    return Scene(law=law, master=MassDamper(mass=0.04, damping=b, friction=friction), dt=dt, duration=1.0,
+                 device_m=Device(**{"velocity": BackwardDifference(), **device}))
+
+
+def corners(scene: Scene) -> np.ndarray[Any, Any]:
+    found = passive_region(scene).corners
+    assert found
+    return np.array(found)
+
+
+def inside(shape: np.ndarray[Any, Any], point: Point) -> float:
+    """How far out a point lies in the polygon of these corners and (0, 0): at most 1 inside."""
+    steps = np.diff(shape, axis=0)
+    normals = np.column_stack([steps[:, 1], -steps[:, 0]])
+    return float(max((normals @ np.array(point)) / (normals * shape[:-1]).sum(axis=1)))
+
+
+class TestSpringAndDamper:
+    @pytest.mark.parametrize(("b", "T"), [(0.8, 1e-3), (5.0, 1e-3), (0.1, 1e-2), (2.0, 1e-4)])
+    def test_without_delay_it_is_the_triangle_of_colgate_and_schenkel(self, b: float, T: float) -> None:
+        assert corners(handle(b=b, dt=T)) == pytest.approx(np.array([(2.0 * b / T, 0.0), (0.0, b)]), rel=1e-9)
+
+    @pytest.mark.parametrize(("K", "B", "d", "b"), [
+        (1600.0, 0.0, 0, 0.8), (800.0, 0.4, 0, 0.8), (1000.0, 0.0, 1, 1.5), (1000.0, 0.5, 1, 1.25),
+        (1000.0, 0.5, 5, 5.0),
+    ])
+    def test_points_of_which_the_damping_is_known_lie_on_its_edge(self, K: float, B: float, d: int, b: float) -> None:
+        assert inside(corners(handle(b=b, delay=d)), (K, B)) == pytest.approx(1.0, rel=5e-5)
+
+    @pytest.mark.parametrize("d", [1, 5, 40])
+    def test_with_delay_every_corner_needs_all_of_the_damping_and_no_point_inside_more(self, d: int) -> None:
+        shape = corners(handle(delay=d))
+        needed = [wall_damping(K, B, 1e-3, d).damping for K, B in shape]
+        assert needed == pytest.approx([0.8] * len(shape), rel=1e-9)
+        dice = np.random.default_rng(1)
+        for K, B in dice.uniform(0.0, 1.2, (60, 2)) * shape.max(axis=0):
+            assert (wall_damping(K, B, 1e-3, d).damping / 0.8 - inside(shape, (K, B))) == pytest.approx(0.0, abs=6e-5)
+
+    @pytest.mark.parametrize("d", [0, 3])
+    def test_it_is_convex(self, d: int) -> None:
+        steps = np.diff(np.vstack([corners(handle(delay=d)), (0.0, 0.0)]), axis=0)
+        turns = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
+        assert (turns > -1e-9 * np.abs(steps).max(axis=0).prod()).all()
+
+    def test_a_spring_alone_has_the_bound_of_diolaiti(self) -> None:
+        for d in (1, 100):
+            assert passive_region(handle(delay=d)).stiffest_alone == pytest.approx(0.8 / (1e-3 * (0.5 + d)), rel=1e-8)
+
+    def test_a_damper_lets_a_late_spring_be_stiffer(self) -> None:
+        region = passive_region(handle(delay=5))
+        assert region.stiffest is not None
+        assert region.stiffest > 1.2 * (region.stiffest_alone or 0.0)
+
+    def test_it_grows_with_the_damping_and_with_the_rate_as_dimensions_ask(self) -> None:
+        own = corners(handle(delay=2))
+        for other, scale in ((handle(b=2.4, delay=2), (3.0, 3.0)), (handle(dt=5e-4, delay=2), (2.0, 1.0))):
+            far = [inside(own * scale, (K, B)) for K, B in corners(other)]
+            assert far == pytest.approx([1.0] * len(far), rel=6e-5)
+
+
+class TestFilterAndSlowForce:
+    def test_behind_a_low_pass_every_corner_needs_all_of_the_damping(self) -> None:
+        shape = corners(handle(velocity=LowPass(cutoff=30.0)))
+        needed = [needed_damping(filtered_wall(K, B, 1e-3, 30.0), 1e-3).damping for K, B in shape[::7]]
+        assert needed == pytest.approx([0.8] * len(needed), rel=1e-7)
+        assert shape[-1, 1] > 5.0  # of a damper that is slow at the frequencies where it would be too strong
+
+    @pytest.mark.parametrize("d", [0, 2])
+    def test_a_force_renewed_slowly_has_the_region_of_its_own_condition(self, d: int) -> None:
+        shape = corners(handle(every=3, delay=d))
+        some = shape[[0, len(shape) // 2, -1]]
+        needed = [needed_damping(spring_damper(K, B, 1e-3), 1e-3, d=d, every=3).damping for K, B in some]
+        assert needed == pytest.approx([0.8] * 3, rel=1e-6)
+
+    def test_a_spring_renewed_at_every_fifth_tick_is_one_of_a_fifth_of_the_rate(self) -> None:
+        assert passive_region(handle(every=5)).stiffest == pytest.approx(2.0 * 0.8 / 5e-3, rel=1e-4)
+
+    def test_a_velocity_without_a_transfer_function_has_no_region(self) -> None:
+        for velocity, word in ((Levant(L=10.0), "Levant"), (None, "velocity itself")):
+            region = passive_region(handle(velocity=velocity))
+            assert region.corners is None
+            assert region.stiffest is None
+            assert word in region.sentence
+
+
+class TestShunt:
+    @pytest.mark.parametrize(("b", "b_e", "cutoff"), [(0.8, 0.8, 10.0), (0.1, 5.0, 100.0), (2.0, 0.5, 400.0)])
+    def test_the_damping_is_the_harmonic_mean_over_the_frequencies_that_a_sample_mixes(
+        self, b: float, b_e: float, cutoff: float
+    ) -> None:
+        scene = replace(handle(b=b), electrical=ElectricalDamping(b=b_e, cutoff=cutoff))
+        th = np.array([1e-3, 0.1, 1.0, 3.0])
+        w = (th[:, None] + 2.0 * pi * np.arange(-200_000, 200_001)) / 1e-3
+        r = b + b_e * w**2 / (w**2 + (2.0 * pi * cutoff) ** 2)
+        mean = (1.0 / w**2).sum(axis=1) / (1.0 / (r * w**2)).sum(axis=1)
+        assert effective_damping(scene, th) == pytest.approx(mean, rel=1e-5)
+
+    def test_velocities_can_be_made_of_those_frequencies_that_take_all_of_it(self) -> None:
+        # the worst is V_l = (1/w_l)/r(w_l): what it loses is the force's square over b_eff, and none loses less
+        scene = replace(handle(), electrical=ElectricalDamping(b=2.0, cutoff=50.0))
+        th = np.array([0.7])
+        w = (th + 2.0 * pi * np.arange(-2000, 2001)) / 1e-3
+        r = 0.8 + 2.0 * w**2 / (w**2 + (100.0 * pi) ** 2)
+        b_eff = effective_damping(scene, th)[0]
+        dice = np.random.default_rng(2)
+        ratios = [(r * V**2).sum() * (1.0 / w**2).sum() / (V / w).sum() ** 2
+                  for V in (1.0 / (w * r), *(dice.normal(size=(30, len(w))) / w))]
+        assert ratios[0] == pytest.approx(b_eff, rel=1e-3)
+        assert min(ratios[1:]) > ratios[0]
+
+    def test_it_widens_the_region_up_to_that_of_a_damper_as_strong(self) -> None:
+        own, both = (passive_region(handle(b=b)).stiffest or 0.0 for b in (0.8, 1.6))
+        with_shunt = [passive_region(replace(handle(), electrical=ElectricalDamping(b=0.8, cutoff=f))).stiffest or 0.0
+                      for f in (1e-3, 10.0, 100.0, 1e7)]
+        assert with_shunt == sorted(with_shunt, reverse=True)
+        assert with_shunt[-1] == pytest.approx(own, rel=1e-3)
+        assert own < with_shunt[1] < both
+
+    def test_a_slow_hand_does_not_feel_it_so_it_helps_no_spring_alone(self) -> None:
+        region = passive_region(replace(handle(), electrical=ElectricalDamping(b=0.8, cutoff=10.0)))
+        assert region.stiffest_alone == pytest.approx(1600.0, rel=1e-6)
+
+    def test_without_other_damping_nothing_is_claimed(self) -> None:
+        region = passive_region(replace(handle(b=0.0), electrical=ElectricalDamping(b=0.8, cutoff=10.0)))
+        assert region.corners is None
+        assert "slow hand" in region.sentence
+
+
+class TestEncoder:
+    @pytest.mark.parametrize("friction", [0.002, 0.05])
+    def test_a_spring_has_the_bound_of_abbott_and_okamura(self, friction: float) -> None:
+        region = passive_region(handle(friction=friction, encoder=Encoder(step=2e-5)))
+        assert region.stiffest == pytest.approx(quantised_stiffness(b=0.8, T=1e-3, step=2e-5, friction=friction))
+
+    def test_a_damper_may_make_no_more_force_of_a_step_than_friction_holds(self) -> None:
+        shape = corners(handle(friction=2e-3, encoder=Encoder(step=2e-5)))
+        assert shape == pytest.approx(np.array([(200.0, 0.0), (0.0, 2e-3 * 1e-3 / 2e-5)]))
+
+    def test_a_handle_that_trembles_across_an_edge_takes_just_that_from_a_damper(self) -> None:
+        step, T, B, tremble = 2e-5, 1e-3, 0.1, 1e-9
+        law = VirtualWall(K=1e-3, B=B, at=-100.0)  # deep inside, so that it never lets go
+        taken, q_before = 0.0, encode((step, 0.0), -tremble)
+        x = -tremble
+        for k in range(1, 201):
+            x = tremble * (1.0 if k % 2 else -1.0)
+            q = encode((step, 0.0), x)
+            f, _ = law.force((), _at(q, (q - q_before) / T))
+            taken += (f - 0.1) * 2.0 * x  # the next tick moves it back by 2 |x|; 0.1 N is the wall's constant push
+            q_before = q
+        assert taken / (200 * 2.0 * tremble) == pytest.approx(B * step / T, rel=1e-3)
+
+    def test_a_filter_makes_less_of_a_step(self) -> None:
+        fast, slow = (corners(handle(friction=2e-3, encoder=Encoder(step=2e-5), velocity=v))[-1, 1]
+                      for v in (BackwardDifference(), LowPass(cutoff=30.0)))
+        assert slow / fast == pytest.approx(-1.0 / expm1(-2.0 * pi * 30.0 * 1e-3))
+
+    def test_without_friction_nothing_is_passive_and_that_is_said(self) -> None:
+        region = passive_region(handle(encoder=Encoder(step=1e-9)))
+        assert region.corners == ()
+        assert region.stiffest == region.most_damped == 0.0
+        assert "without Coulomb friction" in region.sentence
+
+
+class TestOthers:
+    def test_a_device_without_damping_keeps_nothing_passive(self) -> None:
+        region = passive_region(handle(b=0.0))
+        assert region.corners == ()
+        assert "--set b=" in region.sentence
+
+    def test_a_passivity_controller_is_not_claimed_for(self) -> None:
+        region = passive_region(replace(handle(), passivity=PassivityController(cap=0.8)))
+        assert region.corners is None
+        assert "measured" in region.sentence
+
+    def test_behind_a_coupling_without_delay_it_is_the_same_triangle(self) -> None:
+        shape = corners(handle(law=VirtualCoupling()))
+        assert shape == pytest.approx(np.array([(1600.0, 0.0), (0.0, 0.8)]), rel=1e-6, abs=1e-6)
+
+    def test_behind_a_coupling_with_delay_any_environment_costs_more_than_a_rigid_one(self) -> None:
+        free, rigid = corners(handle(law=VirtualCoupling(), delay=2)), corners(handle(delay=2))
+        assert all(inside(rigid, (K, B)) < 1.0 + 1e-4 for K, B in free)
+        assert max(K for K, _ in free) < 0.95 * max(K for K, _ in rigid)
+        assert free[0, 0] < 0.6 * rigid[0, 0]
+        needed = [coupling.needed_damping(spring_damper(K, B, 1e-3), 0.0, 1e-3, d=2).damping for K, B in free[::9]]
+        assert needed == pytest.approx([0.8] * len(needed), rel=1e-6)
+
+    def test_an_integrator_that_is_not_passive_has_no_region(self) -> None:
+        assert passive_region(handle(law=VirtualCoupling(theta_x=0.5))).corners is None
+
+    def test_a_law_that_is_not_linear_in_its_stiffness_has_no_region(self) -> None:
+        region = passive_region(handle(law=Squared()))
+        assert region.corners is None
+        assert "not linear in K and B" in region.sentence
+
+
+@dataclass(frozen=True, kw_only=True)
+class Squared:
+    """A wall whose stiffness is the square of its parameter, over 1 kN/m."""
+
+    K: float = 800.0
+    B: float = 0.0
+
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def start(self, at: Any) -> tuple[()]:
+        return ()
+
+    def force(self, s: tuple[()], at: Any) -> tuple[float, tuple[()]]:
+        return self.K * self.K * 1e-3 * at.x + self.B * at.v, s
+
+
+def _at(x: float, v: float) -> Any:
+    from teleop.law import At
+
+    return At(x, v, 0.0, 0.0, 0.0, False, float("inf"), 1e-3)

@@ -1,0 +1,295 @@
+"""Bodies with friction: closed forms, the exact ticks among them, and what goes with a plant."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from teleop.errors import Refused
+from teleop.physics.contact import wall
+from teleop.physics.implicit import Resistance, implicit_master, implicit_plant, report
+from teleop.physics.plant import MassDamper, free_space, grip, grip_force, move_gripped, spring_damper
+from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, MOST_SUBSTEPS, NOTHING, WALL, integrate
+from tests.teleop.physics.motions import DT, TOL, core, reference, run, struck
+
+# -- Coulomb friction: closed forms
+
+
+@pytest.mark.parametrize("b", [0.0, 3.0])
+def test_a_sliding_body_stops_where_and_when_the_closed_form_says(b: float) -> None:
+    m, fc, v = 0.5, 2.0, 0.3
+    stop = m * v / fc if b == 0.0 else m / b * math.log1p(b * v / fc)
+    far = 0.5 * m * v * v / fc if b == 0.0 else m / b * (v - fc / b * math.log1p(b * v / fc))
+    plant = implicit_plant(MassDamper(mass=m, damping=b), DT, resistance=Resistance(), friction=fc)
+    states, z = run(plant, 0.02, v, [0.0] * 100)
+    moving = [w > 0.0 for _, w in states]
+    assert moving.index(False) == math.ceil(stop / DT)
+    assert states[-1][0] == pytest.approx(0.02 + far, abs=3.0 * z.total + 1e-14)
+    assert 0.0 < z.total <= TOL
+    resting = states[moving.index(False):]
+    assert set(resting) == {resting[0]}  # to the bit
+    for k in range(moving.index(False)):  # a sliding tick has the exact step: no error adds up
+        t = k * DT
+        x = v * t - 0.5 * fc / m * t * t if b == 0.0 else (v + fc / b) * m / b * -math.expm1(-b * t / m) - fc / b * t
+        assert states[k][0] == pytest.approx(0.02 + x, abs=1e-14)
+
+
+def test_a_body_pushed_with_less_than_friction_stays_to_the_bit() -> None:
+    dice = random.Random(1)
+    bond, hertz = Resistance(BOND, 100.0, 5.0, 0.12), Resistance(HUNT_CROSSLEY, 1e4, at=0.099)
+    for resistance in (Resistance(), bond, bond._replace(side=-1.0), hertz):
+        plant = implicit_plant(MassDamper(mass=0.3, damping=1.0), DT, resistance=resistance, friction=2.0)
+        held = plant.force(plant.c, 0.1, 0.0, plant.start)
+        states, z = run(plant, 0.1, 0.0, [held + dice.uniform(-1.999, 1.999) for _ in range(300)])
+        assert set(states) == {(0.1, 0.0)}
+        assert z == plant.start
+        for side in (1.0, -1.0):
+            _, v, _, after = plant.move(plant.c, 0.1, 0.0, held + side * 2.001, z)
+            assert v * side > 0.0
+            assert (after == z) == (resistance != hertz)  # it slides away with a closed form
+
+
+def test_a_turned_body_is_held_back_on_its_way_there_and_back() -> None:
+    m, fc, f, v = 0.2, 1.0, -3.0, 0.001  # 20 m/s^2 to the stop, 10 m/s^2 from it
+    plant = implicit_plant(MassDamper(mass=m), DT, resistance=Resistance(), friction=fc)
+    x, w, _, z = plant.move(plant.c, 0.0, v, f, plant.start)
+    stop, left = v / 20.0, DT - v / 20.0
+    assert x == pytest.approx(0.5 * v * stop - 5.0 * left * left, abs=3.0 * z[1])
+    assert w == pytest.approx(-10.0 * left, abs=3.0 * z[1] / DT)
+    assert 0.0 < z[1] <= TOL
+    assert z[4] == 0
+
+
+def test_a_swing_loses_two_fc_over_k_of_amplitude_at_each_turn() -> None:
+    m, k, fc, start = 0.5, 200.0, 0.3, 0.0202
+    loss, half = 2.0 * fc / k, math.pi * math.sqrt(m / k)
+    plant = implicit_plant(MassDamper(mass=m), half / 50.0, resistance=Resistance(BOND, k), friction=fc)
+    states, z = run(plant, start, 0.0, [0.0] * 500)
+    turns = 0
+    while start - turns * loss > fc / k:  # it sticks at the first turn that the spring cannot draw it out of
+        turns += 1
+    assert turns == 7
+    for turn in range(turns + 1):
+        x, v = states[50 * turn]
+        assert x == pytest.approx((-1)**turn * (start - turn * loss), abs=3.0 * z.total)
+        assert v == pytest.approx(0.0, abs=10.0 * z.total * math.sqrt(k / m))
+    assert len(set(states[50 * turns + 1:])) == 1
+    assert z.total < 10 * TOL
+    assert z.over == 0
+
+
+def test_a_master_drawn_by_a_spring_breaks_away_and_slides_as_the_closed_form_says() -> None:
+    # Stuck until k s t = fc; then y'' = -w^2 y in the frame of the reference, from y = -fc/k: x = s t - (s/w) sin(w t).
+    k, fc, s, body, hand = 300.0, 0.756, 0.05, MassDamper(mass=0.1), 0.2
+    master = implicit_master(body, hand, k, 0.0, DT, friction=fc)
+    w, away = math.sqrt(k / 0.3), fc / (k * s)
+    x, v, z = 0.0, 0.0, master.start
+    for tick in range(200):
+        t = tick * DT - away
+        if t <= 0.0:
+            assert (x, v) == (0.0, 0.0)
+        elif w * t < 6.0:
+            assert x == pytest.approx(s * t - s / w * math.sin(w * t), abs=3.0 * z[2] + 1e-15)
+            assert v == pytest.approx(s * (1.0 - math.cos(w * t)), abs=3.0 * w * z[2] + 1e-15)
+        x, v, z = master.move(master.c, x, v, 0.0, s * tick * DT, s * (tick + 1) * DT, z)
+    assert w * (199 * DT - away) > 4.5
+    assert 0.0 < z[2] < 2 * TOL
+
+
+
+# -- ticks with a closed form take it, others do not
+
+
+def test_a_touch_between_two_ticks_is_felt() -> None:
+    # Thrown at the wall and pulled back: outside at both ends of the tick, 1 um deep in between.
+    m, u, f, dt = 0.1, 0.1, -1.0, 0.02
+    x, body = 1e-6 - 0.5 * m * u * u / -f, MassDamper(mass=m)
+    plant = implicit_plant(body, dt, resistance=Resistance(WALL, 1e5), tol=1e-7)
+    exact = wall(body, dt, k=1e5, d=0.0, at=0.0, side=1.0)
+    y, w, _, z = plant.move(plant.c, x, u, f, plant.start)
+    meant = exact.move(exact.c, x, u, f)
+    assert y < x - 4e-6  # thrown out earlier than the pull alone would turn it round
+    assert (y, w) == (pytest.approx(meant[0], abs=3.0 * z[1]), pytest.approx(meant[1], abs=3.0 * z[1] / dt))
+    assert 0.0 < z[1] <= 1e-7
+
+
+def test_whatever_a_wall_does_within_a_tick_the_plant_follows() -> None:
+    dice, quick = random.Random(13), 0
+    for _ in range(1500):
+        (_, m, b, k, d, *_), p, u, f, dt = struck(dice)
+        dt *= dice.choice([1.0, 4.0])
+        body = MassDamper(mass=m, damping=b)
+        plant = implicit_plant(body, dt, resistance=Resistance(WALL, k, d))
+        exact = wall(body, dt, k=k, d=d, at=0.0, side=1.0)
+        x, v, _, z = plant.move(plant.c, p, u, f, plant.start)
+        y, w, _ = exact.move(exact.c, p, u, f)
+        assert abs(x - y) <= 3.0 * z[1] + 0.1 * TOL
+        assert dt * abs(v - w) <= 3.0 * z[1] + 0.1 * TOL
+        quick += z == plant.start
+    assert 500 < quick < 1300
+
+
+def test_free_flight_without_friction_is_the_exact_step_to_the_bit() -> None:
+    body = MassDamper(mass=0.3, damping=0.7)
+    free, dice = free_space(body, DT), random.Random(2)
+    other = Resistance(HUNT_CROSSLEY, 1e4, at=-0.5, side=-1.0)
+    for resistance in (Resistance(), Resistance(WALL, 1e4, 3.0, 0.5), other):
+        plant = implicit_plant(body, DT, resistance=resistance)
+        for _ in range(50):
+            x, v, f = dice.uniform(-0.4, 0.4), dice.uniform(-1.0, 1.0), dice.uniform(-5.0, 5.0)
+            assert plant.move(plant.c, x, v, f, plant.start) == (*free.move(free.c, x, v, f), plant.start)
+
+
+def test_a_master_without_friction_is_the_gripped_master_to_the_bit() -> None:
+    body, dice = MassDamper(mass=0.1, damping=0.5), random.Random(4)
+    for hand in ((0.4, 200.0, 5.0), (0.0, 0.0, 0.0)):
+        master, exact = implicit_master(body, *hand, DT), tuple(grip(body, *hand, DT))
+        for _ in range(50):
+            x, v, f = (dice.uniform(-1.0, 1.0) for _ in range(3))
+            r, r1 = (dice.uniform(-0.1, 0.1), dice.uniform(-0.1, 0.1)) if hand[0] else (0.0, 0.0)
+            assert master.move(master.c, x, v, f, r, r1, master.start) == (
+                *move_gripped(exact, x, v, f, r, r1), master.start)
+            assert master.force(master.c, x, v, f, r, r1, master.start) == grip_force(exact, x, v, f, r, r1)
+
+
+@pytest.mark.parametrize("kind", [NOTHING, WALL, BOND])
+def test_a_tick_that_slides_one_way_is_what_the_integration_gives(kind: int) -> None:
+    dice, quick = random.Random(5), 0
+    for _ in range(400):
+        m, b, k, d, fc = 0.2, 1.0, 10 ** dice.uniform(2, 6), 10 ** dice.uniform(-1, 1.5), 10 ** dice.uniform(-2, 1)
+        plant = implicit_plant(MassDamper(mass=m, damping=b), DT, resistance=Resistance(kind, k, d), friction=fc)
+        x, v, f = dice.uniform(-1e-4, 3e-4), dice.uniform(-0.05, 0.05), dice.uniform(-10.0, 10.0)
+        x1, v1, _, z = plant.move(plant.c, x, v, f, plant.start)
+        kept = integrate(core(kind, m=m, b=b, k=k, d=d, fc=fc), x, v, f, 0.0, DT, 1e-10, 1.0)
+        assert abs(x1 - kept.p) <= 3.0 * (kept.error + z[1]) + 1e-11
+        assert DT * abs(v1 - kept.u) <= 3.0 * (kept.error + z[1]) + 1e-11
+        quick += z == plant.start
+    assert 100 < quick < 400
+
+
+
+# -- what carries a plant
+
+
+@pytest.mark.parametrize("resistance", [
+    Resistance(WALL, 5e3, 5.0, 0.03), Resistance(BOND, 300.0, 2.0, 0.01),
+    Resistance(HUNT_CROSSLEY, 2e5, at=0.03, lam=0.5),
+], ids=["wall", "bond", "hunt-crossley"])
+def test_the_other_side_is_the_mirror_image(resistance: Resistance) -> None:
+    mirrored = resistance._replace(at=-resistance.at, side=-1.0)
+    body = MassDamper(mass=0.5, damping=1.0)
+    one, other = (implicit_plant(body, DT, resistance=r, friction=0.2) for r in (resistance, mirrored))
+    force = [3.0 * math.sin(0.1 * k) + 1.0 for k in range(300)]
+    here, _ = run(one, 0.0, 0.3, force)
+    there, z = run(other, 0.0, -0.3, [-f for f in force])
+    assert there == [(-x, -v) for x, v in here]
+    assert max(x for x, _ in here) > resistance.at + 1e-3
+    for (x, v), (y, w) in zip(here, there, strict=True):
+        assert other.force(other.c, y, w, z) == -one.force(one.c, x, v, z)
+    for (x, v), f in zip(here, force, strict=False):  # and while it moves
+        y, w, _, _ = one.move(one.c, x, v, f, one.start, 0.05)
+        assert other.move(other.c, -x, -v, -f, other.start, -0.05)[:2] == (-y, -w)
+
+
+def test_friction_is_with_the_ground_whatever_frame_it_is_seen_from() -> None:
+    b, fc, dice = 0.7, 0.5, random.Random(14)
+    plant = implicit_plant(MassDamper(mass=0.2, damping=b), DT, resistance=Resistance(), friction=fc)
+    turned = 0
+    for _ in range(200):
+        v, s, f = dice.uniform(-0.01, 0.01), dice.uniform(-0.01, 0.01), dice.uniform(-3.0, 3.0)
+        x1, v1, _, z = plant.move(plant.c, 0.0, v, f, plant.start)
+        y1, w1, _, after = plant.move(plant.c, 0.0, v - s, f - b * s, plant.start, s)
+        error = 3.0 * (z[1] + after[1]) + 1e-16
+        assert y1 + s * DT == pytest.approx(x1, abs=error)
+        assert w1 + s == pytest.approx(v1, abs=error / DT)
+        turned += v * v1 < 0.0
+    assert 20 < turned < 180
+
+
+def test_a_moving_environment_is_met_in_its_frame() -> None:
+    # A wall closes in at 0.02 m/s on a body at rest, which it must first push out of its stiction.
+    m, b, k, d, fc, s = 0.2, 0.5, 2e3, 4.0, 0.3, -0.02
+    plant = implicit_plant(MassDamper(mass=m, damping=b), DT, resistance=Resistance(WALL, k, d), friction=fc)
+    c = core(WALL, m=m, b=b, k=k, d=d, fc=fc)
+    x, v, z = -1e-5, -s, plant.start
+    stuck = True
+    for _ in range(60):
+        p, u = reference(c, x, v, -b * s, s, DT)
+        x, v, _, after = plant.move(plant.c, x, v, -b * s, z, s)
+        error = after[2] - z[2]
+        assert x == pytest.approx(p, abs=3.0 * error + 1e-12)
+        assert v == pytest.approx(u, abs=3.0 * error / DT + 1e-9)
+        stuck, z = stuck and v == -s, after
+    assert not stuck
+    assert z[4] == 0
+
+
+def test_the_grip_feels_the_friction_as_the_left_limit() -> None:
+    body, hand, k, d, fc = MassDamper(mass=0.1, damping=0.5), 0.4, 200.0, 5.0, 0.6
+    master = implicit_master(body, hand, k, d, DT, friction=fc)
+    x, v, f_m, r, slope = 0.01, 0.2, 1.0, 0.03, 0.1
+    f_h = master.force(master.c, x, v, f_m, r, slope, master.start)
+    a = (f_h - f_m - 0.5 * v - fc) / 0.1  # M a + b v = f_h - f_m - friction
+    assert f_h == pytest.approx(k * (r - x) + d * (slope - v) - hand * a, rel=1e-13)
+    assert master.force(master.c, -x, -v, -f_m, -r, -slope, master.start) == -f_h
+    # At rest and stuck nothing accelerates, and the muscle is what passes through the grip.
+    assert master.force(master.c, 0.0, 0.0, 0.1, 0.002, 0.0, master.start) == pytest.approx(0.4)
+    f_h = master.force(master.c, 0.0, 0.0, 0.1, 0.01, 0.0, master.start)  # torn away: 1.9 N against 0.6 N
+    assert f_h == pytest.approx(2.0 - 0.4 * (1.9 - 0.6) / 0.5)
+
+
+def test_the_report_adds_up_the_ticks() -> None:
+    plant = implicit_plant(MassDamper(mass=0.2), DT, resistance=Resistance(HUNT_CROSSLEY, 1e6), tol=1e-8)
+    assert plant.report is not None
+    assert plant.report(plant.start) == {"error_estimate_max": 0.0, "error_estimate_sum": 0.0, "substeps_max": 0,
+                                         "ticks_over_tolerance": 0, "tolerance": 1e-8}
+    x, v, z, errors = -1e-4, 0.3, plant.start, [0.0]
+    for _ in range(30):
+        x, v, _, z = plant.move(plant.c, x, v, 1.0, z)
+        errors.append(z[2] - sum(errors))
+    got = report(z)
+    assert got["error_estimate_max"] == pytest.approx(max(errors))
+    assert got["error_estimate_sum"] == pytest.approx(sum(errors))
+    assert 2 < got["substeps_max"] <= MOST_SUBSTEPS
+    assert got["ticks_over_tolerance"] == 0
+
+
+@pytest.mark.parametrize("lost", [math.nan, math.inf, 1e308])
+def test_a_run_that_diverged_with_friction_had_no_summary_since_its_report_was_not_a_number(lost: float) -> None:
+    plant = implicit_plant(MassDamper(mass=0.2), DT, resistance=Resistance(HUNT_CROSSLEY, 1e6), friction=0.1)
+    x, v, _, z = plant.move(plant.c, 1e-4, 0.3, 1.0, plant.start)
+    for _ in range(3):
+        x, v, _, z = plant.move(plant.c, 1e-4, 0.3, lost, z)
+        assert not (math.isfinite(x) and abs(v) < 1e300)
+    assert all(map(math.isfinite, z))
+    assert report(z)["ticks_over_tolerance"] == 3
+
+
+@pytest.mark.parametrize(("wrong", "says"), [({"tol": 0.0}, "tolerance"), ({"friction": -1.0}, "friction")])
+def test_impossible_requests_are_refused(wrong: dict[str, float], says: str) -> None:
+    with pytest.raises(Refused, match=f"{says} must be"):
+        implicit_plant(MassDamper(mass=1.0), DT, resistance=Resistance(), **wrong)
+    with pytest.raises(Refused, match=f"{says} must be"):
+        implicit_master(MassDamper(mass=1.0), 0.4, 200.0, 5.0, DT, **wrong)
+
+
+def test_stiff_contact_with_the_exact_wall_and_tissue_beside_it() -> None:
+    # The whole plants, tick for tick from the same states: wall and tissue without friction are those of a closed form.
+    body, dice = MassDamper(mass=0.5, damping=1.0), random.Random(12)
+    pairs = [(Resistance(WALL, 2e5, 5.0, 0.001), wall(body, DT, k=2e5, d=5.0, at=0.001, side=1.0)),
+             (Resistance(BOND, 2e5, 5.0, 0.001), spring_damper(body, DT, k=2e5, d=5.0, at=0.001))]
+    for resistance, exact in pairs:
+        plant = implicit_plant(body, DT, resistance=resistance)
+        x, v, z = 0.0, 0.2, plant.start
+        for _ in range(300):
+            f = dice.uniform(-2.0, 4.0)
+            meant = exact.move(exact.c, x, v, f)
+            y, w, _, after = plant.move(plant.c, x, v, f, z)
+            error = after[2] - z[2]
+            assert abs(y - meant[0]) <= 3.0 * error + 1e-14
+            assert DT * abs(w - meant[1]) <= 3.0 * error + 1e-14
+            assert plant.force(plant.c, x, v, z) == exact.force(exact.c, x, v)
+            x, v, z = y, w, after
+        assert z[4] == 0

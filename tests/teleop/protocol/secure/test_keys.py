@@ -1,0 +1,284 @@
+"""Key files: who may read them, what is refused, and that nothing of a key is ever shown."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ec import SECP384R1, generate_private_key
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, NoEncryption, PrivateFormat
+from cryptography.x509 import load_pem_x509_certificate
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.errors import Refused
+from teleop.protocol.secure import keys
+from teleop.protocol.secure.keys import Key, fingerprint, keygen, load_key, parse_fingerprint
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> tuple[Path, str]:
+    return keygen(tmp_path / "hand")
+
+
+def _private_text(path: Path) -> str:
+    """The base64 of the private key in a file, on one line."""
+    return "".join(path.read_text().split("-----")[2].split())
+
+
+class TestMaking:
+    def test_the_file_is_its_owners_alone_whatever_the_umask(self, tmp_path: Path) -> None:
+        before = os.umask(0)
+        try:
+            path, _ = keygen(tmp_path / "hand")
+        finally:
+            os.umask(before)
+        assert path == tmp_path / "hand.key"
+        assert path.stat().st_mode & 0o777 == 0o600
+
+    def test_the_fingerprint_is_the_sha_256_of_the_certificate(self, made: tuple[Path, str]) -> None:
+        path, printed = made
+        certificate = load_pem_x509_certificate(path.read_bytes())
+        assert printed.replace("-", "") == sha256(certificate.public_bytes(Encoding.DER)).hexdigest()
+        assert load_key(path).fingerprint == printed
+
+    def test_a_key_that_is_there_is_never_overwritten(self, made: tuple[Path, str]) -> None:
+        path, printed = made
+        before = path.read_bytes()
+        for name in (path, path.with_suffix("")):
+            with pytest.raises(Refused, match=f"never overwritten; its fingerprint is {printed}"):
+                keygen(name)
+        assert path.read_bytes() == before
+
+    def test_neither_is_anything_else_of_that_name_nor_what_a_link_of_it_leads_to(self, tmp_path: Path) -> None:
+        (tmp_path / "notes.key").write_text("mine")
+        (tmp_path / "link.key").symlink_to(tmp_path / "nowhere")
+        for name in ("notes", "link"):
+            with pytest.raises(Refused, match="never overwritten"):
+                keygen(tmp_path / name)
+        assert (tmp_path / "notes.key").read_text() == "mine"
+        assert not (tmp_path / "nowhere").exists()
+
+    def test_a_folder_of_the_same_name_does_not_take_it_in(self, tmp_path: Path) -> None:
+        """There are folders `master` and `slave` where the two ends' keys are made first: those of the packages."""
+        (tmp_path / "slave").mkdir()
+        assert keygen(tmp_path / "slave")[0] == tmp_path / "slave.key"
+
+    @pytest.mark.parametrize("name", ["", ".", "/"])
+    def test_what_names_no_file_is_refused(self, name: str) -> None:
+        with pytest.raises(Refused, match="names no file"):
+            keygen(name)
+
+    def test_a_folder_that_is_not_there_is_refused(self, tmp_path: Path) -> None:
+        with pytest.raises(Refused, match="No such file or directory"):
+            keygen(tmp_path / "none" / "hand")
+
+    def test_on_a_full_disk_nothing_is_left(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def full(_: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(keys.os, "fsync", full)
+        with pytest.raises(Refused, match="No space left on device"):
+            keygen(tmp_path / "hand")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_two_keys_differ_in_all_but_the_name_on_them(self, tmp_path: Path) -> None:
+        one, two = (load_key(keygen(tmp_path / name)[0]) for name in ("one", "two"))
+        assert one.fingerprint != two.fingerprint
+        assert one.certificate.subject == two.certificate.subject
+        assert one.certificate.serial_number != two.certificate.serial_number
+
+
+class TestReading:
+    @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o602, 0o610, 0o644, 0o777])
+    def test_a_file_that_others_may_read_or_change_is_refused(self, made: tuple[Path, str], mode: int) -> None:
+        made[0].chmod(mode)
+        with pytest.raises(Refused, match="chmod 600"):
+            load_key(made[0])
+
+    def test_a_file_that_another_user_owns_is_refused_whatever_its_mode(
+        self, made: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Its owner could read the key and put another in its place."""
+        owner = made[0].stat().st_uid
+        monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+        with pytest.raises(Refused, match=f"owned by the user with the number {owner}.*sudo chown {owner + 1}"):
+            load_key(made[0])
+
+    def test_a_stricter_mode_will_do(self, made: tuple[Path, str]) -> None:
+        made[0].chmod(0o400)
+        assert load_key(made[0]).fingerprint == made[1]
+
+    def test_what_is_no_file_is_refused_without_waiting_for_it(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "pipe.key", 0o600)
+        for path in (tmp_path, tmp_path / "pipe.key", Path("/dev/null")):
+            with pytest.raises(Refused, match="is no file"):
+                load_key(path)
+
+    def test_a_missing_one_says_how_to_make_it(self, tmp_path: Path) -> None:
+        with pytest.raises(Refused, match="teleop keygen hand"):
+            load_key(tmp_path / "hand.key")
+        with pytest.raises(Refused, match="cannot read"):
+            load_key(tmp_path / "a\0b")
+
+    def test_key_and_certificate_of_different_ends_are_refused(self, made: tuple[Path, str], tmp_path: Path) -> None:
+        other = keygen(tmp_path / "other")[0]
+        own, foreign = (path.read_text().split("-----BEGIN CERT") for path in (made[0], other))
+        made[0].write_text(own[0] + "-----BEGIN CERT" + foreign[1])
+        with pytest.raises(Refused, match="do not belong together"):
+            load_key(made[0])
+
+    def test_other_kinds_of_keys_are_refused(self, made: tuple[Path, str]) -> None:
+        certificate = "-----BEGIN CERT" + made[0].read_text().split("-----BEGIN CERT")[1]
+        for private in (Ed25519PrivateKey.generate(), generate_private_key(SECP384R1())):
+            text = private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
+            made[0].write_text(text + certificate)
+            with pytest.raises(Refused, match="P-256"):
+                load_key(made[0])
+        locked = BestAvailableEncryption(b"password")
+        made[0].write_text(private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, locked).decode() + certificate)
+        with pytest.raises(Refused, match="unencrypted"):
+            load_key(made[0])
+
+    @settings(max_examples=200)
+    @given(st.sampled_from(["cut", "tail", "zero", "turned"]), st.floats(0.0, 1.0, exclude_max=True))
+    def test_a_damaged_file_is_refused_or_still_the_same_key(
+        self, whole: Path, damage: str, part: float
+    ) -> None:
+        text, expected = whole.read_bytes(), load_key(whole).fingerprint
+        at = int(part * len(text))
+        damaged = {"cut": text[:at], "tail": text[at:], "zero": text[:at] + b"\0" + text[at + 1 :],
+                   "turned": text[at:] + text[:at]}[damage]
+        path = whole.with_name("damaged.key")
+        path.write_bytes(damaged)
+        path.chmod(0o600)
+        with suppress(Refused):
+            assert load_key(path).fingerprint == expected
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return keygen(tmp_path_factory.mktemp("whole") / "hand")[0]
+
+
+class TestSecrecy:
+    def test_a_key_shows_its_fingerprint_and_nothing_else(self, made: tuple[Path, str]) -> None:
+        key = load_key(made[0])
+        for shown in (repr(key), str(key), f"{key}", repr([key]), repr({"key": key})):
+            assert f"Key(fingerprint='{made[1]}')" in shown
+            assert len(shown) < 120
+        assert not hasattr(key, "__dict__")
+
+    def test_no_refusal_quotes_the_file_it_refuses(self, made: tuple[Path, str]) -> None:
+        path = made[0]
+        secret, text = _private_text(path), path.read_text()
+        for damaged in (text[:200], text.replace("\n", " "), text.replace("EVATE", "X"), secret, text * 2, text[30:]):
+            path.write_text(damaged)
+            try:
+                load_key(path)
+            except Refused as refused:
+                said = "".join(traceback.format_exception(refused))
+                assert not any(secret[i : i + 12] in said for i in range(0, len(secret), 4))
+
+    def test_a_key_pasted_for_a_fingerprint_is_not_shown_again(self, made: tuple[Path, str]) -> None:
+        secret = _private_text(made[0])
+        with pytest.raises(Refused) as refused:
+            parse_fingerprint(secret)
+        assert secret[:12] not in str(refused.value)
+
+
+class TestFingerprints:
+    @given(st.binary(max_size=40), st.sampled_from(["", ":", " ", "-"]), st.booleans(), st.sampled_from(
+        ["", "SHA256:", "sha256 Fingerprint=", "SHA-256: "]))
+    def test_are_read_back_however_they_are_typed(self, der: bytes, between: str, upper: bool, before: str) -> None:
+        printed = fingerprint(der)
+        bare = printed.replace("-", "")
+        written = between.join(bare[i : i + 2] for i in range(0, 64, 2))
+        assert parse_fingerprint(before + (written.upper() if upper else written) + "\n") == printed
+        assert parse_fingerprint(printed) == printed
+
+    @pytest.mark.parametrize(("typed", "why"), [
+        ("", "has 0 hexadecimal digits"), ("ab" * 31, "has 62"), ("ab" * 33, "has 66"), ("xy" * 32, "letters"),
+        ("ab" * 31 + "٣٣", "letters"),
+    ])
+    def test_what_is_none_is_refused_with_an_example(self, typed: str, why: str) -> None:
+        with pytest.raises(Refused, match=why) as refused:
+            parse_fingerprint(typed)
+        assert "0123abcd-0123abcd" in str(refused.value)
+
+
+class TestTheCommand:
+    def test_writes_a_key_and_prints_what_the_other_end_is_told(self, typed: Callable[..., Any]) -> None:
+        answer = typed("keygen", "hand")
+        key = load_key("hand.key")
+        assert answer.code == 0
+        assert f"--peer-fingerprint {key.fingerprint}\n" in answer.out
+        assert "--key hand.key\n" in answer.out
+        assert _private_text(Path("hand.key"))[:12] not in answer.out
+
+    def test_as_json_it_is_one_object(self, typed: Callable[..., Any]) -> None:
+        told = json.loads(typed("keygen", "hand", "--json").out)
+        assert told == {"path": "hand.key", "fingerprint": load_key("hand.key").fingerprint}
+
+    def test_a_second_time_it_is_refused_in_a_sentence(self, typed: Callable[..., Any]) -> None:
+        typed("keygen", "hand")
+        typed("keygen", "hand").assert_refused("never overwritten")
+
+    def test_without_the_extra_it_says_what_to_install(
+        self, typed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(keys, "find_spec", lambda _: None)
+        typed("keygen", "hand").assert_refused("pip install 'bilateral-teleop[secure]'")
+        assert not Path("hand.key").exists()
+
+    @pytest.mark.parametrize("name", ["slave", "master"])
+    def test_an_end_that_is_given_its_own_fingerprint_as_the_peers_is_refused(
+        self, name: str, process: Callable[..., subprocess.Popen[str]], ended: Callable[..., Any], tmp_path: Path
+    ) -> None:
+        """It waited for itself, and then said that the other end had shown another certificate."""
+        path, own = keygen(tmp_path / "hand")
+        at = "--listen" if name == "slave" else "--peer"
+        words = ("hard_wall", at, "127.0.0.1:9", "--key", str(path), "--peer-fingerprint", own)
+        ended(process("-m", name, *words)).assert_refused("this end's own key", "printed at the other end")
+
+    @pytest.mark.parametrize("name", ["slave", "master"])
+    def test_without_the_extra_an_end_that_is_given_a_key_says_what_to_install(
+        self, name: str, process: Callable[..., subprocess.Popen[str]], ended: Callable[..., Any]
+    ) -> None:
+        """It ended in a traceback: No module named 'OpenSSL'."""
+        at = "--listen" if name == "slave" else "--peer"
+        code = ("import sys; from importlib.abc import MetaPathFinder\n"
+                "class Without(MetaPathFinder):\n"
+                "    def find_spec(self, name, path=None, target=None):\n"
+                "        if name in ('OpenSSL', 'cryptography'):\n"
+                "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+                "sys.meta_path.insert(0, Without())\n"
+                "from teleop.protocol.secure import keys\n"
+                "keys.find_spec = lambda _: None\n"
+                f"from {name}.__main__ import main\n"
+                f"sys.exit(main(['hard_wall', '{at}', '127.0.0.1:9', '--key', 'k', '--peer-fingerprint', 'f']))")
+        ended(process("-c", code)).assert_refused("pip install 'bilateral-teleop[secure]'")
+
+    def test_other_commands_load_nothing_of_it(
+        self, process: Callable[..., subprocess.Popen[str]], ended: Callable[..., Any]
+    ) -> None:
+        code = ("import sys; from teleop.__main__ import main; main(['list']); "
+                "print(sorted(set(sys.modules) & {'OpenSSL', 'cryptography', 'teleop.protocol.secure'}))")
+        assert ended(process("-c", code)).out.endswith("[]\n")
+
+
+def test_a_key_cannot_be_carried_out_of_the_process_by_pickle(made: tuple[Path, str]) -> None:
+    import pickle
+
+    key: Key = load_key(made[0])
+    with pytest.raises(TypeError):
+        pickle.dumps(key)

@@ -1,0 +1,369 @@
+"""Two ends that talk all the time, killed, restarted, moved and shot at, in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from channel.link import parse_link
+from channel.schedule import Stream
+from teleop.protocol.secure.dtls_record import OVERHEAD, VERIFY_REQUEST, Dropped, records
+from teleop.protocol.secure.keys import Key
+from teleop.protocol.secure.line import SILENT_NS, Line
+from teleop.protocol.secure.tunnel import AGAIN_NS
+
+MS = 1_000_000
+OTHER_SLAVE, ANY, LOOPBACK = ("192.0.2.3", 9001), ("0.0.0.0", 9001), ("127.0.0.1", 9001)
+HOME, AWAY, SLAVE = ("192.0.2.1", 4000), ("198.51.100.7", 5000), ("192.0.2.2", 9001)
+STEP = 2  # ms between two packets of an end
+
+
+class World:
+    """A master and a slave with water between them; every packet is the number of its step."""
+
+    def __init__(self, keys: list[Key], link: str, seed: int = 0) -> None:
+        self.keys, self.now = keys, 0
+        self.ways = [Stream(parse_link(link), way, seed, 100) for way in (0, 1)]
+        self.from_, self.to = HOME, dict[int, list[tuple[int, bytes]]]()
+        self.answers = SLAVE  # where what the slave sends comes from
+        self.came: list[list[tuple[int, int]]] = [[], []]  # (when in ms, number) at master and slave
+        self.sent: list[list[int]] = [[], []]
+        self.start_master()
+        self.start_slave()
+
+    def start_master(self) -> None:
+        self.master = Line.calling(self.keys[0], self.keys[1].fingerprint, SLAVE)
+
+    def start_slave(self) -> None:
+        self.slave = Line.listening(self.keys[1], self.keys[0].fingerprint, bytes(32))
+
+    def run(self, ms: int, *, dead: str = "") -> None:
+        """Go on for a time; the end that is `dead` neither sends nor hears."""
+        for _ in range(ms // STEP):
+            for way, line, name in ((0, self.master, "master"), (1, self.slave, "slave")):
+                if name != dead:
+                    self._go(way, [*line.due(self.now), *self._packet(way, line)])
+            for way, line, name in ((0, self.slave, "slave"), (1, self.master, "master")):
+                for arrived in self.ways[way].deliver(self.now):
+                    if name != dead:
+                        plain, back = line.receive(arrived.load, self.answers if way else self.from_, self.now)
+                        self.came[1 - way] += [(self.now // MS, int.from_bytes(one[:4], "big")) for one in plain]
+                        self._go(1 - way, back)
+            self.now += STEP * MS
+
+    def _packet(self, way: int, line: Line) -> list[Any]:
+        number = self.now // MS
+        data = line.send(number.to_bytes(4, "big") + bytes(96))
+        self.sent[way] += [] if data is None else [number]
+        return [] if data is None else [(data, line.address)]
+
+    def _go(self, way: int, out: list[Any]) -> None:
+        for data, at in out:
+            if at in ((self.from_,) if way else (SLAVE, self.answers)):
+                self.ways[way].send(self.ways[way].sent, self.now, data)
+
+    def quiet_until(self, end: int, since: int) -> int:
+        """When something next came at an end, ms."""
+        return next((when for when, _ in self.came[end] if when >= since), 10**9)
+
+
+@pytest.fixture
+def world(keys: list[Key]) -> Callable[..., World]:
+    return lambda link="delay(0.02) | uniform(0.02)", seed=0: World(keys, link, seed)
+
+
+def test_two_ends_meet_and_talk(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(1000)
+    assert two.master.ready
+    assert two.slave.ready
+    assert two.slave.address == HOME
+    for end in (0, 1):
+        assert two.quiet_until(end, 0) < 300
+        assert len(two.came[end]) == len({number for _, number in two.came[end]})
+    assert two.master.associations == two.slave.associations == 1
+    assert two.master.trouble is two.slave.trouble is None
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_new_keys_cost_not_a_packet(world: Callable[..., World], seed: int) -> None:
+    two = world(seed=seed)
+    two.run(600)
+    two._go(0, two.master.renew(two.now))
+    two.run(1000)
+    assert two.master.associations == two.slave.associations == 2
+    for end in (0, 1):
+        sent = [number for number in two.sent[1 - end] if 300 <= number < 1500]
+        assert set(sent) <= {number for _, number in two.came[end]}
+    for line in (two.master, two.slave):  # flights that came again, and at first data that overtook the last one
+        assert set(line.dropped) <= {Dropped.EPOCH, Dropped.EARLY}
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("who", ["master", "slave"])
+def test_an_end_that_was_killed_is_met_again_by_itself(world: Callable[..., World], who: str, seed: int) -> None:
+    two = world("delay(0.02) | uniform(0.04) | bernoulli(0.3) | duplicate(0.1, after=0.01)", seed)
+    two.run(3000)
+    two.run(1500, dead=who)
+    two.start_master() if who == "master" else two.start_slave()
+    back = two.now // MS
+    two.run(6000)
+    for end in (0, 1):
+        assert two.quiet_until(end, back + 100) < back + 5500
+    late = [when for when, _ in two.came[0]][-1]
+    assert late > back + 5800
+
+
+@pytest.mark.parametrize("after", range(20, 120, 10))
+def test_an_end_that_was_killed_in_the_middle_of_a_handshake_is_met_again_soon(
+    world: Callable[..., World], after: int
+) -> None:
+    """Its answers are in the other's half of a handshake that the one which was started anew knows nothing of."""
+    two = world("delay(0.02)")
+    two.run(after)
+    two.start_slave()
+    back = two.now // MS
+    two.run(4000)
+    assert two.quiet_until(1, back + 1) < back + 3500
+
+
+def test_who_waits_long_for_the_other_end_meets_it_all_the_same(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(12_000, dead="slave")
+    assert str(two.master.trouble).startswith("nothing answers; ")
+    two.run(6000)
+    assert two.master.ready
+    assert two.slave.ready
+
+
+def test_a_handshake_is_heard_from_the_peers_address_only(world: Callable[..., World]) -> None:
+    two = world()
+    ((hello, _),) = two.master.due(two.now)
+    assert two.master.receive(hello, AWAY, two.now) == ([], [])
+    assert two.master.trouble is None
+    assert two.master.dropped == {Dropped.EPOCH: 1}
+    two.master.receive(hello, SLAVE, two.now)
+    assert "unexpected message" in (two.master.trouble or "")
+
+
+def test_a_slave_that_answers_from_another_address_than_was_called_is_met(world: Callable[..., World]) -> None:
+    """As a host with several does, whose slave listens on all of them. It is called there from then on."""
+    two = world()
+    two.answers = OTHER_SLAVE
+    two.run(1000)
+    assert two.master.ready
+    assert two.slave.ready
+    assert two.master.address == OTHER_SLAVE
+    assert two.master.associations == two.slave.associations == 1
+    assert two.quiet_until(0, 0) < 400
+    two.run(600, dead="slave")
+    two.start_slave()
+    two.run(4000)
+    assert two.came[0][-1][0] > 5500
+    assert two.master.address == OTHER_SLAVE
+
+
+def answers(slave: Line, said: list[Any]) -> list[bytes]:
+    """What the slave has to say to what came from home."""
+    return [data for asked, _ in said for data, _ in slave.receive(asked, HOME, 0)[1]]
+
+
+def test_a_handshake_that_the_called_address_does_not_answer_is_heard_from_where_its_hellos_are_answered(
+    keys: list[Key]
+) -> None:
+    """And goes on to where it was called: the way that the hello took is the one that its cookie is for."""
+    master = Line.calling(keys[0], keys[1].fingerprint, SLAVE)
+    slave = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    (early,) = answers(slave, master.due(0))
+    assert master.receive(early, OTHER_SLAVE, MS) == ([], [])
+    now = MS + AGAIN_NS
+    (later,) = answers(slave, master.due(now))
+    assert master.receive(later, ("198.51.100.9", 9001), now) == ([], [])  # it has answered nothing so far
+    _, flying = master.receive(later, OTHER_SLAVE, now + MS)
+    while not master.ready:
+        assert {at for _, at in flying} == {SLAVE}
+        back = answers(slave, flying)
+        flying = []
+        for data in back:
+            assert master.receive(data, AWAY, now + MS) == ([], [])
+            flying += master.receive(data, OTHER_SLAVE, now + MS)[1]
+    assert master.address == SLAVE
+    assert master.associations == 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_observer_who_answers_first_and_wrongly_does_not_come_into_a_handshake(
+    world: Callable[..., World], seed: int
+) -> None:
+    """It sees every hello, and answers each at once from an address of its own with a cookie that is none."""
+    two, quiet = (world("delay(0.02) | uniform(0.01)", seed) for _ in range(2))
+    for _ in range(300):
+        for data, _ in two.master.due(two.now):
+            two._go(0, [(data, SLAVE)])
+            found = records(data) or []
+            for hello in [one for one in found if one.is_hello]:
+                body = b"\xfe\xff\x14" + bytes(20)
+                size = len(body).to_bytes(3, "big")
+                message = bytes((VERIFY_REQUEST,)) + size + bytes(5) + size + body
+                number = hello.number.to_bytes(6, "big")
+                wrong = b"\x16\xfe\xff\0\0" + number + len(message).to_bytes(2, "big") + message
+                for shot in (wrong, wrong, hello.data):
+                    assert two.master.receive(shot, AWAY, two.now) == ([], [])
+        two.run(STEP)
+        quiet.run(STEP)
+    assert two.master.ready
+    assert two.master.address == SLAVE
+    assert two.quiet_until(0, 0) <= quiet.quiet_until(0, 0) + 50
+
+
+def test_any_address_of_this_machine_is_its_first(keys: list[Key]) -> None:
+    """Who sends to 0.0.0.0 is answered from there."""
+    line = Line.calling(keys[0], keys[1].fingerprint, ANY)
+    assert [at for _, at in line.due(0)] == [LOOPBACK]
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("there", [SLAVE, OTHER_SLAVE])
+def test_a_stranger_who_does_not_see_the_hello_changes_nothing(
+    world: Callable[..., World], keys: list[Key], there: tuple[str, int], seed: int
+) -> None:
+    """It answers as the slave would, all the time and from all over, with good cookies that it was given itself."""
+    two, quiet = world("delay(0.05) | uniform(0.02)", seed), world("delay(0.05) | uniform(0.02)", seed)
+    two.answers = quiet.answers = there
+    theirs = Line.listening(keys[2], keys[0].fingerprint, bytes(32))
+    own = Line.calling(keys[0], keys[2].fingerprint, SLAVE)
+    ((asked, _),) = own.due(0)
+    _, ((request, _),) = theirs.receive(asked, HOME, 0)
+    _, ((again, _),) = own.receive(request, SLAVE, 0)
+    _, flight = theirs.receive(again, HOME, MS)
+    shots = [request, *(request[:5] + number.to_bytes(6, "big") + request[11:] for number in (0, 1, 2**46, 2**48 - 1)),
+             *(data for data, _ in flight), request + flight[0][0]]
+    for _ in range(1000):
+        two.run(STEP)
+        quiet.run(STEP)
+        for shot in shots:
+            for at in (AWAY, ("198.51.100.7", 9001)):
+                assert two.master.receive(shot, at, two.now) == ([], [])
+    assert len(flight) > 0
+    assert two.master.ready
+    assert two.master.address == there
+    assert two.master.associations == 1
+    assert two.came == quiet.came
+
+
+def test_a_request_of_an_earlier_handshake_comes_into_no_later_one(world: Callable[..., World]) -> None:
+    """Its cookie is of another hello, and whoever heeded it would not heed the right one any more."""
+    two = world()
+    ((hello, _),) = two.master.due(0)
+    _, ((late, _),) = two.slave.receive(hello, HOME, 0)
+    two.run(2500, dead="slave")
+    assert str(two.master.trouble).startswith("nothing answers; ")
+    assert two.master.receive(late, SLAVE, two.now) == ([], [])
+    two.run(500)
+    assert two.master.ready
+
+
+def test_a_long_silence_is_no_end(world: Callable[..., World]) -> None:
+    two = world("delay(0.02) | blackout(2.0, 3.0)")
+    two.run(7000)
+    for end in (0, 1):
+        assert two.quiet_until(end, 5000) < 5200
+    assert SILENT_NS < 3_000 * MS
+
+
+def test_an_address_that_changes_is_followed_when_authenticated(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(1000)
+    stray = two.master.send(b"x" * 100) or b""
+    assert two.slave.receive(stray[:-1] + bytes((stray[-1] ^ 1,)), AWAY, two.now) == ([], [])
+    assert two.slave.address == HOME
+    two.from_ = AWAY
+    two.run(1000)
+    assert two.slave.address == AWAY
+    assert two.came[0][-1][0] > 1900
+    assert two.master.associations == 1
+
+
+def test_a_copy_from_elsewhere_draws_nothing_to_itself(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(1000)
+    kept = [two.master.send(bytes((i,)) * 100) or b"" for i in range(3)]
+    for data in (kept[1], kept[2]):
+        two.slave.receive(data, HOME, two.now)
+    plain, asked = two.slave.receive(kept[1], AWAY, two.now)  # a replay
+    assert plain == []
+    assert {at for _, at in asked} == {HOME, AWAY}
+    assert not two.slave.settled
+    assert two.slave.receive(kept[0], AWAY, two.now)[0] != []  # one that was held back is taken
+    two._go(1, asked)
+    two.run(200)
+    assert two.slave.settled
+    assert two.slave.address == HOME
+
+
+def test_what_is_no_record_of_the_peers_raises_no_question_wherever_it_comes_from(
+    world: Callable[..., World]
+) -> None:
+    two = world()
+    two.run(1000)
+    data = two.master.send(b"x" * 100) or b""
+    two.slave.receive(data, HOME, two.now)
+    changed = data[:-1] + bytes((data[-1] ^ 1,)), data[:10] + b"\xff" + data[11:]
+    for bad in (*changed, *(data[:length] for length in range(1, len(data))), data + b"x"):
+        assert two.slave.receive(bad, AWAY, two.now) == ([], [])
+    assert two.slave.settled
+
+
+def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], keys: list[Key]) -> None:
+    two = world()
+    two.run(1000)
+    stranger = Line.calling(keys[2], keys[1].fingerprint, SLAVE)
+    now = two.now
+    for i in range(3000):
+        flying = [(data, AWAY) for data, _ in stranger.due(now + i * MS)]
+        while flying:
+            _, back = two.slave.receive(flying[0][0], AWAY, now + i * MS)
+            flying = flying[1:] + [(more, AWAY) for data, _ in back
+                                   for more, _ in stranger.receive(data, SLAVE, now + i * MS)[1]]
+    assert keys[2].fingerprint in (two.slave.trouble or "")
+    assert not stranger.ready
+    assert two.slave.address == HOME
+    assert two.slave.associations == 1
+    before = len(two.came[1])
+    two.run(500)
+    assert len(two.came[1]) > before + 200
+
+
+def test_each_datagram_that_is_not_taken_counts_once(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(600)
+    two._go(0, two.master.renew(two.now))
+    two.run(400)
+    before = two.slave.dropped.total()
+    data = two.master.send(b"x") or b""
+    for _ in range(5):
+        two.slave.receive(data, HOME, two.now)
+    two.slave.receive(data[:-1] + bytes((data[-1] ^ 1,)), HOME, two.now)
+    assert two.slave.dropped.total() == before + 5
+    assert two.slave.dropped[Dropped.REPLAYED] >= 4
+
+
+def test_a_farewell_ends_it_and_the_caller_begins_anew(world: Callable[..., World]) -> None:
+    two = world()
+    two.run(600)
+    two._go(1, two.slave.close())
+    two.start_slave()
+    two.run(3000)
+    assert two.master.trouble == "the other end has ended the association"
+    assert two.master.associations == 2
+    assert two.came[0][-1][0] > 3500
+
+
+def test_before_anybody_came_there_is_nobody_to_send_to(keys: list[Key]) -> None:
+    line = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    assert line.address is None
+    assert line.send(b"x") is None
+    assert line.due(0) == line.close() == line.renew(0) == []
+    assert line.receive(b"\x17" + bytes(OVERHEAD), HOME, 0) == ([], [])

@@ -1,0 +1,432 @@
+"""An association of two ends: over bad water, against strangers, and what becomes of every datagram."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from datetime import datetime
+from random import Random
+from typing import Any
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509 import CertificateBuilder
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from OpenSSL import SSL
+
+from channel.link import parse_link
+from channel.schedule import Stream
+from teleop.protocol.packet import Kind, Packet, encode
+from teleop.protocol.secure.dtls_record import CHANGE, DATA, HANDSHAKE, HEAD, MTU, OVERHEAD, WINDOW, Dropped, records
+from teleop.protocol.secure.gate import Gate
+from teleop.protocol.secure.keys import Key, fingerprint
+from teleop.protocol.secure.tunnel import AGAIN_NS, LIMIT_NS, MOST, Tunnel
+
+MS = 1_000_000
+AT = ("192.0.2.1", 4000)
+BAD_WATER = "delay(0.02) | uniform(0.06) | bernoulli(0.3) | duplicate(0.2, after=0.02)"
+Meet = Callable[..., Any]
+Associated = Callable[[], Any]
+
+
+def sealed(end: Tunnel, *plain: bytes) -> list[bytes]:
+    return [data for data in map(end.send, plain) if data is not None]
+
+
+def opened(end: Tunnel, datagrams: list[bytes]) -> list[bytes]:
+    return [plain for data in datagrams for plain in end.receive(data, 0)[0]]
+
+
+def under_the_name_of(key: Key, private: Any = None, serial: int | None = None) -> Key:
+    """A key of our own whose certificate says the same as that of another."""
+    own, like = private or generate_private_key(SECP256R1()), key.certificate
+    builder = CertificateBuilder().subject_name(like.subject).issuer_name(like.issuer).public_key(own.public_key())
+    builder = builder.not_valid_before(datetime(1970, 1, 1)).not_valid_after(datetime(1971, 1, 1))
+    made = builder.serial_number(serial or like.serial_number).sign(own, SHA256())
+    return Key(fingerprint=fingerprint(made.public_bytes(Encoding.DER)), private=own, certificate=made)
+
+
+class TestTheHandshake:
+    @pytest.mark.parametrize("seed", range(150))
+    def test_is_over_in_seconds_whatever_the_water_does(self, meet: Meet, seed: int) -> None:
+        met = meet(BAD_WATER, seed)
+        assert met.master.ready
+        assert met.slave is not None
+        assert met.took < 5000
+        assert opened(met.slave, sealed(met.master, b"forth")) == [b"forth"]
+        assert opened(met.master, sealed(met.slave, b"back")) == [b"back"]
+
+    def test_takes_three_round_trips_where_nothing_is_lost(self, meet: Meet) -> None:
+        assert meet("delay(0.01)").took == 60 + 1
+
+    def test_outlasts_a_blackout_and_a_link_of_600_ms(self, meet: Meet) -> None:
+        assert meet("blackout(0.005, 1.0) | delay(0.01)").took < 1500
+        assert meet("delay(0.3)").took < 2000
+
+    def test_in_the_same_water_it_takes_the_same_time(self, meet: Meet) -> None:
+        assert meet(BAD_WATER, 7).took == meet(BAD_WATER, 7).took
+
+    def test_is_of_one_version_and_one_suite(self, associated: Associated) -> None:
+        for end in associated():
+            assert end._tls.get_protocol_version_name() == "DTLSv1.2"
+            assert end._tls.get_cipher_name() == "ECDHE-ECDSA-AES128-GCM-SHA256"
+
+    @pytest.mark.parametrize("first", [(3,), (4,), (4, 3), (3, 4, 2), (2, 1, 0)])
+    def test_records_that_came_too_early_are_taken_when_they_come_again(
+        self, keys: list[Key], first: tuple[int, ...]
+    ) -> None:
+        """A record in the clear that was passed over, and came again under its old number, would be a replay."""
+        master, gate = Tunnel.towards(keys[0], keys[1].fingerprint, 0), Gate(keys[1], keys[0].fingerprint, bytes(32))
+        (cookie,) = [reply for hello in master.begin(0) for reply in gate.receive(hello, AT, 0)[1]]
+        (flight,) = [reply for hello in master.receive(cookie, 0)[1] for reply in gate.receive(hello, AT, 0)[1]]
+        (proof,) = master.receive(flight, 0)[1]
+        found = records(proof)
+        assert found is not None
+        assert [record.type for record in found] == [HANDSHAKE] * 3 + [CHANGE, HANDSHAKE]
+        for place in first:  # the others are lost
+            assert gate.receive(found[place].data, AT, 0) == (None, [])
+        (again,) = master.due(AGAIN_NS)
+        slave, (last,) = gate.receive(again, AT, 0)
+        assert slave is not None
+        master.receive(last, 0)
+        assert opened(slave, sealed(master, b"x")) == [b"x"]
+
+    def test_nobody_at_home_is_a_failure_with_a_sentence(self, keys: list[Key]) -> None:
+        alone = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+        alone.begin(0)
+        sent = [data for t in range(6000) for data in alone.due(t * MS)]
+        assert alone.failure == "no association came about in 5 s"
+        assert 15 < len(sent) < 25
+        assert alone.receive(sent[0], 0) == ([], [])
+        assert alone.send(b"x") is None
+
+    def test_forged_alerts_do_not_end_it(self, keys: list[Key], meet: Meet) -> None:
+        master = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+        master.begin(0)
+        alert = HEAD.pack(21, 0xFEFD, 0, 0, 9, 2) + bytes((2, 42))
+        assert master.receive(alert, 0) == ([], [])
+        assert master.failure is None
+        assert "does not take this end's certificate" in (master.hint or "")
+
+    def test_writes_no_keys_where_the_environment_asks_for_them(
+        self, meet: Meet, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("SSLKEYLOGFILE", str(tmp_path / "secrets"))
+        assert meet().slave is not None
+        assert not (tmp_path / "secrets").exists()
+
+
+class TestWhoIsLetIn:
+    def test_the_slave_takes_the_pinned_master_only(self, keys: list[Key], meet: Meet) -> None:
+        met = meet(mine=keys[2])
+        assert met.slave is None
+        assert keys[2].fingerprint in met.gate.refused
+        assert f"{keys[0].fingerprint} was asked for" in met.gate.refused
+        assert not met.master.ready
+        assert "check its --peer-fingerprint" in met.master.failure
+
+    def test_the_master_takes_the_pinned_slave_only(self, keys: list[Key], meet: Meet) -> None:
+        met = meet(theirs=keys[2])
+        assert met.slave is None
+        assert not met.master.ready
+        assert keys[2].fingerprint in met.master.failure
+
+    @pytest.mark.parametrize("seed", range(20))
+    def test_over_bad_water_too(self, keys: list[Key], meet: Meet, seed: int) -> None:
+        for wrong in ({"mine": keys[2]}, {"theirs": keys[2]}):
+            met = meet(BAD_WATER, seed, **wrong)
+            assert met.slave is None
+            assert not met.master.ready
+            assert met.master.failure
+
+    def test_the_same_name_on_another_key_does_not_do(self, keys: list[Key], meet: Meet) -> None:
+        for end, real in (("mine", keys[0]), ("theirs", keys[1])):
+            met = meet(**{end: under_the_name_of(real)})
+            assert met.slave is None
+            assert not met.master.ready
+
+    def test_another_certificate_of_the_right_key_does_not_do(self, keys: list[Key], meet: Meet) -> None:
+        met = meet(mine=under_the_name_of(keys[0], keys[0].private))
+        assert met.slave is None
+
+    def test_the_pinned_certificate_without_its_key_does_not_do(self, keys: list[Key]) -> None:
+        thief = Key(fingerprint=keys[0].fingerprint, private=keys[2].private, certificate=keys[0].certificate)
+        with pytest.raises(SSL.Error):  # it is not even possible with this library
+            Tunnel.towards(thief, keys[1].fingerprint, 0)
+
+    def test_a_certificate_that_has_run_out_is_as_good_as_any(self, keys: list[Key], meet: Meet) -> None:
+        old = under_the_name_of(keys[0])
+        assert meet(mine=old, slave_expects=old.fingerprint).slave is not None
+
+    def test_nobody_is_let_in_without_a_certificate(self, keys: list[Key], meet: Meet) -> None:
+        class Bare(SSL.Context):
+            def use_certificate(self, _: Any) -> None: ...
+            def use_privatekey(self, _: Any) -> None: ...
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("teleop.protocol.secure.context.SSL.Context", Bare)
+            bare = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Tunnel, "towards", lambda *_: bare)
+            met = meet()
+        assert met.slave is None
+        assert "peer did not return a certificate" in met.gate.refused
+
+
+class TestDatagrams:
+    @pytest.mark.parametrize("size", [1, 100, 1200 - OVERHEAD, 1200, MOST])
+    def test_come_out_as_they_went_in(self, associated: Associated, size: int) -> None:
+        plain = Random(size).randbytes(size)
+        for one, other in (associated(), reversed(associated())):
+            (data,) = sealed(one, plain)
+            assert len(data) == size + OVERHEAD
+            assert plain[:8] not in data or size < 8
+            assert other.receive(data, 0) == ([plain], [])
+
+    def test_carry_the_packets_of_the_wire_format_of_every_size(self, associated: Associated) -> None:
+        one, other = associated()
+        packet = Packet(Kind.FORTH, 2**64 - 1, 7, 0, None, (1.0, 2.0))
+        for size in (100, 1200):
+            assert opened(other, sealed(one, encode(packet, size))) == [encode(packet, size)]
+
+    def test_that_are_empty_or_too_long_are_not_sent(self, associated: Associated) -> None:
+        one, _ = associated()
+        assert one.send(b"") is None
+        assert one.send(bytes(MOST + 1)) is None
+        assert one.send(b"x") is not None
+
+    def test_that_are_lost_stay_lost_and_order_is_as_they_come(self, associated: Associated) -> None:
+        one, other = associated()
+        data = sealed(one, *[bytes((i,)) for i in range(40)])
+        arriving = Random(3).sample(range(40), 30)
+        assert opened(other, [data[i] for i in arriving]) == [bytes((i,)) for i in arriving]
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_over_the_water_each_comes_once_and_only_those_the_water_delivered(
+        self, associated: Associated, seed: int
+    ) -> None:
+        one, other = associated()
+        water = Stream(parse_link(BAD_WATER), 0, seed, 100 + OVERHEAD)
+        seen, came = [], []
+        for k in range(500):
+            (data,) = sealed(one, k.to_bytes(2, "big") + bytes(98))
+            water.send(k, k * MS, data)
+            for arrived in water.deliver(k * MS):
+                came.append(arrived.packet)
+                seen += [int.from_bytes(plain[:2], "big") for plain in opened(other, [arrived.load])]
+        newest, due = -1, []
+        for number in came:  # what the window lets through
+            if number not in due and number > newest - WINDOW:
+                due.append(number)
+            newest = max(newest, number)
+        assert seen == due
+        assert sum(other.dropped.values()) == len(came) - len(seen)
+        assert not other.dropped[Dropped.FORGED]
+
+    def test_that_newer_ones_overtook_are_taken_as_far_as_the_window_reaches(self, associated: Associated) -> None:
+        assert WINDOW >= 1024
+        for overtaking, taken in ((WINDOW - 1, True), (WINDOW, False)):
+            one, other = associated()
+            data = sealed(one, *[i.to_bytes(2, "big") for i in range(WINDOW + 1)])
+            assert len(opened(other, data[1 : overtaking + 1])) == overtaking
+            assert bool(opened(other, data[:1])) is taken
+            assert other.dropped == ({} if taken else {Dropped.LATE: 1})
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_that_reordering_delays_by_150_ms_are_not_lost_at_1_khz(self, associated: Associated, seed: int) -> None:
+        """With the 64 places of OpenSSL's window 45 % of them were."""
+        one, other = associated()
+        water = Stream(parse_link("uniform(0.15)"), 0, seed, 100 + OVERHEAD)
+        came = taken = 0
+        for k in range(3000):
+            (data,) = sealed(one, bytes(100))
+            water.send(k, k * MS, data)
+            for arrived in water.deliver(k * MS):
+                came += 1
+                taken += len(opened(other, [arrived.load]))
+        assert taken == came > 2800
+        assert other.dropped == {}
+
+    def test_of_several_records_are_taken_apart(self, associated: Associated) -> None:
+        one, other = associated()
+        assert opened(other, [b"".join(sealed(one, b"a", b"b", b"c"))]) == [b"a", b"b", b"c"]
+
+    def test_before_the_association_there_is_nothing_to_send_or_open(self, keys: list[Key]) -> None:
+        early = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+        early.begin(0)
+        assert early.send(b"x") is None
+        assert early.receive(HEAD.pack(DATA, 0xFEFD, 1, 0, 1, 30) + bytes(30), 0) == ([], [])
+        assert early.dropped == {Dropped.EARLY: 1}
+
+
+class TestStrangers:
+    def test_a_replay_never_surfaces(self, associated: Associated) -> None:
+        one, other = associated()
+        data = sealed(one, *[i.to_bytes(2, "big") for i in range(WINDOW + 100)])
+        opened(other, data)
+        assert opened(other, data) == []
+        assert other.dropped == {Dropped.REPLAYED: WINDOW, Dropped.LATE: 100}
+        assert opened(other, sealed(one, b"next")) == [b"next"]
+
+    def test_nor_does_a_record_of_another_association_of_the_same_ends(self, associated: Associated) -> None:
+        (before, _), (one, other) = associated(), associated()
+        assert opened(other, sealed(before, b"hold", b"push")) == []
+        assert opened(one, sealed(one, b"one's own")) == []
+        assert other.dropped == {Dropped.FORGED: 2}
+
+    def test_one_huge_number_blocks_nothing(self, associated: Associated) -> None:
+        one, other = associated()
+        (data,) = sealed(one, b"x")
+        assert opened(other, [data[:5] + b"\xff" * 6 + data[11:]]) == []
+        assert opened(other, [data]) == [b"x"]
+
+    def test_a_handshake_in_the_clear_does_not_touch_an_association(
+        self, keys: list[Key], associated: Associated
+    ) -> None:
+        one, other = associated()
+        hello = Tunnel.towards(keys[2], keys[1].fingerprint, 0).begin(0)
+        alert = HEAD.pack(21, 0xFEFD, 0, 0, 9, 2) + bytes((2, 40))
+        for end in (one, other):
+            assert [end.receive(data, 0) for data in (*hello, alert)] == [([], []), ([], [])]
+            assert end.dropped == {Dropped.EPOCH: 2}
+        assert opened(other, sealed(one, b"x")) == [b"x"]
+
+    @settings(max_examples=400)
+    @given(st.data())
+    def test_no_change_of_any_byte_goes_unnoticed(self, standing: Any, data: st.DataObject) -> None:
+        one, other = standing
+        (good,) = sealed(one, b"good" * 5)
+        how = data.draw(st.sampled_from(["flip", "cut", "more", "front", "random", "head"]))
+        at = data.draw(st.integers(0, len(good) - 1))
+        junk = data.draw(st.binary(min_size=1, max_size=60))
+        bad = {
+            "flip": good[:at] + bytes((good[at] ^ data.draw(st.integers(1, 255)),)) + good[at + 1 :],
+            "cut": good[:at], "more": good + junk.replace(b"\0", b"\1"), "front": junk + good, "random": junk,
+            "head": good[: HEAD.size] + junk,
+        }[how]
+        before = sum(other.dropped.values())
+        plain, back = other.receive(bad, 0)
+        assert (plain, back) == ([], [])
+        assert sum(other.dropped.values()) > before or (how == "cut" and at == 0)
+        assert other.failure is None
+        assert opened(other, [good]) == [b"good" * 5]
+
+    @pytest.mark.parametrize("kind", [20, 21, 22, 23])
+    def test_a_record_of_no_length_that_there_can_be_does_no_harm(self, associated: Associated, kind: int) -> None:
+        """OpenSSL 3.5.2 ends an association over a sealed record of fewer than 24 bytes."""
+        one, other = associated()
+        for length in (*range(50), MOST, MOST + 25, 2**14, 2**14 + 2048, 2**15, 2**16 - 1):
+            for number in (1, 1000, 2**48 - 1):
+                head = HEAD.pack(kind, 0xFEFD, 1, number >> 32, number & 0xFFFFFFFF, length)
+                assert other.receive(head + bytes(length), 0) == ([], [])
+        assert other.dropped[Dropped.NO_RECORD] >= 3 * (18 if kind == DATA else 25)  # OpenSSL has not seen them
+        assert opened(other, sealed(one, b"x")) == [b"x"]
+
+    def test_a_certificate_that_is_none_raises_nothing(self, keys: list[Key]) -> None:
+        """It is read before its sender has proved anything."""
+        ends = set()
+        for at in range(105, 425):
+            master = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+            gate = Gate(keys[1], keys[0].fingerprint, bytes(32))
+            (cookie,) = [reply for hello in master.begin(0) for reply in gate.receive(hello, AT, 0)[1]]
+            (flight,) = [reply for hello in master.receive(cookie, 0)[1] for reply in gate.receive(hello, AT, 0)[1]]
+            master.receive(flight[:at] + bytes((flight[at] ^ 0xFF >> at % 8,)) + flight[at + 1 :], 0)
+            assert not master.ready
+            ends.add(master.failure)
+        assert any("shows the certificate" in (end or "") for end in ends)
+
+    def test_its_memory_stays_as_it_is(self, associated: Associated) -> None:
+        one, other = associated()
+        (good,) = sealed(one, bytes(100))
+        dice = Random(5)
+        bad = [dice.randbytes(dice.randrange(200)) for _ in range(100)]
+        bad += [good[:30] + dice.randbytes(107) for _ in range(100)] + [good]
+
+        def resident() -> int:
+            with open("/proc/self/statm") as file:
+                return int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+        for _ in range(10):
+            opened(other, bad)
+        before = resident()
+        for _ in range(200):
+            opened(other, bad)
+        assert resident() - before < 1_000_000
+
+    @pytest.mark.parametrize("seed", range(150))
+    def test_a_handshake_under_fire_never_raises_and_never_lets_in(self, keys: list[Key], seed: int) -> None:
+        dice = Random(seed)
+        master, slave = Tunnel.towards(keys[0], keys[1].fingerprint, 0), None
+        gate = Gate(keys[1], keys[0].fingerprint, bytes(32))
+        flying = [(0, one) for one in master.begin(0)]
+        for step in range(15):
+            if not flying:
+                break
+            way, good = flying.pop(0)
+            fire = bytearray(good)
+            for _ in range(dice.randrange(4)):
+                fire[dice.randrange(min(len(good), 700))] = dice.randrange(256)
+            for datagram in (bytes(fire), dice.randbytes(dice.randrange(60)), good[: dice.randrange(len(good))], good):
+                if way:
+                    back = master.receive(datagram, step * MS)[1]
+                else:
+                    let_in, back = gate.receive(datagram, AT, step * 20 * MS)
+                    slave = let_in or slave
+                flying += [(1 - way, one) for one in back]
+        assert master.ready or master.send(b"x") is None
+        if slave is not None and master.ready:
+            assert opened(slave, sealed(master, b"x")) == [b"x"]
+
+
+@pytest.fixture(scope="session")
+def standing(associated: Associated) -> Any:
+    """One association for many examples."""
+    return associated()
+
+
+class TestTheEnd:
+    def test_a_farewell_ends_it_at_both_ends(self, associated: Associated) -> None:
+        one, other = associated()
+        (data,) = one.close()
+        assert other.receive(data, 0) == ([], [])
+        assert other.failure == "the other end has ended the association"
+        assert one.failure == "this end has ended the association"
+        assert one.close() == other.close() == []
+        assert one.send(b"x") is None
+        assert other.send(b"x") is None
+        assert other.receive(data, 0) == ([], [])
+        assert other.dropped[Dropped.OVER] == 1
+
+    def test_a_forged_farewell_does_not(self, associated: Associated) -> None:
+        one, other = associated()
+        (data,) = one.close()
+        other.receive(data[:-1] + bytes((data[-1] ^ 1,)), 0)
+        assert other.failure is None
+
+    def test_the_last_flight_is_sent_again_until_the_other_end_has_spoken(self, associated: Associated) -> None:
+        one, slave = associated()
+        assert len(slave.due(200 * MS)) == 1
+        assert opened(slave, sealed(one, b"x")) == [b"x"]
+        assert slave.confirmed
+        assert slave.due(1000 * MS) == []
+        _, silent = associated()
+        assert len([data for t in range(10_000) for data in silent.due(t * MS)]) < 25
+        assert silent.due(LIMIT_NS * 3) == []
+        assert silent.failure is None
+
+    def test_nothing_of_it_shows_a_key(self, keys: list[Key], associated: Associated) -> None:
+        for end in associated():
+            assert keys[0].fingerprint not in repr(end)
+            assert len(repr(end)) < 80
+
+
+def test_no_datagram_of_a_handshake_is_longer_than_any_network_takes(meet: Meet, monkeypatch: Any) -> None:
+    sent: list[int] = []
+    original = Stream.send
+    monkeypatch.setattr(Stream, "send", lambda *a: (sent.append(len(a[3])), original(*a))[1])
+    meet(BAD_WATER, 3)
+    assert sent
+    assert max(sent) == MTU

@@ -1,0 +1,361 @@
+"""The safe state of a live end: every cause, the way down, the way back, and what is written down of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.protocol.endpoint import Endpoint, Reading, Stepped
+from teleop.protocol.guard import MOST_EVENTS, UNNAMED, Event, Guard
+from teleop.protocol.session import Session
+from teleop.stages.safety import Watchdog, watch
+from tests.teleop.protocol.test_endpoint import scene
+
+DT = 0.01
+DOG = Watchdog(timeout=0.1, ramp=0.05, settle=0.08)  # 10, 5 and 8 ticks
+DOWN = [0.8, 0.6, 0.4, 0.2, 0.0]
+
+
+def guard(dog: Watchdog | None = DOG, **other: bool) -> Guard:
+    return Guard(dog, DT, **other)
+
+
+def play(one: Guard, ticks: range, got: bool = True, trouble: str | None = None) -> list[float]:
+    """The gain at these ticks."""
+    return [one.step(k, got, trouble) for k in ticks]
+
+
+def calm(dog: Watchdog | None = DOG, until: int = 100) -> Guard:
+    """One to which a packet came at every tick before `until`."""
+    one = guard(dog)
+    assert set(play(one, range(until))) == {1.0}
+    assert one.events == []
+    return one
+
+
+def whats(one: Guard) -> list[tuple[int, str]]:
+    return [event[:2] for event in one.events]
+
+
+# Silence
+
+
+def test_silence_for_longer_than_the_timeout_lets_go_along_the_ramp() -> None:
+    one = calm()
+    assert play(one, range(100, 110), got=False) == [1.0] * 10
+    assert not one.safe
+    assert play(one, range(110, 117), got=False) == pytest.approx([*DOWN, 0.0, 0.0])
+    assert (one.safe, one.entries, one.cause) == (True, 1, one.events[0].why)
+    assert one.events == [Event(110, "safe", "silence: no fresh packet for 0.1 s")]
+
+
+def test_silence_counts_from_the_start_of_the_run_where_the_scene_names_a_watchdog() -> None:
+    one = guard()
+    assert play(one, range(10), got=False) == [1.0] * 10
+    assert play(one, range(10, 12), got=False) == pytest.approx(DOWN[:2])
+
+
+def test_it_takes_hold_again_when_packets_have_come_for_settle() -> None:
+    one = calm()
+    play(one, range(100, 200), got=False)
+    assert play(one, range(200, 208)) == [0.0] * 8
+    assert one.safe, "the time is from the first packet to the last"
+    assert play(one, range(208, 214)) == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0, 1.0])
+    assert (one.safe, one.cause) == (False, None)
+    assert whats(one) == [(110, "safe"), (208, "released")]
+
+
+def test_one_packet_lifts_nothing_and_neither_does_waiting_for_the_next() -> None:
+    one = calm()
+    play(one, range(100, 200), got=False)
+    one.step(200, True)
+    assert play(one, range(201, 300), got=False) == [0.0] * 99
+    assert one.safe
+    assert one.entries == 1
+
+
+def test_packets_that_are_never_apart_by_more_than_the_timeout_settle_it_and_others_do_not() -> None:
+    for gap, lifted in ((9, True), (13, False)):
+        one = calm()
+        play(one, range(100, 200), got=False)
+        for k in range(200, 400):
+            one.step(k, k % gap == 0)
+        assert (one.gain == 1.0) is lifted
+        assert one.safe is not lifted
+
+
+def test_released_is_said_when_the_gain_rises_and_not_before() -> None:
+    one = calm()
+    play(one, range(100, 200), got=False)
+    rises = None
+    for k in range(200, 230):
+        before = one.gain
+        one.step(k, k in (200, 205, 213, 222))
+        if one.gain > before and rises is None:
+            rises = k
+        assert one.safe is (rises is None)
+    assert one.events[-1][:2] == (rises, "released") == (213, "released")
+
+
+@settings(max_examples=200)
+@given(st.lists(st.booleans(), max_size=120), st.floats(0.0, 0.2), st.floats(0.0, 0.2))
+def test_by_silence_alone_it_is_the_watchdog_of_virtual_time(came: list[bool], ramp: float, settle: float) -> None:
+    dog = Watchdog(timeout=0.1, ramp=ramp, settle=settle)
+    one, limits = guard(dog), dog.limits(DT)
+    gain, quiet, heard = 1.0, float("inf"), -1
+    for k, got in enumerate(came):
+        heard = k if got else heard
+        gain, quiet = watch(limits, gain, quiet, k - heard)
+        assert one.step(k, got) == gain
+
+
+# A stall
+
+
+@pytest.mark.parametrize("away", [10, 12, 14, 20, 1000])
+def test_after_a_stall_it_is_safe_before_it_puts_out_any_force_and_the_ramp_has_run_on_meanwhile(away: int) -> None:
+    one = calm()
+    gain = one.step(100 + away, True)
+    if away <= 10:
+        assert (gain, one.safe) == (1.0, False)
+    else:
+        assert gain == pytest.approx(max(0.0, 1.0 - 0.2 * (away + 1)), abs=1e-12)
+        assert (one.safe, one.events[0].what) == (True, "safe")
+        assert one.events[0].why == f"a stall: no tick for {away * DT:.3f} s"
+    slow = guard(replace(DOG, ramp=1.0))
+    play(slow, range(100))
+    assert slow.step(100 + 20, True) == pytest.approx(1.0 - 21 / 100)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_after_a_stall_in_which_the_device_let_go_the_force_begins_at_zero_and_does_not_jump(every: int) -> None:
+    """The device lapses after 0.15 s, the scene's watchdog waits for 0.8 s: the gain was 1, and the force came back."""
+    one = Guard(replace(DOG, timeout=0.8, ramp=0.5), DT * every, every=every)
+    one.lapse_after(0.15)
+    ticks = range(0, 300, every)
+    assert {one.step(k, True) for k in ticks} == {1.0}
+    short = ticks[-1] + 12
+    assert (one.step(short, True), one.safe, one.lapsed) == (1.0, False, False), "shorter: the force is still there"
+    back = short + 18
+    assert (one.step(back, True), one.safe, one.lapsed) == (0.0, True, True)
+    assert one.events[-1].why.startswith("a stall: no tick for 0.1")
+    rising = [one.step(k, True) for k in range(back + every, back + 180, every)]
+    assert not one.lapsed
+    assert max(b - a for a, b in pairwise(rising)) == pytest.approx(DT * every / 0.5)
+    assert rising[-1] == 1.0
+
+
+def test_an_end_whose_tick_is_as_long_as_the_deadline_does_not_take_every_tick_for_a_stall() -> None:
+    one = Guard(DOG, 0.2)
+    one.lapse_after(0.15)
+    assert {one.step(k, True) for k in range(20)} == {1.0}
+
+
+def test_a_short_stall_on_the_way_down_does_not_slow_it_and_on_the_way_up_does_not_hurry_it() -> None:
+    one = calm()
+    play(one, range(100, 111), got=False)
+    assert one.gain == pytest.approx(0.8)
+    assert one.step(113, False) == pytest.approx(0.2)
+    two = calm()
+    play(two, range(100, 200), got=False)
+    play(two, range(200, 209))
+    assert two.gain == pytest.approx(0.2)
+    assert two.step(212, True) == pytest.approx(0.4)
+
+
+def test_a_stall_counts_from_the_first_tick_that_was_due() -> None:
+    one = guard()
+    assert one.step(50, True) == 0.0
+    assert "stall" in one.events[0].why
+
+
+# Trouble
+
+
+def test_whatever_else_is_wrong_lets_go_and_is_named_once_however_long_it_lasts() -> None:
+    one = calm()
+    assert play(one, range(100, 130), trouble="the device: not finite") == pytest.approx([*DOWN, *[0.0] * 25])
+    assert one.cause == "the device: not finite"
+    assert play(one, range(130, 138)) == [0.0] * 8
+    assert one.step(139, True) > 0.0
+    assert whats(one) == [(100, "safe"), (139, "released")]
+    assert one.entries == 1
+
+
+def test_every_entry_has_its_cause_and_the_newest_cause_is_the_one_that_holds() -> None:
+    one = calm()
+    play(one, range(100, 103), trouble="the device: gone")
+    play(one, range(103, 130), got=False)
+    assert one.cause is not None
+    assert "silence" in one.cause
+    play(one, range(130, 150))
+    one.step(170, True)
+    play(one, range(171, 200))
+    one.begin(200, "the law begins from rest")
+    play(one, range(200, 230))
+    assert whats(one) == [(100, "safe"), (138, "released"), (170, "safe"), (179, "released"), (200, "session"),
+                          (200, "safe"), (208, "released")]
+    assert [event.why.split(":")[0] for event in one.events if event.what == "safe"] == [
+        "the device", "a stall", "a new session"]
+    assert one.entries == 3
+
+
+# A new session
+
+
+def test_a_new_session_begins_at_zero_and_rises_when_packets_have_come_for_settle() -> None:
+    one = calm()
+    one.begin(100, "the law begins from rest")
+    assert (one.gain, one.safe) == (0.0, True)
+    assert play(one, range(100, 108)) == [0.0] * 8
+    assert play(one, range(108, 111)) == pytest.approx([0.2, 0.4, 0.6])
+
+
+@pytest.mark.parametrize("after", [3, 9, 50])
+@pytest.mark.parametrize("cause", ["session", "trouble", "stall"])
+def test_the_time_to_settle_counts_from_the_first_packet_after_the_cause_and_not_from_the_cause(
+    cause: str, after: int
+) -> None:
+    """With a timeout that is longer than `settle` the first packet could come that late without any silence."""
+    one = calm(replace(DOG, timeout=2.0))
+    first = 100
+    if cause == "session":
+        one.begin(100, "the law begins from rest")
+    elif cause == "trouble":
+        play(one, range(100, 120), trouble="the device")
+        first = 120
+    else:
+        one.step(400, False)
+        first = 401
+    gains = play(one, range(first, first + after), got=False) + play(one, range(first + after, first + after + 8))
+    assert gains[5:] == [0.0] * (len(gains) - 5)
+    assert one.step(first + after + 8, True) > 0.0
+
+
+# Where nothing is named
+
+
+def test_a_scene_without_a_watchdog_has_one_that_counts_from_the_start() -> None:
+    """A peer that died before its first packet must not leave an end pushing for ever."""
+    last = round(UNNAMED.timeout / DT) - 1
+    assert 0.5 <= UNNAMED.timeout <= 1.0
+    one = guard(None)
+    assert set(play(one, range(last + 1), got=False)) == {1.0}
+    assert one.step(last + 1, False) < 1.0
+    assert whats(one) == [(last + 1, "safe")]
+
+
+def test_what_waited_at_an_end_that_stood_still_does_not_show_that_its_sender_is_there() -> None:
+    one = guard(DOG)
+    play(one, range(10), got=True)
+    late = 10 + 5 * round(DOG.timeout / DT)
+    for k in range(late, late + 50):  # one a tick of those that came while it stood still, the last at tick 40
+        assert one.step(k, True, came=40) < 1.0
+    assert one.gain == 0.0
+    assert one.safe
+
+
+def test_a_second_cause_is_told_and_a_silence_beside_it_is_not() -> None:
+    one = guard(DOG)
+    last = round(DOG.timeout / DT) + 5
+    play(one, range(last), got=False)
+    one.step(last, False, "the device: usb gone")
+    one.step(last + 1, False)
+    assert [event.why.split(":")[0] for event in one.events] == ["silence", "the device"]
+    assert one.entries == 1
+
+
+def test_a_stepped_end_has_none_but_the_one_that_its_scene_names() -> None:
+    one = guard(None, stepped=True)
+    assert [one.step(k, False, "trouble") for k in (0, 5000)] == [1.0, 1.0]
+    one.begin(5001, "again")
+    assert one.step(5001, False) == 1.0
+    assert not one.safe
+    named = guard(DOG, stepped=True)
+    assert play(named, range(12), got=False)[-1] < 1.0
+
+
+@pytest.mark.parametrize(("dog", "stepped", "safe"), [(None, True, False), (None, False, True), (DOG, True, True)])
+def test_an_endpoint_has_its_scenes_watchdog_or_another(dog: Watchdog | None, stepped: bool, safe: bool) -> None:
+    session = Session(master=False, manifest={}, number=7)
+    session.begin(0, 0)
+    end = Endpoint(scene(watchdog=dog), "s", session, Stepped(None) if stepped else None)
+    assert end.guard.step(0, True) == 1.0
+    for k in range(1, 1100):
+        end.guard.step(k, False)
+    assert end.guard.safe is safe
+
+
+def test_a_tick_without_a_reading_is_one_of_the_guard_all_the_same() -> None:
+    session = Session(master=False, manifest={}, number=7)
+    session.begin(0, 0)
+    end = Endpoint(scene(watchdog=Watchdog(timeout=0.01, ramp=0.004)), "s", session)
+    reading = Reading((0.0,), (0.0,), (0.0,))
+    end.tick(0, 0, reading)
+    for k in range(1, 5):
+        end.left_out(k, "the device: no answer")
+    assert end.guard.gain == 0.0
+    assert end.guard.events == [Event(1, "safe", "the device: no answer")]
+
+
+# An end that ticks at every n-th tick
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_time_is_counted_in_its_own_ticks_and_events_in_those_of_the_grid(every: int) -> None:
+    one = Guard(DOG, DT, every=every)
+    for k in range(0, 100 * every, every):
+        assert one.step(k, True) == 1.0
+    gains = [one.step(k, False) for k in range(100 * every, 116 * every, every)]
+    assert gains == pytest.approx([*[1.0] * 10, *DOWN, 0.0])
+    assert one.events[0].k == 110 * every
+    stalled = Guard(DOG, DT, every=every)
+    stalled.step(0, True)
+    assert stalled.step(11 * every, True) == 1.0
+    assert stalled.step(23 * every, True) == 0.0
+    assert stalled.events[0].why == "a stall: no tick for 0.110 s"
+
+
+def test_what_is_kept_of_events_is_bounded_and_what_is_counted_is_not() -> None:
+    one = guard(Watchdog(timeout=0.01, ramp=0.0, settle=0.0))
+    for k in range(0, 8 * MOST_EVENTS, 4):
+        play(one, range(k, k + 3), got=False)
+        one.step(k + 3, True)
+    assert len(one.events) == MOST_EVENTS
+    assert one.entries == 2 * MOST_EVENTS
+
+
+# The age of what is played
+
+
+def test_messages_that_are_older_than_the_watchdog_allows_count_as_none_and_the_cause_is_their_age() -> None:
+    one = guard(replace(DOG, age=0.5))
+    assert [one.step(k, True, age=50) for k in range(50)] == [1.0] * 50
+    gains = [one.step(k, True, age=51) for k in range(50, 70)]
+    assert gains == pytest.approx([*[1.0] * 10, *DOWN, *[0.0] * 5])
+    assert [event.why for event in one.events] == ["age: messages come more than 0.5 s after they were sent"]
+    assert (one.old, one.oldest) == (20, pytest.approx(0.51))
+    assert [one.step(k, True, age=20) for k in range(70, 78)] == [0.0] * 8
+    assert one.step(78, True, age=20) > 0.0
+    assert one.events[-1].what == "released"
+
+
+def test_without_an_age_a_message_may_be_of_any_and_by_itself_it_is_two_and_a_half_seconds() -> None:
+    assert Watchdog().age == UNNAMED.age == 2.5
+    free = guard(replace(DOG, age=None))
+    assert [free.step(k, True, age=10**9) for k in range(50)] == [1.0] * 50
+    assert (free.old, free.age) == (0, None)
+
+
+def test_silence_after_old_messages_is_silence() -> None:
+    one = guard(replace(DOG, age=0.5))
+    for k in range(30):
+        one.step(k, True, age=60)
+    assert str(one.cause).startswith("age")
+    for k in range(30, 60):
+        one.step(k, False)
+    assert str(one.cause).startswith("silence")

@@ -1,0 +1,422 @@
+"""Ends that are killed, started anew and paused, links that are cut: the pair is safe, and goes on by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.laws.direct import Direct
+from teleop.laws.pfra import PFRA
+from teleop.laws.wave import Wave
+from teleop.protocol.deadline import DEADLINE, LAPSING
+from teleop.protocol.guard import Event
+from teleop.protocol.inbox import Fixed
+from teleop.protocol.packet import Echo, Kind, Packet, encode
+from teleop.simulation.tick import columns
+from teleop.stages.device import Device, Encoder
+from teleop.stages.safety import Cap, Watchdog
+from tests.teleop.protocol.virtual_clock import DOG, MS, Done, World, healing
+
+SCENE = healing()
+LAWS: dict[str, Any] = {"wave": Wave(b=2.0, K=200.0, B=5.0), "direct": Direct(K=200.0, B=5.0), "pfra": PFRA(alpha=0.2)}
+PATIENT = 6.0  # s: a second of silence, twice if both notice one after the other, the exchange, settle, ramp
+WHO = {"master": "m", "slave": "s", "both": "ms"}
+
+
+def running(scene: Any = SCENE, **other: Any) -> World:
+    """Two ends that have been running for a while."""
+    world = World(scene, **other)
+    assert world.until_both_play(5.0) < 5.0
+    return world.run(2.0)
+
+
+def check(world: World) -> None:
+    """What holds at every tick, whatever happened."""
+    scene = world.scene
+    assert scene.watchdog is not None
+    timeout, slew = scene.watchdog.timeout, scene.cap.slew if scene.cap else float("inf")
+    for e in "ms":
+        heard = -10.0**9
+        for before, now in pairwise([None, *world.done[e]]):
+            if now.first:
+                before, heard = None, now.k  # noqa: PLW2901 - another process
+            passed = 1 if before is None else now.k - before.k
+            lapsed = passed * scene.dt > LAPSING * DEADLINE  # and the device let go meanwhile
+            step = now.force - (0.0 if before is None or lapsed else before.force)
+            assert abs(step) <= slew * scene.dt * passed + 1e-9, f"{e} at tick {now.k}"
+            heard = now.k if now.played >= 0 else heard
+            silent = (now.k - heard) * scene.dt
+            if silent > timeout + scene.dt:
+                assert now.safe, f"{e} at tick {now.k}, silent for {silent} s"
+            if (passed - 1) * scene.dt > timeout + scene.dt:
+                assert now.safe, f"{e} at tick {now.k}, after a stall"
+                assert before is None or now.gain < before.gain or now.gain == 0.0
+            if before is not None and now.met != before.met:
+                assert (now.safe, now.gain) == (True, 0.0)
+            if now.safe and before is not None and before.safe and now.gain > before.gain:
+                raise AssertionError(f"{e} at tick {now.k}: the gain rises before it is released")
+        process = world.processes[e]
+        if process is not None:
+            assert (process.end.stamp_margin or 0.0) >= -1e-12
+            assert process.end.force_failed is None
+
+
+def alike(world: World) -> None:
+    """Both are in one session, and play."""
+    one, other = world.end("m"), world.end("s")
+    assert one.session.number == other.session.number
+    assert world.both_play()
+    uncertain = (one.session.rtt_ns or 0) // 2 // world.scene.dt_ns
+    assert abs(world.done["m"][-1].k - world.done["s"][-1].k) <= max(4, uncertain), "of one grid"
+
+
+@pytest.mark.parametrize("who", WHO)
+def test_whoever_is_killed_and_started_anew_is_met_again(who: str) -> None:
+    world = running()
+    for _ in range(3):
+        for e in WHO[who]:
+            world.kill(e)
+        world.run(0.7)
+        for e in "ms":
+            if e not in WHO[who]:
+                assert world.end(e).guard.safe
+                assert world.done[e][-1].force == pytest.approx(0.0, abs=1e-12)
+        for e in WHO[who]:
+            world.start(e)
+        assert world.until_both_play(PATIENT) < PATIENT
+        alike(world.run(0.5))
+        assert max(abs(done.force) for e in "ms" for done in world.done[e][-40:]) > 0.02
+    check(world)
+
+
+@pytest.mark.parametrize("away", [0.05, 0.3, 1.5, 12.0])
+@pytest.mark.parametrize("who", WHO)
+def test_whoever_stood_still_goes_on(who: str, away: float) -> None:
+    world = running()
+    before = {e: len(world.done[e]) for e in "ms"}
+    for e in WHO[who]:
+        world.pause(e, True)
+    world.run(away)
+    for e in WHO[who]:
+        world.pause(e, False)
+    world.run(0.1)
+    if away > DOG.timeout + 0.05:
+        for e in WHO[who]:
+            first = world.done[e][before[e]]
+            assert first.safe, "safe before it puts out any force"
+            if away > DOG.timeout + DOG.ramp + 0.05:
+                assert (first.gain, first.force) == (0.0, 0.0)
+            assert "stall" in next(event.why for event in world.end(e).guard.events if event.what == "safe")
+    else:
+        assert world.end("m").session.met == 1
+    assert world.until_both_play(PATIENT) < PATIENT
+    alike(world.run(0.5))
+    check(world)
+
+
+@pytest.mark.parametrize("cut", ["m", "s", "ms"])
+@pytest.mark.parametrize("away", [0.5, 4.0])
+def test_a_link_that_is_cut_one_way_or_both_heals(cut: str, away: float) -> None:
+    world = running()
+    world.cut = set(cut)
+    world.run(away)
+    assert world.end("m" if cut == "s" else "s").guard.safe
+    world.cut = set()
+    assert world.until_both_play(PATIENT) < PATIENT
+    alike(world.run(0.5))
+    assert (world.end("m").session.met > 1) == (world.end("s").session.met > 1) == (away > 1.0)
+    check(world)
+
+
+def session(world: World, e: str) -> list[Done]:
+    """The ticks of the session that is running."""
+    done = world.done[e]
+    process = max(i for i, each in enumerate(done) if each.first)
+    return [each for each in done[process:] if each.met == done[-1].met]
+
+
+steps = st.tuples(
+    st.sampled_from(["restart", "pause", "cut", "kill"]), st.sampled_from(["m", "s", "ms"]),
+    st.sampled_from([0.02, 0.2, 0.9, 1.3, 3.0]), st.sampled_from([0.0, 0.05, 0.6, 1.5]),
+)
+
+
+@settings(max_examples=60)
+@given(st.lists(steps, min_size=1, max_size=4), st.integers(0, 2**20), st.booleans())
+def test_whatever_happens_in_whatever_order_they_go_on(happens: list[Any], seed: int, rough: bool) -> None:
+    world = World(healing(dt=0.02), seed=seed, **({"jitter": 30 * MS, "loss": 0.1, "copies": 0.1} if rough else {}))
+    world.run(1.5)
+    for what, who, away, then in happens:
+        if what == "cut":
+            world.cut = set(who)
+        for e in who:
+            if what in ("kill", "restart"):
+                world.kill(e)
+            if what == "restart":
+                world.start(e)
+            if what == "pause":
+                world.pause(e, True)
+        world.run(away)
+        world.cut = set()
+        for e in who:
+            if what == "kill":
+                world.start(e)
+            world.pause(e, False)
+        world.run(then)
+    took = world.until_both_play(20.0)
+    assert took < 12.0, [(e, p and (p.over, p.ticking, p.end.session.met)) for e, p in world.processes.items()]
+    assert world.end("m").session.number == world.end("s").session.number
+    check(world)
+
+
+# What a resumed session is like
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("who", ["m", "s"])
+def test_devices_that_moved_apart_meanwhile_are_taken_up_where_they_are(who: str, law: str) -> None:
+    world = running(healing(LAWS[law], cap=None), still=True)
+    world.kill(who)
+    world.devices["s"].x = 0.05
+    world.run(0.5)
+    world.start(who)
+    assert world.until_both_play(PATIENT) < PATIENT
+    world.run(0.5)
+    column = {e: columns(world.scene, e).index(f"x_{e}@") for e in "ms"}
+    for e, x in (("m", 0.0), ("s", 0.05)):
+        last = world.done[e][-30:]
+        assert {done.row[column[e]] for done in last} == {x}, "the record has the device's own positions"
+        assert max(abs(done.force) for done in last) < 1e-6, "200 N/m times 5 cm would be 10 N"
+    world.devices["m"].x, world.devices["m"].v = 0.01, 0.1
+    world.run(0.3)
+    assert abs(world.done["s"][-1].force) > 0.02, "and from here on it follows"
+
+
+def test_with_an_encoder_the_clutch_is_a_whole_number_of_its_steps() -> None:
+    coarse = Device(encoder=Encoder(step=0.004))
+    world = running(healing(cap=None, device_m=coarse, device_s=coarse), still=True)
+    world.kill("s")
+    world.devices["s"].x = 0.0511
+    world.devices["m"].x = -0.0201
+    world.run(0.5)
+    world.start("s")
+    assert world.until_both_play(PATIENT) < PATIENT
+    world.run(0.3)
+    for e, q in (("m", -0.024), ("s", 0.048)):
+        names = columns(world.scene, e)
+        row = world.done[e][-1].row
+        assert row[names.index(f"x_{e}@")] == pytest.approx(world.devices[e].x, abs=1e-15)
+        assert row[names.index(f"q_{e}@")] == pytest.approx(q, abs=1e-12), "what the encoder reads there"
+        assert abs(world.done[e][-1].force) < 1e-6
+
+
+@pytest.mark.parametrize("timeout", [0.1, 3.0])
+def test_force_begins_from_zero_and_comes_back_along_the_ramp(timeout: float) -> None:
+    """Also where nobody was safe yet when the session was over."""
+    world = running(healing(cap=None, watchdog=replace(DOG, timeout=timeout)))
+    world.kill("s")
+    world.run(1.0)
+    world.start("s")
+    world.run(2.0 + timeout)
+    assert world.both_play()
+    for e in "ms":
+        done = session(world, e)
+        rising = [each.gain for each in done if 0.0 < each.gain < 1.0]
+        assert done[0].gain == done[0].force == 0.0
+        assert [b - a for a, b in pairwise(rising)] == pytest.approx([0.1] * (len(rising) - 1))
+        assert len(rising) >= 9
+
+
+def test_the_law_begins_from_rest_at_both_ends_with_each_session_ledgers_too() -> None:
+    world = running()
+    world.kill("m")
+    world.run(0.5)
+    world.start("m")
+    world.until_both_play(PATIENT)
+    for e, names in (("m", ("E_in_fwd", "E_out_bwd")), ("s", ("E_in_bwd", "E_out_fwd"))):
+        for name in names:
+            at = columns(world.scene, e).index(name)
+            assert session(world, e)[0].row[at] < 1e-3
+            assert world.done[e][200].row[at] > 1e-2
+    assert world.end("m").session.met == 1
+    assert world.end("s").session.met == 2
+
+
+@pytest.mark.parametrize("cap", [None, Cap(f_max=20.0, slew=1.0)], ids=["no cap", "a slow slew"])
+@pytest.mark.parametrize("who", WHO.values(), ids=WHO)
+def test_an_end_that_stood_still_until_its_device_let_go_takes_hold_along_the_ramp(who: str, cap: Cap | None) -> None:
+    """Shorter than its watchdog's patience: the device had lapsed, the gain was 1, and the force came back at once.
+
+    What slew is counted from is the zero that the device has held, not the force that it was given last.
+    """
+    world = running(healing(LAWS["direct"], cap=cap, watchdog=replace(DOG, timeout=3.0)))
+    while abs(world.done["s"][-1].force) < 0.2:
+        world.run(0.01)
+    ran = {e: len(world.done[e]) for e in who}
+    for e in who:
+        world.pause(e, True)
+    world.run(0.17)
+    for e in who:
+        world.pause(e, False)
+    world.run(1.0)
+    for e in who:
+        after = world.done[e][ran[e]:]
+        assert (after[0].safe, after[0].gain, after[0].force) == (True, 0.0, 0.0)
+        assert max(b.gain - a.gain for a, b in pairwise(after)) == pytest.approx(0.1)
+        assert after[-1].gain == 1.0
+
+
+@pytest.mark.parametrize("timeout", [0.1, 3.0])
+def test_a_new_session_lets_go_no_faster_than_the_slew_limit(timeout: float) -> None:
+    """A session is over no earlier than its watchdog has let go, and nothing jumps when the law begins anew."""
+    dog = Watchdog(timeout=timeout, ramp=0.1, settle=0.1)
+    world = running(healing(LAWS["direct"], watchdog=dog, cap=Cap(f_max=20.0, slew=2.0)))
+    for _ in range(3):
+        world.start("m")
+        world.run(2.0 + timeout)
+    assert world.end("s").session.met == 4
+    gains = [before.gain for before, now in pairwise(world.done["s"]) if now.met != before.met]
+    assert gains == [0.0] * 3
+    check(world)
+
+
+def test_events_tell_what_happened_at_which_tick_of_the_grid() -> None:
+    world = running()
+    at = world.done["m"][-1].k
+    world.kill("s")
+    world.run(0.5)
+    world.start("s")
+    world.until_both_play(PATIENT)
+    events = world.end("m").guard.events
+    assert [event.what for event in events] == ["safe", "session", "released"]
+    assert "silence" in events[0].why
+    assert at + 10 <= events[0].k <= at + 15
+    assert events[1].k < events[2].k <= events[1].k + 20
+    here = world.end("s").guard.events
+    assert [event.what for event in here] == ["joined", "session", "safe", "released"]
+    assert all(isinstance(event, Event) and event.k >= events[1].k for event in here)
+    assert world.end("m").guard.entries == 1
+
+
+def test_an_end_that_never_lost_its_peer_has_nothing_to_tell() -> None:
+    world = running().run(5.0)
+    for e in "ms":
+        assert world.end(e).guard.events == []
+        assert world.end(e).session.met == 1
+        assert dict(world.end(e).rejected) == {}
+    check(world)
+
+
+@pytest.mark.parametrize("playout", [Fixed(0.05), Fixed(0.03)], ids=str)
+def test_a_fixed_playout_heals_too(playout: Fixed) -> None:
+    world = running(replace(SCENE, playout=playout), jitter=5 * MS)
+    for e in "sm":
+        world.kill(e)
+        world.run(0.3)
+        world.start(e)
+        assert world.until_both_play(PATIENT) < PATIENT
+        world.run(0.5)
+    alike(world)
+    check(world)
+
+
+@pytest.mark.parametrize("every", [(1, 2), (2, 1), (2, 3), (4, 4)], ids=str)
+def test_ends_of_two_rates_heal_too(every: tuple[int, int]) -> None:
+    world = running(healing(dt=0.005), every=dict(zip("ms", every, strict=True)))
+    for who in ("m", "s", "ms"):
+        for e in who:
+            world.kill(e)
+        world.run(0.7)
+        for e in who:
+            world.start(e)
+        assert world.until_both_play(PATIENT) < PATIENT
+        world.run(0.5)
+    world.cut = {"m", "s"}
+    world.run(2.0)
+    world.cut = set()
+    assert world.until_both_play(PATIENT) < PATIENT
+    assert world.end("m").session.met == world.end("s").session.met == 2
+    for e, rate in zip("ms", every, strict=True):
+        assert all(done.k % rate == 0 for done in world.done[e])
+        assert (world.end(e).stamp_margin or 0.0) >= -1e-12
+
+
+def test_loss_is_counted_of_what_was_sent_in_a_session_and_not_of_the_time_between_them() -> None:
+    world = running()
+    for who in "ms":
+        world.kill(who)
+        world.run(2.0)
+        world.start(who)
+        assert world.until_both_play(PATIENT) < PATIENT
+    world.cut = {"m", "s"}
+    world.run(3.0)
+    world.cut = set()
+    assert world.until_both_play(PATIENT) < PATIENT
+    world.run(1.0)
+    for e in "ms":
+        assert world.end(e).link.lost() <= 4
+        assert world.end(e).link.reordered == 0
+
+
+# Nobody else ends or moves it
+
+
+@pytest.mark.parametrize("who", ["m", "s"])
+def test_no_forged_word_of_another_session_or_manifest_ends_a_survivor(who: str) -> None:
+    """Not while it runs, not while it waits, and not while it meets again."""
+    world = running()
+    other = "s" if who == "m" else "m"
+    strange = [
+        encode(Packet(kind, number, 0, world.true, echo, payload))
+        for number in (8, 0, 2**64 - 1)
+        for echo in (None, Echo(0, 0))
+        for kind, payload in ((Kind.BYE, "stop"), (Kind.REFUSE, "no"), (Kind.HELLO, {"scene": "another"}),
+                              (Kind.WELCOME, {"scene": "another"}), (Kind.START, 5))
+    ]
+    hello = encode(Packet(Kind.HELLO, 8, 0, 0, None, {"scene": "another"}), 1200)
+    world.kill(other)
+    for i in range(40):
+        for data in (*strange, hello):
+            world.put_in(who, data)
+        world.run(0.05)
+        if i == 20:
+            world.start(other)
+    session = world.end(who).session
+    assert (session.failure, session.farewell) == (None, None)
+    for _ in range(10):
+        for data in strange:
+            world.put_in(who, data)
+        world.run(0.3)
+    process = world.processes[who]
+    assert process is not None
+    assert not process.over
+    assert world.until_both_play(PATIENT) < PATIENT
+    check(world)
+
+
+def test_an_end_that_comes_with_another_manifest_does_not_end_a_survivor() -> None:
+    for who in "ms":
+        world = running()
+        world.start(who, scene=replace(SCENE, playout=Fixed(0.05)))
+        world.run(3.0)
+        other = "s" if who == "m" else "m"
+        assert world.end(other).session.failure is None
+        assert world.end(who).session.failure is not None
+        world.start(who)
+        assert world.until_both_play(PATIENT) < PATIENT
+        check(world)
+
+
+def test_a_farewell_of_this_session_ends_it() -> None:
+    world = running()
+    for data in world.end("m").session.bye("it was asked to stop", world.true):
+        world.put_in("s", data)
+    world.run(0.1)
+    process = world.processes["s"]
+    assert process is not None
+    assert process.over

@@ -1,0 +1,101 @@
+"""An end without a reading, or at the end of its run: the force falls to zero, and jumps neither there nor back."""
+
+from __future__ import annotations
+
+from math import nan
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.laws.direct import Direct
+from teleop.protocol.endpoint import Endpoint, Stepped
+from teleop.protocol.session import Session
+from teleop.stages.safety import Cap, Watchdog
+from tests.teleop.protocol.test_endpoint import MS, START, met, reading, scene
+
+
+def blind_in(end: Endpoint, ticks: int) -> list[float]:
+    """The forces of an end with 2 N held whose device cannot be read from tick 30 on."""
+    held = [end.tick(k, START + k * MS, reading(-0.01 if k else 0.0)).force[0] for k in range(30)]
+    assert held[-1] == 2.0
+    return [2.0, *[end.left_out(k, "the device: it is gone")[0] for k in range(30, 30 + ticks)]]
+
+
+def test_a_single_reading_that_fails_makes_the_force_jump_neither_down_nor_back() -> None:
+    """It was at zero in one tick, 20 times what the slew limit allows."""
+    end = met(scene(Direct(K=200.0, B=0.0), cap=Cap(f_max=5.0, slew=100.0)))["s"]
+    force = blind_in(end, 1)
+    force += [end.tick(k, START + k * MS, reading(-0.01)).force[0] for k in range(31, 200)]
+    assert np.abs(np.diff(force)).max() <= 0.1 + 1e-12
+    assert force[1] < force[0], "on its way down"
+    assert min(force) == 0.0
+    assert end.guard.safe
+    assert "it is gone" in end.guard.events[0].why
+
+
+def test_without_a_reading_the_force_falls_along_the_watchdogs_ramp() -> None:
+    end = met(scene(Direct(K=200.0, B=0.0), watchdog=Watchdog(ramp=0.02)))["s"]
+    assert blind_in(end, 21) == pytest.approx([*np.linspace(2.0, 0.0, 21), 0.0])
+
+
+def test_without_a_reading_there_is_no_force_after_a_tenth_of_a_second_whatever_ramp_and_slew_ask() -> None:
+    end = met(scene(Direct(K=200.0, B=0.0), watchdog=Watchdog(ramp=10.0)))["s"]
+    other = met(scene(Direct(K=200.0, B=0.0), cap=Cap(f_max=5.0, slew=1.0)))["s"]
+    other.tick(29, START + 29 * MS, reading(0.0))
+    other.held.force = (2.0,)
+    for force in (blind_in(end, 110), [2.0, *[other.left_out(k, "gone")[0] for k in range(30, 140)]]):
+        assert force[100] > 1.8
+        assert force[102:] == [0.0] * 9
+
+
+def test_without_a_reading_a_stepped_end_without_a_watchdog_lets_go_too() -> None:
+    session = Session(master=False, manifest={}, number=7)
+    session.begin(START, START)
+    end = Endpoint(scene(Direct(K=200.0, B=0.0)), "s", session, Stepped(None))
+    end.tick(0, START, reading(-0.01))
+    end.held.force = (2.0,)
+    assert [end.left_out(k, "gone")[0] for k in range(1, 60)][49:] == [0.0] * 10
+
+
+@given(st.floats(-20.0, 20.0), st.floats(-1.0, 1.0), st.sampled_from("ms"), st.floats(0.0, 0.2),
+       st.sampled_from([None, 50.0, 1000.0]), st.sampled_from([None, 0.2]))
+@settings(deadline=None, max_examples=200)
+def test_the_force_of_a_run_that_is_over_falls_to_zero_and_never_turns_or_jumps(
+    f: float, v: float, e: str, ramp: float, slew: float | None, v_max: float | None
+) -> None:
+    named = scene(watchdog=Watchdog(ramp=ramp), cap=Cap(f_max=20.0, slew=slew, v_max=v_max))
+    end = met(named)[e]
+    end.held.force = (f,)
+    force = [f, *[end.held.over((v,))[0] for _ in range(round(1e3 * max(ramp, 20.0 / (slew or 1e9))) + 2)]]
+    assert force[-1] == 0.0
+    amount = np.abs(force)
+    assert (np.diff(amount) <= 0.0).all()
+    assert (np.array(force) * np.sign(f) >= 0.0).all()
+    if slew is not None:
+        assert np.abs(np.diff(force)).max() <= slew * 1e-3 + 1e-9
+    drives = f * (v if e == "s" else -v) > 0.0
+    if v_max is not None and drives and abs(v) >= v_max and slew is None:
+        assert force[1] == 0.0, "the velocity cap holds to the end"
+    elif slew is None and not (v_max is not None and drives) and ramp > 0.0:
+        assert amount[1] == pytest.approx(amount[0] * max(0.0, 1.0 - 1e-3 / ramp), abs=1e-9)
+
+
+def test_a_force_that_is_not_finite_is_not_the_one_from_which_the_held_one_falls() -> None:
+    end = met(scene(Direct(K=200.0, B=0.0), cap=Cap(f_max=5.0, slew=100.0)))["s"]
+    for k in range(30):
+        end.tick(k, START + k * MS, reading(-0.01 if k else 0.0))
+    end.tick(30, START + 30 * MS, reading(nan))
+    assert end.force_failed == "f_s"
+    assert end.held.force == (2.0,)
+    assert end.held.over(None)[0] == pytest.approx(1.96)
+
+
+def test_after_a_stall_on_its_way_the_force_is_where_the_ramp_has_come_to_or_at_zero_if_the_device_let_go() -> None:
+    for stall, deadline, left in ((5, 0.15, 0.88), (40, 0.15, 0.18), (200, 0.5, 0.0), (40, 0.03, 0.0)):
+        end = met(scene())["s"]
+        end.guard.lapse_after(deadline)
+        end.held.force = (2.0,)
+        end.held.over(None)
+        assert end.held.over(None, stall)[0] == pytest.approx(2.0 * left)

@@ -1,0 +1,254 @@
+"""An outage one way, and an end that stood still without noticing: what neither end may act on afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from teleop.protocol.inbox import Fixed, Zero
+from teleop.protocol.packet import Kind, peek
+from teleop.scene.scene import Scene
+from teleop.stages.safety import Watchdog
+from tests.teleop.protocol.test_healing import LAWS, PATIENT, alike, check, running
+from tests.teleop.protocol.virtual_clock import MS, Done, S, World, healing
+
+
+def direct(**other: Any) -> Scene:
+    return healing(LAWS["direct"], dt=0.002, cap=None, watchdog=Watchdog(timeout=0.1, ramp=0.05, settle=0.1), **other)
+
+
+def after(world: World, e: str, true: int) -> list[Done]:
+    """The ticks of end `e` from then on."""
+    return [done for done in world.done[e] if done.true >= true]
+
+
+@pytest.mark.parametrize("away", [1.1, 2.4, 5.0])
+@pytest.mark.parametrize("cut", ["m", "s", "ms"])
+def test_an_outage_one_way_ends_in_no_slam(cut: str, away: float) -> None:
+    """The slave's device stays, the hand goes on 5 cm meanwhile: 200 N/m times 5 cm would be 10 N at the release."""
+    world = running(direct(), still=True)
+    world.cut = set(cut)
+    world.run(away - 0.3)
+    world.devices["m"].x = 0.05
+    world.run(0.3)
+    began, world.cut = world.true, set()
+    assert world.until_both_play(PATIENT) < PATIENT
+    world.run(0.5)
+    for e in "ms":
+        assert max(abs(done.force) for done in after(world, e, began)) < 1e-6
+        assert world.end(e).session.met == 2, "released into another session alone"
+    alike(world)
+    check(world)
+
+
+@pytest.mark.parametrize("cut", ["m", "s"])
+@pytest.mark.parametrize("delay", [(5, 5), (5, 200), (200, 5), (300, 300)])
+@pytest.mark.parametrize("playout", [Zero(), Fixed(0.45)], ids=str)
+def test_an_end_that_the_other_no_longer_hears_lets_go_within_the_timeout_and_a_round_trip(
+    playout: Any, delay: tuple[int, int], cut: str
+) -> None:
+    scene = replace(direct(), playout=playout)
+    world = World(scene, still=True, delay={"m": delay[0] * MS, "s": delay[1] * MS})
+    world.run(6.0)
+    assert world.both_play()
+    world.devices["m"].x = 0.02
+    world.run(0.99)
+    assert abs(world.done["s"][-1].force) > 1.0
+    began, world.cut = world.true, {cut}
+    world.run(0.99)
+    dog = scene.watchdog
+    assert dog is not None
+    safe = next(done.true for done in after(world, cut, began) if done.safe)
+    assert safe - began <= sum(delay) * MS + (dog.timeout + 2 * scene.dt) * S
+    k = after(world, cut, began)[0].k
+    assert next(event.why for event in world.end(cut).guard.events if event.k >= k).startswith("no answer")
+    done = [done for done in after(world, cut, began) if done.true >= safe + (dog.ramp + scene.dt) * S]
+    assert done
+    assert {each.force for each in done} == {0.0}
+
+
+@pytest.mark.parametrize("every", [(1, 10), (10, 1), (10, 10), (3, 7)], ids=str)
+def test_ends_of_other_rates_let_go_when_they_are_not_heard_and_not_before(every: tuple[int, int]) -> None:
+    world = running(direct(), every=dict(zip("ms", every, strict=True)), still=True)
+    world.run(3.0)
+    assert [world.end(e).guard.events for e in "ms"] == [[], []]
+    world.cut = {"s"}
+    world.run(0.1 + 0.04 + 2 * 0.002 * sum(every))
+    assert world.end("s").guard.safe
+
+
+def test_ticks_that_the_other_end_left_out_and_long_links_are_no_deafness() -> None:
+    world = running(direct(), jitter=10 * MS, loss=0.2)
+    for _ in range(20):
+        world.pause("m", True)
+        world.run(0.05)
+        world.pause("m", False)
+        world.run(0.3)
+    assert [world.end(e).guard.events for e in "ms"] == [[], []]
+    far = World(healing(watchdog=Watchdog(timeout=0.5), dt=0.01), delay={"m": 300 * MS, "s": 300 * MS}).run(15.0)
+    assert [far.end(e).guard.events for e in "ms"] == [[], []]
+
+
+@pytest.mark.parametrize("way", [0.3, 1.0, 2.0, 4.0])
+def test_links_of_seconds_are_met_and_released(way: float) -> None:
+    dog = Watchdog(timeout=0.1, ramp=0.05, age=None)
+    world = World(replace(direct(), watchdog=dog), delay={"m": round(way * S), "s": round(way * S)})
+    assert world.until_both_play(60.0) < 20.0 + 20.0 * way
+    world.run(5.0 + 2.0 * way)
+    alike(world)
+    check(world)
+
+
+@pytest.mark.parametrize("who", ["m", "s"])
+def test_messages_that_are_lost_from_the_beginning_of_a_session_release_nothing(who: str) -> None:
+    """The exchange comes through and the messages do not, as over a channel whose scene has an outage."""
+    world = World(direct(), still=True)
+    lost = True
+    send = World.send
+
+    def lossy(self: World, e: str, data: bytes) -> None:
+        if not (lost and e == who and peek(data)[0] in (Kind.FORTH, Kind.BACK)):
+            send(self, e, data)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(World, "send", lossy)
+        world.run(1.7)
+        assert world.end("m").session.met == 1
+        world.devices["m"].x = 0.05
+        world.run(0.1)
+        lost, began = False, world.true
+        assert world.until_both_play(PATIENT) < PATIENT
+        world.run(0.5)
+    for e in "ms":
+        assert max(abs(done.force) for done in after(world, e, began)) < 1e-6
+    alike(world)
+
+
+@pytest.mark.parametrize("away", [0.3, 0.9, 5.0])
+@pytest.mark.parametrize("who", ["m", "s"])
+@pytest.mark.parametrize("told", [True, False], ids=["a clock tells", "no clock tells"])
+def test_a_machine_that_was_suspended_acts_on_nothing_that_it_heard_before(told: bool, who: str, away: float) -> None:
+    """Its clock does not count the time: to it, what waited is new and the other end's messages come from ahead."""
+    world = running(direct(), still=True)
+    world.devices["m"].x = 0.02
+    world.run(0.5)
+    assert abs(world.done["s"][-1].force) > 1.0
+    world.pause(who, True)
+    world.run(away)
+    world.step(who, -round(away * S))
+    began = world.true
+    world.pause(who, False)
+    if told:
+        world.end(who).stood_still(round(away * S))
+    world.run(0.35)
+    first = after(world, who, began)
+    patience = 0.0 if told else 0.06  # a master that renews the session asks for it at every 50 ms
+    if told:
+        assert first[0].safe
+    assert all(done.safe for done in first if done.true >= began + patience * S and done.met == 1)
+    assert world.until_both_play(PATIENT) < PATIENT
+    world.run(0.5)
+    assert [world.end(e).session.met for e in "ms"] == [2, 2]
+    late = [done for done in after(world, who, began) if done.true >= began + (patience + 0.05) * S]
+    assert max(abs(done.force) for done in late) < 1e-6, "what the hand did before is of the session before"
+    why = [event.why for event in world.end(who).guard.events if event.what == "safe"]
+    assert not told or why[0].startswith("stood still"), why
+    check(world)
+
+
+def test_a_slave_that_is_told_that_its_session_is_over_lets_go_along_the_ramp_and_is_then_taken_up() -> None:
+    world = running(direct(), still=True)
+    world.devices["m"].x = 0.02
+    world.run(0.5)
+    began = world.true
+    world.end("m").session.end("the session is over: as a test has it")
+    world.run(0.05)
+    assert world.until_both_play(PATIENT) < 1.0
+    for e in "ms":
+        done = [done for done in after(world, e, began) if done.met == 1]
+        gains = [done.gain for done in done]
+        assert gains[-1] == 0.0
+        assert max(a - b for a, b in pairwise([1.0, *gains])) <= 0.002 / 0.05 + 1e-9, "no new session cuts it off"
+    check(world)
+
+
+@pytest.mark.parametrize("playout", [Zero(), Fixed(0.05)], ids=str)
+@pytest.mark.parametrize("every", [(1, 1), (16, 1), (1, 16), (12, 15)], ids=str)
+def test_silence_is_as_long_whatever_rate_the_other_end_has(every: tuple[int, int], playout: Any) -> None:
+    """A slow peer's message stands for many ticks, and none of them is a sign that the peer is still there."""
+    world = World(replace(direct(), playout=playout), every=dict(zip("ms", every, strict=True)), still=True)
+    world.run(5.0)
+    assert world.both_play()
+    for e, other in ("ms", "sm"):
+        world = World(replace(direct(), playout=playout), every=dict(zip("ms", every, strict=True)), still=True)
+        world.run(5.0)
+        began = world.done[other][-1].true  # of its last message
+        world.kill(other)
+        world.run(0.5)
+        safe = next(done.true for done in after(world, e, began) if done.safe)
+        delay = 0.05 if isinstance(playout, Fixed) else 0.02
+        own = every["ms".index(e)] * 0.002
+        assert (safe - began) / S <= delay + 0.1 + 2 * own + 0.004
+
+
+@pytest.mark.parametrize("lost", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("who", ["m", "s"])
+def test_messages_from_ahead_of_the_clock_say_within_some_ticks_that_it_stood_still(who: str, lost: float) -> None:
+    """Nothing waits for it that would tell, as its network was away too, and no clock of it counted the time."""
+    world = running(direct(), still=True)
+    world.devices["m"].x = 0.02
+    world.run(0.5)
+    world.pause(who, True)
+    world.run(lost)
+    process = world.processes[who]
+    assert process is not None
+    process.queue.clear()
+    world.step(who, -round(lost * S))
+    world.pause(who, False)
+    world.run(0.02)
+    events = [event for event in world.end(who).guard.events if event.what == "safe"]
+    assert events[0].why.startswith("stood still"), events
+    assert world.until_both_play(PATIENT) < PATIENT
+    assert [world.end(e).session.met for e in "ms"] == [2, 2]
+
+
+@pytest.mark.parametrize("who", ["m", "s"])
+def test_in_another_session_nothing_is_released_before_the_other_end_hears_it(who: str) -> None:
+    """The exchange comes through all the while, and of the messages only those of the other end."""
+    world = running(direct(), still=True)
+    send, lost = World.send, True
+
+    def lossy(self: World, e: str, data: bytes) -> None:
+        if not (lost and e == who and peek(data)[0] in (Kind.FORTH, Kind.BACK)):
+            send(self, e, data)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(World, "send", lossy)
+        began = world.true
+        world.run(5.0)
+        assert world.end(who).session.met > 1
+        gains = [done.gain for done in after(world, who, began)]
+        assert all(b <= a for a, b in pairwise(gains)), "it let go once, and no session released it"
+        assert gains[-1] == 0.0
+        lost = False
+        assert world.until_both_play(PATIENT) < PATIENT
+
+
+@pytest.mark.parametrize("who", ["m", "s"])
+@pytest.mark.parametrize("playout", [Zero(), Fixed(0.055)], ids=str)
+def test_a_session_that_began_while_one_way_was_slow_does_not_set_the_grids_apart_for_good(
+    playout: Any, who: str
+) -> None:
+    """Half of 1.5 s, by which one way was slower in the exchange, stayed: with fixed playout all came late then."""
+    world = running(replace(direct(), playout=playout), delay={"m": 5 * MS, "s": 5 * MS})
+    world.delay[who] += 1500 * MS
+    world.run(6.0)
+    assert world.end("m").session.met == 2
+    world.delay[who] -= 1500 * MS
+    assert world.until_both_play(2 * PATIENT) < 2 * PATIENT
+    world.run(0.5)
+    alike(world)
+    check(world)

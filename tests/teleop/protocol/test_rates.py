@@ -1,0 +1,183 @@
+"""Two ends of different rates: they follow as well as at one rate, and no wave gains energy on the way."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.errors import Refused
+from teleop.laws.direct import Direct
+from teleop.laws.wave import Wave
+from teleop.protocol.inbox import Fixed, Hold, Inbox, Playout, Zero
+from teleop.protocol.rates import Heard, Resampling
+from teleop.scene.scene import load_scene
+from teleop.simulation.tick import columns
+from teleop.simulation.virtual import run
+from tests.teleop.protocol.virtual_clock import MS, World, healing
+
+RATES = {"1000 and 500 Hz": (1, 2), "500 and 1000 Hz": (2, 1), "1000 and 250 Hz": (1, 4), "250 and 1000 Hz": (4, 1),
+         "500 and 333 Hz": (2, 3), "333 and 500 Hz": (3, 2), "500 Hz both": (2, 2)}
+LAWS: dict[str, Any] = {"wave": Wave(b=2.0, K=200.0, B=5.0), "direct": Direct(K=200.0, B=5.0)}
+ROUGH: dict[str, Any] = {"jitter": 12 * MS, "loss": 0.1, "copies": 0.2}
+SECONDS = 2.0
+ZERO = Zero()
+
+
+def column(world: World, e: str, name: str) -> dict[int, float]:
+    """One column of an end's record, by the tick."""
+    names = columns(world.scene, e)
+    i = [each.removesuffix("@") for each in names].index(name)
+    return {done.k: done.row[i] for done in world.done[e]}
+
+
+def ran(law: str, every: tuple[int, int], seed: int = 1, playout: Playout = ZERO, **link: Any) -> World:
+    scene = healing(LAWS[law], dt=1e-3, duration=5.0, cap=None, playout=playout)
+    world = World(scene, every=dict(zip("ms", every, strict=True)), delay={"m": 5 * MS, "s": 5 * MS}, seed=seed, **link)
+    return world.run(SECONDS + 0.2)
+
+
+def common(world: World, *names: str) -> list[np.ndarray[Any, Any]]:
+    """Columns at the ticks that both ends ran."""
+    ends = ["m" if name in ("x_m", "E_in_fwd", "E_out_bwd") else "s" for name in names]
+    found = [column(world, e, name) for e, name in zip(ends, names, strict=True)]
+    ks = sorted(set.intersection(*map(set, found)))
+    return [np.array([each[k] for k in ks]) for each in found]
+
+
+def error(xs: list[np.ndarray[Any, Any]]) -> float:
+    """Root mean square of the master's position less the slave's, m."""
+    return float(np.sqrt(np.mean((xs[0] - xs[1]) ** 2)))
+
+
+@lru_cache
+def of_virtual_time(law: str) -> float:
+    """The error of both at 500 Hz, in virtual time."""
+    from dataclasses import replace
+
+    from channel.link import parse_link
+
+    scene = healing(LAWS[law], dt=2e-3, duration=SECONDS, cap=None)
+    trace = run(replace(scene, link=parse_link("delay(0.005)"))).trace
+    return error([trace["x_m"], trace["x_s"]])
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", RATES)
+def test_two_rates_follow_as_well_as_one(name: str, law: str) -> None:
+    world = ran(law, RATES[name])
+    assert error(common(world, "x_m", "x_s")) == pytest.approx(of_virtual_time(law), rel=0.12)
+    for e, every in zip("ms", RATES[name], strict=True):
+        ticks = [done.k for done in world.done[e]]
+        assert ticks == list(range(0, ticks[-1] + 1, every))
+        assert world.end(e).guard.events == []
+        assert world.end(e).session.peer_every == RATES[name][e == "m"]
+        assert world.end(e).link.lost(RATES[name][e == "m"]) == 0
+        assert max(abs(done.force) for done in world.done[e]) > 0.3
+
+
+@pytest.mark.parametrize("playout", [Zero(), Fixed(0.012)], ids=str)
+@pytest.mark.parametrize("name", RATES)
+def test_no_wave_gains_energy_on_a_rough_link_between_two_rates(name: str, playout: Playout) -> None:
+    world = ran("wave", RATES[name], seed=5, playout=playout, **ROUGH)
+    into, out, back, home = common(world, "E_in_fwd", "E_out_fwd", "E_in_bwd", "E_out_bwd")
+    assert (into - out + back - home).min() >= -1e-9
+    assert (into - out).min() >= -1e-9
+    assert (back - home).min() >= -1e-9
+    assert out[-1] > 0.03, "and it is not nothing that came"
+    for e, peer in zip("ms", reversed(RATES[name]), strict=True):
+        end = world.end(e)
+        assert (end.stamp_margin or 0.0) >= -1e-9
+        assert 0.04 < end.link.loss(peer) < 0.2
+
+
+@pytest.mark.parametrize("name", RATES)
+def test_positions_are_followed_over_a_rough_link(name: str) -> None:
+    world = ran("direct", RATES[name], **ROUGH)
+    assert error(common(world, "x_m", "x_s")) < 1.5 * of_virtual_time("direct")
+    assert not world.end("m").guard.safe
+
+
+# What a tick plays, by itself
+
+
+class U(NamedTuple):
+    u: float
+
+
+def box(mine: int, theirs: int, playout: Playout = ZERO) -> tuple[Resampling, Inbox[Heard]]:
+    """What an end plays at every `mine`-th tick, of a peer that sends at every `theirs`-th, and where it waits."""
+    rates = Resampling(U, "u", mine=mine)
+    rates.begin(theirs)
+    return rates, Inbox(playout, 1_000_000)
+
+
+def played(
+    end: tuple[Resampling, Inbox[Heard]], sent: list[float], theirs: int, takes: list[int | None]
+) -> list[float]:
+    """What is played of waves that were sent at every `theirs`-th tick and took so many ticks; nothing is 0."""
+    rates, inbox = end
+    arrive: dict[int, list[tuple[int, float]]] = {}
+    for n, (wave, after) in enumerate(zip(sent, takes, strict=True)):
+        if after is not None:
+            arrive.setdefault(n * theirs + after, []).append((n * theirs, wave))
+    out, last = [], -1
+    most = max(arrive, default=0) + 3 * max(theirs, rates.mine)
+    for j in range(most):
+        for seq, wave in arrive.get(j, ()):
+            inbox.put(seq, j, Heard((U(wave),), None))
+        if j % rates.mine == 0:
+            got = rates.take(inbox, last, j)
+            last = j
+            out.append(0.0 if got is None else got[1].rx[0][0])
+    return out
+
+
+@pytest.mark.parametrize(("mine", "theirs"), RATES.values())
+def test_a_constant_wave_comes_out_as_it_went_in(mine: int, theirs: int) -> None:
+    waves = played(box(mine, theirs), [2.0] * 60, theirs, [1] * 60)
+    steady = waves[4 : 60 * theirs // mine - 4]
+    assert steady == pytest.approx([2.0] * len(steady))
+
+
+@settings(max_examples=150)
+@given(
+    st.integers(1, 6), st.integers(1, 6), st.sampled_from([Zero(), Fixed(0.004)]),
+    st.lists(st.tuples(st.floats(-9.0, 9.0), st.none() | st.integers(1, 12)), min_size=1, max_size=40),
+)
+def test_no_two_rates_and_no_link_give_a_wave_more_energy_than_it_had(
+    mine: int, theirs: int, playout: Playout, sent: list[tuple[float, int | None]]
+) -> None:
+    waves = played(box(mine, theirs, playout), [wave for wave, _ in sent], theirs, [after for _, after in sent])
+    into = theirs * sum(wave * wave for wave, after in sent if after is not None)
+    assert mine * sum(wave * wave for wave in waves) <= into * (1.0 + 1e-12)
+
+
+def test_a_slower_peer_that_falls_silent_is_not_played_on_and_on() -> None:
+    for mine, theirs in RATES.values():
+        waves = played(box(mine, theirs), [1.0], theirs, [1])
+        assert 0.0 < mine * sum(waves) <= max(mine, theirs)
+        assert waves[-1] == 0.0
+
+
+def test_hold_plays_the_last_one_on_at_any_rate() -> None:
+    world = ran("direct", (2, 3), playout=Hold())
+    assert error(common(world, "x_m", "x_s")) == pytest.approx(of_virtual_time("direct"), rel=0.12)
+
+
+def test_a_rate_at_which_every_message_comes_after_the_watchdogs_timeout_is_refused() -> None:
+    from argparse import Namespace
+
+    from teleop.live.end import _every
+
+    asked = partial(Namespace, lockstep=False)
+    dogged = load_scene("hard_wall")
+    assert _every(dogged, asked(rate=5.0)) == 200, "as long as the timeout, and no longer"
+    with pytest.raises(Refused, match=r"every 0.25 s, .* timeout is 0.2 s; write a higher --rate"):
+        _every(dogged, asked(rate=4.0))
+    with pytest.raises(Refused, match=r"timeout is 0.8 s"):
+        _every(load_scene("canonical"), asked(rate=1.0))

@@ -1,0 +1,104 @@
+"""A run whose ticks pass 2**32, of which a packet carries the last 32 bits: it plays as one that does not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from master.device import SimulatedMaster
+from slave.robot import SimulatedSlave
+from teleop.laws.pfra import PFRA
+from teleop.laws.wave import Wave
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.inbox import Fixed, Hold, Zero
+from teleop.protocol.packet import Echo, Packet, decode, encode
+from teleop.scene.scene import Scene
+from teleop.stages.safety import Watchdog
+from tests.teleop.protocol.test_endpoint import MS, START, met, scene
+
+COUNT = 500
+WRAP = 2**32 - 200
+WATCH = Watchdog(timeout=0.05, ramp=0.02, settle=0.05)
+
+
+class Joined:
+    """Two ends that join a run at tick `base`, and play `COUNT` ticks of it."""
+
+    def __init__(self, given: Scene, base: int, forged: bool = False) -> None:
+        self.ends: dict[str, Endpoint] = met(given)
+        self.rows: dict[str, list[tuple[float, ...]]] = {"m": [], "s": []}
+        self.played: dict[str, list[int]] = {"m": [], "s": []}
+        sent: dict[str, list[bytes]] = {"m": [], "s": []}
+        devices: dict[str, Any] = {"m": SimulatedMaster(given), "s": SimulatedSlave(given)}
+        for end in self.ends.values():
+            end.session.begin(START - base * MS, START)
+            end.join(base)
+            self.width = end._width
+        for k in range(COUNT):
+            now = START + k * MS
+            for e, other in ("ms", "sm"):
+                late = 10 if k % 7 else 14
+                for i in {k - late, k - 10} if k < 250 or k > 320 else ():
+                    if i >= 0:
+                        self.ends[e].receive(sent[other][i], now)
+                if forged and k > 30:
+                    for data in (sent[other][min(k - 20, 220)], sent[other][0], *self.strange(sent[other][-1])):
+                        self.ends[e].receive(data, now)
+            for e, end in self.ends.items():
+                out = end.tick(base + k, now, devices[e].read(k))
+                devices[e].hold(out.force)
+                assert out.datagram is not None
+                sent[e].append(out.datagram)
+                self.rows[e].append(out.row)
+                self.played[e].append(out.played - base if out.played >= 0 else -1)
+
+    def strange(self, honest: bytes) -> list[bytes]:
+        """The newest message under numbers that are far off."""
+        packet = decode(honest, self.width)
+        assert isinstance(packet, Packet)
+        seqs = [(packet.seq + off) % 2**32 for off in (5000, 2**31 - 1, 2**31, 2**31 + 1, -(2**30) - 50)]
+        return [encode(packet._replace(seq=seq, echo=Echo(0, 0))) for seq in seqs]
+
+
+def given(law: Any, playout: Any) -> Scene:
+    return scene(law, playout=playout, watchdog=WATCH, link=None, duration=1.0)
+
+
+@pytest.mark.parametrize("playout", [Zero(), Hold(), Fixed(0.012)], ids=str)
+@pytest.mark.parametrize("law", [Wave(), PFRA(alpha=0.2)], ids=["wave", "pfra"])
+def test_a_run_past_2_32_is_the_run_before_it(law: Any, playout: Any) -> None:
+    plain, wrapped = Joined(given(law, playout), 10_000), Joined(given(law, playout), WRAP)
+    assert wrapped.rows == plain.rows
+    assert wrapped.played == plain.played
+    for e in "ms":
+        one, other = plain.ends[e], wrapped.ends[e]
+        assert max(plain.played[e][205:]) > 205
+        assert (one.received, one.link.lost(), one.link.reordered) == (
+            other.received, other.link.lost(), other.link.reordered)
+        assert (one.way.least, one.way.most, one.link.rtt.most) == (
+            other.way.least, other.way.most, other.link.rtt.most)
+        assert one.guard.entries == other.guard.entries == 2  # it joined, and the link was dark for 70 ticks
+        assert [event.k - 10_000 for event in one.guard.events] == [event.k - WRAP for event in other.guard.events]
+
+
+@pytest.mark.parametrize("base", [10_000, WRAP])
+def test_replays_and_numbers_that_are_far_off_change_nothing_there(base: int) -> None:
+    plain, forged = Joined(given(Wave(), Zero()), base), Joined(given(Wave(), Zero()), base, forged=True)
+    assert forged.rows == plain.rows
+    assert forged.played == plain.played
+    for e in "ms":
+        rejected = forged.ends[e].rejected
+        assert set(rejected) == {"early", "old"}
+        assert rejected["early"] == 3 * (COUNT - 31)
+        assert forged.ends[e].link.lost() == plain.ends[e].link.lost()
+
+
+def test_a_session_of_a_run_so_long_has_an_inbox_that_knows_where_it_is() -> None:
+    """Packets are numbered from 0 again on the wire and grow on inside."""
+    both = Joined(given(Wave(), Zero()), WRAP)
+    for e in "ms":
+        inbox: Any = both.ends[e].inbox
+        assert inbox.refused == 0
+        assert inbox.received > 400
+        assert inbox._window.newest > 2**32

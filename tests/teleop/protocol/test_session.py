@@ -1,0 +1,464 @@
+"""The first exchange on a virtual clock: it survives loss, finds the clocks' offset, and stops what does not match."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from itertools import count, pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference
+from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
+from teleop.protocol.session import AGAIN_NS, AHEAD_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
+from teleop.scene.scene import load_scene
+
+MS = 1_000_000
+MANIFEST = {"wire version": "1", "scene": "canonical", "law": "wave Wave(b=2.0)", "k_e": "5000.0", "dt": "0.001"}
+
+
+@dataclass
+class Talk:
+    """A master and a slave, and the time their datagrams take. The true time is the master's clock."""
+
+    master: Session = field(default_factory=lambda: Session(master=True, manifest=MANIFEST, number=7))
+    slave: Session = field(default_factory=lambda: Session(master=False, manifest=MANIFEST))
+    there: int = 25 * MS
+    back: int = 25 * MS
+    slave_ahead: int = 0  # the slave's clock less the master's
+    lost: Callable[[Packet], bool] = lambda _packet: False
+    sent: list[Packet] = field(default_factory=list)
+    messages: bool = True  # do messages flow, both ways, while they have met in one session
+    now: int = 0
+    _under_way: list[tuple[int, int, Session, bytes]] = field(default_factory=list)
+    _serial: Iterator[int] = field(default_factory=count)
+
+    def clock(self, end: Session) -> int:
+        return self.now + (self.slave_ahead if end is self.slave else 0)
+
+    def send(self, end: Session, datagrams: list[bytes]) -> None:
+        """`end` sends these."""
+        for data in datagrams:
+            packet = decode(data, 1)
+            assert isinstance(packet, Packet), packet
+            self.sent.append(packet)
+            if not self.lost(packet):
+                other, takes = (self.slave, self.there) if end is self.master else (self.master, self.back)
+                heappush(self._under_way, (self.now + takes, next(self._serial), other, data))
+
+    def flow(self) -> None:
+        """The law's messages, of which a session knows that they come."""
+        master, slave = self.master, self.slave
+        if self.messages and not master.meeting and not slave.meeting and master.number == slave.number:
+            if not self.lost(Packet(Kind.FORTH, 0, 0, 0, None, ())):
+                slave.data_came(self.clock(slave))
+            if not self.lost(Packet(Kind.BACK, 0, 0, 0, None, ())):
+                master.data_came(self.clock(master))
+
+    def agree(self, until: int) -> None:
+        """Let time pass until both know when tick 0 is, at most until then."""
+        while self.now < until and None in (self.master.start_ns, self.slave.start_ns):
+            self.run(self.now + 10 * MS)
+
+    def run(self, until: int) -> None:
+        """Let time pass until then, 1 ms at a time."""
+        while self.now < until:
+            while self._under_way and self._under_way[0][0] <= self.now:
+                _, _, end, data = heappop(self._under_way)
+                packet = decode(data, 1)
+                assert isinstance(packet, Packet)
+                self.send(end, end.receive(packet, self.clock(end)))
+            if self.now % (20 * MS) == 0:
+                self.flow()
+            for end in (self.master, self.slave):
+                self.send(end, end.due(self.clock(end)))
+            self.now += MS
+
+    def kinds(self) -> list[str]:
+        return [packet.kind.name for packet in self.sent]
+
+
+def test_the_ends_agree_on_the_time_of_tick_0_and_then_fall_silent() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    assert talk.master.start_ns == talk.slave.start_ns is not None
+    assert talk.master.start_ns > 5 * 50 * MS + LEAD_NS
+    assert (talk.master.failure, talk.slave.failure) == (None, None)
+    assert talk.slave.number == 7
+    assert talk.kinds()[-1] == "START"
+    assert talk.kinds().count("START") <= 4  # two on their way before the first answer has come back
+    said = len(talk.sent)
+    talk.run(3000 * MS)
+    assert len(talk.sent) == said
+
+
+def test_tick_0_is_still_ahead_when_the_slave_hears_of_it() -> None:
+    talk = Talk(there=400 * MS, back=300 * MS)
+    while talk.slave.start_ns is None:
+        talk.run(talk.now + MS)
+    assert talk.slave.start_ns > talk.now
+
+
+@settings(max_examples=60)
+@given(there=st.integers(0, 200), back=st.integers(0, 200), ahead=st.integers(-(10**12), 10**12))
+def test_the_clock_offset_is_within_half_the_round_trip_however_the_delays_are_shared(
+    there: int, back: int, ahead: int
+) -> None:
+    talk = Talk(there=there * MS, back=back * MS, slave_ahead=ahead)
+    talk.agree(5000 * MS)
+    assert talk.master.rtt_ns is not None
+    assert (there + back) * MS <= talk.master.rtt_ns <= (there + back + 2) * MS  # datagrams are seen once a ms
+    assert abs(talk.master.offset_ns - ahead) <= talk.master.rtt_ns / 2
+    assert talk.master.start_ns is not None
+    assert talk.slave.start_ns == talk.master.start_ns + talk.master.offset_ns
+
+
+def test_equal_delays_give_the_offset_itself() -> None:
+    talk = Talk(there=30 * MS, back=30 * MS, slave_ahead=123_456_789)
+    talk.run(2000 * MS)
+    assert talk.master.offset_ns == 123_456_789
+
+
+def test_the_offset_is_taken_from_the_fastest_round_trip() -> None:
+    """The first round trips have their way back slowed down, which misleads by half of what it adds."""
+    talk = Talk(there=10 * MS, back=90 * MS)
+    talk.run(150 * MS)
+    talk.back = 10 * MS
+    talk.run(2000 * MS)
+    assert talk.master.rtt_ns == 20 * MS
+    assert talk.master.offset_ns == 0
+
+
+@pytest.mark.parametrize("kind", [Kind.HELLO, Kind.WELCOME, Kind.START])
+@pytest.mark.parametrize("times", [1, 6])
+def test_what_is_lost_is_said_again(kind: Kind, times: int) -> None:
+    left = [times]
+
+    def lost(packet: Packet) -> bool:
+        left[0] -= packet.kind is kind
+        return packet.kind is kind and left[0] >= 0
+
+    talk = Talk(lost=lost)
+    talk.run(3000 * MS)
+    assert talk.master.start_ns == talk.slave.start_ns is not None
+    assert left[0] < 0
+    said = len(talk.sent)
+    talk.run(4000 * MS)
+    assert len(talk.sent) == said
+
+
+@settings(max_examples=40)
+@given(st.lists(st.booleans(), min_size=60, max_size=60))
+def test_any_pattern_of_losses_delays_the_start_and_no_more(pattern: list[bool]) -> None:
+    fate = iter(pattern)
+    talk = Talk(lost=lambda _packet: next(fate, False))
+    talk.agree(8000 * MS)
+    assert talk.master.start_ns == talk.slave.start_ns is not None
+    assert (talk.master.failure, talk.slave.failure) == (None, None)
+
+
+def test_start_is_repeated_until_it_is_answered_or_messages_come() -> None:
+    talk = Talk(lost=lambda packet: packet.kind is Kind.START, messages=False)
+    talk.run(2000 * MS)
+    starts = [packet.sent_ns for packet in talk.sent if packet.kind is Kind.START]
+    assert len(starts) > 10
+    assert {b - a for a, b in pairwise(starts)} == {AGAIN_NS}
+    talk.master.data_came(talk.now)
+    talk.run(2900 * MS)
+    assert len([packet for packet in talk.sent if packet.kind is Kind.START]) == len(starts)
+
+
+def test_a_start_that_comes_twice_moves_nothing() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    before = talk.slave.start_ns
+    again = Packet(Kind.START, 7, 0, 0, None, 999)
+    assert [decode(data, 1).payload for data in talk.slave.receive(again, talk.now)] == [999]
+    assert (talk.slave.start_ns, talk.slave.met) == (before, 1)
+
+
+# Ends that do not match
+
+
+def manifests() -> list[tuple[str, dict[str, str]]]:
+    """Every entry of a real manifest, changed."""
+    real = load_scene("hard_wall").manifest()
+    return [(name, {**real, name: real[name] + "1"}) for name in real]
+
+
+@pytest.mark.parametrize(("name", "other"), manifests())
+def test_ends_that_differ_both_stop_with_a_sentence_that_names_it(name: str, other: dict[str, str]) -> None:
+    mine = load_scene("hard_wall").manifest()
+    talk = Talk(Session(master=True, manifest=mine, number=7), Session(master=False, manifest=other))
+    talk.run(1000 * MS)
+    assert (talk.master.start_ns, talk.slave.start_ns) == (None, None)
+    for end in (talk.master, talk.slave):
+        assert end.failure is not None
+        assert f": {name} is " in end.failure
+        assert end.failure.count("\n") == 0
+        assert "start both ends with the same" in end.failure or "install the same release" in end.failure
+    said = len(talk.sent)
+    talk.run(1500 * MS)
+    assert len(talk.sent) == said
+
+
+def test_here_and_there_are_those_of_the_end_that_reads_the_sentence() -> None:
+    other = {**MANIFEST, "k_e": "2000.0"}
+    talk = Talk(slave=Session(master=False, manifest=other))
+    talk.run(1000 * MS)
+    assert "k_e is 5000.0 here and 2000.0 there" in str(talk.master.failure)
+    assert "k_e is 2000.0 here and 5000.0 there" in str(talk.slave.failure)
+
+
+@pytest.mark.parametrize("name", ["gone", "new"])
+def test_a_knob_that_only_one_end_knows_is_named_too(name: str) -> None:
+    other = {k: v for k, v in MANIFEST.items() if k != "k_e"} if name == "gone" else {**MANIFEST, "k_new": "1"}
+    talk = Talk(slave=Session(master=False, manifest=other))
+    talk.run(1000 * MS)
+    assert ("k_e" if name == "gone" else "k_new") in str(talk.master.failure)
+
+
+def test_a_slave_that_welcomes_what_is_another_run_is_left() -> None:
+    """Whatever the slave thinks: the master compares for itself."""
+    talk = Talk()
+    hello = decode(talk.master.due(0)[0], 1)
+    welcome = Packet(Kind.WELCOME, 7, 0, 5, None, {**MANIFEST, "law": "pfra"})
+    assert isinstance(hello, Packet)
+    replies = [decode(data, 1) for data in talk.master.receive(welcome, 10)]
+    assert [reply.kind for reply in replies if isinstance(reply, Packet)] == [Kind.BYE]
+    assert "law is wave" in str(talk.master.failure)
+
+
+def test_a_refusal_during_a_run_changes_nothing() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.master.receive(Packet(Kind.REFUSE, 7, 0, 0, None, "no"), talk.now)
+    assert talk.master.failure is None
+
+
+# One session at a time
+
+
+def hello(session: int, manifest: dict[str, str] = MANIFEST) -> Packet:
+    return Packet(Kind.HELLO, session, 0, 0, None, manifest)
+
+
+def start_of(session: int, welcomed: int, tick_0: int = 5) -> Packet:
+    """The START of a master whose last WELCOME was sent at `welcomed`."""
+    return Packet(Kind.START, session, 0, 0, Echo(welcomed, 0), tick_0)
+
+
+def started(slave: Session, session: int, now: int, **told: str) -> Session:
+    """A slave that was started at `now`."""
+    slave.receive(hello(session, {**MANIFEST, **told}), now)
+    slave.receive(start_of(session, now), now)
+    assert slave.number == session
+    return slave
+
+
+def test_a_running_session_is_not_taken_over_while_it_is_heard() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    slave, start = talk.slave, talk.slave.start_ns
+    for i in range(10):
+        now = talk.now + (i + 1) * RENEW_NS // 2
+        for packet in (hello(100), hello(100, {"scene": "other"}), start_of(100, now),
+                       Packet(Kind.START, 100, 0, 0, None, 5),
+                       Packet(Kind.BYE, 100, 0, 0, None, "go"), Packet(Kind.REFUSE, 100, 0, 0, None, "no")):
+            assert not slave.belongs(packet, now)
+            assert slave.receive(packet, now) == []
+        slave.data_came(now)
+    assert (slave.number, slave.start_ns, slave.farewell, slave.failure, slave.met) == (7, start, None, None, 1)
+
+
+def test_words_that_are_not_messages_do_not_keep_a_slave_from_being_taken_up() -> None:
+    """A recorded START or WELCOME of the session proves nobody's presence."""
+    slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
+    for now in range(0, 3 * RENEW_NS, RENEW_NS // 4):
+        for packet in (Packet(Kind.START, 1, 0, 0, None, 5), Packet(Kind.WELCOME, 1, 0, 0, None, MANIFEST)):
+            slave.receive(packet, now)
+    assert slave.receive(hello(2), 2 * RENEW_NS)
+
+
+def test_a_second_master_waits_until_the_first_has_been_silent() -> None:
+    slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
+    assert slave.receive(hello(200), RENEW_NS // 2) == []
+    assert slave.receive(hello(200, {"scene": "other"}), RENEW_NS // 2) == []  # nor can it stop the slave
+    slave.data_came(RENEW_NS // 2)
+    assert slave.receive(hello(200), RENEW_NS) == []
+    assert (slave.number, slave.failure) == (1, None)
+    assert slave.receive(hello(200), 2 * RENEW_NS)
+    assert (slave.number, slave.met) == (1, 1), "it is asked, and goes on in the session it has until START"
+    assert slave.receive(Packet(Kind.START, 200, 0, 0, Echo(2 * RENEW_NS + 1, 0), 5), 2 * RENEW_NS) == []
+    assert slave.receive(start_of(200, 2 * RENEW_NS), 2 * RENEW_NS)
+    assert (slave.number, slave.met, slave.start_ns) == (200, 2, 5)
+    assert slave.receive(start_of(1, 0), 2 * RENEW_NS) == [], "and what is old of the first one is over"
+    assert (slave.number, slave.met, slave.start_ns) == (200, 2, 5)
+
+
+def test_of_two_masters_who_ask_at_once_the_one_that_starts_has_the_slave() -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    for number, now in ((1, 10), (2, 20), (1, 30)):
+        assert slave.receive(hello(number), now)
+    assert slave.number is None
+    assert slave.receive(start_of(2, 20), 40)
+    assert slave.receive(start_of(1, 30), 50) == []
+    assert (slave.number, slave.met) == (2, 1)
+
+
+def test_a_start_counts_only_if_it_echoes_a_welcome_of_this_very_slave() -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    assert slave.receive(hello(1), 10)
+    for echo in (None, Echo(11, 0), Echo(0, 0), Echo(-10, 0)):
+        assert slave.receive(Packet(Kind.START, 1, 0, 0, echo, 5), 20) == []
+    assert slave.receive(Packet(Kind.START, 2, 0, 0, Echo(10, 0), 5), 20) == []
+    assert (slave.number, slave.start_ns) == (None, None)
+    assert slave.receive(start_of(1, 10), 20)
+    assert slave.start_ns == 5
+
+
+@pytest.mark.parametrize("tick_0", [2**61 + 1, -(2**61) - 1, 2**63 - 1, -(2**63)])
+def test_a_start_of_a_clock_that_nobody_has_is_not_believed(tick_0: int) -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    slave.receive(hello(1), 10)
+    assert slave.receive(start_of(1, 10, tick_0), 20) == []
+    assert (slave.number, slave.start_ns) == (None, None)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2**64 - 1])
+def test_a_slave_that_has_met_nobody_believes_nobody(number: int) -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    for packet in (Packet(Kind.START, number, 0, 0, None, 5), Packet(Kind.BYE, number, 0, 0, None, "go"),
+                   Packet(Kind.REFUSE, number, 0, 0, None, "no"), Packet(Kind.WELCOME, number, 0, 0, None, MANIFEST)):
+        assert slave.receive(packet, 0) == []
+    assert (slave.start_ns, slave.farewell, slave.failure) == (None, None, None)
+    assert slave.bye("nobody to tell", 0) == []
+
+
+def test_a_master_takes_no_hello_and_no_word_of_another_session() -> None:
+    master = Session(master=True, manifest=MANIFEST, number=7)
+    for packet in (hello(7), hello(8), Packet(Kind.WELCOME, 8, 0, 0, None, {"scene": "other"}),
+                   Packet(Kind.REFUSE, 8, 0, 0, None, "no"), Packet(Kind.BYE, 8, 0, 0, None, "go")):
+        assert master.receive(packet, 0) == []
+    assert (master.failure, master.farewell, master.start_ns) == (None, None, None)
+
+
+def test_a_welcome_that_answers_no_hello_is_no_measurement() -> None:
+    master = Session(master=True, manifest=MANIFEST, number=7)
+    for _ in range(3 * ROUNDS):
+        assert master.receive(Packet(Kind.WELCOME, 7, 0, 0, None, MANIFEST), 0) == []
+    assert master.start_ns is None
+
+
+def test_a_farewell_reaches_the_other_end_with_its_reason() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.send(talk.slave, talk.slave.bye("it was asked to stop (SIGINT)", talk.now))
+    talk.send(talk.master, talk.master.bye("finished", talk.now))
+    talk.run(2100 * MS)
+    assert talk.master.farewell == "it was asked to stop (SIGINT)"
+    assert talk.slave.farewell == "finished"
+
+
+def test_a_manifest_that_cannot_be_sent_is_refused_where_it_is_made() -> None:
+    with pytest.raises(ValueError, match="printable"):
+        Session(master=True, manifest={"k": "a\nb"}, number=1).due(0)
+    assert isinstance(decode(encode(hello(1)), 1), Packet)
+
+
+MINE = """
+from dataclasses import dataclass
+from typing import ClassVar
+from teleop.laws.direct import Direct
+from teleop.physics.plant import MassDamper
+from teleop.scene import Scene
+
+@dataclass(frozen=True, kw_only=True)
+class Mine:
+    K: float = 10.0
+    claims: ClassVar[frozenset[str]] = frozenset()
+    def master_start(self, at): return (), Direct().master_start(at)[1]
+    def slave_start(self, at): return (), Direct().slave_start(at)[1]
+    def master(self, s, at, rx): return 0.0, type(Direct().slave_start(at)[1])(at.x, at.v), s
+    def slave(self, s, at, rx): return SIGN * self.K * (rx.x - at.x), Direct().master_start(at)[1], s
+
+def scene(*, duration: float = 1.0) -> Scene:
+    return Scene(law=Mine(), master=MassDamper(mass=0.1), slave=MassDamper(mass=MASS), duration=duration)
+"""
+
+
+def test_scenes_of_the_same_name_that_differ_anywhere_do_not_run_together(tmp_path: Path) -> None:
+    def manifest(folder: str, sign: str = "1.0", mass: str = "0.5") -> dict[str, str]:
+        path = tmp_path / folder / "mine.py"
+        path.parent.mkdir()
+        path.write_text(MINE.replace("SIGN", sign).replace("MASS", mass))
+        return load_scene(str(path)).manifest()
+
+    one = manifest("one")
+    assert manifest_difference(one, manifest("copy")) is None
+    body = manifest_difference(one, manifest("body", mass="0.6"))
+    assert body is not None
+    assert "slave is MassDamper(mass=0.5" in body or "law source" in body  # the file differs, and the part too
+    turned = manifest_difference(one, manifest("turned", sign="-1.0"))
+    assert turned is not None
+    assert turned.startswith("law source is mine.py (")
+
+
+def test_a_recorded_motion_may_lie_elsewhere_but_not_differ(tmp_path: Path) -> None:
+    manifests = []
+    for folder, reach in (("one", "0.1"), ("two", "0.1"), ("three", "0.2")):
+        path = tmp_path / folder / "motion.csv"
+        path.parent.mkdir()
+        path.write_text(f"t,x,y,z\n0,0,0,0\n1,{reach},0,0\n")
+        manifests.append(load_scene("recorded_reach", motion=str(path)).manifest())
+    assert manifest_difference(manifests[0], manifests[1]) is None
+    told = manifest_difference(manifests[0], manifests[2])
+    assert told is not None
+    assert told.startswith("motion is motion.csv (")
+
+
+def test_a_tick_0_that_is_further_ahead_than_any_master_sets_it_is_not_taken() -> None:
+    """An end that believed it would hold still until then, for years if it was told so."""
+    talk = Talk()
+    talk.run(400 * MS)
+    assert talk.slave.met == talk.master.met == 1
+    slave = Session(master=False, manifest=MANIFEST)
+    [welcome] = slave.receive(Packet(Kind.HELLO, 9, 0, 5, None, MANIFEST), 1000)
+    seen = decode(welcome, 0)
+    assert isinstance(seen, Packet)
+    for ahead, begun in ((AHEAD_NS + 1, 0), (MOST_CLOCK_NS, 0), (AHEAD_NS, 1)):
+        slave.receive(Packet(Kind.START, 9, 0, 5, Echo(seen.sent_ns, 0), 1000 + ahead), 1000)
+        assert slave.met == begun
+
+
+def test_a_running_slave_whose_tick_0_is_further_ahead_than_any_is_not_joined() -> None:
+    for ahead, joined in ((AHEAD_NS + 100 * MS, False), (AHEAD_NS - 100 * MS, True)):
+        master = Session(master=True, manifest=MANIFEST, number=7)
+        told = {**MANIFEST, TICK_0: str(ahead)}
+        for k in range(20):
+            now = k * 60 * MS
+            for data in master.due(now):
+                hello = decode(data, 0)
+                assert isinstance(hello, Packet)
+                if hello.kind is Kind.HELLO:
+                    told[TICK_0] = str(now + ahead)
+                    master.receive(Packet(Kind.WELCOME, 7, 0, now, Echo(hello.sent_ns, 0), told), now)
+        assert (master.met == 1) is joined
+
+
+def test_a_refusal_in_letters_of_several_bytes_fits_its_hello() -> None:
+    """It was longer than the question then, so it was not sent, and the master waited for nothing."""
+    theirs, own = ({**MANIFEST, "hand": letter * 280} for letter in "手指")
+    [hello] = Session(master=True, manifest=theirs, number=7).due(0)
+    asked = decode(hello, 0)
+    assert isinstance(asked, Packet)
+    [reply] = Session(master=False, manifest=own).receive(asked, 0, len(hello))
+    refusal = decode(reply, 0)
+    assert isinstance(refusal, Packet)
+    assert refusal.kind is Kind.REFUSE
+    assert str(refusal.payload).startswith("the slave is set up for another run: hand is 手")
+    assert len(reply) <= len(hello)

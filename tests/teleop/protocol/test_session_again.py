@@ -1,0 +1,364 @@
+"""Sessions after the first: who asks anew and when, whose grid of ticks it is, what is told beside a manifest."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
+from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, decode, encode
+from teleop.protocol.session import FIRST_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
+from tests.teleop.protocol.test_session import MANIFEST, MS, Talk, hello, start_of, started
+
+
+def welcome(to: Packet, now: int, manifest: dict[str, str] = MANIFEST, **told: str) -> Packet:
+    """The answer of a slave whose clock shows `now`."""
+    return Packet(Kind.WELCOME, to.session, 0, now, Echo(to.sent_ns, 0), {**manifest, **told})
+
+
+def asked(data: list[bytes]) -> Packet:
+    (one,) = [packet for each in data if isinstance(packet := decode(each, 1), Packet)]
+    assert one.kind is Kind.HELLO
+    return one
+
+
+# Silence
+
+
+def test_a_master_that_hears_nothing_asks_anew_under_the_next_number_and_both_keep_their_grid() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    before = talk.master.start_ns
+    talk.lost = lambda _packet: True
+    talk.run(2000 * MS + RENEW_NS // 2)
+    assert (talk.master.number, talk.master.meeting) == (7, False)
+    talk.run(2000 * MS + RENEW_NS + 60 * MS)
+    assert (talk.master.number, talk.master.meeting, talk.slave.number) == (8, True, 7)
+    talk.run(8000 * MS)
+    assert (talk.master.number, talk.master.met, talk.slave.met) == (8, 1, 1)  # it goes on asking under that number
+    talk.lost = lambda _packet: False
+    talk.run(9000 * MS)
+    assert (talk.master.number, talk.slave.number) == (8, 8)
+    assert (talk.master.met, talk.slave.met) == (2, 2)
+    assert talk.master.start_ns == talk.slave.start_ns == before
+    assert not talk.master.joined
+    assert not talk.slave.joined
+
+
+@pytest.mark.parametrize("leaves", ["master", "slave"])
+def test_who_leaves_while_the_master_asks_anew_is_heard(leaves: str) -> None:
+    """The master is under the next number already, the slave still under the one before."""
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.lost = lambda _packet: True
+    talk.run(2000 * MS + RENEW_NS + 60 * MS)
+    assert (talk.master.meeting, talk.master.number, talk.slave.number) == (True, 8, 7)
+    gone, left = (talk.master, talk.slave) if leaves == "master" else (talk.slave, talk.master)
+    for data in gone.bye("the bus is gone", talk.now):
+        packet = decode(data, 1)
+        assert isinstance(packet, Packet)
+        left.receive(packet, talk.now)
+    assert left.farewell == "the bus is gone"
+
+
+def test_a_farewell_of_a_session_long_gone_is_not_heard() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.messages = False
+    talk.run(5000 * MS)
+    talk.messages = True
+    talk.run(6000 * MS)
+    assert (talk.master.number, talk.master.meeting) == (8, False)
+    talk.master.receive(Packet(Kind.BYE, 7, 0, 0, None, "of before"), talk.now)
+    assert talk.master.farewell is None
+
+
+def test_the_number_after_the_last_is_zero() -> None:
+    talk = Talk(Session(master=True, manifest=MANIFEST, number=2**64 - 1))
+    talk.run(1000 * MS)
+    assert talk.slave.number == 2**64 - 1
+    talk.messages = False
+    talk.run(3000 * MS)
+    assert talk.master.number == talk.slave.number == 0
+    assert talk.slave.met == 2
+
+
+def test_a_session_that_goes_by_packets_is_never_renewed() -> None:
+    talk = Talk(Session(master=True, manifest=MANIFEST, number=7, heals=False),
+                Session(master=False, manifest=MANIFEST, heals=False), messages=False)
+    talk.run(10_000 * MS)
+    assert (talk.master.number, talk.master.met) == (7, 1)
+    assert talk.slave.receive(hello(8), talk.now) == []
+
+
+def test_a_session_without_any_message_has_twice_the_time_of_the_one_before_for_the_link_may_be_that_long() -> None:
+    talk = Talk(messages=False, there=5 * MS, back=5 * MS)
+    began: list[int] = []
+    for _ in range(600):
+        talk.run(talk.now + 100 * MS)
+        if talk.master.met > len(began):
+            began.append(talk.now)
+    patience = [b - a for a, b in pairwise(began)]
+    assert patience[0] == pytest.approx(FIRST_NS, abs=500 * MS)
+    assert all(b == pytest.approx(2 * a, rel=0.2) for a, b in pairwise(patience))
+    talk.master.data_came(talk.now)
+    assert not talk.master.silent(talk.now + RENEW_NS)
+    assert talk.master.silent(talk.now + RENEW_NS + 1)
+
+
+@pytest.mark.parametrize("way", [100, 700, 3000])
+def test_two_ends_meet_and_stay_met_however_long_the_link(way: int) -> None:
+    talk = Talk(there=way * MS, back=way * MS)
+    talk.messages = False
+    heard: list[tuple[int, Session, int | None, bool]] = []
+    reached: dict[bool, int | None] = {}  # by who it is, master or slave: the session of which a message has come to it
+    while talk.now < 120_000 * MS:
+        talk.run(talk.now + 20 * MS)
+        for end, other in ((talk.master, talk.slave), (talk.slave, talk.master)):  # messages are as late as all else
+            if not end.meeting and end.start_ns is not None and talk.now > end.start_ns:
+                heard.append((talk.now + way * MS, other, end.number, reached.get(end.master) == end.number))
+        while heard and heard[0][0] <= talk.now:
+            _, end, number, answers = heard.pop(0)
+            if end.number == number and not end.meeting:
+                end.data_came(talk.now)
+                reached[end.master] = number
+                if answers:
+                    end.answer_came(Echo(end.begun_ns, 0))
+    assert talk.master.number == talk.slave.number
+    met = talk.master.met
+    assert met <= 4
+    assert not talk.master.silent(talk.now)
+
+
+# Whose grid
+
+
+def test_a_master_that_comes_to_a_running_slave_takes_its_grid() -> None:
+    talk = Talk(slave_ahead=-123_456_789)
+    talk.run(2000 * MS)
+    grid = talk.slave.start_ns
+    talk.master = Session(master=True, manifest=MANIFEST, number=1000)
+    talk.run(4000 * MS)
+    assert talk.master.joined
+    assert (talk.slave.number, talk.slave.start_ns, talk.slave.met) == (1000, grid, 2)
+    assert talk.master.start_ns == (grid or 0) - talk.slave_ahead
+
+
+def test_a_slave_that_comes_to_a_running_master_is_told_a_tick_0_that_has_passed() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    grid = talk.master.start_ns
+    talk.slave, talk.slave_ahead = Session(master=False, manifest=MANIFEST), 5 * 10**12  # on another machine
+    talk.run(4000 * MS)
+    assert talk.slave.joined
+    assert not talk.master.joined
+    assert (talk.master.start_ns, talk.slave.start_ns) == (grid, (grid or 0) + talk.slave_ahead)
+
+
+@settings(max_examples=25)
+@given(step=st.integers(-3 * 10**9, 10**10), there=st.integers(0, 60), back=st.integers(0, 60))
+def test_of_two_grids_that_came_apart_the_one_that_is_further_on_counts_for_no_tick_can_be_taken_back(
+    step: int, there: int, back: int
+) -> None:
+    """A force would be held, and nothing computed, for as long as an end waited for its own ticks to come again."""
+    talk = Talk(there=20 * MS, back=20 * MS)
+    talk.run(1000 * MS)
+    before = talk.master.start_ns, talk.slave.start_ns
+    talk.there, talk.back, talk.slave_ahead, talk.messages = there * MS, back * MS, step, False
+    talk.run(3500 * MS - min(0, step))  # a clock that was set back is silent for longer
+    assert talk.slave.met >= 2
+    assert (talk.master.start_ns or 0) <= (before[0] or 0)
+    assert (talk.slave.start_ns or 0) <= (before[1] or 0) + 1
+    apart = (talk.slave.start_ns or 0) - (talk.master.start_ns or 0) - step
+    assert abs(apart) <= (there + back + 4) * MS // 2  # the uncertainty of the clock offset
+
+
+# What waited
+
+
+def test_answers_to_what_waited_at_a_slave_that_stood_still_are_no_measurement() -> None:
+    """They were stamped when they came, and sent seconds later: half of that would be the error of the offset."""
+    master = Session(master=True, manifest=MANIFEST, number=7)
+    asked_at = [asked(master.due(i * 50 * MS)) for i in range(100)]
+    now = 5000 * MS
+    replies: list[bytes] = []
+    for one in asked_at[-40:] + asked_at[:-40]:  # and out of order
+        replies += master.receive(welcome(one, one.sent_ns + 1000 * MS), now)  # its clock is a second ahead
+    assert master.meeting
+    while master.meeting:
+        one = asked(replies[-1:])
+        now += 10 * MS
+        replies = master.receive(welcome(one, now - 5 * MS + 1000 * MS), now)
+    assert master.rtt_ns == 10 * MS
+    assert master.offset_ns == 1000 * MS
+    assert now < 5000 * MS + 10 * ROUNDS * MS + 1
+
+
+def test_a_link_that_jitters_does_not_keep_them_from_meeting() -> None:
+    from random import Random
+
+    took = []
+    for seed in range(30):
+        dice = Random(seed)
+        master = Session(master=True, manifest=MANIFEST, number=7)
+        replies, now, rounds = master.due(0), 0, 0
+        while master.meeting:
+            now += dice.randrange(200 * MS)
+            rounds += 1
+            replies = master.receive(welcome(asked(replies[-1:]), now), now)
+        took.append(rounds)
+    assert min(took) >= ROUNDS
+    assert max(took) <= 8 * ROUNDS
+
+
+# What is told beside the manifest
+
+
+@pytest.mark.parametrize("text", ["--5", "-", "", "5-", "1e3", "²", "٣", " 4", "9" * 30, "-0", "0", "1001"])
+def test_a_rate_that_is_none_is_read_as_one_and_raises_nothing(text: str) -> None:
+    slave = started(Session(master=False, manifest=MANIFEST), 1, 0, **{EVERY: text})
+    assert slave.peer_every == 1
+    master = Session(master=True, manifest=MANIFEST, number=7)
+    for _ in range(ROUNDS):
+        master.receive(welcome(hello(7)._replace(sent_ns=10), 0, **{EVERY: text}), 10)
+    assert (master.peer_every, master.meeting) == (1, False)
+
+
+@pytest.mark.parametrize("text", ["--5", "x", "9" * 19, "-" + "9" * 18, str(2**61 + 1)])
+def test_a_grid_of_a_clock_that_nobody_has_is_not_joined(text: str) -> None:
+    master = Session(master=True, manifest=MANIFEST, number=7)
+    for _ in range(ROUNDS):
+        replies = master.receive(welcome(hello(7)._replace(sent_ns=10), 0, **{TICK_0: text}), 10)
+    expected = {"-" + "9" * 18: True}.get(text, False)
+    assert master.joined is expected
+    (start,) = [decode(data, 1) for data in replies]
+    assert isinstance(start, Packet), "what it sends can be read"
+    if not expected:
+        assert master.start_ns == 10 + LEAD_NS
+
+
+def test_the_rate_is_that_of_the_master_that_starts_and_not_of_one_that_only_asked() -> None:
+    slave = started(Session(master=False, manifest=MANIFEST), 1, 0, **{EVERY: "2"})
+    assert slave.peer_every == 2
+    later = 2 * RENEW_NS
+    assert slave.receive(hello(2, {**MANIFEST, EVERY: "5"}), later)
+    assert slave.receive(hello(3, {**MANIFEST, EVERY: "7"}), later + 1)
+    assert slave.peer_every == 2
+    slave.receive(start_of(2, later), later)
+    assert slave.peer_every == 5
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 7900) | st.integers(8200, 9000), st.sampled_from([1, 7, MOST_EVERY]), st.booleans())
+def test_no_answer_is_longer_than_its_hello_and_a_manifest_too_long_for_one_is_refused_where_it_is_written(
+    length: int, every: int, running: bool
+) -> None:
+    manifest = {"k": "λ" * (length // 2), "": ""}
+    master = Session(master=True, manifest=manifest, number=2**64 - 1, every=every)
+    if length > 8000:
+        with pytest.raises(ValueError, match="shorten"):
+            master.due(-(2**62))
+        return
+    data = master.due(-(2**62))
+    slave = Session(master=False, manifest=manifest, every=MOST_EVERY)
+    if running:
+        slave.start_ns = -(2**61)
+    got = asked(data)
+    assert len(data[0]) <= MOST_CONTROL
+    (answer,) = slave.receive(got, 2**62, len(data[0]))
+    assert len(answer) <= len(data[0])
+
+
+def test_a_hello_as_short_as_it_can_be_is_answered_with_nothing_longer() -> None:
+    slave = Session(master=False, manifest=MANIFEST)
+    for manifest in (MANIFEST, {}, {"a": "b"}):
+        short = hello(1, manifest)
+        assert slave.receive(short, 0, len(encode(short))) == []
+
+
+# A session that is over for one end
+
+
+@pytest.mark.parametrize("master", [True, False])
+def test_an_end_that_the_other_has_not_heard_for_as_long_as_a_session_lives_is_in_none(master: bool) -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    end = talk.master if master else talk.slave
+    end.data_came(talk.now)
+    end.answer_came(Echo(end.begun_ns, 0))
+    end.answer_came(Echo(talk.now, RENEW_NS))
+    assert not end.mute()
+    end.answer_came(Echo(talk.now, RENEW_NS + 1))
+    assert end.mute()
+    assert "nothing of this end arrived" in str(end.ended)
+    (data,) = end.due(talk.now)
+    packet = decode(data, 1)
+    assert isinstance(packet, Packet)
+    assert (packet.kind, packet.session) == ((Kind.HELLO, 8) if master else (Kind.RENEW, 7))
+    assert end.due(talk.now + 1) == [], "and again after a while"
+
+
+@pytest.mark.parametrize("master", [True, False])
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_session_whose_first_second_was_lost_either_way_is_over_when_something_comes(late: int, master: bool) -> None:
+    """A long link is another thing: over that the first message comes late, and was sent in time."""
+    for answers in (False, True):
+        talk = Talk(messages=False)
+        talk.run(1000 * MS)
+        end = talk.master if master else talk.slave
+        sent, now = end.begun_ns + RENEW_NS + late, end.begun_ns + 2 * RENEW_NS
+        end.data_came(now, end.begun_ns if answers else sent)
+        end.answer_came(Echo(sent if answers else end.begun_ns, 0))
+        assert (end.ended is not None) == bool(late)
+
+
+def test_a_slave_that_asks_for_another_session_has_it_and_its_asking_for_the_one_before_changes_nothing() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.slave.end("the session is over: its end stood still")
+    (asks,) = talk.slave.due(talk.now)
+    packet = decode(asks, 1)
+    assert isinstance(packet, Packet)
+    for _ in range(3):
+        assert talk.master.receive(packet, talk.now) == []
+        assert str(talk.master.ended).startswith("the session is over")
+        talk.master.due(talk.now)
+        assert (talk.master.number, talk.master.meeting) == (8, True)
+    talk.run(talk.now + 500 * MS)
+    assert talk.master.number == talk.slave.number == 8
+    assert talk.master.receive(packet, talk.now) == []
+    assert (talk.master.ended, talk.slave.ended) == (None, None)
+    assert not talk.slave.belongs(packet._replace(session=8), talk.now), "only a slave says it"
+
+
+def test_neither_end_takes_another_session_before_it_has_let_go() -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.master.let_go = talk.slave.let_go = False
+    talk.master.end("the session is over: as a test has it")
+    talk.run(talk.now + 500 * MS)
+    assert not talk.master.meeting
+    talk.master.let_go = True
+    talk.run(talk.now + 500 * MS)
+    assert talk.master.meeting
+    assert str(talk.slave.ended).startswith("the session is over"), "the master's next number tells it"
+    assert talk.slave.number == 7
+    talk.slave.let_go = True
+    talk.run(talk.now + 500 * MS)
+    assert talk.master.number == talk.slave.number == 8
+    assert (talk.master.meeting, talk.slave.ended) == (False, None)
+
+
+def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_twice_the_time_of_one_way() -> None:
+    talk = Talk(messages=False)
+    talk.run(1000 * MS)
+    master = talk.master
+    for now in range(master.begun_ns, master.begun_ns + 2 * FIRST_NS + 1, RENEW_NS // 4):
+        master.data_came(now, now)
+        master.judge(now)
+        assert master.ended is None
+    master.judge(master.begun_ns + 2 * FIRST_NS + 1)
+    assert str(master.ended).endswith("nothing of this end arrives at the other")

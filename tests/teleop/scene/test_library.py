@@ -1,0 +1,164 @@
+"""Where scenes are found: built in, of plug-ins, at a path; and whose packages they get."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import sys
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import teleop.scene.library
+from teleop import Refused, load_scene
+from teleop.__main__ import main
+from teleop.scene.knobs import knobs_of
+from teleop.scene.library import ROOT, beside, built_in_scenes, house, known_scenes, scene_function
+
+
+class TestBuiltIn:
+    def test_scenes_of_the_issue_are_there(self) -> None:
+        assert {
+            "canonical", "free_motion", "hard_wall", "soft_tissue", "jittery_wan", "burst_loss", "blackout",
+            "satellite", "local", "lte",
+        } <= set(built_in_scenes())
+
+    @pytest.mark.parametrize("name", built_in_scenes())
+    def test_scenes_say_what_they_are_and_take_only_keywords(self, name: str) -> None:
+        function = scene_function(name)
+        assert function.__doc__
+        assert function.__doc__.splitlines()[0].endswith(".")
+        assert {"dt", "duration"} <= set(knobs_of(function))
+        if name != "encoder_wall":  # one experiment, with the law that it is about
+            assert {"law", "energy", "observer"} <= set(knobs_of(function))
+
+    @pytest.mark.parametrize("name", ["__init__", "__main__", "_x", "../scenarios/canonical", "a/b", "", "."])
+    def test_nothing_else_in_the_folder_is_a_scene(self, name: str) -> None:
+        with pytest.raises(Refused, match="there is no scene"):
+            scene_function(name)
+
+    def test_names_that_are_close_are_offered(self) -> None:
+        with pytest.raises(Refused, match=r"there is no scene 'canonicle'; did you mean canonical"):
+            scene_function("canonicle")
+
+
+class TestAtAPath:
+    def test_a_users_own_scene_is_loaded_with_its_knobs(self, tmp_path: Path) -> None:
+        source = (ROOT / "scenarios" / "canonical.py").read_text()
+        (tmp_path / "my own.py").write_text(source)
+        scene = load_scene(str(tmp_path / "my own.py"), delay=0.2)
+        assert scene.name == "my own"
+        assert scene.knobs["delay"] == 0.2
+
+    def test_two_files_of_one_name_are_two_scenes(self, tmp_path: Path) -> None:
+        for k, folder in enumerate("ab", start=1):
+            (tmp_path / folder).mkdir()
+            (tmp_path / folder / "same.py").write_text(f"def scene(*, k: float = {k}.0): ...\n")
+        for k, folder in enumerate("ab", start=1):
+            assert knobs_of(scene_function(str(tmp_path / folder / "same.py"))) == {"k": (float, float(k))}
+
+    @pytest.mark.parametrize(("text", "words"), [
+        ("def scene(:", "SyntaxError"), ("import nonsense_of_mine", "nonsense_of_mine"), ("1 / 0", "ZeroDivision"),
+        ("", "no function called `scene`"), ("scene = 3", "no function called `scene`"),
+    ])
+    def test_a_file_that_is_none_is_refused(self, tmp_path: Path, text: str, words: str) -> None:
+        (tmp_path / "mine.py").write_text(text)
+        with pytest.raises(Refused, match=words):
+            scene_function(str(tmp_path / "mine.py"))
+
+    def test_a_file_that_is_not_there_is_refused(self, tmp_path: Path) -> None:
+        with pytest.raises(Refused, match="there is no file"):
+            scene_function(str(tmp_path / "mine.py"))
+
+
+class TestOfPlugIns:
+    def test_scenes_are_known_without_being_imported_and_loaded_by_name(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        module = types.ModuleType("plugged_in")
+        module.scene = load_scene  # type: ignore[attr-defined]
+        entry = importlib.metadata.EntryPoint("theirs", "plugged_in", "teleop.scenes")
+        monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: [entry])
+        assert "theirs" in known_scenes()
+        with pytest.raises(ModuleNotFoundError):
+            scene_function("theirs")
+        monkeypatch.setitem(sys.modules, "plugged_in", module)
+        assert scene_function("theirs") is load_scene
+
+
+class TestTheHouse:
+    def test_is_found_beside_teleop(self) -> None:
+        assert Path(house("channel.delay").__file__).is_relative_to(ROOT)
+
+    def test_is_not_taken_from_elsewhere(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        stranger = types.ModuleType("slave")
+        stranger.__file__ = str(tmp_path / "slave.py")
+        monkeypatch.setitem(sys.modules, "slave", stranger)
+        with pytest.raises(Refused, match=r"'slave' was taken from .*slave.py"):
+            house("slave.wall")
+        with pytest.raises(Refused, match="was taken from"):
+            scene_function("canonical")
+
+
+class TestBesideAScenesFile:
+    """A scene said "No module named 'law_mine'" of the file beside it, under `teleop run` alone."""
+
+    @pytest.fixture(autouse=True)
+    def _as_before(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+        monkeypatch.setattr(sys, "path", [each for each in sys.path if each not in teleop.scene.library._FOLDERS])
+        monkeypatch.setattr(teleop.scene.library, "_FOLDERS", [])
+        before = set(sys.modules)
+        yield
+        for name in set(sys.modules) - before:
+            del sys.modules[name]
+
+    @staticmethod
+    def written(folder: Path, k: float, module: str = "law_mine", scene: str = "mine") -> str:
+        folder.mkdir(exist_ok=True)
+        (folder / f"{module}.py").write_text(f"K = {k}\n")
+        (folder / f"{scene}.py").write_text(f"from {module} import K\n\ndef scene(*, k: float = K): ...\n")
+        return str(folder / f"{scene}.py")
+
+    def test_a_module_is_imported(self, tmp_path: Path) -> None:
+        assert knobs_of(scene_function(self.written(tmp_path, 3.0))) == {"k": (float, 3.0)}
+
+    def test_a_module_is_imported_when_the_scene_is_made(self, tmp_path: Path) -> None:
+        (tmp_path / "late_one.py").write_text("K = 4.0\n")
+        (tmp_path / "mine.py").write_text("def scene():\n    import late_one\n    return late_one.K\n")
+        function: Any = scene_function(str(tmp_path / "mine.py"))
+        assert function() == 4.0
+
+    def test_what_is_installed_stays_what_it_is(self, tmp_path: Path) -> None:
+        (tmp_path / "colorsys.py").write_text("raise AssertionError\n")
+        (tmp_path / "mine.py").write_text("import colorsys\ndef scene(*, k: float = colorsys.ONE_THIRD): ...\n")
+        scene_function(str(tmp_path / "mine.py"))
+        assert sys.path[-1] == str(tmp_path)
+
+    def test_of_two_scenes_each_has_its_own(self, tmp_path: Path) -> None:
+        for k, folder in enumerate(("a", "b"), start=1):
+            (tmp_path / folder).mkdir()
+            (tmp_path / folder / "other.py").write_text("")  # in a's folder too, where nobody asks for it
+            path = self.written(tmp_path / folder, float(k), module="other" if folder == "b" else "one")
+            assert knobs_of(scene_function(path)) == {"k": (float, float(k))}
+
+    def test_of_two_scenes_none_is_given_the_other_ones_module(self, tmp_path: Path) -> None:
+        scene_function(self.written(tmp_path / "a", 1.0))
+        with pytest.raises(Refused, match=r"b/mine\.py imports law_mine, and .*a/law_mine\.py has been imported"):
+            scene_function(self.written(tmp_path / "b", 2.0))
+
+    def test_it_is_found_whatever_imports_it(self, tmp_path: Path) -> None:
+        path = self.written(tmp_path, 1.0)
+        (tmp_path / "law_mine.py").write_text("import package, json, gone\nfrom . import nothing\n")
+        (tmp_path / "package").mkdir()
+        (tmp_path / "package" / "__init__.py").write_text("import law_mine\n")
+        assert beside(Path(path)) == {
+            "law_mine": tmp_path / "law_mine.py", "package": tmp_path / "package" / "__init__.py"}
+
+    def test_the_command_runs_it(self, tmp_path: Path) -> None:
+        text, law = (ROOT / "scenarios" / "hard_wall.py").read_text(), ROOT / "teleop" / "laws" / "direct.py"
+        (tmp_path / "law_mine.py").write_text(law.read_text())
+        text = text.replace("from teleop.laws.wave import Wave", "from law_mine import Direct")
+        (tmp_path / "mine.py").write_text(text.replace("Wave()", "Direct()"))
+        assert main(["run", str(tmp_path / "mine.py"), "--set", "duration=0.1", "--out", str(tmp_path / "out")]) == 0

@@ -1,0 +1,152 @@
+"""Figures of a run, on traces made by hand whose answers can be seen."""
+
+from __future__ import annotations
+
+from math import inf, nan, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop.laws.direct import Direct
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene, load_scene
+from teleop.simulation.metrics import MEANING, UNITS, metrics
+from teleop.simulation.virtual import run
+
+SCENE = Scene(law=Direct(), master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), dt=1e-3, duration=1.0)
+N = 100
+
+
+def trace(**columns: Any) -> dict[str, Any]:
+    """A trace of N ticks at rest, some columns replaced."""
+    rest = {name: np.zeros(N) for name in ("x_m", "v_m", "f_m", "x_s", "v_s", "f_s", "f_h", "f_env")}
+    return {"t": np.arange(N) * 1e-3, **rest, **columns}
+
+
+def later(column: np.ndarray, ticks: int) -> np.ndarray:
+    """`column` as it is seen `ticks` ticks later, NaN before: what must not be looked at."""
+    return np.concatenate([np.full(ticks, nan), column[: len(column) - ticks]])
+
+
+def played(age: int) -> np.ndarray:
+    """The packets of a constant delay of `age` ticks."""
+    seq = np.arange(N) - age
+    return np.where(seq >= 0, seq, -1)
+
+
+WAVY = np.sin(0.3 * np.arange(N)) + 0.01 * np.arange(N)
+
+
+@pytest.mark.parametrize("age", [1, 7, 50])
+def test_tracking_is_judged_against_the_master_as_it_was_a_forward_delay_ago(age: int) -> None:
+    got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, age), seq_s=played(age), seq_m=played(3)))
+    assert got["x_err_rms"] == got["x_err_max"] == 0.0
+    got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, age) + 0.25, seq_s=played(age), seq_m=played(3)))
+    assert got["x_err_rms"] == pytest.approx(0.25)
+    assert got["x_err_max"] == pytest.approx(0.25)
+
+
+def test_the_force_felt_is_judged_against_the_force_touched_a_backward_delay_ago() -> None:
+    got = metrics(SCENE, trace(f_env=WAVY, f_m=later(WAVY, 9), seq_m=played(9), seq_s=played(2)))
+    assert got["f_err_rms"] == 0.0
+
+
+def test_without_a_link_the_delay_is_one_tick() -> None:
+    got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, 1), f_env=WAVY, f_m=later(WAVY, 1)))
+    assert got["x_err_max"] == got["f_err_max"] == 0.0
+    assert not [name for name in got if name.startswith(("T_", "fresh_"))]
+
+
+def test_after_hours_the_delay_is_still_whole_ticks() -> None:
+    """At 40,000 s the last digit of t is 7e-12 s."""
+    t = np.arange(40_000_000, 40_000_000 + N) / 1e3
+    seq = np.where(played(7) >= 0, played(7) + 40_000_000, -1)
+    got = metrics(SCENE, trace(t=t, x_m=WAVY, x_s=later(WAVY, 7), seq_s=seq, seq_m=seq))
+    assert got["x_err_max"] == 0.0
+    assert got["T_fwd_max"] == pytest.approx(7e-3)
+
+
+def test_ticks_that_a_live_end_skipped_are_no_error() -> None:
+    """Tick 50 to 59 are missing; where the tick a delay ago is missing, the last one before it is looked at."""
+    keep = np.r_[0:50, 60:N]
+    still = np.ones(N)
+    columns = trace(x_m=still, x_s=later(still, 7), seq_s=played(7), seq_m=played(7))
+    got = metrics(SCENE, {name: column[keep] for name, column in columns.items()})
+    assert got["x_err_max"] == 0.0
+    ramp = np.arange(N) * 1.0
+    columns = trace(x_m=ramp, x_s=later(ramp, 7), seq_s=played(7), seq_m=played(7))
+    got = metrics(SCENE, {name: column[keep] for name, column in columns.items()})
+    assert got["x_err_max"] == 10.0  # tick 66 should see 59 and sees 49
+    assert got["T_fwd_max"] == pytest.approx(7e-3)
+
+
+def test_rms_and_maximum_of_a_known_error() -> None:
+    x_s = np.where(np.arange(N) % 2, 0.3, -0.1)
+    got = metrics(SCENE, trace(x_s=x_s, x_m=np.zeros(N), seq_s=played(10), seq_m=played(10)))
+    assert got["x_err_rms"] == pytest.approx(sqrt((0.09 + 0.01) / 2.0))
+    assert got["x_err_max"] == pytest.approx(0.3)
+
+
+def test_in_three_axes_sizes_are_lengths() -> None:
+    along = np.tile([3.0, 0.0, -4.0], (N, 1))
+    zero = np.zeros((N, 3))
+    got = metrics(SCENE, trace(**dict.fromkeys(("x_m", "f_m", "f_h", "f_s", "f_env"), zero) | {"x_s": along}))
+    assert got["x_err_rms"] == got["x_err_max"] == 5.0
+    got = metrics(SCENE, trace(**dict.fromkeys(("x_m", "x_s", "f_m", "f_h", "f_s", "f_env"), along)))
+    assert got["f_m_max"] == got["f_s_max"] == got["f_h_max"] == got["f_env_max"] == 5.0
+
+
+def test_ages_and_freshness_of_the_messages_that_were_played() -> None:
+    """Every second tick plays the packet of 4 ticks ago, and once one of 10 ticks ago."""
+    seq = np.where(np.arange(N) % 2 == 0, np.arange(N) - 4, -1)
+    seq[:4] = -1
+    seq[40] = 30
+    got = metrics(SCENE, trace(seq_s=seq, seq_m=np.full(N, -1)))
+    assert got["fresh_fwd"] == pytest.approx(48 / N)
+    assert got["T_fwd_max"] == pytest.approx(0.010)
+    assert got["T_fwd_mean"] == pytest.approx((47 * 4 + 10) / 48 * 1e-3)
+    assert got["fresh_bwd"] == 0.0
+    assert "T_bwd_mean" not in got
+
+
+def test_the_least_and_the_last_of_each_ledger() -> None:
+    ledger = np.array([0.0, 2.0, -1.0, *[0.5] * (N - 3)])
+    got = metrics(SCENE, trace(E_link=ledger, E_port=2.0 * ledger))
+    assert (got["E_link_min"], got["E_link_end"], got["E_port_min"], got["E_port_end"]) == (-1.0, 0.5, -2.0, 1.0)
+
+
+def test_energy_received_is_compared_with_the_stamp_of_the_packet_it_came_with() -> None:
+    """The sender put in 1 J a tick; a receiver that took out 3 J more than it knew of is seen."""
+    sent = np.arange(1.0, N + 1.0)
+    seq = played(5)
+    honest = np.where(seq >= 0, seq + 1.0, 0.0)
+    got = metrics(SCENE, trace(seq_s=seq, seq_m=seq, E_in_fwd=sent, E_out_fwd=honest, E_in_bwd=sent, E_out_bwd=honest))
+    assert got["E_fwd_min"] == got["E_bwd_min"] == 0.0
+    greedy = honest + 3.0 * (np.arange(N) == 60)
+    got = metrics(SCENE, trace(seq_s=seq, seq_m=seq, E_in_fwd=sent, E_out_fwd=greedy, E_in_bwd=sent, E_out_bwd=honest))
+    assert (got["E_fwd_min"], got["E_bwd_min"]) == (-3.0, 0.0)
+
+
+def test_the_watchdogs_least_gain() -> None:
+    got = metrics(SCENE, trace(g_m=np.linspace(1.0, 0.2, N), g_s=np.ones(N)))
+    assert (got["g_m_min"], got["g_s_min"]) == (0.2, 1.0)
+
+
+@pytest.mark.parametrize("bad", [nan, inf])
+def test_a_figure_that_is_no_finite_number_is_left_out(bad: float) -> None:
+    x_s = np.zeros(N)
+    x_s[-1] = bad
+    got = metrics(SCENE, trace(x_s=x_s, seq_s=played(2), seq_m=played(2)))
+    assert "x_err_rms" not in got
+    assert "x_err_max" not in got
+    assert got["f_err_max"] == 0.0
+
+
+def test_a_run_without_ticks_has_no_figures() -> None:
+    assert metrics(SCENE, {name: column[:0] for name, column in trace().items()}) == {}
+
+
+def test_every_figure_has_a_unit() -> None:
+    assert set(run(load_scene("canonical", duration=0.3)).metrics) <= set(UNITS)
+    assert set(MEANING) <= set(UNITS)

@@ -1,0 +1,233 @@
+"""The watchdog's ramp, the cap and the slew limit: what they promise, tick by tick and in whole runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from math import ceil, inf, isnan, nan
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from channel.blackout import Blackout
+from channel.delay import Delay
+from teleop.errors import Refused
+from teleop.laws.direct import Direct
+from teleop.scene.scene import load_scene
+from teleop.simulation.virtual import run
+from teleop.stages.safety import Cap, Watchdog, cap, watch
+
+DTS = (1e-4, 1e-3, 0.003, 0.01)
+
+
+def gains(dog: Watchdog, dt: float, silences: list[int]) -> list[float]:
+    """The watchdog's gain at each of the ticks, from 1."""
+    c, g, calm, out = dog.limits(dt), 1.0, inf, []
+    for silent in silences:
+        g, calm = watch(c, g, calm, silent)
+        out.append(g)
+    return out
+
+
+def silences_of(packets: Iterable[int], count: int) -> list[int]:
+    """Ticks since the last packet at each of `count` ticks, of packets that came at these."""
+    out, last, came = [], -1, set(packets)
+    for k in range(count):
+        last = k if k in came else last
+        out.append(k - last)
+    return out
+
+
+@pytest.mark.parametrize("dt", DTS)
+@given(patience=st.integers(1, 300))
+def test_a_timeout_of_n_ticks_is_n_ticks_whatever_rounding_makes_of_the_division(dt: float, patience: int) -> None:
+    dog = Watchdog(timeout=patience * dt, ramp=0.0)
+    assert gains(dog, dt, [patience]) == [1.0]
+    assert gains(dog, dt, [patience + 1]) == [0.0]
+
+
+@pytest.mark.parametrize("dt", DTS)
+@pytest.mark.parametrize("ramp", [0.01, 0.05, 0.3])
+def test_the_force_ramps_to_zero_in_the_ramps_time_and_back_in_the_same(dt: float, ramp: float) -> None:
+    patience, count = round(0.02 / dt), ceil(ramp / dt - 1e-9)
+    got = gains(Watchdog(timeout=0.02, ramp=ramp, settle=0.0), dt, [*range(1, patience + count + 2), *[0] * count])
+    ramped = [min(1.0, k * dt / ramp) for k in range(1, count + 1)]
+    assert got[:patience] == [1.0] * patience
+    assert got[patience:] == pytest.approx([*(1.0 - part for part in ramped), 0.0, *ramped], abs=1e-9)
+    assert got[patience + count] == 0.0
+
+
+@given(silences=st.lists(st.integers(0, 60), max_size=80), timeout=st.floats(1e-3, 0.05), ramp=st.floats(0.0, 0.1),
+       settle=st.floats(0.0, 0.05))
+def test_the_gain_stays_between_0_and_1_and_changes_by_a_step_at_most(
+    silences: list[int], timeout: float, ramp: float, settle: float
+) -> None:
+    dog = Watchdog(timeout=timeout, ramp=ramp, settle=settle)
+    step, before = dog.limits(1e-3).step, 1.0
+    for g in gains(dog, 1e-3, silences):
+        assert 0.0 <= g <= 1.0
+        assert abs(g - before) <= step * (1.0 + 1e-12)
+        before = g
+
+
+def test_a_ramp_of_nothing_is_a_switch() -> None:
+    dog = Watchdog(timeout=0.003, ramp=0.0, settle=0.0)
+    assert gains(dog, 1e-3, [1, 2, 3, 4, 5, 0, 1]) == [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]
+
+
+# Leaving the safe state
+
+
+@given(packets=st.sets(st.integers(0, 150)), patience=st.integers(1, 8), wait=st.integers(0, 20),
+       ramp=st.integers(0, 9))
+@settings(max_examples=300)
+def test_after_a_silence_the_gain_rises_when_packets_that_were_never_far_apart_span_the_time(
+    packets: set[int], patience: int, wait: int, ramp: int
+) -> None:
+    dt, before = 1e-3, 1.0
+    silences = silences_of(packets, 160)
+    got = gains(Watchdog(timeout=patience * dt, ramp=ramp * dt, settle=wait * dt), dt, silences)
+    for k, g in enumerate(got):
+        silent = [i for i in range(k + 1) if silences[i] > patience]
+        since = sorted(i for i in packets if silent and silent[-1] < i <= k)
+        fine = not silent or (bool(since) and since[-1] - since[0] >= wait)
+        step = 1.0 / ramp if ramp else 1.0
+        assert g == pytest.approx(min(1.0, before + step) if fine else max(0.0, before - step), abs=1e-12)
+        before = g
+
+
+@pytest.mark.parametrize("timeout", [0.01, 0.2, 1.0])
+@given(settle=st.floats(1e-3, 0.5), late=st.integers(1500, 2500))
+@settings(max_examples=50)
+def test_a_single_late_packet_lifts_nothing_however_short_the_time_is(timeout: float, settle: float, late: int) -> None:
+    got = gains(Watchdog(timeout=timeout, settle=settle), 1e-3, silences_of([late], 4000))
+    assert not any(got[1300:])
+
+
+def test_packets_that_come_a_little_too_seldom_lift_nothing_and_just_often_enough_they_do() -> None:
+    dog = Watchdog(timeout=0.02, ramp=0.0, settle=0.1)
+    assert not any(gains(dog, 1e-3, silences_of(range(200, 2000, 22), 2000))[21:])  # 21 ticks without
+    got = gains(dog, 1e-3, silences_of(range(200, 2000, 20), 2000))
+    assert not any(got[21:300])
+    assert all(got[300:])
+
+
+@pytest.mark.parametrize("dt", DTS)
+@given(wait=st.integers(1, 300))
+def test_a_time_of_n_ticks_is_n_ticks_from_the_first_packet_on(dt: float, wait: int) -> None:
+    dog = Watchdog(timeout=2.0 * dt, ramp=0.0, settle=wait * dt)
+    got = gains(dog, dt, [1, 2, 3, *[0] * (wait + 1)])
+    assert got == [1.0, 1.0, *[0.0] * (wait + 1), 1.0]
+
+
+def test_packets_that_come_back_within_the_ramp_do_not_stop_it_before_their_time() -> None:
+    dog = Watchdog(timeout=0.002, ramp=0.01, settle=0.005)
+    got = gains(dog, 1e-3, [1, 2, 3, 4, *[0] * 8])
+    assert got == pytest.approx([1.0, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.4, 0.5, 0.6])
+
+
+def test_a_run_that_was_never_silent_waits_for_nothing() -> None:
+    assert gains(Watchdog(timeout=0.01, settle=10.0), 1e-3, [0, 1] * 50) == [1.0] * 100
+
+
+numbers = st.floats(-1e6, 1e6)
+
+
+@given(f_max=st.floats(0.0, 1e3), slew=st.one_of(st.none(), st.floats(1e-3, 1e6)), asked=st.lists(numbers, max_size=50))
+def test_what_is_held_is_within_the_cap_and_one_slew_of_what_was_held(
+    f_max: float, slew: float | None, asked: list[float]
+) -> None:
+    limits, held = Cap(f_max=f_max, slew=slew).limits(1e-3), 0.0
+    for f in asked:
+        now = cap(limits, f, held)
+        assert abs(now) <= f_max
+        if slew is not None:
+            assert abs(now - held) <= slew * 1e-3 * (1.0 + 1e-9)
+        held = now
+
+
+@given(f_max=st.floats(0.0, 1e3), slew=st.floats(1.0, 1e6), held=numbers)
+def test_a_force_within_both_is_left_alone_bit_for_bit(f_max: float, slew: float, held: float) -> None:
+    held = min(max(held, -f_max), f_max)
+    assert cap(Cap(f_max=f_max, slew=slew).limits(1e-3), held, held) == held
+    assert cap(Cap(f_max=f_max).limits(1e-3), held, -held) == held
+
+
+def test_it_is_the_nearest_force_within_both() -> None:
+    limits = Cap(f_max=5.0, slew=1000.0).limits(1e-3)  # 1 N a tick
+    assert cap(limits, 9.0, 4.5) == 5.0
+    assert cap(limits, 9.0, 3.0) == 4.0
+    assert cap(limits, -9.0, 3.0) == 2.0
+    assert cap(limits, -9.0, -4.5) == -5.0
+    assert cap(Cap(f_max=5.0).limits(1e-3), inf, 0.0) == 5.0
+
+
+@pytest.mark.parametrize("limits", [Cap(f_max=5.0).limits(1e-3), Cap(f_max=5.0, slew=10.0).limits(1e-3)])
+def test_not_a_number_stays_to_be_seen(limits: tuple[float, float]) -> None:
+    assert isnan(cap(limits, nan, 1.0))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("make", "name"), [
+    (lambda: Watchdog(timeout=0.0), "timeout"), (lambda: Watchdog(ramp=-1.0), "ramp"),
+    (lambda: Watchdog(timeout=nan), "timeout"), (lambda: Cap(f_max=-1.0), "f_max"),
+    (lambda: Cap(f_max=1.0, slew=0.0), "slew"), (lambda: Cap(f_max=inf), "f_max"),
+    (lambda: Watchdog(settle=-0.1), "settle"), (lambda: Watchdog(settle=inf), "settle"),
+    (lambda: Cap(f_max=1.0, v_max=0.0), "v_max"), (lambda: Cap(f_max=1.0, v_max=nan), "v_max"),
+    (lambda: Cap(f_max=1.0, power=0.0), "power"), (lambda: Cap(f_max=1.0, power=-1.0), "power"),
+])
+def test_senseless_limits_are_refused(make: object, name: str) -> None:
+    with pytest.raises(Refused, match=name):
+        make()  # type: ignore[operator]
+
+
+# Whole runs
+
+
+def test_in_a_run_the_forces_of_both_ends_keep_to_the_cap() -> None:
+    free = run(load_scene("canonical", duration=1.0)).trace
+    assert np.abs(free["f_s"]).max() > 2.0
+    scene = replace(load_scene("canonical", duration=1.0), cap=Cap(f_max=1.5, slew=100.0))
+    trace = run(scene).trace
+    for name in ("f_m", "f_s"):
+        f = trace[name]
+        assert np.abs(f).max() <= 1.5
+        assert np.abs(np.diff(f, prepend=0.0)).max() <= 0.1 * (1.0 + 1e-9)
+    assert np.abs(trace["f_s"]).max() == 1.5
+
+
+def test_a_cap_that_is_never_reached_changes_nothing() -> None:
+    scene = load_scene("canonical", duration=1.0)
+    free, capped = run(scene).trace, run(replace(scene, cap=Cap(f_max=1e6))).trace
+    assert all(np.array_equal(free[name], capped[name]) for name in free)
+
+
+@pytest.mark.parametrize("wait", [0, 40, 200])
+def test_in_a_run_the_watchdog_lets_go_in_a_blackout_and_takes_hold_again(wait: int) -> None:
+    dog = Watchdog(timeout=0.1, ramp=0.05, settle=wait * 1e-3)
+    scene = replace(load_scene("canonical", duration=2.0, law=Direct(K=200.0, B=5.0)), watchdog=dog,
+                    link=Delay(0.05) | Blackout(start=0.75, duration=0.5))
+    trace = run(scene).trace
+    for e in ("m", "s"):
+        g, played = trace[f"g_{e}"], trace[f"seq_{e}"]
+        last = int(np.flatnonzero(played == played[:1000].max())[0])
+        again = int(np.flatnonzero(played[last + 1:] >= 0)[0]) + last + 1
+        assert (g[: last + 101] == 1.0).all()  # the link is slower than nothing, but quicker than the timeout
+        assert g[last + 101] < 1.0
+        assert (g[last + 151: again + wait] == 0.0).all()
+        assert not trace[f"f_{e}"][last + 151: again + wait].any()
+        assert g[again + wait] > 0.0
+        assert (g[again + wait + 51:] == 1.0).all()
+    assert (trace["g_m"][:50] == 1.0).all()
+
+
+def test_over_a_link_slower_than_the_timeout_the_first_thing_is_a_ramp() -> None:
+    dog = Watchdog(timeout=0.1, ramp=0.0, settle=0.1)
+    scene = load_scene("canonical", duration=0.5, delay=0.2)
+    g = run(replace(scene, watchdog=dog)).trace["g_s"]
+    assert (g[:100] == 1.0).all()
+    assert (g[100:300] == 0.0).all()
+    assert (g[300:] == 1.0).all()
+    on_time = run(replace(scene, watchdog=Watchdog(timeout=0.2, ramp=0.0))).trace["g_s"]
+    assert (on_time == 1.0).all()

@@ -1,0 +1,178 @@
+"""The cache of compiled kernels holds pickles: what another user may have put there is never opened."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop.scene.library import ROOT
+from teleop.sweeps.kernels import cache_folder as kept
+from teleop.sweeps.kernels.cache_folder import KernelsNotKept, made_private, open_to_others, tell_once
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owner there")
+KERNELS = "bilateral-teleop/kernels"
+
+
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A folder that other users may enter, as they may not those of `tmp_path`."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+def made(folder: Path) -> Path:
+    """A cache folder with a kernel, as this package makes it."""
+    made_private(folder / KERNELS)
+    (folder / KERNELS / "teleop_kernel_1.py").write_text("")
+    return folder / KERNELS
+
+
+def of_another_user(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let `path` belong to a user who is neither this one nor root."""
+    if os.geteuid() == 0:
+        os.chown(path, 12345, -1, follow_symlinks=False)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: 12345)
+
+
+class TestAFolder:
+    def test_of_ones_own_is_private_from_the_start_and_is_made_use_of(self, place: Path) -> None:
+        kernels = made(place)
+        assert [stat.S_IMODE(each.stat().st_mode) for each in (kernels, kernels.parent)] == [0o700, 0o700]
+        assert open_to_others(kernels, "teleop_kernel_") is None
+
+    @pytest.mark.parametrize("mode", [0o777, 0o775, 0o757, 0o1777])
+    def test_that_others_may_write_to_is_not(self, mode: int, place: Path) -> None:
+        kernels = made(place)
+        kernels.parent.chmod(0o755)
+        kernels.chmod(mode)
+        assert f"others may write to {kernels} (mode {mode:o})" in str(open_to_others(kernels))
+
+    def test_below_one_that_others_may_write_to_is_not(self, place: Path) -> None:
+        kernels = made(place / "cache")
+        (place / "cache").chmod(0o777)
+        assert f"others may write to {place / 'cache'}" in str(open_to_others(kernels))
+
+    def test_below_one_where_only_owners_remove_is_made_use_of(self, place: Path) -> None:
+        kernels = made(place / "cache")
+        (place / "cache").chmod(0o1777)
+        assert open_to_others(kernels, "teleop_kernel_") is None
+
+    def test_that_no_other_user_may_enter_is_made_use_of_whatever_a_wide_umask_left_in_it(self, place: Path) -> None:
+        kernels = made(place)
+        kernels.chmod(0o775)
+        (kernels / "teleop_kernel_1.py").chmod(0o664)
+        assert kernels.parent.stat().st_mode & 0o077 == 0
+        assert open_to_others(kernels, "teleop_kernel_") is None
+
+    @pytest.mark.parametrize("which", [".", "..", "teleop_kernel_1.py"])
+    def test_of_another_user_or_with_a_file_of_theirs_is_not(
+        self, which: str, place: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        kernels = made(place)
+        of_another_user((kernels / which).resolve(), monkeypatch)
+        assert "belongs to another user" in str(open_to_others(kernels, "teleop_kernel_"))
+
+    def test_with_a_file_that_others_may_write_to_or_that_is_a_link_is_not(self, place: Path) -> None:
+        kernels = made(place)
+        for each in (kernels, kernels.parent):
+            each.chmod(0o755)
+        (kernels / "teleop_kernel_1.py").chmod(0o666)
+        assert "others may write to" in str(open_to_others(kernels, "teleop_kernel_"))
+        (kernels / "teleop_kernel_1.py").unlink()
+        (kernels / "teleop_kernel_1.py").symlink_to("/etc/hostname")
+        assert "is a link" in str(open_to_others(kernels, "teleop_kernel_"))
+
+    def test_that_a_link_leads_to_is_looked_at_where_it_is_and_where_the_link_is(self, place: Path) -> None:
+        made(place / "real")
+        (place / "open").mkdir()
+        (place / "open" / "cache").symlink_to(place / "real")
+        through = place / "open" / "cache" / KERNELS
+        assert open_to_others(through) is None
+        (place / "open").chmod(0o777)
+        assert f"others may write to {place / 'open'}" in str(open_to_others(through))
+        (place / "open").chmod(0o755)
+        (place / "real").chmod(0o777)
+        assert f"others may write to {place / 'open' / 'cache'}" in str(open_to_others(through))
+        assert f"others may write to {place / 'real'}" in str(open_to_others(place / "real" / KERNELS))
+
+
+def test_that_kernels_are_not_kept_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept, "_told", set())
+    with pytest.warns(KernelsNotKept, match="each process compiles its own: because"):
+        tell_once("because")
+    with warnings.catch_warnings(record=True) as told:
+        tell_once("because")
+    assert told == []
+
+
+class Payload:
+    """A pickle that makes a file when it is opened."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.path,)
+
+
+class TestASweep:
+    @pytest.fixture
+    def swept(self, place: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+        """`swept(OUT)`: run a small sweep by compiled code, whose cache is `cache` there."""
+        pytest.importorskip("numba")
+
+        def run(out: str, **env: str) -> subprocess.CompletedProcess[str]:
+            return subprocess.run(
+                [sys.executable, "-m", "scenarios", "sweep", "canonical", "--grid", "k_e=1e3,2e3", "--set",
+                 "duration=0.05", "--engine", "scalar", "--json", "--out", out], cwd=place, capture_output=True,
+                text=True, check=False,
+                env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(place / "cache"), **env})
+
+        return run
+
+    def test_opens_no_pickle_of_a_cache_that_others_may_write_to_and_says_so_once(
+        self, swept: Callable[..., subprocess.CompletedProcess[str]], place: Path
+    ) -> None:
+        own = swept("own")
+        assert (own.returncode, own.stderr) == (0, "")
+        indexes = list((place / "cache").rglob("*.nbi"))
+        assert indexes
+        for index in indexes:
+            index.write_bytes(pickle.dumps(Payload(place / "opened")))
+        swept("control")
+        assert (place / "opened").exists()  # so it goes with a cache that is trusted
+        (place / "opened").unlink()
+        for index in indexes:
+            index.write_bytes(pickle.dumps(Payload(place / "opened")))
+        (place / "cache").chmod(0o777)
+        other = swept("other")
+        assert not (place / "opened").exists()
+        assert other.returncode == 0
+        assert other.stderr.startswith("teleop: compiled kernels are not kept")
+        assert other.stderr.count("\n") == 1
+        rows = [sorted((place / out / "rows.jsonl").read_bytes().splitlines()) for out in ("own", "other")]
+        assert rows[0] == rows[1]
+
+    def test_takes_no_pickle_from_where_a_file_beside_it_has_numba_keep_them(
+        self, swept: Callable[..., subprocess.CompletedProcess[str]], place: Path
+    ) -> None:
+        (place / "theirs").mkdir(mode=0o777)
+        (place / "theirs").chmod(0o777)
+        other = swept("other", NUMBA_CACHE_DIR=str(place / "theirs"))
+        assert other.returncode == 0
+        assert f"others may write to {place / 'theirs'}" in other.stderr
+        assert not list((place / "theirs").rglob("*.nbi"))

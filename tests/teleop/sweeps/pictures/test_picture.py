@@ -1,0 +1,397 @@
+"""Pictures of a sweep show what is in the table: each cell its rows, the boundary where the status changes."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import teleop.terminal.figure
+from teleop import Refused
+from teleop.sweeps.pictures.picture import draw
+from teleop.sweeps.table import Table
+
+figures = pytest.importorskip("matplotlib.figure")
+colors = pytest.importorskip("matplotlib.colors")
+
+DELAYS = (0.0, 0.1, 0.2, 0.3)
+STIFFNESSES = (10.0, 100.0, 1000.0)
+
+
+@pytest.fixture
+def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """`drawn(table, ...)` draws it and returns matplotlib's figure, to be looked into."""
+    made: list[Any] = []
+    save = figures.Figure.savefig
+
+    def remember(figure: Any, *rest: Any, **named: Any) -> None:
+        made.append(figure)
+        save(figure, *rest, **named)
+
+    monkeypatch.setattr(figures.Figure, "savefig", remember)
+
+    def look(table: Table, *rest: Any, **named: Any) -> Any:
+        draw(table, tmp_path / "picture.png", *rest, **named)
+        assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
+        return made[-1]
+
+    return look
+
+
+def rows(knobs: dict[str, Sequence[Any]], of: Callable[..., Any], seeds: int = 1) -> Table:
+    """A table over all combinations; `of(seed, **knobs)` gives a row's status, or its metric (and then it is ok)."""
+    made = []
+    for number, (*values, seed) in enumerate(product(*knobs.values(), range(seeds))):
+        point = dict(zip(knobs, values, strict=True))
+        got = of(seed, **point)
+        end = {"status": got, "x_err_rms": 1.0} if isinstance(got, str) else {"status": "ok", "x_err_rms": got}
+        made.append({"row": number, "seed": seed, **point, "ticks": 1, **end})
+    return Table(made, tuple(knobs), ("x_err_rms",))
+
+
+def below(limit: float) -> Callable[..., str]:
+    """Diverged where the delay times the stiffness is above a limit."""
+    return lambda _, delay, k_e, **__: "ok" if delay * k_e < limit else "diverged"
+
+
+def panels(figure: Any) -> list[Any]:
+    return [axes for axes in figure.axes if axes.get_label() != "<colorbar>" and axes.axison]
+
+
+def mesh(axes: Any) -> Any:
+    """Colours of the cells, (y, x, 4)."""
+    (found,) = (each for each in axes.collections if type(each).__name__ == "QuadMesh")
+    return found.get_facecolor().reshape(*np.array(found.get_coordinates().shape[:2]) - 1, 4)
+
+
+def boundary(axes: Any) -> list[Any]:
+    return [segment for each in axes.collections if type(each).__name__ == "LineCollection"
+            for segment in each.get_segments()]
+
+
+def legend(figure: Any) -> list[str]:
+    return [text.get_text() for each in figure.legends for text in each.get_texts()]
+
+
+def colour(name: str) -> Any:
+    return colors.to_rgba({"ok": "#56B4E9", "diverged": "#D55E00", "refused": "#D9D9D9", "stopped": "#E69F00"}[name])
+
+
+class TestAStabilityMap:
+    def test_colours_each_cell_by_the_status_of_its_row(self, drawn: Any) -> None:
+        (axes,) = panels(drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0))))
+        for (j, k_e), (i, delay) in product(enumerate(STIFFNESSES), enumerate(DELAYS)):
+            np.testing.assert_allclose(mesh(axes)[j, i], colour("ok" if delay * k_e < 15.0 else "diverged"))
+
+    def test_draws_the_boundary_where_the_status_changes_and_nowhere_else(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)))
+        (axes,) = panels(figure)
+        found = {tuple(map(tuple, np.round(segment, 6))) for segment in boundary(axes)}
+        between = round(10.0**2.5, 6), round(10.0**1.5, 6)  # on a log axis the middle is the geometric mean
+        upright = {((0.05, between[0]), (0.05, round(10.0**3.5, 6))), ((0.15, between[1]), (0.15, between[0]))}
+        level = {((0.05, between[0]), (0.15, between[0])),
+                 ((0.15, between[1]), (0.25, between[1])), ((0.25, between[1]), (0.35, between[1]))}
+        assert found == upright | level
+        assert legend(figure) == ["ok", "diverged", "boundary"]
+
+    def test_has_no_boundary_beside_what_never_ran(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, k_e, **__:
+                            "refused" if k_e > 500.0 else "ok"))
+        (axes,) = panels(figure)
+        assert not boundary(axes)
+        np.testing.assert_allclose(mesh(axes)[2, 0], colour("refused"))
+        assert legend(figure) == ["ok", "refused"]
+
+    def test_has_a_panel_for_each_law_with_its_share(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": ("direct", "wave"), "delay": DELAYS, "k_e": STIFFNESSES}, lambda _, law, delay, k_e:
+                            "ok" if law == "wave" or delay * k_e < 15.0 else "diverged"),
+                       title="soft_tissue", units={"delay": "s"})
+        direct, wave = panels(figure)
+        assert (direct.get_title(), wave.get_title()) == ("law direct: 58.3 % ok", "law wave: 100 % ok")
+        assert boundary(direct)
+        assert not boundary(wave)
+        assert figure.get_suptitle() == "soft_tissue · 24 rows: 19 ok, 5 diverged"
+        assert (direct.get_xlabel(), direct.get_ylabel(), wave.get_ylabel()) == ("delay (s)", "k_e", "")
+
+    def test_of_several_seeds_shows_the_share_that_ends_ok_among_those_that_ran(self, drawn: Any) -> None:
+        def of(seed: int, delay: float, **_: float) -> str:
+            worse = (DELAYS.index(delay), seed)
+            return "refused" if delay == 0.0 and seed < 2 else "ok" if worse < (2, 1) else "diverged"
+
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, of, seeds=4))
+        (axes,) = panels(figure)
+        shown = mesh(axes)
+        np.testing.assert_allclose(shown[:, 0], [colour("ok")] * 3, atol=0.01)  # the refused do not count
+        np.testing.assert_allclose(shown[:, 1], [colour("ok")] * 3, atol=0.01)
+        np.testing.assert_allclose(shown[:, 3], [colour("diverged")] * 3, atol=0.01)
+        quarter = 0.5 * (np.array(colour("diverged")) + colors.to_rgba("#F5EFE6"))  # half way to the middle of the bar
+        np.testing.assert_allclose(shown[:, 2], [quarter] * 3, atol=0.01)
+        assert {round(x, 6) for segment in boundary(axes) for x, _ in segment} == {0.15}
+        assert "share" in figure.axes[-1].get_ylabel()
+        assert legend(figure) == ["half of the runs end ok"]
+
+    def test_leaves_white_what_was_not_run_yet(self, drawn: Any) -> None:
+        whole = list(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)))
+        (axes,) = panels(drawn(Table(whole[:7], ("delay", "k_e"), ("x_err_rms",))))
+        np.testing.assert_array_equal(mesh(axes)[1, 2], np.ones(4))
+
+    def test_says_what_a_status_is_held_to(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)),
+                       words={"diverged": "diverged: beyond 0.3 m"})
+        assert legend(figure) == ["ok", "diverged: beyond 0.3 m", "boundary"]
+
+    def test_of_rows_that_all_ended_ok_would_be_of_one_colour_so_a_metric_is_drawn(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, delay, **__: delay))
+        assert figure.axes[-1].get_ylabel().startswith("x_err_rms")
+        bare = Table([{"row": i, "seed": 0, "a": i % 3, "b": i // 3, "ticks": 1, "status": "ok"} for i in range(9)],
+                     ("a", "b"), ())
+        assert legend(drawn(bare)) == ["ok"]
+        assert legend(drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(1e9)), "stability")) == ["ok"]
+
+    def test_shows_a_status_of_another_kind_as_its_own(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, delay, **__:
+                            "stopped" if delay > 0.25 else "ok"))
+        np.testing.assert_allclose(mesh(panels(figure)[0])[0, 3], colour("stopped"))
+        assert legend(figure) == ["ok", "stopped", "boundary"]
+
+    def test_of_a_random_sample_is_its_points(self, drawn: Any) -> None:
+        where = np.random.default_rng(3).random((40, 3))
+        made = [{"row": i, "seed": 0, "delay": a, "k_e": b, "n": c, "ticks": 1, "status": "ok" if a < b else "diverged"}
+                for i, (a, b, c) in enumerate(where.tolist())]
+        figure = drawn(Table(made, ("delay", "k_e", "n"), ()))
+        (axes,) = panels(figure)
+        (dots,) = axes.collections
+        order = np.argsort(where[:, 0])
+        np.testing.assert_allclose(dots.get_offsets(), where[order, :2])
+        expected = [colour("ok" if a < b else "diverged") for a, b, _ in where[order]]
+        np.testing.assert_allclose(dots.get_facecolor(), expected)
+        assert figure.get_suptitle().endswith("n varies too")
+
+
+class TestTheAxes:
+    @pytest.mark.parametrize(("values", "scale"), [
+        ((0.0, 0.1, 0.2, 0.3), "linear"), ((10.0, 100.0, 1000.0), "log"), ((1.0, 2.0, 3.0, 4.0), "linear"),
+        ((0.0, 0.001, 0.01, 0.1), "symlog"), ((-1.0, 0.0, 1.0), "linear"), ((1.0, 1000.0), "log"),
+        ((1.0, 2.0), "linear"), ((100.0, 110.0, 121.0), "linear"),
+        ((1, 2, 4, 8, 16), "log"), ((5.0, 1.0, 3.0), "linear"), ((-100.0, -10.0, -1.0), "linear"),
+    ])
+    def test_are_logarithmic_where_the_values_are_spaced_so(
+        self, drawn: Any, values: tuple[float, ...], scale: str
+    ) -> None:
+        (axes,) = panels(drawn(rows({"delay": DELAYS, "k": values}, lambda *_, **__: "ok")))
+        assert axes.get_yscale() == scale
+        assert axes.get_xscale() == "linear"
+        low, high = axes.get_ylim()
+        assert low < min(values) < max(values) < high
+
+    def test_are_the_two_knobs_with_most_values_in_their_order(self, drawn: Any) -> None:
+        figure = drawn(rows({"n": (1, 2), "k_e": STIFFNESSES, "delay": DELAYS}, lambda *_, **__: "ok"))
+        first, second = panels(figure)
+        assert (first.get_xlabel(), first.get_ylabel()) == ("k_e", "delay")
+        assert [axes.get_title() for axes in (first, second)] == ["n 1: 100 % ok", "n 2: 100 % ok"]
+
+    def test_of_knobs_that_go_in_step_one_is_drawn_and_the_other_named(self, drawn: Any) -> None:
+        made = [{**row, "d_e": -row["k_e"] / 100.0} for row in rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0))]
+        figure = drawn(Table(made, ("delay", "k_e", "d_e"), ("x_err_rms",)))
+        (axes,) = panels(figure)
+        assert axes.get_ylabel() == "k_e"
+        assert "d_e goes with k_e" in figure.get_suptitle()
+
+    def test_of_more_values_than_panels_both_ends_are_shown_and_the_title_says_so(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": [f"law{i}" for i in range(20)], "delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)))
+        titles = [axes.get_title() for axes in panels(figure)]
+        assert len(titles) == 6
+        assert titles[0].startswith("law law0:")
+        assert titles[-1].startswith("law law19:")
+        assert "6 of 20 values of law" in figure.get_suptitle()
+
+    def test_of_two_knobs_one_loses_values_and_rather_one_with_numbers(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": ("a", "b", "c"), "n": (1, 2, 3), "delay": DELAYS, "k_e": (1.0, 2.0, 3.0, 4.0)},
+                            below(1e9)))
+        assert [axes.get_title().split(":")[0] for axes in panels(figure)] == [
+            f"law {law}, n {n}" for law in "abc" for n in (1, 3)]
+        assert figure.get_suptitle().endswith("2 of 3 values of n")
+
+    def test_of_several_knobs_as_few_as_possible_lose_values(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": "abcd", "n": (1, 2), "m": (1, 2), "delay": DELAYS, "k_e": STIFFNESSES}, below(1e9)))
+        assert [axes.get_title().split(":")[0] for axes in panels(figure)] == [
+            f"law c, n {n}, m {m}" for n in (1, 2) for m in (1, 2)]
+
+    def test_of_a_knob_that_is_down_to_one_value_the_title_says_which(self, drawn: Any) -> None:
+        knobs = {"n": (1, 2, 3), "law": "abcd", "other": "def", "delay": DELAYS, "k_e": (1.0, 2.0, 3.0, 4.0)}
+        figure = drawn(rows(knobs, below(1e9)))
+        assert len(panels(figure)) == 6
+        assert figure.get_suptitle().endswith("n 2 alone, of 3 values, 2 of 4 values of law")
+
+    def test_every_column_of_panels_has_its_label(self, drawn: Any) -> None:
+        for count in (1, 2, 5):
+            got = panels(drawn(rows({"law": [f"law{i}" for i in range(count)], "delay": DELAYS, "k_e": STIFFNESSES},
+                                    below(15.0))))
+            assert len(got) == count
+            assert sum(axes.get_xlabel() == "delay" for axes in got) == min(3, count)
+
+
+class TestAMetricMap:
+    def test_colours_by_the_median_of_the_seeds_that_end_ok(self, drawn: Any) -> None:
+        def of(seed: int, delay: float, **_: float) -> Any:
+            return "diverged" if delay == 0.3 or seed == 3 else delay + (0.0, 0.1, 10.0)[seed]
+
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, of, seeds=4), "metric")
+        (axes,) = panels(figure)
+        bar = figure.axes[-1]
+        assert bar.get_ylabel() == "x_err_rms (m), median of the runs ok"
+        low, high = bar.get_ylim()
+        assert (low, high) == pytest.approx((0.1, 0.3))  # medians are delay + 0.1
+        from matplotlib import colormaps
+
+        for i, delay in enumerate(DELAYS[:3]):
+            np.testing.assert_allclose(mesh(axes)[0, i], colormaps["viridis"]((delay + 0.1 - low) / (high - low)),
+                                       atol=0.01)
+        np.testing.assert_allclose(mesh(axes)[0, 3], colour("diverged"))
+        assert legend(figure) == ["none ended ok", "half of the runs end ok"]
+
+    def test_is_drawn_for_a_metric_that_is_named(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)), metric="x_err_rms")
+        assert figure.axes[-1].get_ylabel().startswith("x_err_rms")
+
+    def test_tells_small_values_apart_beside_one_that_ran_away(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, delay, k_e:
+                            -1e9 if (delay, k_e) == (0.3, 1000.0) else -delay * k_e), "metric")
+        shown = mesh(panels(figure)[0])
+        assert np.abs(shown[2, 2] - shown[0, 1]).max() > 0.05  # -200 and -1
+
+    def test_goes_by_ratios_where_the_values_are_far_apart(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, k_e, **__: k_e**2), "metric")
+        assert figure.axes[-1].get_yscale() == "log"
+
+    @pytest.mark.parametrize("of", [lambda *_, **__: float("nan"), lambda *_, **__: "diverged",
+                                    lambda *_, **__: "refused", lambda *_, **__: 2.0, lambda *_, **__: 0.0])
+    def test_is_drawn_with_nothing_or_one_value_to_show(self, drawn: Any, of: Any) -> None:
+        drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, of), "metric")
+
+
+class TestCurves:
+    @staticmethod
+    def of(seed: int, delay: float, law: str = "wave") -> Any:
+        if law == "direct" and delay > 0.15 and seed > 1:
+            return "diverged"
+        return 1.0 + delay + 0.1 * seed**2 + (law == "direct")
+
+    def test_are_medians_within_quartiles_within_extremes(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": DELAYS}, self.of, seeds=5))
+        (axes,) = panels(figure)
+        (line,) = axes.get_lines()
+        np.testing.assert_array_equal(line.get_xdata(), DELAYS)
+        np.testing.assert_allclose(line.get_ydata(), 1.4 + np.array(DELAYS))
+        extremes, quartiles = (each.get_paths()[0].vertices for each in axes.collections)
+        at = extremes[:, 0] == 0.2
+        assert sorted(set(np.round(extremes[at, 1], 9))) == pytest.approx([1.2, 2.8])
+        assert sorted(set(np.round(quartiles[quartiles[:, 0] == 0.2, 1], 9))) == pytest.approx([1.3, 2.1])
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("delay", "x_err_rms (m)")
+
+    def test_have_a_line_for_each_law_and_crosses_where_not_every_run_ended_ok(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": ("direct", "wave"), "delay": DELAYS}, self.of, seeds=4))
+        (axes,) = panels(figure)
+        direct, crosses, wave = axes.get_lines()
+        np.testing.assert_allclose(wave.get_ydata(), 1.25 + np.array(DELAYS))
+        np.testing.assert_allclose(direct.get_ydata()[2:], [2.25, 2.35])  # of seeds 0 and 1
+        np.testing.assert_array_equal(crosses.get_xdata(), [0.2, 0.3])
+        assert crosses.get_color() == direct.get_color() != wave.get_color()
+        assert legend(figure) == ["law direct", "law wave", "quartiles of the seeds", "extremes", "not every run ok"]
+
+    @pytest.mark.parametrize(("sign", "zero", "scale"), [
+        (1.0, 0.0, "log"), (-1.0, 0.0, "symlog"), (1.0, 1.0, "symlog"),
+    ])
+    def test_of_a_run_that_grows_leave_the_others_apart(
+        self, drawn: Any, sign: float, zero: float, scale: str
+    ) -> None:
+        def of(_: int, law: str, delay: float) -> float:
+            return sign * (1e9 if law == "a" and delay > 0.25 else (1.0 + (law == "a")) * (1.0 + delay - zero))
+
+        (axes,) = panels(drawn(rows({"law": ("a", "b"), "delay": DELAYS}, of)))
+        assert axes.get_yscale() == scale
+        one, two = (axes.transData.transform((0.1, sign * k * (1.1 - zero)))[1] for k in (1.0, 2.0))
+        height = axes.bbox.height
+        assert abs(one - two) > 0.01 * height  # on a linear scale 1e-9 of it
+
+    def test_have_gaps_where_no_run_ended_ok(self, drawn: Any) -> None:
+        (axes,) = panels(drawn(rows({"delay": DELAYS}, lambda _, delay: "diverged" if delay == 0.1 else 1.0)))
+        np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), [1.0, np.nan, 1.0, 1.0])
+        assert not axes.collections  # one seed has no spread
+
+    def test_have_a_panel_for_each_value_of_a_third_knob(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": ("a", "b"), "delay": DELAYS, "n": (1, 2, 3)}, lambda _, n, **__: float(n)),
+                       "curves")
+        assert [axes.get_title() for axes in panels(figure)] == ["n 1", "n 2", "n 3"]
+        assert [axes.get_lines()[0].get_ydata()[0] for axes in panels(figure)] == [1.0, 2.0, 3.0]
+
+    def test_over_texts_are_points_side_by_side(self, drawn: Any) -> None:
+        figure = drawn(rows({"law": ("direct", "wave"), "link": ("a", "b")}, lambda seed, **_: float(seed),
+                            seeds=3))
+        (axes,) = panels(figure)
+        assert [text.get_text() for text in axes.get_xticklabels()] == ["direct", "wave"]
+        first, second = axes.get_lines()
+        assert first.get_linestyle() == "None" or first.get_linewidth() == 0.0
+        assert all(a < b for a, b in zip(first.get_xdata(), second.get_xdata(), strict=True))
+
+    def test_of_many_values_some_are_shown_and_the_title_says_so(self, drawn: Any) -> None:
+        figure = drawn(rows({"delay": np.linspace(0, 1, 30).tolist(), "k_e": [float(i) for i in range(1, 21)]},
+                            lambda _, k_e, **__: k_e), "curves")
+        assert len(panels(figure)[0].get_lines()) == 7
+        assert "7 of 20 values of k_e" in figure.get_suptitle()
+
+
+class TestRequests:
+    def table(self) -> Table:
+        return rows({"delay": DELAYS, "law": ("a", "b")}, lambda *_, **__: 1.0)
+
+    @pytest.mark.parametrize(("kind", "metric", "said"), [
+        ("heat", None, "there is no picture 'heat'"), ("curves", "x_err", "did you mean x_err_rms"),
+        ("stability", None, "two knobs with numbers"), (None, "x_err", "did you mean x_err_rms"),
+        ("stability", "x_err_rms", "two knobs with numbers"), ("metric", None, "has delay, law;"),
+    ])
+    def test_that_cannot_be_drawn_are_refused(
+        self, tmp_path: Path, kind: str | None, metric: str | None, said: str
+    ) -> None:
+        with pytest.raises(Refused, match=said):
+            draw(self.table(), tmp_path / "p.png", kind, metric=metric)
+        assert not list(tmp_path.iterdir())
+
+    def test_of_a_stability_map_name_no_metric(self, tmp_path: Path) -> None:
+        table = rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(1.0))
+        with pytest.raises(Refused, match="--picture metric"):
+            draw(table, tmp_path / "p", "stability", metric="x_err_rms")
+
+    def test_need_something_that_varies_and_a_metric_for_curves(self, tmp_path: Path) -> None:
+        for table in (Table([], ("delay",), ()), rows({"delay": (0.1,)}, lambda *_, **__: 1.0, seeds=9)):
+            with pytest.raises(Refused, match="several values"):
+                draw(table, tmp_path / "p.png")
+        bare = [{k: v for k, v in row.items() if k != "x_err_rms"} for row in self.table()]
+        with pytest.raises(Refused, match="no metric to draw"):
+            draw(Table(bare, ("delay", "law"), ()), tmp_path / "p.png")
+
+    def test_without_matplotlib_are_answered_with_the_line_that_gets_it(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(teleop.terminal.figure, "drawable", lambda: False)
+        with pytest.raises(Refused, match="pip install"):
+            draw(self.table(), tmp_path / "p.png")
+
+    def test_of_the_same_rows_give_the_same_bytes(self, tmp_path: Path) -> None:
+        for name in "ab":
+            draw(self.table(), tmp_path / name)
+        assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+    def test_on_a_full_disk_leave_what_was_there(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def full(*_: Any, **__: Any) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(figures.Figure, "savefig", full)
+        with pytest.raises(Refused, match="No space left"):
+            draw(self.table(), tmp_path / "p.png")
+        assert not list(tmp_path.iterdir())

@@ -1,0 +1,181 @@
+"""`teleop sweep` and `teleop report` of a sweep, as somebody types them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import teleop.sweeps.runner
+import teleop.terminal.figure
+
+Typed = Callable[..., Any]
+
+SHORT = ("--set", "duration=0.1")
+FOLDER = Path("runs/soft_tissue-sweep")
+
+
+class TestTheGrid:
+    def test_is_joined_from_all_that_are_typed(self, typed: Typed) -> None:
+        words = ("--grid", "delay=0,0.01", "--grid", "k_e=100,200", "d_e=1,2")
+        assert json.loads(typed("sweep", "soft_tissue", *words, *SHORT, "--json").out)["rows"] == 8
+
+    def test_of_a_knob_that_is_typed_twice_is_refused(self, typed: Typed) -> None:
+        typed("sweep", "soft_tissue", "--grid", "delay=0,0.01", "--grid", "delay=0.1", *SHORT).assert_refused("twice")
+
+    def test_over_a_knob_that_a_replaced_link_leaves_dead_is_refused(self, typed: Typed) -> None:
+        for words in (("delay=0,0.01", "--link", "delay(0.05)"), ("link=delay(0.05),none", "--set", "delay=0.1")):
+            typed("sweep", "soft_tissue", "--grid", *words).assert_refused(
+                "delay sets nothing but the link", "leave delay out")
+        assert not Path("runs").exists()
+
+    def test_of_too_many_rows_is_counted_in_digits(self, typed: Typed) -> None:
+        typed("sweep", "soft_tissue", "--grid", "delay=0:1:100000", "k_e=1:2:100000").assert_refused(
+            "10 000 000 000 rows", "--yes")
+
+
+class TestWhatIsTold:
+    def test_of_refused_rows_is_why(self, typed: Typed) -> None:
+        answer = typed("sweep", "soft_tissue", "--grid", "k_e=1,-1,-2", "d_e=1,2", *SHORT)
+        assert "refused  2 rows: k_e must be at least 0, not -1" in answer.out
+        assert "         2 rows: k_e must be at least 0, not -2" in answer.out
+        assert "refused  2 rows: k_e" in typed("report", str(FOLDER)).out
+
+    def test_while_it_runs_begins_at_once_with_what_is_there(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        shown: list[tuple[int, int]] = []
+        monkeypatch.setattr("teleop.terminal.run_table.RowsProgress.show",
+                            lambda _, done, of, __: shown.append((done, of)))
+        words = ("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT)
+        typed(*words)
+        assert shown[0] == (0, 3)
+        assert shown[-1] == (3, 3)
+        shown.clear()
+        typed(*words)
+        assert {*shown} == {(3, 3)}
+
+    def test_of_a_finished_sweep_keeps_what_ran_it(self, typed: Typed) -> None:
+        words = ("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT)
+        typed(*words, "--engine", "plain")
+        first = json.loads((FOLDER / "summary.json").read_text())
+        again = typed(*words)
+        assert "engine   none, for no row was left to run" in again.out
+        second = json.loads((FOLDER / "summary.json").read_text())
+        assert second == first
+        assert [run["ran"] for run in second["runs"]] == [3]
+        assert second["why"] == "as asked for"
+        assert json.loads(typed(*words, "--json").out)["ran"] == 0
+
+    def test_of_one_that_goes_on_has_both_calls(self, typed: Typed) -> None:
+        words = ("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT)
+        typed(*words)
+        rows = FOLDER / "rows.jsonl"
+        rows.write_text("".join(rows.read_text().splitlines(keepends=True)[:1]))
+        typed(*words, "--engine", "plain")
+        runs = json.loads((FOLDER / "summary.json").read_text())["runs"]
+        assert [run["ran"] for run in runs] == [3, 2]
+        assert [run["command"][-1] for run in runs] == ["duration=0.1", "plain"]
+
+
+    def test_of_one_that_was_stopped_before_its_first_row_is_that_it_goes_on(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        pytest.importorskip("matplotlib")
+
+        def stop(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(teleop.sweeps.runner, "work", stop)
+        with pytest.raises(SystemExit, match="130"):
+            typed("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT, "--plot")
+        out = capsys.readouterr().out
+        assert "engine   plain: about" in out
+        assert "no figure: no row is there yet" in out
+        assert "the same command goes on" in out
+        assert json.loads((FOLDER / "summary.json").read_text())["runs"] == []
+
+
+class TestThePicture:
+    @pytest.mark.parametrize(("words", "said"), [
+        (["k_e=1", "--plot"], "widen the grid"), (["k_e=1,2", "--picture", "stability"], "two knobs with numbers"),
+        (["k_e=1,2", "--picture", "heat"], "no picture"), (["k_e=1,2", "--metric", "x_err"], "did you mean"),
+        (["k_e=1,1", "--plot"], "several values"), (["law=wave,pfra", "k_e=1,2", "--picture", "metric"], "two knobs"),
+    ])
+    def test_that_the_grid_cannot_give_is_refused_before_a_row_runs(
+        self, typed: Typed, words: list[str], said: str
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        typed("sweep", "soft_tissue", *SHORT, "--grid", *words).assert_refused(said)
+        assert not Path("runs").exists()
+
+    @pytest.mark.parametrize(("words", "kind", "metric"), [
+        (["--plot"], None, None), (["--picture", "metric"], "metric", None), (["--metric", "f_m_max"], None, "f_m_max"),
+    ])
+    def test_is_the_one_that_is_asked_for(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, words: list[str], kind: str | None, metric: str | None
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        asked: list[Any] = []
+        monkeypatch.setattr("teleop.sweeps.pictures.picture.draw",
+                            lambda *given, **named: asked.append((given[2], named["metric"])))
+        answer = typed("sweep", "soft_tissue", *SHORT, "--grid", "delay=0,0.1", "k_e=1,2", *words)
+        assert answer.out.endswith(f"drawn in {FOLDER / 'sweep.png'}\n")
+        typed("report", str(FOLDER), *(word for word in words if word != "--plot"))
+        assert asked == [(kind, metric)] * 2
+
+    def test_that_fails_after_the_rows_costs_nothing_else(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        figure = pytest.importorskip("matplotlib.figure")
+
+        def forbidden(*_: object, **__: object) -> None:
+            raise PermissionError(13, "Permission denied")
+
+        monkeypatch.setattr(figure.Figure, "savefig", forbidden)
+        answer = typed("sweep", "soft_tissue", *SHORT, "--grid", "k_e=1,2", "--plot")
+        assert answer.code == 0
+        assert "no figure: could not write" in answer.out
+        assert json.loads((FOLDER / "summary.json").read_text())["done"] == 2
+
+
+class TestReport:
+    @pytest.fixture
+    def swept(self, typed: Typed) -> Typed:
+        typed("sweep", "soft_tissue", "--grid", "delay=0,0.1", "k_e=1,2", *SHORT)
+        return typed
+
+    def test_tells_engine_and_why_and_what_it_drew(self, swept: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        answer = swept("report", str(FOLDER))
+        assert answer.code == 0
+        assert "engine   plain: about" in answer.out
+        assert answer.out.endswith(f"drawn in {FOLDER / 'sweep.png'}\n")
+        assert (FOLDER / "sweep.png").read_bytes().startswith(b"\x89PNG")
+
+    def test_with_json_is_the_summary_that_is_there(self, swept: Typed) -> None:
+        stored = json.loads((FOLDER / "summary.json").read_text())
+        assert json.loads(swept("report", str(FOLDER), "--json").out) == stored
+        assert not (FOLDER / "sweep.png").exists()
+
+    def test_without_matplotlib_draws_nothing_unless_it_is_asked_to(
+        self, swept: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(teleop.terminal.figure, "find_spec", lambda _: None)
+        assert "drawn" not in swept("report", str(FOLDER)).out
+        swept("report", str(FOLDER), "--picture", "curves").assert_refused("pip install")
+
+    def test_of_a_picture_that_cannot_be_is_refused(self, swept: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        swept("report", str(FOLDER), "--picture", "heat").assert_refused("there is no picture 'heat'")
+
+    def test_of_a_folder_without_either_teaches(self, swept: Typed) -> None:
+        swept("report", "nowhere").assert_refused("there is no folder nowhere", "teleop sweep")
+        swept("report", "runs").assert_refused(f"such as {FOLDER}")
+        Path("empty").mkdir()
+        swept("report", "empty").assert_refused("no run and no sweep")
+
+    def test_of_a_run_has_one_figure(self, typed: Typed) -> None:
+        typed("run", "canonical", *SHORT, "--out", "here")
+        typed("report", "here", "--metric", "x_err_max").assert_refused("which has one figure")

@@ -1,0 +1,232 @@
+"""The delay-scenario matrix: how its file is read, what its rows are, and what the command says of them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from teleop import Refused, load_scene, run
+from teleop.scene.library import ROOT
+from teleop.sweeps.matrix import Outcome, run_block, run_matrix, summary, table
+from teleop.sweeps.matrix_file import BUILT_IN, Block, Row, read_matrix
+
+FULL = """
+[[block]]
+scene = "soft_tissue"
+laws = ["wave", "direct"]
+delays = [0, 0.01, 0.05]
+losses = [0.0, 0.1]
+seeds = [1, 2]
+set = {duration = 0.2, x_limit = 0.3, k_e = 500}
+expect = "ok"
+why = "the rule"
+[[block.except]]
+laws = ["direct"]
+delays = {from = 0.01}
+expect = "diverged"
+why = "late"
+[[block.except]]
+laws = ["direct"]
+losses = 0.1
+delays = [0.05]
+seeds = {to = 1}
+expect = "ok"
+why = "the last that fits"
+"""
+SMALL = """
+[[block]]
+name = "at_rest"
+scene = "free_motion"
+laws = ["wave", "direct"]
+delays = [0.0, 0.02]
+set = {duration = 0.05}
+expect = "ok"
+why = "nothing has moved yet"
+[[block]]
+scene = "local"
+laws = ["pfra"]
+set = {law.alpha = 0.5, duration = 1.0, x_limit = 1e-3}
+expect = "ok"
+why = "a hope"
+"""
+BLOCK = """
+[[block]]
+scene = "soft_tissue"
+laws = ["wave"]
+delays = [0.0, 0.1]
+expect = "ok"
+why = "passive"
+"""
+
+Written = Callable[[str], tuple[Block, ...]]
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Written:
+    def read(text: str) -> tuple[Block, ...]:
+        (tmp_path / "m.toml").write_text(text)
+        return read_matrix(tmp_path / "m.toml")
+
+    return read
+
+
+class TestABlock:
+    def test_crosses_its_lists_and_names_each_row(self, written: Written) -> None:
+        block, = written(FULL)
+        rows = block.rows()
+        assert len(rows) == 24
+        assert [row.id for row in rows][:3] == [
+            "soft_tissue-wave-0ms-0%-seed1", "soft_tissue-wave-0ms-0%-seed2", "soft_tissue-wave-0ms-10%-seed1"]
+        assert rows[-1] == Row("soft_tissue-direct-50ms-10%-seed2", "direct", 0.05, 0.1, 2, "diverged", "late")
+
+    def test_leaves_out_of_the_names_what_it_leaves_to_the_scene(self, written: Written) -> None:
+        at_rest, local = written(SMALL)
+        assert [row.id for row in at_rest.rows()] == [
+            "at_rest-wave-0ms", "at_rest-wave-20ms", "at_rest-direct-0ms", "at_rest-direct-20ms"]
+        assert [row.id for row in local.rows()] == ["local-pfra"]
+        assert local.fixed["law.alpha"] == 0.5
+
+    def test_expects_what_the_last_exception_says_that_fits(self, written: Written) -> None:
+        block, = written(FULL)
+        said = {row.id.removeprefix("soft_tissue-"): row.why for row in block.rows() if row.why != "the rule"}
+        late = {f"direct-{delay}-{loss}-{seed}": "late" for delay in ("10ms", "50ms") for loss in ("0%", "10%")
+                for seed in ("seed1", "seed2")}
+        assert said == {**late, "direct-50ms-10%-seed1": "the last that fits"}
+
+    def test_runs_each_row_as_the_run_that_it_names(self, written: Written) -> None:
+        block, = written(FULL)
+        for outcome in run_block(block):
+            row = outcome.row
+            link = f"delay({row.delay})" + (f" | bernoulli({row.loss})" if row.loss else "")
+            single = run(load_scene("soft_tissue", law=row.law, link=link, **block.fixed), seed=row.seed)
+            assert (outcome.status, outcome.ticks) == (single.status, single.ticks)
+            assert outcome.figures["x_err_max"] == single.metrics["x_err_max"]
+
+    def test_without_losses_keeps_the_scenes_own_link(self, written: Written) -> None:
+        block, = written(BLOCK.replace("soft_tissue", "jittery_wan") + "seeds = 3\nset = {duration = 0.2}")
+        for outcome in run_block(block):
+            single = run(load_scene("jittery_wan", delay=outcome.row.delay, duration=0.2), seed=3)
+            assert outcome.figures["x_err_max"] == single.metrics["x_err_max"]
+
+
+class TestWhatIsSaid:
+    def test_counts_by_block_and_has_a_line_for_each_surprise(self, written: Written) -> None:
+        blocks = written(SMALL)
+        came = run_matrix(blocks)
+        lines = table(blocks, came).splitlines()
+        assert [line.split() for line in lines[1:4]] == [
+            ["at_rest", "free_motion", "4", "4"], ["local", "local", "1", "0"], ["in", "all", "5", "4"]]
+        assert lines[4] == "1 of 5 rows not as expected:"
+        assert len(lines) == 6
+        assert lines[5].startswith("local-pfra: expected ok (a hope), came diverged: was not finite or passed x_limit")
+
+    def test_of_what_should_have_diverged(self) -> None:
+        row = Row("a-direct", "direct", None, None, 0, "diverged", "too late")
+        line = Outcome(row, "ok", 2000, {"x_err_max": 0.0123}, "x_limit = 0.3 m").line()
+        assert line == ("a-direct: expected diverged (too late), came ok: stayed within x_limit = 0.3 m in 2000 ticks, "
+                        "x_err_max 0.0123")
+
+    def test_can_be_held_by_json(self, written: Written) -> None:
+        blocks = written(SMALL)
+        told = json.loads(json.dumps(summary(blocks, run_matrix(blocks)), allow_nan=False))
+        assert (told["rows"], told["as_expected"], len(told["unexpected"])) == (5, 4, 1)
+        assert told["outcomes"][-1]["status"] == "diverged"
+        assert told["blocks"][1] == {"name": "local", "scene": "local", "rows": 1, "as_expected": 0}
+
+    def test_tells_how_far_it_has_come(self, written: Written) -> None:
+        told: list[tuple[int, int]] = []
+        run_matrix(written(SMALL), show=lambda done, of: told.append((done, of)))
+        assert told == sorted(told)
+        assert told[-1] == (5, 5)
+
+
+WRONG = {
+    "no TOML": ("[[block]\n", ["cannot be read", "[[block]]"]),
+    "nothing": ("", ["has no blocks", "[[block]]"]),
+    "something else": ("[tool]\nx = 1", ["'tool'", "[[block]]"]),
+    "one table": ('[block]\nscene = "local"', ["[[block]]"]),
+    "unknown scene": (BLOCK.replace("soft_tissue", "soft_tisue"), ["soft_tisue", "did you mean soft_tissue?"]),
+    "unknown law": (BLOCK.replace('"wave"', '"wave", "wavee"'), ["wavee", "did you mean wave?"]),
+    "a law that does not fit": (BLOCK.replace('"wave"', '"virtual_wall"'), ["virtual_wall", "one-port"]),
+    "unknown key": (BLOCK + "delay = 0.1", ["'delay'", "did you mean delays?"]),
+    "a knob beside the keys": (BLOCK + "k_e = 1.0", ["'k_e'", "set = {...}"]),
+    "unknown knob": (BLOCK + "set = {stiffness = 1.0}", ["block 'soft_tissue'", "no knob 'stiffness'"]),
+    "a knob twice": (BLOCK + "set = {delay = 1.0}", ["delay is an axis", "leave one of them out"]),
+    "no scene": (BLOCK.replace("scene =", "name ="), ["has no scene", 'write scene = "soft_tissue"']),
+    "no laws": (BLOCK.replace("laws =", "seeds =").replace('"wave"', "1"), ["has no laws", 'laws = ["wave"]']),
+    "no expect": (BLOCK.replace('expect = "ok"', ""), ["has no expect", 'write expect = "ok"']),
+    "no why": (BLOCK.replace('why = "passive"', ""), ["has no why"]),
+    "another status": (BLOCK.replace('"ok"', '"stable"'), ["'stable'", 'expect = "ok"']),
+    "negative delay": (BLOCK.replace("0.0", "-0.1"), ["delays must be at least 0, not -0.1"]),
+    "a loss of packets above all": (BLOCK + "losses = [1.5]", ["losses must be at most 1, not 1.5"]),
+    "half a seed": (BLOCK + "seeds = [0.5]", ["seeds must be a whole number"]),
+    "a value twice": (BLOCK.replace("0.1", "0"), ["delays names 0.0 twice"]),
+    "an empty list": (BLOCK.replace('["wave"]', "[]"), ["laws is empty"]),
+    "losses alone": (BLOCK.replace("delays", "losses"), ["losses and no delays", "delays = [0.0]"]),
+    "a name for a folder": (BLOCK + 'name = "../x"', ["'../x'", 'name = "soft_tissue"']),
+    "two blocks of one name": (BLOCK + BLOCK, ["'soft_tissue'", 'name = "soft_tissue_2"']),
+    "an exception without expect": (BLOCK + '[[block.except]]\nwhy = "x"', ["exception 1", "has no expect"]),
+    "an exception without why": (BLOCK + '[[block.except]]\nexpect = "ok"', ["exception 1", "has no why"]),
+    "an exception of nothing": (BLOCK + '[[block.except]]\ndelays = {from = 1}\nexpect = "ok"\nwhy = "x"',
+                                ["picks none of the block's delays", "0.0, 0.1"]),
+    "an exception of another law": (BLOCK + '[[block.except]]\nlaws = "pfra"\nexpect = "ok"\nwhy = "x"',
+                                    ["'pfra'", "there are: wave"]),
+    "an exception of seeds that are not listed": (BLOCK + '[[block.except]]\nseeds = 1\nexpect = "ok"\nwhy = "x"',
+                                                  ["block's seeds", "none"]),
+    "an exception with a misspelt range": (BLOCK + '[[block.except]]\ndelays = {form = 1}\nexpect = "ok"\nwhy = "x"',
+                                           ["'form'", "did you mean from?"]),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_file_is_refused_in_one_sentence(case: str, written: Written) -> None:
+    text, words = WRONG[case]
+    with pytest.raises(Refused) as refused:
+        written(text)
+    for word in words:
+        assert word in str(refused.value)
+
+
+class TestTheCommand:
+    def typed(self, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-m", "scenarios", "matrix", *words], cwd=folder, text=True, check=False,
+                              capture_output=True, env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"})
+
+    def test_is_done_whatever_came(self, tmp_path: Path) -> None:
+        (tmp_path / "m.toml").write_text(SMALL)
+        got = self.typed(tmp_path, "m.toml")
+        assert got.returncode == 0, got.stderr
+        assert "1 of 5 rows not as expected:" in got.stdout
+        assert [path.name for path in tmp_path.iterdir()] == ["m.toml"]
+
+    def test_keeps_the_rows_and_goes_on_there(self, tmp_path: Path) -> None:
+        (tmp_path / "m.toml").write_text(SMALL)
+        first = self.typed(tmp_path, "m.toml", "--json", "--out", "kept")
+        kept = tmp_path / "kept" / "at_rest" / "rows.jsonl"
+        lines = kept.read_text().splitlines()
+        assert len(lines) == 4
+        kept.write_text("".join(line.replace('"ok"', '"diverged"') + "\n" for line in lines))  # what no run would give
+        again = self.typed(tmp_path, "m.toml", "--json", "--out", "kept")
+        assert json.loads(first.stdout)["as_expected"] == 4
+        assert json.loads(again.stdout)["as_expected"] == 0
+
+    @pytest.mark.parametrize(("words", "said"), [
+        (["nowhere.toml"], "No such file"), (["m.toml", "--out", "m.toml"], "m.toml"), (["wrong.toml"], "did you mean"),
+        (["."], "it is a folder"),
+    ])
+    def test_refuses_in_one_sentence(self, words: list[str], said: str, tmp_path: Path) -> None:
+        (tmp_path / "m.toml").write_text(SMALL)
+        (tmp_path / "wrong.toml").write_text(BLOCK.replace('"wave"', '"wavee"'))
+        got = self.typed(tmp_path, *words)
+        assert got.returncode == 2
+        assert got.stderr.count("\n") == 1
+        assert said in got.stderr
+
+    def test_has_a_matrix_of_its_own_beside_the_scenes(self) -> None:
+        assert BUILT_IN.parent == ROOT / "scenarios"
+        assert BUILT_IN.is_file()

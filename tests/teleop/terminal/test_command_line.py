@@ -1,0 +1,250 @@
+"""The command line as a user meets it: what it answers and what it leaves."""
+
+from __future__ import annotations
+
+import errno
+import json
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import teleop.simulation.virtual
+import teleop.terminal.figure
+from channel.link import EFFECTS
+from scenarios.__main__ import main as console_entry
+from teleop import load_result, load_scene, run
+from teleop.__main__ import main
+from teleop.law import BUILT_IN
+from teleop.scene.catalogue import details
+from teleop.scene.library import ROOT, built_in_scenes
+from teleop.storage.folder import claim
+
+SHORT = ("--set", "duration=0.2")
+
+
+Typed = Callable[..., Any]
+
+
+class TestARun:
+    def test_writes_a_numbered_folder_and_says_where(self, typed: Typed, tmp_path: Path) -> None:
+        for number in (1, 2):
+            answer = typed("run", "canonical", *SHORT)
+            assert answer.code == 0
+            assert answer.err == ""
+            assert answer.out.endswith(f"written to runs/canonical-{number}\n")
+            left = (tmp_path / "runs" / f"canonical-{number}").iterdir()
+            assert sorted(path.name for path in left) == ["summary.json", "trace.npz"]
+
+    def test_keeps_what_was_typed(self, typed: Typed) -> None:
+        typed("run", "canonical", *SHORT, "--out", "here")
+        summary = json.loads(Path("here/summary.json").read_text())
+        assert summary["command"] == ["teleop", "run", "canonical", *SHORT, "--out", "here"]
+
+    def test_is_the_run_that_python_makes(self, typed: Typed) -> None:
+        typed("run", "jittery_wan", *SHORT, "--seed", "5", "--out", "here")
+        ours = run(load_scene("jittery_wan", duration=0.2), seed=5)
+        stored = load_result("here")
+        assert stored.trace.keys() == ours.trace.keys()
+        for name, column in ours.trace.items():
+            np.testing.assert_array_equal(stored.trace[name], column)
+
+    def test_with_json_is_one_object_and_nothing_else(self, typed: Typed) -> None:
+        answer = typed("run", "canonical", *SHORT, "--json")
+        told = json.loads(answer.out)
+        assert answer.err == ""
+        assert told.pop("path") == "runs/canonical-1"
+        assert told == json.loads(Path("runs/canonical-1/summary.json").read_text())
+
+    def test_with_the_same_seed_leaves_the_same_bytes(self, typed: Typed) -> None:
+        for out, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+            typed("run", "jittery_wan", *SHORT, "--seed", seed, "--out", out)
+        a, b, c = (Path(out, "trace.npz").read_bytes() for out in "abc")
+        assert a == b
+        assert a != c
+
+    def test_that_diverges_is_done_all_the_same_and_says_so(self, typed: Typed) -> None:
+        answer = typed("run", "canonical", "--set", "law=direct", "--set", "law.K=1e6", "--out", "here")
+        assert answer.code == 0
+        assert "diverged at t = " in answer.out
+        stored = load_result("here")
+        assert stored.status == "diverged"
+        assert "x_s" in stored.sentence
+        assert 0 < len(stored.trace["t"]) == stored.ticks < 10_000
+
+    def test_takes_the_last_of_two_settings_and_the_link_option_over_the_scenes(self, typed: Typed) -> None:
+        typed("run", "canonical", *SHORT, "--set", "delay=0.1", "--set", "delay=0.01", "--out", "knob")
+        assert load_result("knob").metrics["T_fwd_max"] == pytest.approx(0.01)
+        typed("run", "canonical", *SHORT, "--link", "delay(0.02) ; delay(0.03)", "--out", "link")
+        stored = load_result("link")
+        assert stored.metrics["T_fwd_max"] == pytest.approx(0.02)
+        assert stored.metrics["T_bwd_max"] == pytest.approx(0.03)
+
+    def test_without_a_link_counts_no_packets(self, typed: Typed) -> None:
+        assert "packets" not in typed("run", "canonical", *SHORT, "--link", "none").out
+
+    def test_with_plot_leaves_a_figure(self, typed: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        assert typed("run", "canonical", *SHORT, "--plot", "--out", "here").code == 0
+        assert Path("here/figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+class TestList:
+    def test_names_every_scene_law_and_effect_with_a_line(self, typed: Typed) -> None:
+        lines = typed("list").out.splitlines()
+        told = {words[0]: words[1] for line in lines if len(words := line.split(maxsplit=1)) == 2}
+        for name in (*built_in_scenes(), *BUILT_IN, *EFFECTS):
+            assert len(told[name]) > 10
+
+    def test_of_a_scene_shows_its_knobs_with_type_and_default(self, typed: Typed) -> None:
+        rows = [line.split() for line in typed("list", "canonical").out.splitlines()]
+        assert ["delay", "float", "0.05", "s,", "each", "way"] in rows
+        assert ["energy", "bool", "True"] in [row[:3] for row in rows]
+        assert ["observer", "float", "|", "None", "200.0"] in [row[:5] for row in rows]
+
+    @pytest.mark.parametrize("name", sorted({*built_in_scenes(), *EFFECTS, *BUILT_IN}))
+    def test_says_of_every_knob_what_it_is_and_in_which_unit(self, name: str) -> None:
+        for block in details(name).split("\n\n"):
+            heading, *rows = [line for line in block.splitlines()[1:] if not line.startswith("  set with")] or [""]
+            said = heading.index("default") + len("default") if rows else 0
+            assert [row.split()[0] for row in rows if not row[said:].partition("  ")[2].strip()] == []
+
+    def test_of_a_law_shows_what_the_numbers_mean(self, typed: Typed) -> None:
+        out = typed("list", "wave").out
+        assert "Wave variables" in out
+        assert "wave impedance, N s/m" in out
+
+    def test_of_a_name_that_a_scene_and_an_effect_share_shows_both(self, typed: Typed) -> None:
+        out = typed("list", "blackout").out
+        assert "scene blackout" in out
+        assert "effect blackout" in out
+
+    def test_of_a_path_shows_a_users_own_scene(self, typed: Typed, tmp_path: Path) -> None:
+        (tmp_path / "mine.py").write_text("def scene(*, steps: int = 3):\n    'A scene that a user wrote.'\n")
+        out = typed("list", "mine.py").out
+        assert "A scene that a user wrote." in out
+        assert ["steps", "int", "3"] in [line.split() for line in out.splitlines()]
+
+
+class TestReport:
+    def test_shows_the_table_of_the_run_again(self, typed: Typed) -> None:
+        first = typed("run", "jittery_wan", *SHORT, "--out", "here").out
+        assert typed("report", "here") == (0, first, "")
+
+    def test_draws_the_figure_if_it_can(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        pytest.importorskip("matplotlib")
+        typed("run", "canonical", *SHORT, "--out", "here")
+        with monkeypatch.context() as without:
+            without.setattr(teleop.terminal.figure, "find_spec", lambda _: None)
+            assert typed("report", "here").code == 0
+            assert not Path("here/figure.png").exists()
+        assert typed("report", "here").code == 0
+        assert Path("here/figure.png").is_file()
+
+    def test_of_a_folder_that_may_only_be_read_is_given_without_a_figure(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        figure = pytest.importorskip("matplotlib.figure")
+        first = typed("run", "canonical", *SHORT, "--out", "here").out
+
+        def forbidden(*_: object, **__: object) -> None:
+            raise PermissionError(errno.EACCES, "Permission denied")
+
+        monkeypatch.setattr(figure.Figure, "savefig", forbidden)
+        answer = typed("report", "here")
+        assert answer.code == 0
+        assert answer.out.startswith(first)
+        assert "no figure" in answer.out
+
+    def test_with_json_gives_the_stored_summary(self, typed: Typed) -> None:
+        typed("run", "canonical", *SHORT, "--out", "here")
+        stored = json.loads(Path("here/summary.json").read_text())
+        assert json.loads(typed("report", "here", "--json").out) == stored | {"path": "here"}
+
+
+class TestDemo:
+    def test_hands_on_what_was_typed_and_shows_the_result(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        asked: list[Any] = []
+
+        def demo(scene_name: str, knobs: dict[str, str], **rest: Any) -> Any:
+            asked.append((scene_name, knobs, rest))
+            folder = claim(rest["out"], rest["stem"]).path
+            return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=folder)
+
+        monkeypatch.setitem(sys.modules, "teleop.live.demo", types.SimpleNamespace(demo=demo))
+        answer = typed("demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep")
+        assert answer.code == 0
+        assert "live in lockstep" in answer.out
+        assert answer.out.endswith("written to runs/hard_wall-1\n")
+        command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep"]
+        rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "lockstep": True, "command": command,
+                "realtime": False}
+        if find_spec("matplotlib"):
+            assert Path("runs/hard_wall-1/figure.png").is_file()
+        assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]
+
+
+class TestHelp:
+    def test_is_given_for_nothing_at_all_and_for_every_command(
+        self, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert main([]) == 0
+        out = capsys.readouterr().out
+        for command in ("run", "demo", "list", "report"):
+            assert f"teleop {command}" in out
+            with pytest.raises(SystemExit) as ended:
+                main([command, "--help"])
+            assert ended.value.code == 0
+            assert f"usage: teleop {command}" in capsys.readouterr().out
+
+    def test_is_reached_through_the_console_entry_point(
+        self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(sys, "argv", ["teleop", "list", "wave"])
+        assert console_entry() == 0
+        assert "law wave" in capsys.readouterr().out
+
+
+class TestAProcess:
+    def test_prints_plain_text_and_ends_with_the_code(self, process: Any, ended: Any) -> None:
+        answer = ended(process("-m", "scenarios", "run", "local", *SHORT))
+        assert (answer.code, answer.err) == (0, "")
+        assert not {"\x1b", "\r", "\b"} & set(answer.out)
+        ended(process("-m", "scenarios", "run", "nothing")).assert_refused("nothing")
+
+    def test_whose_reader_has_seen_enough_ends_quietly(self, process: Any) -> None:
+        started = process("-m", "scenarios", "list")
+        started.stdout.close()
+        assert started.stderr.read() == ""
+        assert started.wait() == 0
+
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+    def test_whose_output_cannot_be_written_says_so(self, process: Any, ended: Any) -> None:
+        with open("/dev/full", "w") as full:
+            ended(process("-m", "scenarios", "list", stdout=full)).assert_refused("No space left")
+
+    def test_finds_its_own_house_whatever_lies_in_the_current_folder(
+        self, process: Any, ended: Any, tmp_path: Path
+    ) -> None:
+        """With `-c` the current folder comes first of all on the path, the hardest case there is."""
+        trap = "raise SystemExit('shadowed')\n"
+        for name in ("scenarios", "channel"):
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "__init__.py").write_text(trap)
+        for name in ("master", "slave", "canonical"):
+            (tmp_path / f"{name}.py").write_text(trap)
+        (tmp_path / "scenarios" / "canonical.py").write_text(trap)
+        (tmp_path / "own.py").write_text((ROOT / "scenarios" / "canonical.py").read_text())
+        code = "from teleop.__main__ import main; raise SystemExit(main())"
+        for scene in ("canonical", "own.py", "./own.py"):
+            answer = ended(process("-c", code, "run", scene, *SHORT, "--json"))
+            assert (answer.code, answer.err) == (0, "")
+            assert json.loads(answer.out)["status"] == "ok"
