@@ -54,7 +54,7 @@ def _run(argv: list[str]) -> int:
                   f"{'' if beyond is None else _open_or_sealed(args)}", flush=True)
         shell.run(interrupt)
     router = shell.router
-    counts = {way: router.counts(direction)._asdict() for direction, way in enumerate(("forth", "back"))}
+    counts = {way: router.counts(direction)._asdict() for direction, way in enumerate(("fwd", "bwd"))}
     if args.json:
         _event("done", summary={"counts": counts, "foreign": router.foreign, "unsealed": router.unsealed})
     else:

@@ -6,7 +6,8 @@ from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
 from channel.dice import Dice, Ints
-from channel.effect import Effect, nanoseconds
+from channel.effect import Effect
+from channel.rows import nanoseconds
 from teleop.errors import Refused, number
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from channel.dice import BLOCK, Dice, Ints
-from channel.effect import Effect, by_number, by_time
+from channel.effect import Effect
+from channel.rows import by_number, by_time
 from teleop.errors import Refused
 
 Rows = tuple[Ints, Ints]
@@ -30,6 +31,10 @@ def check_effect(effect: Effect, *, size: int = 100) -> None:
         _pieces(effect, rows, size)
     out, _ = _carried(effect, [in_step], size)
     _say(effect.reorders or bool(np.all(np.diff(out) >= 0)), effect, "reorders; its class says it does not")
+    if effect.constant_ns is not None:
+        packet, time_ns, _ = effect.carry(effect.begin(Dice(1, 0, 0)), *in_step, size)
+        same = np.array_equal(packet, in_step[0]) and np.array_equal(time_ns, in_step[1] + effect.constant_ns)
+        _say(same, effect, "does more than the constant delay that its `constant_ns` states")
     _dice(effect, size)
 
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from channel.dice import Dice, Ints
-from channel.effect import Effect, nanoseconds, seconds
+from channel.effect import Effect, seconds
+from channel.rows import nanoseconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,10 +20,15 @@ class Delay(Effect):
     def __post_init__(self) -> None:
         object.__setattr__(self, "delay", seconds("delay", self.delay))
 
+    @property
+    def constant_ns(self) -> int:
+        """The delay in ns: it is all that this effect does."""
+        return nanoseconds(self.delay)
+
     def begin(self, dice: Dice) -> None:
         """Nothing to remember."""
 
     def carry(self, state: None, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, None]:
         """All packets, later."""
-        return packet, time_ns + nanoseconds(self.delay), None
+        return packet, time_ns + self.constant_ns, None

@@ -7,7 +7,8 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from channel.dice import Dice, Ints
-from channel.effect import Effect, by_time, nanoseconds, probability, seconds
+from channel.effect import Effect, probability, seconds
+from channel.rows import by_time, nanoseconds
 
 
 @dataclass(frozen=True, slots=True)

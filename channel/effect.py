@@ -10,24 +10,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import ClassVar
 
 from channel.dice import Dice, Ints
+from channel.schedule import Arrivals, Order, State, Stream, arrivals
 from teleop.errors import Refused, number
 
-if TYPE_CHECKING:
-    from channel.schedule import Arrivals, Stream
-
-Order = Literal["any", "time", "number"]
-State = Any  # an effect's own; everybody else hands it back untouched
 LONGEST = 3600.0  # s; packets under way are kept in memory, so no delay may be longer
 
 
 class Effect(ABC):
-    """One thing that happens to packets on their way; final subclasses are frozen dataclasses.
+    """The base of all effects; final subclasses are frozen dataclasses.
 
     A subclass writes `begin` and `carry`; `check_effect` (channel.conformance) tries what is promised here.
     """
@@ -41,6 +34,11 @@ class Effect(ABC):
 
     reorders: ClassVar[bool] = True
     """Whether packets may leave in another order than they entered."""
+
+    @property
+    def constant_ns(self) -> int | None:
+        """The delay of every packet (ns), if a constant delay is all that the effect does; otherwise None."""
+        return None
 
     @abstractmethod
     def begin(self, dice: Dice) -> State:
@@ -57,20 +55,16 @@ class Effect(ABC):
         entered. One long run and the same run in consecutive pieces give the same rows.
         """
 
-    def way(self, direction: int) -> tuple[Effect, ...]:
-        """The effects a packet passes in this direction (0 forward, 1 backward)."""
+    def in_direction(self, direction: int) -> tuple[Effect, ...]:
+        """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return (self,)
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
         """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        from channel.schedule import arrivals
-
         return arrivals(self, direction, count, dt_ns, seed, size)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:
         """The same packet by packet: see `channel.schedule.Stream`."""
-        from channel.schedule import Stream
-
         return Stream(self, direction, seed, size)
 
     def __or__(self, after: Effect | Chain) -> Chain:
@@ -101,20 +95,16 @@ class Chain:
             queued = queued or (effect.order == "time" and disordered)
             disordered = disordered or effect.reorders
 
-    def way(self, direction: int) -> tuple[Effect, ...]:
-        """The effects a packet passes in this direction (0 forward, 1 backward)."""
+    def in_direction(self, direction: int) -> tuple[Effect, ...]:
+        """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return self.effects
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
         """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        from channel.schedule import arrivals
-
         return arrivals(self, direction, count, dt_ns, seed, size)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:
         """The same packet by packet: see `channel.schedule.Stream`."""
-        from channel.schedule import Stream
-
         return Stream(self, direction, seed, size)
 
     def __or__(self, after: Effect | Chain) -> Chain:
@@ -122,25 +112,6 @@ class Chain:
         if not isinstance(after, Effect | Chain):
             return NotImplemented
         return Chain(self.effects + (after.effects if isinstance(after, Chain) else (after,)))
-
-
-def by_time(packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
-    """The rows sorted by (time, packet number); rows that already are sorted are returned as they came."""
-    if len(time_ns) < 2:
-        return packet, time_ns
-    step = np.diff(time_ns)
-    if step.min() > 0 or bool(np.all((step > 0) | ((step == 0) & (np.diff(packet) >= 0)))):
-        return packet, time_ns
-    rows = np.lexsort((packet, time_ns))
-    return packet[rows], time_ns[rows]
-
-
-def by_number(packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
-    """The rows sorted by (packet number, time)."""
-    if len(packet) < 2 or bool(np.all(np.diff(packet) > 0)):
-        return packet, time_ns
-    rows = np.lexsort((time_ns, packet))
-    return packet[rows], time_ns[rows]
 
 
 def seconds(name: str, value: object, *, above: float | None = None) -> float:
@@ -155,13 +126,3 @@ def seconds(name: str, value: object, *, above: float | None = None) -> float:
 def probability(name: str, value: object) -> float:
     """`value` as a probability, 0 to 1."""
     return number(name, value, low=0.0, high=1.0)
-
-
-def nanoseconds(time: float) -> int:
-    """A time in s as a whole number of ns, to the nearest."""
-    return round(time * 1e9)
-
-
-def later(packet: Ints, time_ns: Ints, delay: NDArray[np.float64]) -> tuple[Ints, Ints]:
-    """The rows after a delay of their own each, s (n,), to the nearest ns, sorted again."""
-    return by_time(packet, time_ns + np.rint(delay * 1e9).astype(np.int64))

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from channel.dice import Dice, Ints, inside, normal
-from channel.effect import Effect, later, seconds
+from channel.effect import Effect, seconds
+from channel.rows import later
 from teleop.errors import number
 
 

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from channel.dice import Dice, Ints
-from channel.effect import Effect, Order
+from channel.effect import Effect
+from channel.schedule import Order
 
 _LONG_AGO = -(2**63)
 

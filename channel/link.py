@@ -1,4 +1,4 @@
-"""Links as text and as objects: `delay(0.05) | bernoulli(p=0.02)`; forward and backward parted by `;`.
+"""Links as text and as objects: `delay(0.05) | bernoulli(p=0.02)`; the two directions, fwd and bwd, parted by `;`.
 
     link = parse_link("delay(0.05) | gamma(mean=0.01, shape=2) ; delay(0.2)")
     link.arrivals(0, count=10_000, dt_ns=1_000_000, seed=1, size=100)
@@ -52,25 +52,25 @@ EXAMPLES = {
 GROUP = "teleop.effects"  # of entry points
 KIND = Kind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES)
 _LONGEST = 10_000  # characters of a text
-_FORM = 'write for example "delay(0.05) | bernoulli(p=0.02)", or "FORWARD ; BACKWARD"'
+_FORM = 'write for example "delay(0.05) | bernoulli(p=0.02)", or "FWD ; BWD"'
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Different ways there and back: forward from master to slave, backward from slave to master."""
+    """Different effects in the two directions: `fwd` from master to slave, `bwd` from slave to master."""
 
-    forward: Effect | Chain
-    backward: Effect | Chain
+    fwd: Effect | Chain
+    bwd: Effect | Chain
 
     def __post_init__(self) -> None:
-        for name in ("forward", "backward"):
+        for name in ("fwd", "bwd"):
             if not isinstance(getattr(self, name), Effect | Chain):
                 raise Refused(f"{name} must be an effect or a chain of them, not {getattr(self, name)!r}; "
-                              f"write {name}=Delay(0.0) for a way that does nothing")
+                              f"write {name}=Delay(0.0) for a direction without any effect")
 
-    def way(self, direction: int) -> tuple[Effect, ...]:
-        """The effects a packet passes in this direction (0 forward, 1 backward)."""
-        return (self.backward if direction else self.forward).way(direction)
+    def in_direction(self, direction: int) -> tuple[Effect, ...]:
+        """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
+        return (self.bwd if direction else self.fwd).in_direction(direction)
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
         """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
@@ -99,7 +99,7 @@ def parse_link(text: str) -> Effect | Chain | Link:
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise Refused(f"the link {text[:80]!r} cannot be read; {_FORM}") from None
     if len(ways) not in (1, 2):
-        raise Refused(f"a link has one way for both directions or two parted by ;, not {len(ways)}; {_FORM}")
+        raise Refused(f"a link is written once for both directions, or twice with ; between, not {len(ways)}; {_FORM}")
     parsed = [_way(node.value if isinstance(node, ast.Expr) else node, text) for node in ways]
     return parsed[0] if len(parsed) == 1 else Link(*parsed)
 
@@ -111,8 +111,8 @@ def describe(link: Effect | Chain | Link) -> str:
     'delay(0.05) | bernoulli(0.02)'
     """
     if isinstance(link, Link):
-        return f"{describe(link.forward)} ; {describe(link.backward)}"
-    return " | ".join(map(_call, link.way(0))) if isinstance(link, Effect | Chain) else repr(link)
+        return f"{describe(link.fwd)} ; {describe(link.bwd)}"
+    return " | ".join(map(_call, link.in_direction(0))) if isinstance(link, Effect | Chain) else repr(link)
 
 
 def _way(node: ast.AST, text: str) -> Effect | Chain:

@@ -9,7 +9,9 @@ import numpy as np
 
 from channel import recording
 from channel.dice import Dice, Ints
-from channel.effect import Effect, Order, by_time, nanoseconds
+from channel.effect import Effect
+from channel.rows import by_time, nanoseconds
+from channel.schedule import Order
 from teleop.errors import Refused, number
 
 OPPORTUNITY = 1500  # bytes that one line of a trace delivers

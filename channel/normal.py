@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from channel.dice import Dice, Ints
-from channel.effect import Effect, later, seconds
+from channel.effect import Effect, seconds
+from channel.rows import later
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ import numpy as np
 
 from channel import recording
 from channel.dice import Dice, Ints
-from channel.effect import LONGEST, Effect, by_time, nanoseconds
+from channel.effect import LONGEST, Effect
+from channel.rows import by_time, nanoseconds
 from teleop.errors import Refused, number
 
 _STAMP = re.compile(r"\[(\d{1,12})\.(\d{1,9})\] (.*)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from channel.schedule import ENTRY, Stream, Way
+from channel.schedule import ENTRY, Stream, TwoWay
 
 MOST = 2**18  # datagrams under way, both directions and all copies
 MOST_BYTES = 2**25  # of memory for them: what comes beyond it is dropped
@@ -40,7 +40,7 @@ class Relay:
     that could not agree to start, or that never heard of the other's stop, would say nothing about the law.
     """
 
-    def __init__(self, link: Way | None, seed: int, size: int) -> None:
+    def __init__(self, link: TwoWay | None, seed: int, size: int) -> None:
         self._streams = tuple(Stream(link, direction, seed, size) for direction in (0, 1))
         self._control: list[tuple[int, int, bytes]] = []  # time, direction, data
         self._controls = [0, 0]  # how many of them in each direction
@@ -80,13 +80,13 @@ class Relay:
             out = [(direction, data) for _, direction, data in self._control]
             self._passed = [passed + more for passed, more in zip(self._passed, self._controls, strict=True)]
             self._control, self._controls = [], [0, 0]
-        forth, back = [stream.deliver(self._now) for stream in self._streams]
-        if forth and back:
+        fwd, bwd = [stream.deliver(self._now) for stream in self._streams]
+        if fwd and bwd:
             arrived = [(load.time_ns, direction, load.load)
-                       for direction, loads in enumerate((forth, back)) for load in loads]
+                       for direction, loads in enumerate((fwd, bwd)) for load in loads]
             arrived.sort(key=lambda one: one[:2])
             return out + [(direction, data) for _, direction, data in arrived]
-        return out + [(0, load.load) for load in forth] + [(1, load.load) for load in back]
+        return out + [(0, load.load) for load in fwd] + [(1, load.load) for load in bwd]
 
     def next_ns(self) -> int | None:
         """When to ask `due` again, None if nothing is under way."""

@@ -6,24 +6,40 @@ chain, packets of the same time go in the order of their numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from heapq import heappop, heappush
-from typing import NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from channel.dice import Dice, Ints
-from channel.effect import Effect, State, by_number
+from channel.rows import by_number
 from teleop.errors import Refused
+
+Order = Literal["any", "time", "number"]
+State = Any  # an effect's own: the schedule hands it back unchanged
 
 ENTRY = 250  # bytes of memory that a packet under way takes up beside its load: a tuple, its numbers, the load's object
 
 
-class Way(Protocol):
-    """Whatever leads from one end to the other: an effect, a chain of them, a link."""
+class Carrier(Protocol):
+    """An effect as the schedule uses it; see `channel.effect.Effect`, which describes each member."""
 
-    def way(self, direction: int) -> tuple[Effect, ...]:
-        """The effects a packet passes in this direction (0 forward, 1 backward)."""
+    order: ClassVar[Order]
+
+    @property
+    def constant_ns(self) -> int | None: ...
+
+    def begin(self, dice: Dice) -> State: ...
+
+    def carry(self, state: State, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, State]: ...
+
+
+class TwoWay(Protocol):
+    """A path between the two ends: an effect, a chain of effects, or a link."""
+
+    def in_direction(self, direction: int) -> Sequence[Carrier]:
+        """The effects that a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         ...
 
 
@@ -52,7 +68,7 @@ class Delivery(NamedTuple):
     load: bytes
 
 
-def arrivals(link: Way, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+def arrivals(link: TwoWay, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
     """What arrives when packets 0..count-1 are sent at k*dt_ns, each of `size` bytes on the wire."""
     packet, time_ns = _sent(count, dt_ns)
     for done in _passed(link, direction, packet, time_ns, seed, size):
@@ -60,7 +76,7 @@ def arrivals(link: Way, direction: int, count: int, dt_ns: int, seed: int, size:
     return Arrivals(packet, time_ns)
 
 
-def verdicts(link: Way, direction: int, count: int, dt_ns: int, seed: int, size: int) -> list[Verdicts]:
+def verdicts(link: TwoWay, direction: int, count: int, dt_ns: int, seed: int, size: int) -> list[Verdicts]:
     """The log of `arrivals`: what each effect of the chain did, first to last."""
     return list(_passed(link, direction, *_sent(count, dt_ns), seed, size))
 
@@ -70,10 +86,10 @@ def _sent(count: int, dt_ns: int) -> tuple[Ints, Ints]:
     return packet, packet * whole("dt_ns", dt_ns, 1)
 
 
-def _passed(link: Way, direction: int, packet: Ints, time_ns: Ints, seed: int,
+def _passed(link: TwoWay, direction: int, packet: Ints, time_ns: Ints, seed: int,
             size: int) -> Iterator[Verdicts]:
     whole("size", size, 1)
-    for place, effect in enumerate(link.way(direction)):
+    for place, effect in enumerate(link.in_direction(direction)):
         if effect.order == "number":
             packet, time_ns = by_number(packet, time_ns)
         state = effect.begin(Dice(seed, direction, place))
@@ -91,16 +107,16 @@ class Stream:
     in the heap for its time. `log` is called with the `Verdicts` of every packet at every effect.
     """
 
-    def __init__(self, link: Way | None, direction: int, seed: int, size: int,
+    def __init__(self, link: TwoWay | None, direction: int, seed: int, size: int,
                  log: Callable[[Verdicts], object] | None = None) -> None:
-        self._effects = link.way(direction) if link is not None else ()
+        self._effects = link.in_direction(direction) if link is not None else ()
         self._size = whole("size", size, 1)
         self.queues = any(e.order == "time" for e in self._effects)  # must packets enter in order of time
         self._states: list[State] = [e.begin(Dice(seed, direction, p)) for p, e in enumerate(self._effects)]
         self._log = log
         self._heap: list[tuple[int, int, int, int, bytes]] = []  # time, place, packet, serial, load
         self._serial = 0
-        self._shift = _shift(self._effects) if log is None else None
+        self._constant_ns = _constant_ns(self._effects) if log is None else None
         self.bytes = 0  # of memory that the packets under way take up
         self.sent = self.doubled = self.lost = self.delivered = 0
         """Counters: at any time, sent + doubled = lost + delivered + under_way."""
@@ -111,8 +127,8 @@ class Stream:
     def send(self, packet: int, now_ns: int, load: bytes = b"") -> None:
         """A packet, 0..2^63-1, enters the link."""
         self.sent += 1
-        if self._shift is not None:
-            heappush(self._heap, (now_ns + self._shift, len(self._effects), packet, self._serial, load))
+        if self._constant_ns is not None:
+            heappush(self._heap, (now_ns + self._constant_ns, len(self._effects), packet, self._serial, load))
             self._serial += 1
             self.bytes += len(load) + ENTRY
             return
@@ -167,20 +183,13 @@ class Stream:
         return out, time_out
 
 
-def _shift(effects: tuple[Effect, ...]) -> int | None:
-    """How much later every packet comes out, ns, if that is all that these effects do; otherwise None.
+def _constant_ns(effects: Sequence[Carrier]) -> int | None:
+    """The delay of every packet (ns), if a constant delay is all that these effects do; otherwise None.
 
-    A relay spares itself numpy for each packet by it.
+    A relay then needs no numpy for a packet.
     """
-    from channel.delay import Delay
-    from channel.effect import nanoseconds
-
-    shift = 0
-    for effect in effects:
-        if type(effect) is not Delay:
-            return None
-        shift += nanoseconds(effect.delay)
-    return shift
+    delays = [effect.constant_ns for effect in effects]
+    return None if None in delays else sum(delay for delay in delays if delay is not None)
 
 
 def whole(name: str, value: object, low: int) -> int:

@@ -47,8 +47,8 @@ def scene(
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.5, duration=1.5)),
         master=MassDamper(mass=0.1, damping=0.5),
         link=Link(
-            forward=Mahimahi(str(up), queue=queue, start=start) | Delay(delay),
-            backward=Mahimahi(str(down), queue=queue, start=start) | Delay(delay),
+            fwd=Mahimahi(str(up), queue=queue, start=start) | Delay(delay),
+            bwd=Mahimahi(str(down), queue=queue, start=start) | Delay(delay),
         ),
         playout=playout,
         slave=MassDamper(mass=0.5, damping=1.0),

@@ -130,7 +130,7 @@ def measured(rates: Flood, between: str, folder: Path, keys: tuple[tuple[str, ..
     gains = [np.load(folder / end / "trace.npz")[f"g_{end[0]}"].min() for end in told]
     return Run(
         p99=(told["master"]["master"]["late_us"]["p99"], told["slave"]["slave"]["late_us"]["p99"]),
-        used=(_used(told["master"], told["slave"], "back"), _used(told["slave"], told["master"], "forth")),
+        used=(_used(told["master"], told["slave"], "bwd"), _used(told["slave"], told["master"], "fwd")),
         gain=float(min(gains)), status="/".join({end["status"] for end in told.values()}),
         thrown=sum(map(int, thrown)) / max(1e-9, float(seconds)),
     )

@@ -123,7 +123,7 @@ def datagrams(folder: Path, count: int) -> None:
     from teleop.scene.scene import both_ends, load_scene
 
     scene = both_ends(load_scene(SCENE, link=f"delay({DELAY})"))
-    ways = {"forth": (Kind.HELLO, Kind.FORTH), "back": (Kind.START, Kind.BACK)}
+    ways = {"fwd": (Kind.HELLO, Kind.FORTH), "bwd": (Kind.START, Kind.BACK)}
     for name, (control, message) in ways.items():
         first = encode(Packet(control, 1, 0, 0, None, scene.manifest() if control is Kind.HELLO else 0))
         rest = (encode(Packet(message, 1, k, k * scene.dt_ns, None, (0.1,), 0.1), scene.wire_size)
@@ -135,7 +135,7 @@ def datagrams(folder: Path, count: int) -> None:
 def carried(c: str, folder: Path, rate: int, count: int, *, ours: bool) -> Carried:
     """One relay under one load."""
     delay_ns = round(DELAY * 1e9)
-    load = _started(c, "load", folder / "forth", folder / "back", rate, count, delay_ns, stdin=subprocess.PIPE)
+    load = _started(c, "load", folder / "fwd", folder / "bwd", rate, count, delay_ns, stdin=subprocess.PIPE)
     assert load.stdout is not None
     peer = load.stdout.readline().strip()
     with _channel(peer, count) if ours else _port(c, "relay", peer, delay_ns) as near:

@@ -140,7 +140,7 @@ def packet_counts(scene: Scene, seed: int, ran: int) -> dict[str, Packets]:
 
 def ways(forth: Plan | None, back: Plan | None, ran: int) -> dict[str, Packets]:
     """The counts of two plans by direction; None is no link, which loses nothing."""
-    plans = {"forth": forth, "back": back}
+    plans = {"fwd": forth, "bwd": back}
     return {way: Packets.of_plan(plan) if plan else Packets.without_link(ran) for way, plan in plans.items()}
 
 

@@ -16,7 +16,7 @@ PREFIX = {-3: "n", -2: "u", -1: "m", 0: "", 1: "k", 2: "M", 3: "G"}  # u: a term
 RATE_AFTER = 0.5  # s of rows before their rate is told: the first few come in a bunch
 RATE_OVER = 10.0  # s that it is taken over, or as long as a few rows last
 BAR_FROM = 60  # columns; a bar in fewer would come and go with what stands behind it
-_WAYS = (("forth", "fwd"), ("back", "bwd"))
+_DIRECTIONS = ("fwd", "bwd")
 _LATE = (("half under", "p50"), ("99 % under", "p99"), ("at most", "p100"))
 _MODE = {"virtual": "virtual time", "lockstep": "live in lockstep", "live": "live"}
 _COUNTS = (("lost", "lost"), ("late", "late"), ("overtaken", "overtaken"), ("duplicates", "doubled"),
@@ -85,9 +85,9 @@ def _energy(key: str) -> Callable[[Result], Iterator[str]]:
 
 def _delay(result: Result) -> Iterator[str]:
     got = result.metrics
-    heard = [(word, way) for word, way in _WAYS if f"fresh_{way}" in got]  # of one end alone, one way
+    heard = [way for way in _DIRECTIONS if f"fresh_{way}" in got]  # of one end alone, one way
     if heard:
-        yield ", ".join(f"{_seen(got, way)} {word}" for word, way in heard)
+        yield ", ".join(f"{_seen(got, way)} {way}" for way in heard)
 
 
 def _seen(got: Mapping[str, float], way: str) -> str:
@@ -98,9 +98,9 @@ def _seen(got: Mapping[str, float], way: str) -> str:
 
 
 def _packets(result: Result) -> Iterator[str]:
-    for word, way in _WAYS:
-        if f"fresh_{way}" in result.metrics and word in result.packets:
-            yield f"{word}: {_counts(result.packets[word])}"
+    for way in _DIRECTIONS:
+        if f"fresh_{way}" in result.metrics and way in result.packets:
+            yield f"{way}: {_counts(result.packets[way])}"
 
 
 def _counts(packets: Packets) -> str:

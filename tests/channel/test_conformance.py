@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from channel.conformance import check_effect
+from channel.delay import Delay
 from channel.dice import Dice, Ints
-from channel.effect import Effect, Order, by_time
+from channel.effect import Effect
 from channel.link import EFFECTS, describe, parse_link
+from channel.rows import by_time
+from channel.schedule import Order
 from teleop.errors import Refused
 
 
@@ -73,6 +76,19 @@ class Broken(Effect):
 
 def test_a_sound_effect_of_ones_own_passes() -> None:
     check_effect(Broken("none"))
+
+
+@dataclass(frozen=True)
+class LateDelay(Delay):
+    """A delay that adds 1 ns to what it states."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
+        return packet, time_ns + self.constant_ns + 1, None
+
+
+def test_an_effect_that_does_more_than_its_constant_delay_is_refused() -> None:
+    with pytest.raises(Refused, match="does more than the constant delay that its `constant_ns` states"):
+        check_effect(LateDelay(0.01))
 
 
 @pytest.mark.parametrize("fault", [

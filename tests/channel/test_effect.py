@@ -10,9 +10,10 @@ import pytest
 from channel.bernoulli import Bernoulli
 from channel.delay import Delay
 from channel.duplicate import Duplicate
-from channel.effect import Chain, by_number, by_time
+from channel.effect import Chain
 from channel.in_order import InOrder
 from channel.mahimahi import Mahimahi
+from channel.rows import by_number, by_time
 from channel.uniform import UniformJitter
 from teleop.errors import Refused
 

@@ -68,7 +68,7 @@ def test_a_path_may_hold_what_separates_effects(recordings) -> None:
     awkward = recordings / 'a ; b | c "d".txt'
     awkward.write_text((recordings / "trace").read_text())
     link = parse_link(f"delay(0.1) ; mahimahi({str(awkward)!r}, queue=7)")
-    assert link.backward.path == str(awkward)  # type: ignore[union-attr]
+    assert link.bwd.path == str(awkward)  # type: ignore[union-attr]
     assert parse_link(describe(link)) == link
 
 
@@ -80,7 +80,7 @@ def test_a_link_has_a_way_for_each_direction() -> None:
         stream = link.stream(direction, 1, 100)
         stream.send(0, 0)
         assert stream.next_ns() == (direction + 1) * 1_000_000
-    with pytest.raises(Refused, match=r"forward must be an effect.*forward=Delay\(0.0\)"):
+    with pytest.raises(Refused, match=r"fwd must be an effect.*fwd=Delay\(0.0\)"):
         Link(None, Delay(0.1))  # type: ignore[arg-type]
 
 
@@ -90,7 +90,7 @@ def test_a_link_has_a_way_for_each_direction() -> None:
     ("dely", "no effect 'dely'; did you mean delay"),
     ("delay", r"needs brackets: write for example delay\(0\.05\)$"),
     ("delay(0.05", "cannot be read; write for example"),
-    ("", "one way for both directions or two"),
+    ("", "written once for both directions"),
     ("delay(1); delay(1); delay(1)", "not 3"),
     ("delay(0.05) & bernoulli(0.1)", "part that is no effect, 'delay"),
     ("0.05", "part that is no effect, '0.05'"),
@@ -125,7 +125,7 @@ def test_refusals(text: str, sentence: str) -> None:
 
 
 def test_a_very_long_chain_is_read() -> None:
-    assert len(parse_link(" | ".join(["in_order()"] * 700)).way(0)) == 700
+    assert len(parse_link(" | ".join(["in_order()"] * 700)).in_direction(0)) == 700
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))

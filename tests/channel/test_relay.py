@@ -7,9 +7,10 @@ from channel.bernoulli import Bernoulli
 from channel.delay import Delay
 from channel.dice import Dice, Ints
 from channel.duplicate import Duplicate
-from channel.effect import Effect, later
+from channel.effect import Effect
 from channel.link import Link, parse_link
 from channel.relay import Counts, Relay
+from channel.rows import later
 
 MS = 1_000_000
 

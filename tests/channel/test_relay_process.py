@@ -120,7 +120,7 @@ def test_what_the_link_loses_is_lost_and_the_rest_comes_after_its_delay(channel:
         assert got == [message(1, k) for k in drawn]
         assert 10 < len(got) < count
     counts = one.stop()["counts"]
-    for way in ("forth", "back"):
+    for way in ("fwd", "bwd"):
         assert counts[way]["received"] == count + 2  # the first exchange is counted too
         assert counts[way]["lost"] + counts[way]["delivered"] == count + 2
 
@@ -247,7 +247,7 @@ def test_the_next_session_finds_fresh_water(channel: Callable[..., Channel]) -> 
     assert len(all_of(one.slave, len(drawn))) == len(drawn)
     one.master.sendto(message(1, 41), one.near)
     assert all_of(one.slave) == []
-    assert one.stop()["counts"]["forth"]["received"] == 84, "of both sessions"
+    assert one.stop()["counts"]["fwd"]["received"] == 84, "of both sessions"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

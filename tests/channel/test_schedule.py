@@ -17,14 +17,16 @@ from channel.gamma import GammaJitter
 from channel.in_order import InOrder
 from channel.link import Link, parse_link
 from channel.mahimahi import Mahimahi
-from channel.schedule import Stream, Verdicts, Way, arrivals, verdicts
+from channel.schedule import Stream, TwoWay, Verdicts, arrivals, verdicts
 from channel.uniform import UniformJitter
 from teleop.errors import Refused
 
 MS = 1_000_000
 
 
-def streamed(link: Way, count: int, dt_ns: int, polls: set[int], seed: int = 1) -> tuple[Stream, list[tuple[int, int]]]:
+def streamed(
+    link: TwoWay, count: int, dt_ns: int, polls: set[int], seed: int = 1
+) -> tuple[Stream, list[tuple[int, int]]]:
     """The same packets live; after the sends named in `polls`, what is due is taken out."""
     stream = Stream(link, 0, seed, 100)
     out = []
@@ -54,7 +56,7 @@ def test_the_stream_gives_the_arrivals(every_effect: list[Effect], data: st.Data
 
 
 @pytest.mark.parametrize("link", [Delay(0.05), Delay(0.0), Delay(0.001) | Delay(2e-9) | Delay(0.02)])
-def test_constant_delays_alone_are_no_other_than_in_company(link: Way) -> None:
+def test_constant_delays_alone_are_no_other_than_in_company(link: TwoWay) -> None:
     """Whether the stream adds them up, or its log wants to know what each of them did."""
     log: list[Verdicts] = []
     quiet, told = Stream(link, 0, 1, 100), Stream(link, 0, 1, 100, log=log.append)
@@ -67,7 +69,7 @@ def test_constant_delays_alone_are_no_other_than_in_company(link: Way) -> None:
     came = quiet.deliver(10**9)
     assert came == told.deliver(10**9)
     assert [one.packet for one in came] == [0, 1, 2, 3, 3, 9]
-    assert len(log) == len(sends) * len(link.way(0))
+    assert len(log) == len(sends) * len(link.in_direction(0))
 
 
 def test_jitter_before_a_narrow_queue(recordings) -> None:

@@ -71,7 +71,7 @@ def test_a_demo_ends_with_a_table_and_a_folder(command: Start, tmp_path: Path) -
     assert 0 < got.ticks <= 1000
     assert 0.045 < got.metrics["T_fwd_mean"] < 0.5
     assert got.metrics["E_link_min"] >= -1e-12
-    for way in ("forth", "back"):
+    for way in ("fwd", "bwd"):
         counts = got.packets[way]
         assert counts.rejected == {}
         assert 0.1 < counts.lost / counts.sent < 0.3  # counted where it happens, in the channel
@@ -109,7 +109,7 @@ def test_an_interrupted_demo_saves_what_there_is_and_leaves_nobody_behind(comman
     assert (code, err) == (0, "")
     told = json.loads(out)  # one object and nothing else
     assert (told["status"], told["path"]) == ("stopped", "out")
-    assert set(told["channel"]["counts"]) == {"forth", "back"}
+    assert set(told["channel"]["counts"]) == {"fwd", "bwd"}
     assert "it was asked to stop" in told["sentence"]
     assert load_result(tmp_path / "out").ticks > 0
     assert all(gone(pid) for pid in started.values())

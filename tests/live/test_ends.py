@@ -83,8 +83,8 @@ def test_three_processes_make_a_run_and_both_ends_save_it(command: Start, tmp_pa
         with np.load(tmp_path / "runs" / f"hard_wall-{name}-1" / "trace.npz") as trace:
             assert len(trace["t"]) == left["ticks"] == len(trace[f"late_{name[0]}"])
     counts = json.loads(ended["channel"][1].splitlines()[-1])["summary"]["counts"]
-    assert counts["forth"]["lost"] == counts["back"]["lost"] == 0
-    assert counts["forth"]["delivered"] == counts["forth"]["received"] > 0
+    assert counts["fwd"]["lost"] == counts["bwd"]["lost"] == 0
+    assert counts["fwd"]["delivered"] == counts["fwd"]["received"] > 0
 
 
 def test_two_ends_do_without_a_channel_and_talk_plainly_to_people(command: Start, tmp_path: Path) -> None:
@@ -288,7 +288,7 @@ def test_garbage_at_a_slaves_port_is_counted_and_the_run_goes_on(command: Start,
     left = summary(tmp_path / "runs" / "hard_wall-slave-1")
     assert left["status"] == "ok"
     # What came before the two had met; from then on the system keeps strangers out.
-    assert left["packets"]["forth"]["rejected"] == {"truncated": 1, "magic": 1, "oversize": 1}
+    assert left["packets"]["fwd"]["rejected"] == {"truncated": 1, "magic": 1, "oversize": 1}
     assert share_received(tmp_path / "runs" / "hard_wall-master-1", tmp_path / "runs" / "hard_wall-slave-1") > 0.5
 
 
@@ -314,7 +314,7 @@ def test_a_disk_that_fills_up_stops_the_record_and_not_the_loop(command: Start, 
     assert not (folder / "summary.json").exists()
     assert read_noted(folder)[1].ticks.tolist() == rows.ticks.tolist()
     left = summary(tmp_path / "runs" / "hard_wall-master-1")
-    assert left["packets"]["back"]["received"] > len(rows.ticks), "the loop went on"
+    assert left["packets"]["bwd"]["received"] > len(rows.ticks), "the loop went on"
 
 
 def test_what_a_killed_end_left_can_be_opened(command: Start, tmp_path: Path) -> None:

@@ -48,4 +48,4 @@ def test_a_flood_from_a_wrong_address_costs_no_good_packet(
     assert told["status"] == "ok"
     assert thrown > 10_000
     assert share_received(tmp_path / "m", tmp_path / "s") > 0.95
-    assert sum(told["packets"]["forth"]["rejected"].values()) < 0.01 * thrown
+    assert sum(told["packets"]["fwd"]["rejected"].values()) < 0.01 * thrown

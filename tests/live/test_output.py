@@ -157,8 +157,9 @@ fcntl.ioctl(its, termios.TIOCSCTTY, 0)
 now = termios.tcgetattr(its)
 now[3] |= termios.TOSTOP
 termios.tcsetattr(its, termios.TCSANOW, now)
-where = {"live": "teleop.live.process.output import live", "plain": "contextlib import nullcontext as
-live"}[sys.argv[2]] said = f"from {where}\\nwith live():\\n print('here', flush=True)"
+where = {"live": "teleop.live.process.output import live",
+         "plain": "contextlib import nullcontext as live"}[sys.argv[2]]
+said = f"from {where}\\nwith live():\\n print('here', flush=True)"
 child = subprocess.Popen([sys.executable, "-c", said], stdout=its, process_group=0)
 _, status = os.waitpid(child.pid, os.WUNTRACED)
 child.kill()

@@ -293,7 +293,7 @@ def test_what_an_end_counted_before_the_other_was_started_again_is_not_told_of_t
 def test_what_two_ends_counted_that_ran_together_is_told(tmp_path: Path) -> None:
     ends = [end_of(tmp_path / e, e, range(1000 - late), [MET], counted=990) for e, late in (("m", 0), ("s", 40))]
     result = merge(SCENE, *ends)
-    assert (result.packets["forth"].sent, result.packets["back"].received) == (990, 990)
+    assert (result.packets["fwd"].sent, result.packets["bwd"].received) == (990, 990)
     assert dict(result.extra["slave"])["lost"] == 700  # type: ignore[call-overload]  # a mapping
     assert not any("without the other" in note for note in result.notes)
 
@@ -302,7 +302,7 @@ def test_an_end_that_met_twice_in_the_ticks_of_both_has_no_ledger_of_it_all(tmp_
     ends = [end_of(tmp_path / e, e, range(1000), LONG, counted=990) for e in ("m", "s")]
     result = merge(SCENE, *ends)
     assert "E_link" not in result.trace
-    assert result.packets["forth"].sent == 990
+    assert result.packets["fwd"].sent == 990
 
 
 @pytest.mark.parametrize("inside", [[], ["x-1"], ["x-1/master", "x-1/slave"]])

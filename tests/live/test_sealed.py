@@ -49,7 +49,7 @@ def test_two_ends_with_keys_run_sealed(
         assert told["status"] == "ok"
         assert told[name]["sealed"] is True
         assert told[name]["associations"] == 1
-        assert not told["packets"]["back" if name == "master" else "forth"]["rejected"]
+        assert not told["packets"]["bwd" if name == "master" else "fwd"]["rejected"]
         assert keys[name][0] in " ".join(told["command"])  # the file's name, and nothing of what is in it
         assert "PRIVATE" not in (tmp_path / folder / "summary.json").read_text()
     assert share_received(tmp_path / "m", tmp_path / "s") > 0.8
@@ -145,7 +145,7 @@ def test_a_sender_without_the_key_does_not_keep_the_pinned_master_out(
             code, out, err = end.end()
             assert code == 0, (out, err)
     assert thrown[0] > 0
-    assert summary(tmp_path / "s")["packets"]["forth"]["received"] > 100
+    assert summary(tmp_path / "s")["packets"]["fwd"]["received"] > 100
 
 
 def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_even_after_an_outage(
@@ -166,7 +166,7 @@ def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_even_after_
             code, out, err = end.end()
             assert code == 0, (out, err)
     told = {end: summary(tmp_path / end)["packets"] for end in "ms"}
-    for here, there, way in (("s", "m", "forth"), ("m", "s", "back")):  # before the outage are less than two tenths
+    for here, there, way in (("s", "m", "fwd"), ("m", "s", "bwd")):  # before the outage are less than two tenths
         assert told[here][way]["received"] > 0.4 * told[there][way]["sent"]
 
 

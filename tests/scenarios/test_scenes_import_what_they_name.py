@@ -55,7 +55,7 @@ def loaded_by(name: str, knobs: dict[str, str], folder: Path) -> set[str]:
 
 
 def effects(link: Any) -> set[str]:
-    return set() if link is None else {type(effect).__module__ for way in (0, 1) for effect in link.way(way)}
+    return set() if link is None else {type(effect).__module__ for way in (0, 1) for effect in link.in_direction(way)}
 
 
 def homes(table: dict[str, str], names: set[str] | None = None) -> set[str]:

@@ -130,8 +130,8 @@ def summary(answer: Answer) -> dict[str, Any]:
     if isinstance(found, Stability):
         mode = found.mode
         told |= {
-            "method": "roots", "unstable": found.unstable, "integrators": found.integrators, "forth": found.forth,
-            "back": found.back, "round_trip": found.round_trip, "critical_round_trip": found.critical_round_trip,
+            "method": "roots", "unstable": found.unstable, "integrators": found.integrators, "fwd": found.forth,
+            "bwd": found.back, "round_trip": found.round_trip, "critical_round_trip": found.critical_round_trip,
             "delay_margin": found.delay_margin, "gain_margin": found.gain_margin,
             "mode": mode and {"z": [mode.z.real, mode.z.imag], "frequency": mode.frequency, "growth": mode.growth,
                               "damping": mode.damping},

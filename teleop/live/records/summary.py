@@ -29,7 +29,7 @@ UNWATCHED = ("the device has neither a deadline nor a watchdog: if this process 
              "stays on; see README, \"A device of your own\"")
 FEWEST_NS = 3_000_000_000  # of two clocks beside each other, before their rates are judged
 NAMES = {"m": "master", "s": "slave"}
-WAYS = {"m": ("forth", "back"), "s": ("back", "forth")}  # the direction an end sends in, and the other
+WAYS = {"m": ("fwd", "bwd"), "s": ("bwd", "fwd")}  # the direction an end sends in, and the other
 
 
 def write_end(shell: Shell, folder: Path, seed: int, command: list[str]) -> Result:

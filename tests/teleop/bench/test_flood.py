@@ -33,8 +33,8 @@ def test_a_flood_through_the_forwarder_is_seen_as_from_the_peer_and_leaves_the_r
     assert all(0.0 < used <= 1.0 for used in run.used)
     assert run.gain <= 1.0
     told = {end: json.loads((tmp_path / end / "summary.json").read_text()) for end in ("master", "slave")}
-    assert told["master"]["packets"]["back"]["rejected"] == {}
-    found = told["slave"]["packets"]["forth"]["rejected"]
+    assert told["master"]["packets"]["bwd"]["rejected"] == {}
+    found = told["slave"]["packets"]["fwd"]["rejected"]
     assert "checksum" in found, "what only looks like ours has to be opened"
     assert told["slave"]["slave"]["dropped_by_system"] > sum(found.values()), "the rest is dropped by the kernel"
 

@@ -455,7 +455,7 @@ def test_a_scene_that_asks_for_no_ledger_sends_no_stamp() -> None:
 
 
 def test_delays_and_round_trips_are_seen_as_they_are() -> None:
-    ways = Link(forward=parse_link("delay(0.03)"), backward=parse_link("delay(0.0105)"))  # type: ignore[arg-type]
+    ways = Link(fwd=parse_link("delay(0.03)"), bwd=parse_link("delay(0.0105)"))  # type: ignore[arg-type]
     both = Both(scene(link=ways)).run()
     forth, back, rtt = both.ends["s"].way, both.ends["m"].way, both.ends["m"].link.rtt
     assert (forth.least, forth.most) == (30 * MS, 30 * MS)

@@ -70,7 +70,7 @@ def test_the_matrix_is_not_idle(cases: list[Case]) -> None:
             got.status: True, f"{case.row['law']} played": played, f"{case.row['law']} overflowed": not finite,
             "struck": struck, "struck while messages came": struck and played, "chattered": bool(got.notes)
             and "contact events" in got.notes[0], "claimed": claimed(case) and played and trace["E_link"].max() > 0.0,
-            "let go": got.metrics.get("g_s_min", 1.0) < 1.0, "nothing came": got.packets["forth"].received == 0,
+            "let go": got.metrics.get("g_s_min", 1.0) < 1.0, "nothing came": got.packets["fwd"].received == 0,
         }.items():
             seen[name] += is_so
     least = {

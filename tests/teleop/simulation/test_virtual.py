@@ -102,7 +102,7 @@ def test_a_delay_is_whole_ticks_rounded_up_at_every_tick(dt: float, delay: float
 
 def test_each_direction_has_its_own_delay() -> None:
     scene = load_scene("canonical", duration=0.3)
-    trace = run(replace(scene, link=Link(forward=Delay(0.03), backward=Delay(0.11)))).trace
+    trace = run(replace(scene, link=Link(fwd=Delay(0.03), bwd=Delay(0.11)))).trace
     assert trace["seq_s"][200] == 170
     assert trace["seq_m"][200] == 90
 
@@ -171,10 +171,10 @@ def test_a_clock_times_the_loop_and_without_one_there_is_no_time() -> None:
 
 def test_packets_are_counted() -> None:
     got = run(load_scene("canonical", duration=0.2))
-    for way in ("forth", "back"):
+    for way in ("fwd", "bwd"):
         counts = got.packets[way]
         assert (counts.sent, counts.received, counts.in_flight, counts.lost) == (200, 150, 50, 0)
-    bare = run(replace(load_scene("canonical", duration=0.2), link=None)).packets["forth"]
+    bare = run(replace(load_scene("canonical", duration=0.2), link=None)).packets["fwd"]
     assert (bare.sent, bare.received, bare.in_flight) == (200, 199, 1)
 
 

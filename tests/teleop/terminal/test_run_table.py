@@ -69,8 +69,8 @@ class TestTable:
         told, got = rows(wave), wave.metrics
         assert told["tracking error"] == [f"{got['x_err_rms'] * 1e3:.1f} mm rms, {got['x_err_max'] * 1e3:.1f} mm max"]
         assert re.fullmatch(r"[\d.]+ m?N rms, [\d.]+ m?N max", told["force error"][0])
-        assert told["delay seen"] == ["50.0 ms forth, 50.0 ms back"]
-        assert told["packets"][0] == "forth: 1000 sent, 950 received, 0 lost, 0 late, 50 under way at the end"
+        assert told["delay seen"] == ["50.0 ms fwd, 50.0 ms bwd"]
+        assert told["packets"][0] == "fwd: 1000 sent, 950 received, 0 lost, 0 late, 50 under way at the end"
         assert told["link energy"][0].startswith("0 J smallest, ")
 
     def test_leaves_out_what_the_scene_does_not_have(self) -> None:
@@ -84,20 +84,20 @@ class TestTable:
 
     def test_tells_of_loss_each_way_and_of_what_was_rejected(self, wave: Result) -> None:
         counts = {
-            "forth": Packets(sent=9, received=7, lost=2, late=1, overtaken=3, duplicates=4),
-            "back": Packets(sent=9, received=9, rejected={"checksum": 2, "version": 0}),
+            "fwd": Packets(sent=9, received=7, lost=2, late=1, overtaken=3, duplicates=4),
+            "bwd": Packets(sent=9, received=9, rejected={"checksum": 2, "version": 0}),
         }
         told = rows(replace(wave, packets=counts))["packets"]
         assert told == [
-            "forth: 9 sent, 7 received, 2 lost, 1 late, 3 overtaken, 4 doubled",
-            "back: 9 sent, 9 received, 0 lost, 0 late, 2 rejected (checksum)",
+            "fwd: 9 sent, 7 received, 2 lost, 1 late, 3 overtaken, 4 doubled",
+            "bwd: 9 sent, 9 received, 0 lost, 0 late, 2 rejected (checksum)",
         ]
 
     def test_says_if_a_delay_varied_and_if_nothing_came(self, wave: Result) -> None:
         metrics = {**wave.metrics, "T_fwd_mean": 0.02, "T_fwd_max": 0.03}
         del metrics["T_bwd_mean"], metrics["T_bwd_max"]
         told = rows(replace(wave, metrics=metrics))
-        assert told["delay seen"] == ["20.0 ms (up to 30.0 ms) forth, nothing came back"]
+        assert told["delay seen"] == ["20.0 ms (up to 30.0 ms) fwd, nothing came bwd"]
 
     def test_says_if_a_watchdog_let_go(self, wave: Result) -> None:
         assert "watchdog" not in rows(replace(wave, metrics={**wave.metrics, "g_m_min": 1.0, "g_s_min": 1.0}))

@@ -428,7 +428,7 @@ class TestTheCommand:
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--link", "delay(0.02) ; delay(0.03)",
                        "--critical", "law.kf", "--range", "0.1:1", "--tol", "1e-4", "--json")
         told = json.loads(answer.out)
-        assert (told["forth"], told["back"]) == (20, 30)
+        assert (told["fwd"], told["bwd"]) == (20, 30)
         assert told["critical"]["value"] == pytest.approx(told["gain_margin"], abs=1e-4)
 
     def test_runs_what_is_not_linear(self, typed: Typed) -> None:
