@@ -20,7 +20,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from teleop.bench.compiled import compiled
+from teleop.bench.compiled import compiled, reason
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
@@ -66,7 +66,7 @@ def flood(rounds: int) -> list[Row]:
         folder = Path(name)
         between = compiled("between", folder)
         if between is None:
-            return [("bad datagrams", "no C compiler here", "")]
+            return [("bad datagrams", reason(), "")]
         links = {"in the open": (), **_sealed(folder)}
         rows: list[Row] = []
         for link, keys in links.items():

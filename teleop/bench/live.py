@@ -10,7 +10,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from teleop.bench.compiled import compiled
+from teleop.bench.compiled import compiled, reason
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
@@ -49,7 +49,7 @@ def live(rounds: int) -> list[Row]:
         rows.append(("  its share of a core, for waking and nothing else",
                      f"{median(c[2] for c in beside) * 100:.1f} %", ""))
     else:
-        rows.append(("C loop on a timerfd beside it", "no C compiler here", ""))
+        rows.append(("C loop on a timerfd beside it", reason(), ""))
     return rows
 
 

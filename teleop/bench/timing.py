@@ -18,7 +18,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from teleop.bench.compiled import compiled
+from teleop.bench.compiled import compiled, reason
 from teleop.live.process.realtime import SPIN_NS
 from teleop.scene.library import ROOT
 
@@ -51,7 +51,7 @@ def timing(rounds: int) -> list[Row]:
         folder = Path(name)
         c = compiled("timing", folder)
         if c is None:
-            return [("live timing beside C", "no C compiler here", "")]
+            return [("live timing beside C", reason(), "")]
         datagrams(folder, max(COUNT, FULL_COUNT))
         return ticks(c, rounds) + round_trips(c, rounds) + relays(c, folder, rounds)
 
