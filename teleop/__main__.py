@@ -56,8 +56,8 @@ def _precision(args: Namespace) -> None:
     from teleop.analysis.precision.report import summary, table, write
     from teleop.scene.scene import load_scene
     from teleop.storage.folder import new_folder
-    from teleop.terminal.figure import drawable
-    from teleop.terminal.run_table import Progress
+    from teleop.terminal.plotting import drawable
+    from teleop.terminal.progress import Progress
 
     scene = load_scene(args.scene, **knobs_from(args))
     line = Progress(sys.stderr, 1.0)
@@ -73,7 +73,7 @@ def _precision(args: Namespace) -> None:
             line.end()
         write(got, new.inside, args.typed)
         if drawable():
-            from teleop.analysis.precision.figure import draw
+            from teleop.analysis.precision.plot import draw
 
             draw(got, new.inside / "precision.png")
     if args.json:
@@ -126,7 +126,7 @@ def _sweep(args: Namespace) -> None:
 
     from teleop.sweeps.command import carry_out
     from teleop.sweeps.pictures.report import Wish, drawn
-    from teleop.terminal.figure import need_plot
+    from teleop.terminal.plotting import need_plot
 
     wish = Wish(args.picture, args.metric) if args.plot or args.picture or args.metric else None
     if wish is not None:
@@ -252,15 +252,16 @@ def _put_together(args: Namespace) -> None:
 def _draw_if_possible(args: Namespace, result: Result, folder: Path) -> None:
     """The figure, where the extra is there; that it cannot be written is no error, for what was asked is done."""
     from teleop.errors import Refused
-    from teleop.terminal.figure import draw, drawable
+    from teleop.terminal.plotting import drawable
+    from teleop.terminal.run_plot import draw
 
     if not drawable():
         return
     try:
-        draw(result, folder / "figure.png")
+        draw(result, folder / "plot.png")
     except Refused as refused:
         if not args.json:
-            _say(f"no figure: {refused}")
+            _say(f"no plot: {refused}")
 
 
 def _tell(args: Namespace, result: Result) -> None:
@@ -299,16 +300,16 @@ def _stem(args: Namespace) -> str:
 
 def _check_plot(args: Namespace) -> None:
     if args.plot:
-        from teleop.terminal.figure import need_plot
+        from teleop.terminal.plotting import need_plot
 
         need_plot()
 
 
 def _plot(args: Namespace, result: Result, folder: Path) -> None:
     if args.plot:
-        from teleop.terminal.figure import draw
+        from teleop.terminal.run_plot import draw
 
-        draw(result, folder / "figure.png")
+        draw(result, folder / "plot.png")
 
 
 DO = {

@@ -7,6 +7,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from teleop.terminal.table import facts
+
 EXTRAS = {  # what to install for each
     "cryptography": "secure", "distributed": "cluster", "matplotlib": "plot", "numba": "batch", "pyOpenSSL": "secure",
     "scipy": "test",
@@ -55,8 +57,7 @@ def text(found: dict[str, Any]) -> str:
                  "teleop doctor --clear removes them"))
     if held["not_kept"]:
         rows.append(("", f"they are not made use of: {held['not_kept']}"))
-    width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}   {said}" for name, said in rows)
+    return facts(rows)
 
 
 def _kept(folder: Path) -> list[Path]:

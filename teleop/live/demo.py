@@ -231,7 +231,7 @@ async def _until_over(children: list[Child], watches: list[asyncio.Task[tuple[in
 
 async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
     """The one line that shows how far the run is. Between two events of the ends it goes on with the clock."""
-    from teleop.terminal.run_table import Progress
+    from teleop.terminal.progress import Progress
 
     progress = Progress(sys.stderr, scene.ticks)
     seen, since = -1, 0.0

@@ -230,7 +230,7 @@ class _Line:
     """The live line of an end that was started by hand."""
 
     def __init__(self, scene: Scene) -> None:
-        from teleop.terminal.run_table import Progress
+        from teleop.terminal.progress import Progress
 
         self._progress = Progress(sys.stderr, scene.ticks)
 

@@ -54,11 +54,11 @@ class Swept(NamedTuple):
 
     def text(self) -> str:
         """The sweep in a few lines."""
-        from teleop.terminal.run_table import whole
+        from teleop.terminal.units import grouped
 
         rate = f", {self.ran / self.seconds:.3g} rows a second" if self.seconds > 0.0 and self.ran else ""
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
-        lines = [f"sweep    {self.plan.scene}, {whole(len(self.plan.grid))} rows of {turned}",
+        lines = [f"sweep    {self.plan.scene}, {grouped(len(self.plan.grid))} rows of {turned}",
                  *status_lines(self.table)]
         found = not self.ran and len(self.table) == len(self.plan.grid)
         lines.append(f"engine   {self.plan.engine}: {self.plan.why}{rate}" if not found else
@@ -86,14 +86,15 @@ def carry_out(
     from teleop.sweeps.runner import carry_out as run_rows
     from teleop.sweeps.runner import prepare
     from teleop.sweeps.store import Store
-    from teleop.terminal.run_table import RowsProgress, whole
+    from teleop.terminal.progress import RowsProgress
+    from teleop.terminal.units import grouped
 
     wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
     points = _points(axes, seeds, latin, random)
     plan = prepare(name, points, metrics=wanted, fixed=knobs, engine=engine)
     rows = len(plan.grid)
     if rows > MANY and not yes:
-        raise Refused(f"this is {whole(rows)} rows; write fewer values, or --yes if you mean it")
+        raise Refused(f"this is {grouped(rows)} rows; write fewer values, or --yes if you mean it")
     if wish is not None:
         _check_picture(plan, wish)
     folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TextIO
 
 from teleop.sweeps.matrix_file import BUILT_IN, METRICS, Block, Row, read_matrix
 from teleop.sweeps.runner import sweep
+from teleop.terminal.table import columns
 
 Show = Callable[[int, int], None]
 
@@ -68,11 +69,9 @@ def table(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> str:
         lines.append((block.name, block.scene, str(len(came[block.name])), str(_good(came[block.name]))))
     every = [outcome for outcomes in came.values() for outcome in outcomes]
     lines.append(("in all", "", str(len(every)), str(_good(every))))
-    wide = [max(len(line[i]) for line in lines) for i in range(4)]
-    said = [f"{a:<{wide[0]}}  {b:<{wide[1]}}  {c:>{wide[2]}}  {d:>{wide[3]}}" for a, b, c, d in lines]
     wrong = [outcome.line() for outcome in every if not outcome.as_expected]
     last = f"{len(wrong)} of {len(every)} rows not as expected:" if wrong else f"all {len(every)} rows as expected"
-    return "\n".join([*said, last, *wrong])
+    return "\n".join([columns(lines, left=(0, 1)), last, *wrong])
 
 
 def summary(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> dict[str, Any]:
@@ -90,7 +89,7 @@ def summary(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> dic
 def answer(path: str | None, *, out: str | None, command: Sequence[str], clock: Callable[[], float],
            stream: TextIO | None) -> tuple[dict[str, Any], str]:
     """What `teleop matrix` says of the matrix at `path`, as JSON can hold it and as text. Raises `Refused`."""
-    from teleop.terminal.run_table import Progress
+    from teleop.terminal.progress import Progress
 
     blocks = read_matrix(BUILT_IN if path is None else path)
     line = None if stream is None else Progress(stream, float(sum(len(block.rows()) for block in blocks)))

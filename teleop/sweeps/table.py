@@ -19,6 +19,7 @@ from teleop.errors import Refused, nearest
 from teleop.storage.files import replacing_text
 from teleop.sweeps.grid import plain
 from teleop.terminal.printable import printable
+from teleop.terminal.table import columns
 
 if TYPE_CHECKING:
     import numpy as np
@@ -227,9 +228,8 @@ class Table:
         names = [name for name in self._columns if name != "sentence"]
         rows = self._values(names, min(SHOWN, len(self)))
         lines = [[printable(name, most=60) for name in names], *([*map(_short, values)] for _, values in rows)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(names))]
-        shown = ["  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in lines]
-        return "\n".join([f"{first}: {ended}", *shown, *[f"... and {len(self) - SHOWN} more"] * (len(self) > SHOWN)])
+        more = [f"... and {len(self) - SHOWN} more"] if len(self) > SHOWN else []
+        return "\n".join([f"{first}: {ended}", columns(lines, left=()), *more])
 
     def _column(self, name: str) -> Column:
         if name not in self._columns:

@@ -64,14 +64,14 @@ def _run(added: ArgumentParser) -> None:
     scene_options(added)
     _out(added, "SCENE")
     _json(added)
-    _plot(added, "figure.png")
+    _plot(added, "plot.png")
 
 
 def _demo(added: ArgumentParser) -> None:
     scene_options(added, default="hard_wall")
     _out(added, "SCENE")
     _json(added)
-    _plot(added, "figure.png")
+    _plot(added, "plot.png")
     added.add_argument("--lockstep", action="store_true",
                        help="step both ends together over UDP: bit for bit what `teleop run` gives")
     added.add_argument("--realtime", action="store_true",

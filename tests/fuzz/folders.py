@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from teleop.terminal.printable import figure
+from teleop.terminal import plotting
 
 ROOM = 3 << 30  # bytes of address space; numpy, matplotlib and their threads take 1.5 GB of it
 GROWS = 400 << 20  # bytes that the resident memory may grow by in all cases together
@@ -115,7 +115,7 @@ class Hostile:
 
     def links_beside(self, path: Path) -> None:
         """Links out of the folder where `report` writes, and the summary gone, so that it does write."""
-        for name in ("trace.npz", "summary.json", "figure.png", "sweep.png", ".figure.png.part", ".sweep.png.part"):
+        for name in ("trace.npz", "summary.json", "plot.png", "sweep.png", ".plot.png.part", ".sweep.png.part"):
             if self.dice.random() < 0.6:
                 (path.parent / name).unlink(missing_ok=True)
                 if name != "summary.json" or self.dice.random() < 0.3:
@@ -294,13 +294,13 @@ def _opened(main: Callable[[Any], int], place: Path, kind: str, number: int, dra
 
 @contextmanager
 def drawing(here: bool) -> Iterator[None]:
-    """With figures, which take most of the time, or as where they cannot be drawn."""
-    has = figure.drawable
-    figure.drawable = has if here else lambda: False
+    """With plots, which take most of the time, or as where they cannot be drawn."""
+    has = plotting.drawable
+    plotting.drawable = has if here else lambda: False
     try:
         yield
     finally:
-        figure.drawable = has
+        plotting.drawable = has
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

@@ -24,7 +24,7 @@ def passivity(name: str, knobs: Mapping[str, object], *, seed: int = 0, span: st
     with new_folder(out, f"{scene.name}-passivity") as new:
         write(answer, new.inside, command)
         if plot:
-            from teleop.analysis.passivity.figure import draw
+            from teleop.analysis.passivity.plot import draw
 
             draw(answer, new.inside / "passivity.png")
     return {**told, "path": str(new.path)}, f"{text}\nwritten to {new.path}"

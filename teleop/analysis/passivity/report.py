@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_ports
 from teleop.analysis.passivity.one_port import OnePort, one_port
 from teleop.errors import Refused
-from teleop.terminal.run_table import si
+from teleop.terminal.table import facts
+from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,8 +84,7 @@ def table(answer: Answer) -> str:
         rows += _two(answer.two)
     if answer.left_out:
         rows.append(("left out", ", ".join(answer.left_out) + ": not linear, or not known here"))
-    width = max(len(label) for label, _ in rows)
-    return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
+    return facts(rows)
 
 
 def _damping(value: float) -> str:

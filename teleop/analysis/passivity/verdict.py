@@ -32,7 +32,7 @@ from teleop.analysis.models.peak import highest
 from teleop.errors import Refused
 from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.stages.device import Device
-from teleop.terminal.run_table import si
+from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from teleop.analysis.models.sampled import Impedance, Needed

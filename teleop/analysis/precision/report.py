@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
-from teleop.terminal.run_table import si
+from teleop.terminal.table import columns, facts
+from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,12 +30,7 @@ def table(got: Precision) -> str:
     rows = [HEAD, *(_row(e) for e in sorted(got.entries, key=_order(got.entries)))]
     if (estimated := got.truth.estimated) is not None:
         rows[1] = (*rows[1][:-1], ", ".join([f"estimated {si(estimated, 'm')}", *filter(None, rows[1][-1:])]))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(HEAD))]
-    lines = ["  ".join(cell.rjust(w) if 0 < i < len(HEAD) - 1 else cell.ljust(w)
-                       for i, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip() for row in rows]
-    facts = list(_facts(got))
-    width = max(len(label) for label, _ in facts)
-    return "\n".join([*lines, "", *(f"{label:<{width}}   {text}" for label, text in facts)])
+    return f"{columns(rows, left=(0, len(HEAD) - 1))}\n\n{facts(_facts(got))}"
 
 
 def _order(entries: Sequence[Entry]) -> Any:
@@ -63,7 +59,7 @@ def _facts(got: Precision) -> list[tuple[str, str]]:
     beaten = sum(e.beaten_by == first.key for e in others)
     law = got.result.parameters.get("law")
     name = law["name"] if isinstance(law, Mapping) else law
-    facts = [
+    told = [
         ("run", f"{got.scene.name}, law {name}, {got.result.ticks} ticks, {got.contacts} contacts, seed {got.seed}"),
         ("status", f"{got.result.status}: {got.result.sentence}"),
         ("verdict", verdict(got)),
@@ -73,17 +69,17 @@ def _facts(got: Precision) -> list[tuple[str, str]]:
     ]
     if EULER in got.step_ns:
         own, euler = got.step_ns[first.key], got.step_ns[EULER]
-        facts.append((f"{first.key}, its cost", f"{own / euler:.2f} semi-implicit Euler steps: {own:.0f} and "
+        told.append((f"{first.key}, its cost", f"{own / euler:.2f} semi-implicit Euler steps: {own:.0f} and "
                                                 f"{euler:.0f} ns to move all bodies by a tick, without the loop"))
     for label, name, unit, what in TRACKING:
         if f"{name}_rms" in got.result.metrics:
             rms, most = (si(got.result.metrics[f"{name}_{kind}"], unit) for kind in ("rms", "max"))
-            facts.append((label, f"{rms} rms, {most} max: {what}"))
+            told.append((label, f"{rms} rms, {most} max: {what}"))
     runs = sorted({e.runs for e in got.entries if e.contender.rtol is None})
     timing = f"whole loop, medians of {' to '.join(map(str, runs))} interleaved runs"
     scipys = any(e.contender.rtol is not None for e in got.entries)
-    facts.append(("timing", timing + "; scipy's one run, for the slave only" * scipys))
-    return facts + [("left out", f"{', '.join(keys)}: {why}") for why, keys in _left_out(got).items()]
+    told.append(("timing", timing + "; scipy's one run, for the slave only" * scipys))
+    return told + [("left out", f"{', '.join(keys)}: {why}") for why, keys in _left_out(got).items()]
 
 
 def _worth(got: Precision) -> list[tuple[str, str]]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.stability.assess import Change, Critical, Stability, critical, lowest, rests, stability
 from teleop.errors import Refused, number
-from teleop.terminal.run_table import si
+from teleop.terminal.table import facts
+from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from teleop.analysis.models.continuous import Continuous
@@ -155,8 +156,7 @@ def table(answer: Answer) -> str:
         rows.append(("continuous", _without_clock(limit)))
     if edge is not None:
         rows.append(("critical", _edge(edge, answer.unit, _steps(answer.scene))))
-    width = max(len(label) for label, _ in rows)
-    return "\n".join(f"{label:<{width}}   {text}" for label, text in rows)
+    return facts(rows)
 
 
 def _roots(found: Stability) -> list[tuple[str, str]]:

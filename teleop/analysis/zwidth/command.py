@@ -27,7 +27,7 @@ def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, ra
     from teleop.analysis.zwidth.report import write
     from teleop.scene.scene import load_scene
     from teleop.storage.folder import new_folder
-    from teleop.terminal.run_table import Progress
+    from teleop.terminal.progress import Progress
 
     scene = load_scene(name, **knobs)
     spans = span("--range-k", range_k), span("--range-b", range_b)
@@ -61,14 +61,14 @@ def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, ra
 
 def _draw(got: ZWidth, folder: Path, finger: _Interrupts) -> list[str]:
     """Draw the figures, where the extra is there, until an interrupt comes; which of them are missing then."""
-    from teleop.terminal.figure import drawable
+    from teleop.terminal.plotting import drawable
 
     if not drawable():
         return []
     try:
         finger.stops = not finger.came
         if finger.stops:
-            from teleop.analysis.zwidth.figure import draw
+            from teleop.analysis.zwidth.plot import draw
 
             draw(got, folder)
     except KeyboardInterrupt:

@@ -8,6 +8,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.law import law_name
+from teleop.terminal.table import columns, facts
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -16,21 +17,21 @@ if TYPE_CHECKING:
     from teleop.analysis.zwidth.plane import Boundary
 
 
-class Figure(NamedTuple):
-    """A number of a row: its key in the JSON, its head in the table and its unit."""
+class Metric(NamedTuple):
+    """A metric of a row: its key in the JSON, its head in the table and its unit."""
 
     key: str
     head: str
     unit: str
 
 
-FIGURES = (
-    Figure("z_width_1hz", "Z-width 1 Hz", "N s/m"), Figure("area", "area", "decades x decades"),
-    Figure("passive_K", "passive K", "N/m"), Figure("passive_B", "passive B", "N s/m"),
-    Figure("stable_K_any_B", "stable K", "N/m"), Figure("stable_K", "at own B", "N/m"),
-    Figure("K_at_rest", "at rest", "N/m"),
+METRICS = (
+    Metric("z_width_1hz", "Z-width 1 Hz", "N s/m"), Metric("area", "area", "decades x decades"),
+    Metric("passive_K", "passive K", "N/m"), Metric("passive_B", "passive B", "N s/m"),
+    Metric("stable_K_any_B", "stable K", "N/m"), Metric("stable_K", "at own B", "N/m"),
+    Metric("K_at_rest", "at rest", "N/m"),
 )
-UNITS = {figure.key: figure.unit for figure in FIGURES} | {
+UNITS = {metric.key: metric.unit for metric in METRICS} | {
     "stable_K_free": "N/m", "z_max_1hz": "N s/m", "z_min_1hz": "N s/m", "gap": "decades", "frequency": "Hz",
     "upper": "N s/m", "lower": "N s/m", "K": "N/m", "B": "N s/m", "ratio": "1",
 }
@@ -49,7 +50,7 @@ MEANING = {
 
 
 def numbers(row: Row) -> dict[str, float | None]:
-    """A row's figures by their keys."""
+    """A row's metrics by their keys."""
     c = row.curves
     return {
         "z_max_1hz": c.at_one[0], "z_min_1hz": c.at_one[1], "z_width_1hz": c.width, "area": c.area, "gap": c.gap,
@@ -59,7 +60,7 @@ def numbers(row: Row) -> dict[str, float | None]:
 
 
 def ratios(row: Row, base: Row) -> dict[str, float | None]:
-    """A row's figures over those of the scene as it is; None where there is no such ratio."""
+    """A row's metrics over those of the scene as it is; None where there is no such ratio."""
     own = numbers(base)
     found: dict[str, float | None] = {}
     for key, value in numbers(row).items():
@@ -71,24 +72,18 @@ def ratios(row: Row, base: Row) -> dict[str, float | None]:
 
 def table(got: ZWidth) -> str:
     """The levers as lines, the factor to the scene as it is behind each number, and below what it all is."""
-    lines = []
-    if got.rows:
-        head = ("", *(figure.head for figure in FIGURES))
-        unit = ("", *(figure.unit.replace("decades x decades", "dec^2") for figure in FIGURES))
-        body = [(row.name, *_cells(row, got.base, first=i == 0)) for i, row in enumerate(got.rows)]
-        widths = [max(len(line[i]) for line in (head, unit, *body)) for i in range(len(head))]
-        lines = ["  ".join(cell.ljust(w) if i == 0 else cell.rjust(w)
-                           for i, (cell, w) in enumerate(zip(line, widths, strict=True))).rstrip()
-                 for line in (head, unit, *body)]
-    facts = list(_facts(got))
-    width = max(len(label) for label, _ in facts)
-    return "\n".join([*lines, "", *(f"{label:<{width}}   {text}" for label, text in facts)])
+    if not got.rows:
+        return facts(_facts(got))
+    head = ("", *(metric.head for metric in METRICS))
+    unit = ("", *(metric.unit.replace("decades x decades", "dec^2") for metric in METRICS))
+    body = [(row.name, *_cells(row, got.base, first=i == 0)) for i, row in enumerate(got.rows)]
+    return f"{columns([head, unit, *body])}\n\n{facts(_facts(got))}"
 
 
 def _cells(row: Row, base: Row, *, first: bool) -> Iterator[str]:
     own, times = numbers(row), ratios(row, base)
-    for figure in FIGURES:
-        value, factor = own[figure.key], times[figure.key]
+    for metric in METRICS:
+        value, factor = own[metric.key], times[metric.key]
         behind = " " * 7 if first or factor is None else f" x{factor:<5.3g}"
         yield said(value) + behind
 

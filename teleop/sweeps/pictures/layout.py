@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
 from teleop.simulation.metrics import UNITS
-from teleop.terminal.figure import literal
+from teleop.terminal.plotting import BLACK, BLUE, GREEN, ORANGE, PALE, PINK, RED, SKY, literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 
 _WAYS = 1_000_000  # to choose the values that are shown
 PANELS = 6  # at most, in one picture
-# Okabe and Ito's colours, which colour-blind eyes tell apart.
-BLUE, SKY, RED, GREEN, ORANGE, PINK = "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#E69F00", "#CC79A7"
-GREY, PALE, BLACK = "#999999", "#D9D9D9", "#000000"
-WITHOUT = ("refused", "none ended ok", "no such figure")  # what a point without a median may be
+WITHOUT = ("refused", "none ended ok", "no such metric")  # what a point without a median may be
 STATUS = {"ok": SKY, "diverged": RED, "none ended ok": RED, "refused": PALE}
 OTHER = ORANGE  # whatever else: stopped
 TEXTS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, BLACK)

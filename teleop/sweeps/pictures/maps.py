@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from teleop.sweeps.pictures.layout import (
-    BLACK,
     OTHER,
-    RED,
-    SKY,
     STATUS,
     WITHOUT,
     Knob,
@@ -21,7 +18,7 @@ from teleop.sweeps.pictures.layout import (
     spacing,
     unit_of,
 )
-from teleop.terminal.figure import literal
+from teleop.terminal.plotting import BLACK, RED, SKY, literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

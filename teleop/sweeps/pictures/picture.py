@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, nearest
 from teleop.sweeps.pictures.layout import (
-    GREY,
     TEXTS,
     Knob,
     Panel,
@@ -25,7 +24,7 @@ from teleop.sweeps.pictures.layout import (
     varying,
 )
 from teleop.sweeps.pictures.maps import draw_maps
-from teleop.terminal.figure import literal, need_plot, save
+from teleop.terminal.plotting import GREY, grid_lines, literal, need_plot, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,9 +51,6 @@ def draw(
     the extra is missing, nothing varies, or the file cannot be written.
     """
     need_plot()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     knobs, notes = varying(table, units or {})
     numeric = [knob.name for knob in knobs if knob.numeric]
     check([knob.name for knob in knobs], numeric, kind, metric, table.metrics)
@@ -69,9 +65,7 @@ def draw(
     notes += [f"{knob.name} varies too" for knob in sampled]
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
-    figure = Figure(figsize=(1.9 + 3.7 * columns + 1.6 * (columns == 1), 1.2 + 3.3 * lines), dpi=120,
-                    layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((1.9 + 3.7 * columns + 1.6 * (columns == 1), 1.2 + 3.3 * lines))
     every: Any = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes in every.ravel()[len(panels):]:
         axes.set_axis_off()
@@ -159,7 +153,7 @@ def _curves(
             long = sum(map(len, texts)) > 36
             axes.set_xticks(where_x, texts, rotation=20.0 if long else 0.0, ha="right" if long else "center")
         axes.set_title(panel.title, fontsize=10)
-        axes.grid(visible=True, linewidth=0.4, alpha=0.5)
+        grid_lines(axes)
     scaled, linear = spacing(np.array(every))
     if scaled != "linear":  # the panels share it
         shown[0][0].set_yscale(scaled, **({"linthresh": linear} if scaled == "symlog" else {}))

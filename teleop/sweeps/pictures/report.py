@@ -77,32 +77,32 @@ def sentences(table: Table, *, refused: bool) -> dict[str, int]:
 
 def status_lines(table: Table) -> list[str]:
     """How many rows ended how, why some were refused, and which of a user's own metrics failed."""
-    from teleop.terminal.run_table import whole
+    from teleop.terminal.units import grouped
 
-    counts = ", ".join(f"{whole(count)} {printable(status)}" for status, count in table.counts().items())
-    lines = [f"status   {whole(len(table))} done: {counts or 'none'}"]
+    counts = ", ".join(f"{grouped(count)} {printable(status)}" for status, count in table.counts().items())
+    lines = [f"status   {grouped(len(table))} done: {counts or 'none'}"]
     for label, refused in (("refused", True), ("metrics", False)):
         every = [*sentences(table, refused=refused).items()]
         for i, (sentence, count) in enumerate(every[:SENTENCES]):
-            lines.append(f"{'' if i else label:<8} {whole(count)} row{'s' * (count > 1)}: {printable(sentence)}")
+            lines.append(f"{'' if i else label:<8} {grouped(count)} row{'s' * (count > 1)}: {printable(sentence)}")
         if len(every) > SENTENCES:
             rest = every[SENTENCES:]
-            lines.append(f"         and {whole(len(rest))} more sentence{'s' * (len(rest) > 1)} in "
-                         f"{whole(sum(count for _, count in rest))} rows, which rows.jsonl has")
+            lines.append(f"         and {grouped(len(rest))} more sentence{'s' * (len(rest) > 1)} in "
+                         f"{grouped(sum(count for _, count in rest))} rows, which rows.jsonl has")
     return lines
 
 
 def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     """What a sweep's folder holds: as JSON can hold it, as text, and its rows. It may still be growing."""
     from teleop.sweeps.store import Store
-    from teleop.terminal.run_table import whole
+    from teleop.terminal.units import grouped
 
     store = Store.look(folder)
     table = store.table()
     told = {**summary_of(folder), **store.definition, "done": len(table), "counts": table.counts(), "path": str(folder)}
     if "scene" not in told:
         raise Refused(f"{folder} holds a sweep of no scene; give the folder that `teleop sweep` printed")
-    rows = f"{whole(told['rows'])} rows" if "rows" in told else "rows"
+    rows = f"{grouped(told['rows'])} rows" if "rows" in told else "rows"
     lines = [printable(f"sweep    {told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"),
              *status_lines(table)]
     if "engine" in told:
@@ -136,11 +136,11 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, 
 def drawn(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> str:
     """Draw a sweep and say where; that it cannot be is no error, for its rows are there."""
     if not len(table):
-        return "no figure: no row is there yet"
+        return "no plot: no row is there yet"
     try:
         return f"drawn in {picture(table, folder, told, wish, trust=trust)}"
     except Refused as refused:
-        return f"no figure: {refused}"
+        return f"no plot: {refused}"
 
 
 def report(folder: Path, wish: Wish, *, quiet: bool, trust: bool = False) -> tuple[dict[str, Any], str]:
@@ -149,7 +149,7 @@ def report(folder: Path, wish: Wish, *, quiet: bool, trust: bool = False) -> tup
     A picture that is wished for must be (`Refused`); without a wish, and `quiet`, there is none. `trust`: see
     `picture`.
     """
-    from teleop.terminal.figure import drawable, need_plot
+    from teleop.terminal.plotting import drawable, need_plot
 
     told, text, table = told_of(folder)
     if any(wish):

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import teleop.sweeps.runner
-import teleop.terminal.figure
+import teleop.terminal.plotting
 
 Typed = Callable[..., Any]
 
@@ -48,7 +48,7 @@ class TestWhatIsTold:
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         shown: list[tuple[int, int]] = []
-        monkeypatch.setattr("teleop.terminal.run_table.RowsProgress.show",
+        monkeypatch.setattr("teleop.terminal.progress.RowsProgress.show",
                             lambda _, done, of, __: shown.append((done, of)))
         words = ("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT)
         typed(*words)
@@ -94,7 +94,7 @@ class TestWhatIsTold:
             typed("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT, "--plot")
         out = capsys.readouterr().out
         assert "engine   plain: about" in out
-        assert "no figure: no row is there yet" in out
+        assert "no plot: no row is there yet" in out
         assert "the same command goes on" in out
         assert json.loads((FOLDER / "summary.json").read_text())["runs"] == []
 
@@ -136,7 +136,7 @@ class TestThePicture:
         monkeypatch.setattr(figure.Figure, "savefig", forbidden)
         answer = typed("sweep", "soft_tissue", *SHORT, "--grid", "k_e=1,2", "--plot")
         assert answer.code == 0
-        assert "no figure: could not write" in answer.out
+        assert "no plot: could not write" in answer.out
         assert json.loads((FOLDER / "summary.json").read_text())["done"] == 2
 
 
@@ -162,7 +162,7 @@ class TestReport:
     def test_without_matplotlib_draws_nothing_unless_it_is_asked_to(
         self, swept: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.terminal.figure, "find_spec", lambda _: None)
+        monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
         assert "drawn" not in swept("report", str(FOLDER)).out
         swept("report", str(FOLDER), "--picture", "curves").assert_refused("pip install")
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import teleop.simulation.virtual
-import teleop.terminal.figure
+import teleop.terminal.plotting
 from channel.link import EFFECTS
 from scenarios.__main__ import main as console_entry
 from teleop import load_result, load_scene, run
@@ -92,7 +92,7 @@ class TestARun:
     def test_with_plot_leaves_a_figure(self, typed: Typed) -> None:
         pytest.importorskip("matplotlib")
         assert typed("run", "canonical", *SHORT, "--plot", "--out", "here").code == 0
-        assert Path("here/figure.png").read_bytes().startswith(b"\x89PNG")
+        assert Path("here/plot.png").read_bytes().startswith(b"\x89PNG")
 
 
 class TestList:
@@ -141,11 +141,11 @@ class TestReport:
         pytest.importorskip("matplotlib")
         typed("run", "canonical", *SHORT, "--out", "here")
         with monkeypatch.context() as without:
-            without.setattr(teleop.terminal.figure, "find_spec", lambda _: None)
+            without.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
             assert typed("report", "here").code == 0
-            assert not Path("here/figure.png").exists()
+            assert not Path("here/plot.png").exists()
         assert typed("report", "here").code == 0
-        assert Path("here/figure.png").is_file()
+        assert Path("here/plot.png").is_file()
 
     def test_of_a_folder_that_may_only_be_read_is_given_without_a_figure(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
@@ -160,7 +160,7 @@ class TestReport:
         answer = typed("report", "here")
         assert answer.code == 0
         assert answer.out.startswith(first)
-        assert "no figure" in answer.out
+        assert "no plot" in answer.out
 
     def test_with_json_gives_the_stored_summary(self, typed: Typed) -> None:
         typed("run", "canonical", *SHORT, "--out", "here")
@@ -188,7 +188,7 @@ class TestDemo:
         rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "lockstep": True, "command": command,
                 "realtime": False}
         if find_spec("matplotlib"):
-            assert Path("runs/hard_wall-1/figure.png").is_file()
+            assert Path("runs/hard_wall-1/plot.png").is_file()
         assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]
 
 

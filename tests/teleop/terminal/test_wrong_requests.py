@@ -11,7 +11,7 @@ import pytest
 
 import teleop.simulation.result
 import teleop.simulation.virtual
-import teleop.terminal.figure
+import teleop.terminal.plotting
 
 Typed = Callable[..., Any]
 SHORT = ("--set", "duration=0.2")
@@ -177,7 +177,7 @@ class TestAWrongRequest:
         self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         before = left_in(tmp_path)
-        monkeypatch.setattr(teleop.terminal.figure, "find_spec", lambda _: None)
+        monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
         answer = typed("run", "canonical", *SHORT, "--plot")
         answer.assert_refused("pip install 'bilateral-teleop[plot]'")
         assert left_in(tmp_path) == before

@@ -22,7 +22,7 @@ from teleop.analysis.precision.reference.agreement import Agreement, agreement, 
 from teleop.analysis.precision.reference.deviation import errors
 from teleop.errors import Refused
 from teleop.simulation.virtual import run
-from teleop.terminal.run_table import si
+from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 import teleop.analysis.zwidth.assess
-import teleop.analysis.zwidth.figure
 import teleop.analysis.zwidth.measured
+import teleop.analysis.zwidth.plot
 import teleop.analysis.zwidth.report
 from teleop.analysis.zwidth.assess import ZWidth, assess, span
 from teleop.analysis.zwidth.plane import Span
@@ -258,7 +258,7 @@ class TestCommand:
             (folder / ".impedance.png.part").write_bytes(b"half")
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(teleop.analysis.zwidth.figure, "draw", stop)
+        monkeypatch.setattr(teleop.analysis.zwidth.plot, "draw", stop)
         assert left_by(typed, "here") == {"plane.png", "zwidth.json"}
         told = json.loads(Path("here/zwidth.json").read_text())
         assert told["status"] == "interrupted"
@@ -280,7 +280,7 @@ class TestCommand:
                 if what != "swallowed":
                     raise ImportError("half of a library") from None
 
-        monkeypatch.setattr(teleop.analysis.zwidth.figure, "draw", stop)
+        monkeypatch.setattr(teleop.analysis.zwidth.plot, "draw", stop)
         assert left_by(typed, "here") == {"zwidth.json"}
         assert json.loads(Path("here/zwidth.json").read_text())["status"] == "interrupted"
 
@@ -290,7 +290,7 @@ class TestCommand:
         def fail(*_: object) -> None:
             raise ZeroDivisionError
 
-        monkeypatch.setattr(teleop.analysis.zwidth.figure, "draw", fail)
+        monkeypatch.setattr(teleop.analysis.zwidth.plot, "draw", fail)
         with pytest.raises(ZeroDivisionError):
             typed("zwidth", "virtual_wall", "--out", "here")
         assert not list(Path().iterdir())

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import teleop.terminal.figure
+import teleop.terminal.plotting
 from teleop import Refused
 from teleop.sweeps.pictures.picture import draw
 from teleop.sweeps.table import Table
@@ -378,7 +378,7 @@ class TestRequests:
     def test_without_matplotlib_are_answered_with_the_line_that_gets_it(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.terminal.figure, "drawable", lambda: False)
+        monkeypatch.setattr(teleop.terminal.plotting, "drawable", lambda: False)
         with pytest.raises(Refused, match="pip install"):
             draw(self.table(), tmp_path / "p.png")
 

@@ -12,9 +12,9 @@ from typing import Any, BinaryIO
 import numpy as np
 import pytest
 
-import teleop.terminal.figure
+import teleop.terminal.plotting
 from teleop import Refused, Result, load_scene, run
-from teleop.terminal.figure import draw
+from teleop.terminal.run_plot import draw
 
 figures = pytest.importorskip("matplotlib.figure")
 
@@ -32,8 +32,8 @@ def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setattr(figures.Figure, "savefig", remember)
 
     def look(result: Result) -> Any:
-        draw(result, tmp_path / "figure.png")
-        assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+        draw(result, tmp_path / "plot.png")
+        assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
         return made[-1]
 
     return look
@@ -100,13 +100,13 @@ class TestTheFile:
 
     def test_pyplot_and_its_global_state_stay_out(self, wave: Result, tmp_path: Path) -> None:
         sys.modules.pop("matplotlib.pyplot", None)
-        draw(wave, tmp_path / "figure.png")
+        draw(wave, tmp_path / "plot.png")
         assert "matplotlib.pyplot" not in sys.modules
 
     def test_a_full_disk_leaves_the_old_figure_and_no_new_one(
         self, wave: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        (tmp_path / "figure.png").write_bytes(b"the old one")
+        (tmp_path / "plot.png").write_bytes(b"the old one")
 
         def full(_: Any, file: BinaryIO, **__: Any) -> None:
             file.write(b"half")
@@ -114,25 +114,25 @@ class TestTheFile:
 
         monkeypatch.setattr(figures.Figure, "savefig", full)
         with pytest.raises(Refused, match="No space left"):
-            draw(wave, tmp_path / "figure.png")
+            draw(wave, tmp_path / "plot.png")
         assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"the old one"]
 
     def test_without_matplotlib_the_answer_is_the_line_that_gets_it(
         self, wave: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.terminal.figure, "find_spec", lambda _: None)
+        monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
         with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[plot\]'"):
-            draw(wave, tmp_path / "figure.png")
+            draw(wave, tmp_path / "plot.png")
         assert not list(tmp_path.iterdir())
 
     def test_takes_the_place_of_a_link_and_leaves_what_it_leads_to_alone(self, wave: Result, tmp_path: Path) -> None:
         (tmp_path / "precious").write_bytes(b"precious")
-        for name in ("figure.png", ".figure.png.part"):
+        for name in ("plot.png", ".plot.png.part"):
             (tmp_path / name).symlink_to("precious")
-        draw(wave, tmp_path / "figure.png")
+        draw(wave, tmp_path / "plot.png")
         assert (tmp_path / "precious").read_bytes() == b"precious"
-        assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+        assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
     def test_a_sentence_with_dollar_signs_is_drawn_and_is_no_formula(self, wave: Result, tmp_path: Path) -> None:
-        draw(replace(wave, sentence=r"$\frac$ \x1b[2J $", scene="$" * 1001), tmp_path / "figure.png")
-        assert (tmp_path / "figure.png").stat().st_size > 1000
+        draw(replace(wave, sentence=r"$\frac$ \x1b[2J $", scene="$" * 1001), tmp_path / "plot.png")
+        assert (tmp_path / "plot.png").stat().st_size > 1000

@@ -1,4 +1,4 @@
-"""The figure of a comparison: error over run time, and both kinds of error along the run. Needs the extra `plot`."""
+"""The plot of a comparison: error over run time, and both kinds of error along the run. Needs the extra `plot`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,25 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.precision.contenders.outsiders import TOLERANCES
 from teleop.analysis.precision.measure import SUBSTEPS
-from teleop.terminal.figure import need_plot, save
-from teleop.terminal.run_table import si
+from teleop.terminal.plotting import (
+    BLACK,
+    BLUE,
+    BROWN,
+    FAILS,
+    GREEN,
+    GREY,
+    ORANGE,
+    PINK,
+    PURPLE,
+    RED,
+    SKY,
+    grid_lines,
+    literal,
+    new_figure,
+    save,
+)
+from teleop.terminal.run_table import heading
+from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,14 +44,12 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "euler": Look("#999999", "v", "--"), "semi_implicit_euler": Look("#E69F00", "^", "--"),
-    "verlet": Look("#D55E00", "D", "-"), "rk4": Look("#CC79A7", "s", "-"),
-    "backward_euler": Look("#8C564B", "o", "--"), "midpoint": Look("#56B4E9", "P", "-"),
-    "trapezoid": Look("#0072B2", "X", "-"), "sdirk2": Look("#009E73", "h", "-"), "radau": Look("#5D3A9B", "p", "-"),
-    "DOP853": Look("#333333", "1", "-."), "LSODA": Look("#333333", "2", "-."), "Radau": Look("#333333", "3", "-."),
+    "euler": Look(GREY, "v", "--"), "semi_implicit_euler": Look(ORANGE, "^", "--"),
+    "verlet": Look(RED, "D", "-"), "rk4": Look(PINK, "s", "-"),
+    "backward_euler": Look(BROWN, "o", "--"), "midpoint": Look(SKY, "P", "-"),
+    "trapezoid": Look(BLUE, "X", "-"), "sdirk2": Look(GREEN, "h", "-"), "radau": Look(PURPLE, "p", "-"),
+    "DOP853": Look(BLACK, "1", "-."), "LSODA": Look(BLACK, "2", "-."), "Radau": Look(BLACK, "3", "-."),
 }
-EXACT = "#000000"
-LOST = "#CC0000"
 LEAST = 1e-19  # m or N: less is not drawn along the run
 SIZES = (10.0, 7.0, 5.0, 3.5)  # of the marks, from coarse to fine
 PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force on the environment", "N"))
@@ -42,21 +57,15 @@ PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force o
 
 def draw(got: Precision, path: Path) -> None:
     """Draw `got` into the PNG file `path`. Raises `Refused` if the extra is missing or the file cannot be written."""
-    need_plot()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.0, 9.5), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
-    law = got.result.parameters.get("law")
     reference = "" if got.truth.method == "exact" else (
         f"\nagainst scipy's {got.truth.method} with every change of mode located, good to "
         f"{si(got.truth.off['x_s'], 'm')}, {si(got.truth.off['f_env'], 'N')}")
     scipys = "" if all(e.contender.rtol is None for e in got.entries) else (
         f"; scipy: rtol {', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}")
-    figure.suptitle(f"{got.scene.name}, law {law['name'] if isinstance(law, dict) else law}: error against run time "
-                    f"({got.result.ticks} ticks, {got.contacts} contacts)\nmarks from large to small: "
-                    f"{', '.join(map(str, SUBSTEPS))} sub-steps per tick{scipys}{reference}", fontsize=11)
+    counts = f"({got.result.ticks} ticks, {got.contacts} contacts)"
+    marks = f"marks from large to small: {', '.join(map(str, SUBSTEPS))} sub-steps per tick{scipys}"
+    title = f"{literal(heading(got.result))}: error against run time {counts}\n{marks}{reference}"
+    figure = new_figure((13.0, 9.5), title)
     every = figure.subplots(2, 2, height_ratios=(3, 2), squeeze=True)
     for column, (series, track, what, unit) in enumerate(PANELS):
         _work(every[0, column], got, series, what, unit)
@@ -80,10 +89,10 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
         own = [(e.ns_per_tick * 1e-3, _drawn(e, series, top), e) for e in entries]
         if method in ("exact", "default"):
             x, y, e = own[0]
-            axes.scatter([x], [y], marker="*", s=220, color=EXACT, zorder=5, label=e.contender.label)
-            axes.axvline(x, color=EXACT, linewidth=0.6, alpha=0.5)
+            axes.scatter([x], [y], marker="*", s=220, color=BLACK, zorder=5, label=e.contender.label)
+            axes.axvline(x, color=BLACK, linewidth=0.6, alpha=0.5)
             if got.truth.estimated and series == "x_s":
-                axes.scatter([x], [got.truth.estimated], marker="*", s=220, facecolors="none", edgecolors=EXACT,
+                axes.scatter([x], [got.truth.estimated], marker="*", s=220, facecolors="none", edgecolors=BLACK,
                              zorder=5, label="its own estimates, summed")
             continue
         look = LOOKS[method]
@@ -92,15 +101,15 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
         for x, y, e in own:
             axes.plot([x], [y], color=look.colour, marker=look.marker, markersize=_mark(e))
             if e.status != "ok":
-                axes.scatter([x], [y], marker="x", s=110, color=LOST, zorder=6)
+                axes.scatter([x], [y], marker="x", s=110, color=FAILS, zorder=6)
             elif e.missed:
-                axes.scatter([x], [y], marker="o", s=150, facecolors="none", edgecolors=LOST, zorder=6)
+                axes.scatter([x], [y], marker="o", s=150, facecolors="none", edgecolors=FAILS, zorder=6)
     _marks(axes, got)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("run time of the whole loop (us per tick)")
     axes.set_ylabel(f"largest error of the {what} ({unit})")
-    axes.grid(visible=True, which="major", linewidth=0.4, alpha=0.5)
+    grid_lines(axes)
 
 
 def _mark(e: Entry) -> float:
@@ -111,9 +120,9 @@ def _mark(e: Entry) -> float:
 def _marks(axes: Axes, got: Precision) -> None:
     """The legend's lines for what befell a contender."""
     if any(e.status != "ok" for e in got.entries):
-        axes.scatter([], [], marker="x", s=90, color=LOST, label="diverged (drawn at the top)")
+        axes.scatter([], [], marker="x", s=90, color=FAILS, label="diverged (drawn at the top)")
     if any(e.missed for e in got.entries):
-        axes.scatter([], [], marker="o", s=90, facecolors="none", edgecolors=LOST, label="missed contacts")
+        axes.scatter([], [], marker="o", s=90, facecolors="none", edgecolors=FAILS, label="missed contacts")
 
 
 def _top(got: Precision, series: str) -> float:
@@ -131,17 +140,17 @@ def _drawn(e: Entry, series: str, top: float) -> float:
 def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: str) -> None:
     """Tracking error, and the numerical error of some methods, along the run."""
     t = got.along["t"]
-    axes.plot(t, _positive(got.along[track]), color="#000000", linewidth=2.2, alpha=0.35,
+    axes.plot(t, _positive(got.along[track]), color=BLACK, linewidth=2.2, alpha=0.35,
               label="tracking and transparency")
     for e in _some(got):
-        look = LOOKS.get(e.contender.method, Look(EXACT, "", "-"))
+        look = LOOKS.get(e.contender.method, Look(BLACK, "", "-"))
         label = f"numerical, {e.contender.label} {e.contender.step}".rstrip()
         axes.plot(t, _positive(got.along[f"{series}:{e.key}"]), color=look.colour, linewidth=1.0, marker=".",
                   markersize=1.5, label=label)
     axes.set_yscale("log")
     axes.set_xlabel("time (s)")
     axes.set_ylabel(f"error of the {what} ({unit})")
-    axes.grid(visible=True, which="major", linewidth=0.4, alpha=0.5)
+    grid_lines(axes)
 
 
 def _some(got: Precision) -> list[Entry]:

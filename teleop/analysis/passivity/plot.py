@@ -1,12 +1,26 @@
-"""The figures of passivity: a two-port over frequency, or a one-port's damping and its coupling. Needs `plot`."""
+"""The plots of passivity: a two-port over frequency, or a one-port's damping and its coupling. Needs `plot`."""
 
 from __future__ import annotations
 
 from math import ceil, floor, isfinite, log10
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.passivity.report import curves, lacking
-from teleop.terminal.figure import need_plot, save
+from teleop.law import law_name
+from teleop.terminal.plotting import (
+    BLUE,
+    DARK,
+    FAILS,
+    GREEN,
+    ORANGE,
+    RED,
+    SKY,
+    grid_lines,
+    literal,
+    new_figure,
+    save,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,26 +31,16 @@ if TYPE_CHECKING:
     from teleop.analysis.passivity.one_port import Behind, OnePort
     from teleop.analysis.passivity.report import Answer
 
-# Okabe and Ito's colours, which colour-blind eyes tell apart.
-BLUE, SKY, RED, ORANGE, GREEN, GREY = "#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#009E73", "#666666"
-FAILS = "#CC0000"
 STYLES = {"sampled": ("-", 1.4), "continuous": ("--", 1.0)}
 ETA = (-1.3, 4.0)  # shown of Llewellyn's parameter
 
 
 def draw(answer: Answer, path: Path) -> None:
     """Draw `answer` into the PNG file `path`. `Refused` if the extra is missing or it cannot be written."""
-    need_plot()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from teleop.law import law_name
-
     alone = answer.one is not None and answer.one.behind is None
-    figure = Figure(figsize=(9.5, 5.0) if alone else (13.0, 8.5), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(f"{answer.scene.name}, law {law_name(answer.scene.law)}\n"
-                    f"{_wrapped(answer.sentence, 110 if alone else 170)}", fontsize=11)
+    title = literal(f"{answer.scene.name}, law {law_name(answer.scene.law)}")
+    figure = new_figure((9.5, 5.0) if alone else (13.0, 8.5),
+                        f"{title}\n{fill(literal(answer.sentence), 110 if alone else 170)}")
     data = curves(answer)
     if answer.one is not None:
         _one(figure, answer.one, data)
@@ -45,17 +49,11 @@ def draw(answer: Answer, path: Path) -> None:
     save(figure, path)
 
 
-def _wrapped(text: str, width: int) -> str:
-    from textwrap import fill
-
-    return fill(text, width)
-
-
 def _frequency(axes: Axes, label: str) -> None:
     axes.set_xscale("log")
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel(label)
-    axes.grid(visible=True, which="major", linewidth=0.4, alpha=0.5)
+    grid_lines(axes)
 
 
 def _legend(axes: Axes) -> None:
@@ -85,7 +83,7 @@ def _two(figure: Figure, answer: Answer, data: dict[str, Any]) -> None:
     eta.set_ylim(*ETA)
     for axes in (top, passed, felt):
         axes.set_yscale("log")
-    passed.axhline(1.0, color=GREY, linewidth=0.6)
+    passed.axhline(1.0, color=DARK, linewidth=0.6)
     for axes, label in ((top, "impedance (N s/m)"), (eta, "Llewellyn's parameter"), (passed, "what is passed on"),
                         (felt, "impedance (N s/m)")):
         _frequency(axes, label)
@@ -106,7 +104,7 @@ def _touched(axes: Axes, data: dict[str, Any]) -> None:
             else:
                 axes.plot([], [], color=RED, label="touched by the slave: nothing")
             return
-    axes.text(0.5, 0.5, "the environment is not linear", ha="center", transform=axes.transAxes, color=GREY)
+    axes.text(0.5, 0.5, "the environment is not linear", ha="center", transform=axes.transAxes, color=DARK)
 
 
 def _bands(axes: Axes, answer: Answer) -> None:
@@ -155,7 +153,7 @@ def _needed(axes: Axes, one: OnePort, data: dict[str, Any]) -> None:
     axes.axhline(one.damping, color=GREEN, label="the device's damping $b$")
     axes.fill_between(f, one.damping, need, where=list(need > one.damping), color=FAILS, alpha=0.15, linewidth=0.0,
                       label="more than that" if np.any(need > one.damping) else None)
-    axes.axhline(0.0, color=GREY, linewidth=0.6)
+    axes.axhline(0.0, color=DARK, linewidth=0.6)
     _frequency(axes, "damping (N s/m)")
     _legend(axes)
 
@@ -175,7 +173,7 @@ def _diagram(axes: Axes, one: OnePort, behind: Behind) -> None:
     if behind.conditions:
         edge = delta / behind.passive_needs  # that grows with C in proportion
         few = np.union1d(factors[::10][factors[::10] < edge], [edge * (1.0 - 1e-6)])
-        axes.axvline(behind.gamma * edge, color=GREY, linestyle=":", linewidth=1.0,
+        axes.axvline(behind.gamma * edge, color=DARK, linestyle=":", linewidth=1.0,
                      label="beyond: a rigid one makes energy")
         found = [alpha_max(delta, _scaled(behind, factor), one.T, d=one.d, tol=1e-4) for factor in few]
         most = [np.nan if alpha is None else alpha for alpha in found]
@@ -214,7 +212,7 @@ def _real(axes: Axes, one: OnePort, behind: Behind, frequency: Any) -> None:
                       label=f"{name}: {lacking(lack)}")
             greatest = max(greatest, float(np.abs(real).max()))
     axes.axhline(-one.damping, color=GREEN, linewidth=0.9, label=r"$-\delta$")
-    axes.axhline(0.0, color=GREY, linewidth=0.6)
+    axes.axhline(0.0, color=DARK, linewidth=0.6)
     linear = 10.0 ** floor(log10(max(one.damping, 1e-3)))  # within +- this the axis is linear
     decades = max(1, ceil(log10(greatest / linear)))
     axes.set_yscale("symlog", linthresh=linear)

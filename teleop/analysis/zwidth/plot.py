@@ -1,4 +1,4 @@
-"""The figures of a Z-width: the plane of stiffness and damping, impedance over frequency, the levers. Needs `plot`."""
+"""The plots of a Z-width: the plane of stiffness and damping, impedance over frequency, the levers. Needs `plot`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Any
 from teleop.analysis.zwidth.plane import passive_line, published_rule
 from teleop.analysis.zwidth.report import numbers, said
 from teleop.law import law_name
-from teleop.terminal.figure import need_plot, save
+from teleop.terminal.plotting import (
+    BLACK,
+    BLUE,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    SKY,
+    grid_lines,
+    literal,
+    new_figure,
+    save,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,8 +32,6 @@ if TYPE_CHECKING:
     from teleop.analysis.zwidth.assess import ZWidth
     from teleop.analysis.zwidth.plane import Boundary
 
-GREEN, BLUE, SKY, RED, ORANGE, BLACK, GREY, DARK = (
-    "#009E73", "#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#000000", "#999999", "#555555")
 PANELS = (
     ("z_width_1hz", "Z_max - Z_min at 1 Hz (N s/m)"), ("area", "area, 0.1-100 Hz (decades x decades)"),
     ("passive_K", "greatest passive K (N/m)"), ("stable_K_any_B", "greatest stable K at any B (N/m)"),
@@ -31,21 +42,14 @@ PANELS = (
 
 def draw(got: ZWidth, folder: Path) -> None:
     """Draw plane.png, impedance.png and levers.png. `Refused` without the extra, or if one cannot be written."""
-    need_plot()
     _plane(got, folder / "plane.png")
     _impedance(got, folder / "impedance.png")
     _levers(got, folder / "levers.png")
 
 
 def _new(got: ZWidth, title: str, size: tuple[float, float]) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(f"{got.scene.name}, law {law_name(got.scene.law)}: {title}"
-                    + (" (interrupted)" if got.interrupted else ""), fontsize=11)
-    return figure
+    told = f"{got.scene.name}, law {law_name(got.scene.law)}: {title}"
+    return new_figure(size, literal(told + " (interrupted)" * got.interrupted))
 
 
 def _plane(got: ZWidth, path: Path) -> None:
@@ -73,7 +77,7 @@ def _plane(got: ZWidth, path: Path) -> None:
         axes.set_title(words, fontsize=10)
         axes.set_xlabel("virtual damping B (N s/m)")
         axes.set_ylabel("virtual stiffness K (N/m)")
-        axes.grid(visible=True, linewidth=0.4, alpha=0.5)
+        grid_lines(axes)
     handles, labels = whole.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     save(figure, path)
@@ -139,7 +143,7 @@ def _impedance(got: ZWidth, path: Path) -> None:
     axes.set_xlim(c.frequency[0], c.frequency[-1])
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel("impedance (N s/m)")
-    axes.grid(visible=True, which="major", linewidth=0.4, alpha=0.5)
+    grid_lines(axes)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     save(figure, path)
 

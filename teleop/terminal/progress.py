@@ -1,0 +1,129 @@
+"""The line in a terminal that shows how far a command has come."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from typing import TextIO
+
+from teleop.terminal.units import duration, grouped, two_digits
+
+RATE_AFTER = 0.5  # s of rows before their rate is told: the first few come in a bunch
+RATE_OVER = 10.0  # s that it is taken over, or as long as a few rows last
+BAR_FROM = 60  # columns; a bar in fewer would come and go with what stands behind it
+
+
+class Progress:
+    """One line on `stream` that says how far something of size `total` has come.
+
+    On a terminal the line is written over itself; elsewhere there is a plain line now and then, and none for
+    what takes no longer. There is no colour anywhere, so NO_COLOR has nothing to switch off.
+    """
+
+    __slots__ = ("_first", "_line", "_total")
+
+    def __init__(self, stream: TextIO, total: float) -> None:
+        self._line, self._total = _StatusLine(stream), total
+        self._first: tuple[float, float] | None = None  # what was done at the first call, and when
+
+    def show(self, done: float, now_s: float, text: str = "") -> None:
+        """`done` of the total is done at `now_s` (s, of any clock that does not go back); `text` follows."""
+        first, began = self._first = self._first or (done, now_s)
+        if not self._line.is_due(now_s, done >= self._total):
+            return
+        part = min(max(done / self._total, 0.0), 1.0) if self._total > 0.0 else 1.0
+        left = "" if done <= first else f"{(now_s - began) * max(0.0, self._total - done) / (done - first):.1f} s left"
+        self._line.write(part, "  ".join(word for word in (f"{part:4.0%}", left, text) if word))
+
+    def end(self) -> None:
+        """Leave the line as it stands and go on below it."""
+        self._line.end()
+
+
+class RowsProgress:
+    """One line on `stream` that says how many of many rows are there, as `Progress` shows it.
+
+    Rows that were there at the first call took no time now. The rate and the time left are those of the rows after the
+    first that come: before these come what is compiled, processes that start and files that are read.
+    """
+
+    __slots__ = ("_before", "_came", "_line")
+
+    def __init__(self, stream: TextIO) -> None:
+        self._line = _StatusLine(stream)
+        self._before: int | None = None  # rows that were there at the first call
+        self._came: deque[tuple[int, float]] = deque()  # how many were there when, of the last seconds
+
+    def show(self, done: int, total: int, now_s: float) -> None:
+        """`done` of `total` rows are there at `now_s` (s, of any clock that does not go back)."""
+        if self._before is None:
+            self._before = done
+        came = self._came
+        if done > self._before:
+            came.append((done, now_s))
+        while len(came) > 2 and came[1][1] <= now_s - RATE_OVER:
+            came.popleft()
+        if not self._line.is_due(now_s, done >= total):
+            return
+        count, rate, left = f"{grouped(done)} of {grouped(total)}", "", ""
+        if done == self._before:
+            rate = "starting" if done < total else ""
+        elif done > came[0][0] and now_s - came[0][1] >= RATE_AFTER:
+            a_second = (done - came[0][0]) / (now_s - came[0][1])
+            rate = f"{two_digits(a_second)} rows/s"
+            left = f"{duration((total - done) / a_second)} left" if done < total else ""
+        texts = [[f"{count} rows", rate, left], [f"{count} rows", left or rate], [count, left or rate], [count]]
+        self._line.write(done / total if total else 1.0, *("  ".join(filter(None, words)) for words in texts))
+
+    def end(self) -> None:
+        """Leave the line as it stands and go on below it."""
+        self._line.end()
+
+
+class _StatusLine:
+    """A line that is written over itself on a terminal, and anew now and then elsewhere."""
+
+    __slots__ = ("_due", "_stream", "_terminal", "_width")
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._terminal = stream, stream.isatty()
+        self._due: float | None = None  # the time before which nothing is written
+        self._width = 0  # of what stands on the terminal's line
+
+    def is_due(self, now_s: float, last: bool) -> bool:
+        """Is it time to write: on a terminal at once, ten times a second and at the `last`, elsewhere every 5 s."""
+        if self._due is None:
+            self._due = now_s if self._terminal else now_s + 5.0
+        if now_s < self._due and not (self._terminal and last):
+            return False
+        self._due = now_s + (0.1 if self._terminal else 5.0)
+        return True
+
+    def write(self, part: float, *texts: str) -> None:
+        """The first of `texts` that fits, behind a bar if there is room for that too; cut if none does."""
+        if not self._terminal:
+            self._stream.write(texts[0].strip() + "\n")
+        else:
+            filled = round(20 * part)
+            bar = "[" + "#" * filled + "." * (20 - filled) + "]  "
+            room = _columns(self._stream) - 1
+            fitting = [text for text in (*[bar + texts[0]] * (room >= BAR_FROM), *texts) if len(text) <= room]
+            line = (fitting or [texts[-1][:room]])[0]
+            self._stream.write("\r" + line.ljust(self._width))
+            self._width = len(line)
+        self._stream.flush()
+
+    def end(self) -> None:
+        """Go on below the line, if there is one."""
+        if self._width:
+            self._stream.write("\n")
+            self._stream.flush()
+            self._width = 0
+
+
+def _columns(stream: TextIO) -> int:
+    """The terminal's width; 80 where it cannot be told."""
+    try:
+        return os.get_terminal_size(stream.fileno()).columns or 80
+    except (OSError, ValueError):
+        return 80
