@@ -94,8 +94,8 @@ def move_carried(move: Move, c: tuple[Any, ...], x: float, v: float, f: float, z
     still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, capped = move(still, x - path[k], v - s, f - b * s)
-    return path[k + 1] + y, s + w, capped, (k + 1,)
+    y, w, truncated = move(still, x - path[k], v - s, f - b * s)
+    return path[k + 1] + y, s + w, truncated, (k + 1,)
 
 
 def carried_force(force: Force, c: tuple[Any, ...], x: float, v: float, z: tuple[int]) -> float:
@@ -111,8 +111,8 @@ def move_carried_inner(move: Move, c: tuple[Any, ...], x: float, v: float, f: fl
     still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, capped, own = move(still, x - path[k], v - s, f - b * s, z[1:])
-    return path[k + 1] + y, s + w, capped, (k + 1, *own)
+    y, w, truncated, own = move(still, x - path[k], v - s, f - b * s, z[1:])
+    return path[k + 1] + y, s + w, truncated, (k + 1, *own)
 
 
 def move_carried_sliding(move: Move, c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[Any, ...]
@@ -121,8 +121,8 @@ def move_carried_sliding(move: Move, c: tuple[Any, ...], x: float, v: float, f: 
     still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, capped, own = move(still, x - path[k], v - s, f - b * s, z[1:], s)
-    return path[k + 1] + y, s + w, capped, (k + 1, *own)
+    y, w, truncated, own = move(still, x - path[k], v - s, f - b * s, z[1:], s)
+    return path[k + 1] + y, s + w, truncated, (k + 1, *own)
 
 
 def carried_force_inner(force: Force, c: tuple[Any, ...], x: float, v: float, z: tuple[Any, ...]) -> float:

@@ -103,8 +103,8 @@ def move_wall(c: Coefficients, x: float, v: float, f: float) -> tuple[float, flo
                 # g turns at most once, so it has a minimum inside only if g' goes from - to +.
                 and (gp * p + gu * u + gf * w >= 0.0 or gp * p1 + gu * u1 + gf * w <= 0.0)):
             return at + side * p1, side * u1, 0
-    p, v, capped = events(mass, damping, k, d, dt, p, side * v, side * f)
-    return at + side * p, side * v, capped
+    p, v, truncated = events(mass, damping, k, d, dt, p, side * v, side * f)
+    return at + side * p, side * v, truncated
 
 
 def events(m: float, b: float, k: float, d: float, span: float, p: float, u: float, f: float

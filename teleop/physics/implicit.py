@@ -2,7 +2,7 @@
 
 What is left without one is integrated by `teleop/physics/sdirk.py` to a stated tolerance, with an estimate of the
 error. Most ticks have one even so, and take it: a body that sticks through the tick stays where it is, to the bit; one
-that slides one way feels friction as one more held force, and touches nothing or something linear, so that the
+that slides in one direction feels friction as one more held force, and touches nothing or something linear, so that the
 exact step of teleop/physics/plant.py is its motion. The inner state is `Effort`. Signs and words:
 teleop/DESIGN.md. SI units.
 """
@@ -107,7 +107,7 @@ def move_implicit(c: Any, x: float, v: float, f: float, z: Any, s: float = 0.0) 
     side, at, core, (a12, b1, a22, b2), part, dt, tol = c
     kind, _, b, _, _, _, _, fc = core
     p = side * (x - at)
-    way = 0.0
+    f_slide = 0.0
     if fc > 0.0:
         over = v + s
         if over == 0.0:
@@ -117,39 +117,41 @@ def move_implicit(c: Any, x: float, v: float, f: float, z: Any, s: float = 0.0) 
             if -fc <= low <= fc and -fc <= high <= fc:  # g is monotone in between
                 return x if s == 0.0 else x + v * dt, v, 0, z
             over = side * low
-        way = fc if over > 0.0 else -fc
+        f_slide = fc if over > 0.0 else -fc
     if kind == NOTHING or (kind != BOND and p < 0.0):
-        x1 = x + a12 * v + b1 * (f - way)
-        v1 = a22 * v + b2 * (f - way)
+        x1 = x + a12 * v + b1 * (f - f_slide)
+        v1 = a22 * v + b2 * (f - f_slide)
         # A free velocity is monotone: friction keeps its sign if the ends say so, and p has a maximum inside
         # only if it turns from in to out.
-        if (way == 0.0 or way * (v1 + s) >= 0.0) and (
+        if (f_slide == 0.0 or f_slide * (v1 + s) >= 0.0) and (
                 kind == NOTHING or (side * (x1 - at) < 0.0 and (side * v <= 0.0 or side * v1 >= 0.0))):
             return x1, v1, 0, z
     elif kind != HUNT_CROSSLEY:
-        sure, p1, u1 = slides(part, kind, p, side * v, side * (f - way), side * way, side * s)
+        sure, p1, u1 = slides(part, kind, p, side * v, side * (f - f_slide), side * f_slide, side * s)
         if sure:
             return at + side * p1, side * u1, 0, z
     kept = integrate(core, p, side * v, side * f, side * s, dt, tol, z[0])
     return at + side * kept.p, side * kept.u + 0.0, 0, _after(z, kept.error, kept.substeps, kept.longest, tol)
 
 
-def slides(part: tuple[float, ...], kind: int, p: float, u: float, f: float, way: float, s: float
+def slides(part: tuple[float, ...], kind: int, p: float, u: float, f: float, f_slide: float, s: float
            ) -> tuple[bool, float, float]:
-    """Is a tick sure to stay in contact and to slide one way (f is less friction)? And depth and speed after it then.
+    """True if a tick is sure to stay in contact and to slide in one direction; depth and speed after it.
+
+    f is the force less friction.
 
     Within a tick in which u' and g' turn at most once, u has its extremum inside only if u' changes sign.
     """
     a11, a12, b1, a21, a22, b2, k, d, damping, m, calm = part
     p1 = a11 * p + a12 * u + b1 * f
     u1 = a21 * p + a22 * u + b2 * f
-    if way == 0.0 and kind == BOND:
+    if f_slide == 0.0 and kind == BOND:
         return True, p1, u1
     if calm == 0.0:
         return False, p, u
     a = f - damping * u - k * p
     a1 = f - damping * u1 - k * p1
-    if way != 0.0 and not (way * (u1 + s) >= 0.0 and (way * a >= 0.0 or way * a1 <= 0.0)):
+    if f_slide != 0.0 and not (f_slide * (u1 + s) >= 0.0 and (f_slide * a >= 0.0 or f_slide * a1 <= 0.0)):
         return False, p, u
     if kind == WALL and not (p > 0.0 and k * p + d * u > 0.0 and k * p1 + d * u1 > 0.0 and p1 > 0.0
                              and (k * u + d * a / m >= 0.0 or k * u1 + d * a1 / m <= 0.0)):
@@ -186,16 +188,16 @@ def move_held(c: Any, x: float, v: float, f_m: float, r0: float, r1: float, z: A
     _, _, b, k, d, _, _, fc = core
     s = (r1 - r0) / dt
     f = -(f_m + b * s)
-    way = 0.0
+    f_slide = 0.0
     if fc > 0.0:
         over = v
         if v == 0.0:
             over = k * (r0 - x) + d * s - f_m
             if -fc <= over <= fc and -fc <= k * (r1 - x) + d * s - f_m <= fc:  # linear in between
                 return x, v, z
-        way = fc if over > 0.0 else -fc
+        f_slide = fc if over > 0.0 else -fc
     y, w = x - r0, v - s
-    sure, y1, w1 = slides(part, BOND, y, w, f - way, way, s)
+    sure, y1, w1 = slides(part, BOND, y, w, f - f_slide, f_slide, s)
     if sure:
         return r1 + y1, s + w1, z
     kept = integrate(core, y, w, f, s, dt, tol, z[0])

@@ -40,12 +40,12 @@ class MassDamper:
 class Plant(NamedTuple):
     """A body in its environment, ready to be moved tick by tick.
 
-    `move(c, x, v, f) -> x, v, capped` holds f for one tick; `capped` is 1 where a wall had more events
+    `move(c, x, v, f) -> x, v, truncated` holds f for one tick; `truncated` is 1 where a wall had more events
     within the tick than are followed, else 0. `force(c, x, v)` is `f_env`, the force on the environment, as
     the left limit at that instant. Neither raises: what is not finite comes back as not finite.
 
     A plant with an inner state z beside (x, v) has it at the first tick as `start`, not None; then
-    `move(c, x, v, f, z) -> x, v, capped, z` and `force(c, x, v, z)`. `report(z)` is what a summary should say of
+    `move(c, x, v, f, z) -> x, v, truncated, z` and `force(c, x, v, z)`. `report(z)` is what a summary should say of
     the integration afterwards.
     """
 

@@ -74,21 +74,21 @@ def touching(c: Core, p: float, u: float, push: float) -> int:
 
 
 def setting_out(c: Core, p: float, u: float, f: float, s: float) -> tuple[float, int]:
-    """Acceleration and mode at the start of a step; the mode is `touching` plus 3, 0, -3 for the way it slides."""
+    """Acceleration and mode at the start of a step; the mode is `touching` plus 3 times the sign of sliding."""
     m, b, fc = c[1], c[2], c[7]
     push = f - b * u - resistance_force(c, p, u)
     v = u + s
-    way = 0
+    slide_sign = 0
     if fc > 0.0:
         if v != 0.0:
-            way = 1 if v > 0.0 else -1
-            push -= way * fc
+            slide_sign = 1 if v > 0.0 else -1
+            push -= slide_sign * fc
         elif -fc <= push <= fc:
             push = 0.0
         else:
-            way = 1 if push > 0.0 else -1
-            push -= way * fc
-    return push / m, touching(c, p, u, push) + 3 * way
+            slide_sign = 1 if push > 0.0 else -1
+            push -= slide_sign * fc
+    return push / m, touching(c, p, u, push) + 3 * slide_sign
 
 
 def stage(c: Core, y: float, w: float, tau: float, f: float, s: float) -> tuple[float, int]:
@@ -100,32 +100,32 @@ def stage(c: Core, y: float, w: float, tau: float, f: float, s: float) -> tuple[
     kind, m, b, k, d, n, lam, fc = c
     mass = m + tau * b
     drive = m * w + tau * f
-    way = 0
+    slide_mode = 0
     if fc > 0.0:
         over = drive + mass * s - tau * resistance_force(c, y - tau * s, -s)
         rub = tau * fc
         if -rub <= over <= rub:
             return 0.0 - s, touching(c, y - tau * s, -s, over)
-        way = 3 if over > 0.0 else -3
+        slide_mode = 3 if over > 0.0 else -3
         drive += -rub if over > 0.0 else rub
     free = drive / mass
     if kind == NOTHING:
-        return free, way
+        return free, slide_mode
     if kind == BOND:
-        return (drive - tau * k * y) / (mass + tau * (d + tau * k)), way + 1
+        return (drive - tau * k * y) / (mass + tau * (d + tau * k)), slide_mode + 1
     p = y + tau * free
     if not p > 0.0:
-        return free, way
+        return free, slide_mode
     if kind == WALL:
         if k * p + d * free <= 0.0:
-            return free, way + 2
+            return free, slide_mode + 2
         u = (drive - tau * k * y) / (mass + tau * (d + tau * k))
-        return (u if y + tau * u > 0.0 else -y / tau), way + 1
+        return (u if y + tau * u > 0.0 else -y / tau), slide_mode + 1
     if 1.0 + lam * free <= 0.0:
-        return free, way + 2
+        return free, slide_mode + 2
     if not p < 1e30:
-        return nan, way + 1
-    return _hunt_crossley(k * tau, n, lam, mass, drive, y, w, tau, free), way + 1
+        return nan, slide_mode + 1
+    return _hunt_crossley(k * tau, n, lam, mass, drive, y, w, tau, free), slide_mode + 1
 
 
 def _hunt_crossley(kt: float, n: float, lam: float, mass: float, drive: float, y: float, u: float, tau: float,
@@ -185,8 +185,8 @@ def unseen(c: Core, p: float, u: float, s: float, a: float, mode: int,
         return True
     if fc == 0.0 or 0 <= mode <= 2:
         return False
-    way = 1.0 if mode > 2 else -1.0
-    return way * a < 0.0 < way * end[3] and way * (u + s + a * span) <= 0.0
+    slide_sign = 1.0 if mode > 2 else -1.0
+    return slide_sign * a < 0.0 < slide_sign * end[3] and slide_sign * (u + s + a * span) <= 0.0
 
 
 def liveliness(c: Core, p: float, u: float, f: float, dt: float) -> float:
