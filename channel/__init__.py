@@ -1,7 +1,7 @@
-"""The water between the two ends: what a link does to packets, one small file per effect.
+"""The link between the two ends: its effects on packets, one small file per effect.
 
-`channel.link` names whole links (`parse_link`, `describe`, `Link`), `channel.schedule` draws what becomes
-of every packet, all at once or as they are sent, and `channel.relay` is the core of the live relay.
+`channel.link` names whole links (`parse_link`, `describe`, `Link`), `channel.schedule` draws the arrivals
+of all packets, at once or as they are sent, and `channel.relay` is the core of the live relay.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`python -m channel SCENE --listen HOST:PORT --peer HOST:PORT`: the water between, as a process."""
+"""`python -m channel SCENE --listen HOST:PORT --peer HOST:PORT`: the link between the two ends, as a process."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def _run(argv: list[str]) -> int:
             _event("listening", address=shown(at), port=at[1])
         else:
             link: Any = scene.link  # a scene asks less of its link than a text does
-            water = "no link" if link is None else describe(link)
-            print(f"channel: {water}; {shown(at)} <-> {shown(peer)}; start the master with: "
+            named = "no link" if link is None else describe(link)
+            print(f"channel: {named}; {shown(at)} <-> {shown(peer)}; start the master with: "
                   f"python -m master {_typed(args)} --peer {shown(_with_host(at, 'THIS-HOST'))}"
                   f"{'' if beyond is None else _open_or_sealed(args)}", flush=True)
         shell.run(interrupt)
@@ -75,7 +75,7 @@ def _typed(args: Namespace) -> str:
 
 
 def _open_or_sealed(args: Namespace) -> str:
-    """How the master of a link beyond this machine has to be started: this channel drops what has no keys."""
+    """The options of a master on a link beyond this machine, where this channel drops packets without keys."""
     return " --insecure" if args.insecure else " --key master.key --peer-fingerprint THE-SLAVES"
 
 

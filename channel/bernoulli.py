@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from channel.dice import Dice, Ints
 from channel.effect import Effect, probability
+from channel.rng import Ints, Rng
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +22,12 @@ class Bernoulli(Effect):
     def __post_init__(self) -> None:
         object.__setattr__(self, "p", probability("p", self.p))
 
-    def begin(self, dice: Dice) -> Dice:
-        """The dice are all there is to remember."""
-        return dice
+    def begin(self, rng: Rng) -> Rng:
+        """The random numbers are the whole state."""
+        return rng
 
-    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Dice]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Rng]:
         """The packets that are spared, at once."""
         spared = state.uniform(packet) >= self.p
         return packet[spared], time_ns[spared], state

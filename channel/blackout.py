@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
-from channel.dice import Dice, Ints
 from channel.effect import Effect
+from channel.rng import Ints, Rng
 from channel.rows import nanoseconds
 from teleop.errors import Refused, number
 
@@ -34,8 +34,8 @@ class Blackout(Effect):
                               " or the link never comes back; "
                               f"write for example every={2 * self.duration + 1:g}")
 
-    def begin(self, dice: Dice) -> None:
-        """Nothing to remember."""
+    def begin(self, rng: Rng) -> None:
+        """No state."""
 
     def carry(self, state: None, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, None]:

@@ -1,4 +1,4 @@
-"""Does an effect keep what `channel.effect` promises? `check_effect(Mine())` says so in one line."""
+"""The check of an effect against what `channel.effect` promises: `check_effect(Mine())`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from channel.dice import BLOCK, Dice, Ints
 from channel.effect import Effect
+from channel.rng import BLOCK, Ints, Rng
 from channel.rows import by_number, by_time
 from teleop.errors import Refused
 
@@ -18,7 +18,7 @@ def check_effect(effect: Effect, *, size: int = 100) -> None:
     """Raises `Refused` with one sentence for the first promise broken.
 
     Tried on packets sent at 1 kHz, and on a run with ties, gaps, doubled packets and packets out of order:
-    rows in and out, cuts into pieces, states carried on twice, dice, and the class's `order` and `reorders`.
+    rows in and out, cuts into pieces, states carried on twice, random numbers, and the class's `order` and `reorders`.
     """
     sent = np.arange(BLOCK + 300, dtype=np.int64)
     in_step = sent, sent * 1_000_000
@@ -32,16 +32,16 @@ def check_effect(effect: Effect, *, size: int = 100) -> None:
     out, _ = _carried(effect, [in_step], size)
     _say(effect.reorders or bool(np.all(np.diff(out) >= 0)), effect, "reorders; its class says it does not")
     if effect.constant_ns is not None:
-        packet, time_ns, _ = effect.carry(effect.begin(Dice(1, 0, 0)), *in_step, size)
+        packet, time_ns, _ = effect.carry(effect.begin(Rng(1, 0, 0)), *in_step, size)
         same = np.array_equal(packet, in_step[0]) and np.array_equal(time_ns, in_step[1] + effect.constant_ns)
         _say(same, effect, "does more than the constant delay that its `constant_ns` states")
     _dice(effect, size)
 
 
 def _rows(effect: Effect, rows: Rows, size: int) -> None:
-    """What goes in stays as it is; what comes out is sorted, went in, and does so again."""
+    """Rows in are left as they are; rows out are sorted, are among those in, and are the same a second time."""
     packet, time_ns = rows[0].copy(), rows[1].copy()
-    state = effect.begin(Dice(1, 0, 0))
+    state = effect.begin(Rng(1, 0, 0))
     out, time_out, _ = effect.carry(state, *rows, size)
     _say(np.array_equal(packet, rows[0]) and np.array_equal(time_ns, rows[1]), effect, "wrote to its input")
     _say(out.dtype == np.int64 and time_out.dtype == np.int64 and out.shape == time_out.shape == (len(out),),
@@ -55,7 +55,7 @@ def _rows(effect: Effect, rows: Rows, size: int) -> None:
         _say(time >= first[number], effect, f"lets packet {number} leave before it entered")
     again = effect.carry(state, *rows, size)[:2]
     _say(_same((out, time_out), again), effect, "changes a state that was handed to it")
-    _say(_same((out, time_out), _carried(effect, [rows], size)), effect, "has dice of its own")
+    _say(_same((out, time_out), _carried(effect, [rows], size)), effect, "has random numbers of its own")
 
 
 def _pieces(effect: Effect, rows: Rows, size: int) -> None:
@@ -75,20 +75,20 @@ def _dice(effect: Effect, size: int) -> None:
     """If the seed matters, direction and place do."""
     packet = np.arange(4 * BLOCK, dtype=np.int64)
 
-    def outcome(dice: Dice) -> Rows:
-        out, time_out, _ = effect.carry(effect.begin(dice), packet, packet * 1_000_000, size)
+    def outcome(rng: Rng) -> Rows:
+        out, time_out, _ = effect.carry(effect.begin(rng), packet, packet * 1_000_000, size)
         return out, time_out
 
-    base = outcome(Dice(1, 0, 0))
-    if any(_same(base, outcome(Dice(seed, 0, 0))) for seed in range(2, 10)):
-        return  # no dice, or so rarely thrown that equal runs prove nothing
-    _say(not _same(base, outcome(Dice(1, 1, 0))), effect, "throws the same dice in both directions")
-    _say(not _same(base, outcome(Dice(1, 0, 1))), effect, "throws the same dice at every place in a chain")
+    base = outcome(Rng(1, 0, 0))
+    if any(_same(base, outcome(Rng(seed, 0, 0))) for seed in range(2, 10)):
+        return  # no random numbers, or so rarely drawn that equal runs prove nothing
+    _say(not _same(base, outcome(Rng(1, 1, 0))), effect, "draws the same random numbers in both directions")
+    _say(not _same(base, outcome(Rng(1, 0, 1))), effect, "draws the same random numbers at every place in a chain")
 
 
 def _carried(effect: Effect, pieces: Iterable[Rows], size: int) -> Rows:
     """Everything that comes of the pieces, sorted by (time, number)."""
-    state = effect.begin(Dice(1, 0, 0))
+    state = effect.begin(Rng(1, 0, 0))
     packets, times = [], []
     for piece in pieces:
         packet, time_ns, state = effect.carry(state, *piece, size)

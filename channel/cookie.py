@@ -26,7 +26,7 @@ class Cookies:
         return self._of(hello, address, now // SLOT_NS)
 
     def is_good(self, brought: bytes, hello: Record, address: Address, now: int) -> bool:
-        """Is this the cookie that a hello from `address` was given?"""
+        """True if this is the cookie that a hello from `address` was given."""
         slot = now // SLOT_NS
         return any(compare_digest(brought, self._of(hello, address, when)) for when in (slot, slot - 1))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from channel.dice import Dice, Ints
 from channel.effect import Effect, seconds
+from channel.rng import Ints, Rng
 from channel.rows import nanoseconds
 
 
@@ -25,8 +25,8 @@ class Delay(Effect):
         """The delay in ns: it is all that this effect does."""
         return nanoseconds(self.delay)
 
-    def begin(self, dice: Dice) -> None:
-        """Nothing to remember."""
+    def begin(self, rng: Rng) -> None:
+        """No state."""
 
     def carry(self, state: None, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, None]:

@@ -6,8 +6,8 @@ from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
-from channel.dice import Dice, Ints
 from channel.effect import Effect, probability, seconds
+from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
 
 
@@ -15,7 +15,7 @@ from channel.rows import by_time, nanoseconds
 class Duplicate(Effect):
     """With probability `p` a packet leaves twice: at once, and `after` s later. None is lost or late.
 
-    Effects behind it meet both copies with the same dice: both are lost, or late by the same time.
+    Effects behind it meet both copies with the same random numbers: both are lost, or late by the same time.
     """
 
     p: float  # probability of a copy
@@ -26,12 +26,12 @@ class Duplicate(Effect):
         object.__setattr__(self, "p", probability("p", self.p))
         object.__setattr__(self, "after", seconds("after", self.after))
 
-    def begin(self, dice: Dice) -> Dice:
-        """The dice are all there is to remember."""
-        return dice
+    def begin(self, rng: Rng) -> Rng:
+        """The random numbers are the whole state."""
+        return rng
 
-    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Dice]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Rng]:
         """All packets, some of them again."""
         twice = state.uniform(packet) < self.p
         copies = np.concatenate((packet, packet[twice]))

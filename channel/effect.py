@@ -1,7 +1,7 @@
-"""What an effect is: a rule that maps a time-sorted run of packets to another; and effects in a chain.
+"""Effects: rules that map a time-sorted run of packets to another; and chains of effects.
 
 An effect knows packets by number and time, never by content. What it decides, it decides when a packet
-enters: `carry` returns everything that will ever come of the packets handed to it. Its dice are keyed by
+enters: `carry` returns everything that will ever come of the packets handed to it. Its random numbers are keyed by
 (seed, direction, place in the chain, packet, draw), so both copies of a doubled packet meet the same
 verdict behind it, and no verdict depends on which other packets there are.
 """
@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from channel.dice import Dice, Ints
+from channel.rng import Ints, Rng
 from channel.schedule import Arrivals, Order, State, Stream, arrivals
 from teleop.errors import Refused, number
 
@@ -28,12 +28,12 @@ class Effect(ABC):
     __slots__ = ()
 
     order: ClassVar[Order] = "any"
-    """How packets must be handed over. "any": a verdict depends on the packet and its own time alone, so
+    """The order in which packets must be handed over. "any": a verdict depends on the packet and its own time alone, so
     runs may be cut anywhere; "time": as they enter, sorted by (time, number): a queue; "number": sorted
     by (number, time): what keeps packets in the order in which they were sent."""
 
     reorders: ClassVar[bool] = True
-    """Whether packets may leave in another order than they entered."""
+    """True if packets may leave in another order than they entered."""
 
     @property
     def constant_ns(self) -> int | None:
@@ -41,8 +41,8 @@ class Effect(ABC):
         return None
 
     @abstractmethod
-    def begin(self, dice: Dice) -> State:
-        """The state before the first packet; `dice` are this effect's own, for its direction and place."""
+    def begin(self, rng: Rng) -> State:
+        """The state before the first packet; `rng` is this effect's own, for its direction and place."""
 
     @abstractmethod
     def carry(self, state: State, packet: Ints, time_ns: Ints,
@@ -60,7 +60,7 @@ class Effect(ABC):
         return (self,)
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
-        """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
+        """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
         return arrivals(self, direction, count, dt_ns, seed, size)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:
@@ -100,7 +100,7 @@ class Chain:
         return self.effects
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
-        """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
+        """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
         return arrivals(self, direction, count, dt_ns, seed, size)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:

@@ -50,28 +50,28 @@ class Flow:
 
     @property
     def met(self) -> bool:
-        """Has the slave taken it up?"""
+        """True if the slave has taken it up."""
         return self._slave_ns is not None
 
     def runs(self, now: int) -> bool:
-        """Do both speak in it, the slave from where it was said to be?
+        """True if both ends send in it, the slave from its configured address.
 
-        From elsewhere any sender could answer itself.
+        From another address any sender could answer itself.
         """
         if self._slave_ns is None or self.slave != self.home:
             return False
         return now - self._slave_ns < QUIET_NS and now - self._master_ns < QUIET_NS
 
     def is_over(self, now: int) -> bool:
-        """Has it had its time, without having been taken up?"""
+        """True if its time has passed and the slave has not taken it up."""
         return not self.met and now - self._began >= UNMET_NS
 
     def rests(self, now: int) -> bool:
-        """Has its master been silent for so long, or it had its time, that another hello begins another flow?"""
+        """True if it is over, or its master was silent so long that another hello begins another flow."""
         return self.is_over(now) or now - self._master_ns >= QUIET_NS
 
     def due(self) -> int | None:
-        """When something of it has to go out, on our clock (ns); None: nothing is under way."""
+        """The time at which the next datagram has to go out, on our clock (ns); None: nothing is under way."""
         soon = self.relay.next_ns()
         return None if soon is None else soon + (self.origin or 0)
 
@@ -96,7 +96,7 @@ class Flows:
         return next((flow.master for flow in self._flows.values() if flow.runs(now)), None)
 
     def has_room(self, host: str, now: int) -> bool:
-        """Is there room for a flow of this host? It is made at the cost of flows that do not run.
+        """True if there is room for a flow of this host; flows that do not run are ended to make it.
 
         First of those that are over; then of the oldest of the host that has most of them, if that is another host with
         more of them than this one would have. So no host can keep out others, however many ports it sends from.
@@ -136,7 +136,7 @@ class Flows:
                 self.end(flow)
 
     def counts(self, direction: int) -> Counts:
-        """What became of one direction's datagrams, in all flows that there are and were."""
+        """Counts of one direction's datagrams, over all present and past flows."""
         total = self._past[direction]
         for flow in self._flows.values():
             total = _sum(total, flow.relay.counts(direction))

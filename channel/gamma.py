@@ -8,8 +8,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from channel.dice import Dice, Ints, inside, normal
 from channel.effect import Effect, seconds
+from channel.rng import Ints, Rng, inside, normal
 from channel.rows import later
 from teleop.errors import number
 
@@ -29,30 +29,30 @@ class GammaJitter(Effect):
         object.__setattr__(self, "mean", seconds("mean", self.mean))
         object.__setattr__(self, "shape", number("shape", self.shape, low=0.05, high=1e6))
 
-    def begin(self, dice: Dice) -> Dice:
-        """The dice are all there is to remember."""
-        return dice
+    def begin(self, rng: Rng) -> Rng:
+        """The random numbers are the whole state."""
+        return rng
 
-    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Dice]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Rng]:
         """All packets, each later by its own draw."""
         delay = standard_gamma(state, packet, self.shape) * (self.mean / self.shape)
         return *later(packet, time_ns, delay), state
 
 
-def standard_gamma(dice: Dice, packet: Ints, shape: float) -> NDArray[np.float64]:
+def standard_gamma(rng: Rng, packet: Ints, shape: float) -> NDArray[np.float64]:
     """Gamma of this shape and scale 1 for each packet, (n,).
 
     Marsaglia & Tsang, "A simple method for generating gamma variables", ACM TOMS 26 (2000), without the
     squeeze: attempt j of a packet takes its draw j (normal from words 0 and 1, uniform from word 2), so that
-    no packet's luck shifts another's dice. At least 95 % are accepted at once. For shape < 1 their boost: the
+    no packet's draws shift another's. At least 95 % are accepted at once. For shape < 1 their boost: the
     gamma of shape + 1 times U^(1/shape), U from word 3 of draw 0.
     """
     d = (shape + 1.0 if shape < 1.0 else shape) - 1.0 / 3.0
     c = 1.0 / sqrt(9.0 * d)
     found = np.empty(len(packet))
     waiting = np.arange(len(packet))
-    words = first = dice.words(packet)
+    words = first = rng.words(packet)
     attempt = 0
     while len(waiting):
         x = normal(words)
@@ -62,7 +62,7 @@ def standard_gamma(dice: Dice, packet: Ints, shape: float) -> NDArray[np.float64
         found[waiting[accepted]] = d * v[accepted]
         waiting = waiting[~accepted]
         attempt += 1
-        words = dice.words(packet[waiting], attempt)
+        words = rng.words(packet[waiting], attempt)
     if shape < 1.0:
         found *= inside(first[:, 3]) ** (1.0 / shape)
     return found

@@ -8,18 +8,18 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from channel.dice import BLOCK, Dice, Ints
 from channel.effect import Effect, probability
+from channel.rng import BLOCK, Ints, Rng
 from teleop.errors import Refused
 
 Bools = NDArray[np.bool_]
 _KEPT = 64  # blocks of states
 
 
-class Weather(NamedTuple):
-    """The dice, and the channel's state block by block: a store of what the dice say, kept short."""
+class ChannelState(NamedTuple):
+    """The random numbers, and the channel's state block by block: a short cache of what follows from them."""
 
-    dice: Dice
+    rng: Rng
     blocks: dict[int, Bools]
 
 
@@ -33,9 +33,9 @@ class GilbertElliott(Effect):
     mean loss L = (r g + p h)/(p + r); mean number of packets lost in a row
     L / (L - [r g ((1-p) g + p h) + p h (r g + (1-r) h)]/(p + r)), which is 1/r for g = 0, h = 1.
 
-    Each step throws one die u: bad follows good if u < p, and bad if u < 1 - r. So every die outside
+    Each step draws one number u: bad follows good if u < p, and bad if u < 1 - r. So every u outside
     [min, max) of those two forgets the past, between them the state stays (or turns, where p > 1 - r): the
-    state at any packet is a function of its number, found by looking back to the last die that forgets.
+    state at any packet is a function of its number, found by looking back to the last u that forgets.
     """
 
     reorders: ClassVar[bool] = False
@@ -66,19 +66,19 @@ class GilbertElliott(Effect):
         loss = self.mean_loss
         return 0.0 if loss == 0.0 else loss / (loss - both) if loss > both else float("inf")
 
-    def begin(self, dice: Dice) -> Weather:
-        """The dice; what is kept of the channel's state only saves throwing them again."""
-        return Weather(dice, {})
+    def begin(self, rng: Rng) -> ChannelState:
+        """The random numbers; what is kept of the channel's state only saves drawing them again."""
+        return ChannelState(rng, {})
 
-    def carry(self, state: Weather, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Weather]:
+    def carry(self, state: ChannelState, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, ChannelState]:
         """The packets that are spared, at once."""
         loss = np.where(self.bad(state, packet), self.loss_bad, self.loss_good)
-        spared = state.dice.uniform(packet, 0, 1) >= loss
+        spared = state.rng.uniform(packet, 0, 1) >= loss
         return packet[spared], time_ns[spared], state
 
-    def bad(self, state: Weather, packet: Ints) -> Bools:
-        """Whether the channel is bad for each packet, (n,)."""
+    def bad(self, state: ChannelState, packet: Ints) -> Bools:
+        """True for each packet that meets the bad state, (n,)."""
         if not len(packet):
             return np.empty(0, np.bool_)
         blocks = np.unique(packet // BLOCK)
@@ -86,13 +86,13 @@ class GilbertElliott(Effect):
         found: Bools = all_of_them[np.searchsorted(blocks, packet // BLOCK) * BLOCK + packet % BLOCK]
         return found
 
-    def _block(self, state: Weather, number: int) -> Bools:
+    def _block(self, state: ChannelState, number: int) -> Bools:
         """The states of one block of packets."""
         known = state.blocks.get(number)
         if known is None:
-            bad, forgets = self._steps(state.dice, number)
+            bad, forgets = self._steps(state.rng, number)
             row = np.arange(BLOCK)
-            since = np.maximum.accumulate(np.where(forgets, row, -1))  # the last die that forgot
+            since = np.maximum.accumulate(np.where(forgets, row, -1))  # the last u that forgot
             base = bad[since] if forgets[0] else np.where(since < 0, self._before(state, number), bad[since])
             known = base ^ ((row - since) % 2 == 1) if self._turns else base
             while len(state.blocks) >= _KEPT:
@@ -100,20 +100,20 @@ class GilbertElliott(Effect):
             state.blocks[number] = known
         return known
 
-    def _before(self, state: Weather, number: int) -> bool:
-        """The state at the last packet in front of a block: back to one known, or to a die that forgets."""
+    def _before(self, state: ChannelState, number: int) -> bool:
+        """The state at the last packet in front of a block: back to one known, or to a u that forgets."""
         while True:  # ends at packet 0, which has nothing to remember
             number -= 1
             if number in state.blocks:
                 return bool(state.blocks[number][-1])
-            bad, forgets = self._steps(state.dice, number)
+            bad, forgets = self._steps(state.rng, number)
             rows = np.flatnonzero(forgets)
             if len(rows):  # a whole block between is an even number of turns
                 return bool(bad[rows[-1]]) ^ (self._turns and (BLOCK - 1 - int(rows[-1])) % 2 == 1)
 
-    def _steps(self, dice: Dice, number: int) -> tuple[Bools, Bools]:
+    def _steps(self, rng: Rng, number: int) -> tuple[Bools, Bools]:
         """For each packet of a block: is it bad after a good one, and is that so after a bad one too."""
-        u = dice.uniform(np.arange(number * BLOCK, (number + 1) * BLOCK))
+        u = rng.uniform(np.arange(number * BLOCK, (number + 1) * BLOCK))
         after_good, after_bad = u < self.p_good_to_bad, u < 1.0 - self.p_bad_to_good
         forgets = after_good == after_bad
         if number == 0:
@@ -123,5 +123,5 @@ class GilbertElliott(Effect):
 
     @property
     def _turns(self) -> bool:
-        """Whether a die that remembers swaps the states; else it keeps them."""
+        """True if a u that does not forget swaps the states; else it keeps them."""
         return self.p_good_to_bad > 1.0 - self.p_bad_to_good

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from channel.dice import Dice, Ints
 from channel.effect import Effect
+from channel.rng import Ints, Rng
 from channel.schedule import Order
 
 _LONG_AGO = -(2**63)
@@ -26,8 +26,8 @@ class InOrder(Effect):
     order: ClassVar[Order] = "number"
     reorders: ClassVar[bool] = False
 
-    def begin(self, dice: Dice) -> int:
-        """When the last packet left, ns."""
+    def begin(self, rng: Rng) -> int:
+        """The time at which the last packet left, ns."""
         return _LONG_AGO
 
     def carry(self, state: int, packet: Ints, time_ns: Ints,

@@ -26,7 +26,7 @@ class Introductions:
         self._all = 0  # the same of all
 
     def may_pass(self, sender: Address, now: int) -> bool:
-        """Is there time at the slave for another datagram of this sender? Then it is spent."""
+        """Spend the slave's time for one datagram of this sender; False if none is left."""
         each, every = max(now, self._each.get(sender, 0)), max(now, self._all)
         if each - now >= EACH_MOST * EACH_NS or every - now >= ALL_MOST * ALL_NS:
             return False
@@ -51,7 +51,7 @@ class Introductions:
         return True
 
     def master_of(self, session: int | None) -> Address | None:
-        """Where the HELLO of this session came from, None if there was none."""
+        """The address from which the HELLO of this session came, None if there was none."""
         return None if session is None else self._asked.get(session, (None, 0))[0]
 
     def forget(self, session: int) -> None:
@@ -67,5 +67,5 @@ class Introductions:
             self._slaves.setdefault(session, slave)
 
     def slave_of(self, session: int, home: Address) -> Address:
-        """Where the slave answers from in this session."""
+        """The address from which the slave answers in this session."""
         return self._slaves.get(session, home)

@@ -32,7 +32,7 @@ EFFECTS = {
     "ping_log": "channel.ping_log:PingLog",
     "uniform": "channel.uniform:UniformJitter",
 }
-"""What a text may name, and where it is."""
+"""The effects that a text may name, and their classes."""
 
 EXAMPLES = {
     "bernoulli": "bernoulli(0.02)",
@@ -47,7 +47,7 @@ EXAMPLES = {
     "ping_log": "ping_log('ping.txt', start=0.0)",
     "uniform": "uniform(0.02)",
 }
-"""How each is written, with all of its knobs."""
+"""An example of each, with all of its knobs."""
 
 GROUP = "teleop.effects"  # of entry points
 KIND = Kind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES)
@@ -73,7 +73,7 @@ class Link:
         return (self.bwd if direction else self.fwd).in_direction(direction)
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
-        """What arrives when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
+        """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
         return arrivals(self, direction, count, dt_ns, seed, size)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from channel import recording
-from channel.dice import Dice, Ints
 from channel.effect import Effect
+from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
 from channel.schedule import Order
 from teleop.errors import Refused, number
@@ -38,7 +38,7 @@ class Mahimahi(Effect):
     queue: int = 2000  # packets that find room to wait
     start: float = 0.0  # s of it to skip
     crc: int = field(init=False, repr=False)
-    """Of the file: other contents under the same path are another effect."""
+    """Checksum of the file: other contents under the same path are another effect."""
     _ms: Ints = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -50,7 +50,7 @@ class Mahimahi(Effect):
         for name, value in (("path", path), ("crc", crc), ("_ms", opportunities(path, lines))):
             object.__setattr__(self, name, value)
 
-    def begin(self, dice: Dice) -> int:
+    def begin(self, rng: Rng) -> int:
         """The first free slot: opportunities are counted through all repeats, each split into packets."""
         return 0
 
@@ -83,7 +83,7 @@ class Mahimahi(Effect):
         return again * len(self._ms) + np.searchsorted(self._ms, ms, side="right")
 
     def _time(self, opportunity: Ints) -> Ints:
-        """When it comes, ns."""
+        """The time of its delivery, ns."""
         again, line = np.divmod(opportunity, len(self._ms))
         time: Ints = (again * self._ms[-1] + self._ms[line]) * _MS
         return time

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from channel.dice import Dice, Ints
 from channel.effect import Effect, seconds
+from channel.rng import Ints, Rng
 from channel.rows import later
 
 
@@ -29,12 +29,12 @@ class NormalJitter(Effect):
         object.__setattr__(self, "mean", seconds("mean", self.mean))
         object.__setattr__(self, "sigma", seconds("sigma", self.sigma))
 
-    def begin(self, dice: Dice) -> Dice:
-        """The dice are all there is to remember."""
-        return dice
+    def begin(self, rng: Rng) -> Rng:
+        """The random numbers are the whole state."""
+        return rng
 
-    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Dice]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Rng]:
         """All packets, each later by its own draw."""
         delay = np.maximum(0.0, self.mean + self.sigma * state.normal(packet))
         return *later(packet, time_ns, delay), state

@@ -8,8 +8,8 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 
 from channel import recording
-from channel.dice import Dice, Ints
 from channel.effect import LONGEST, Effect
+from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
 from teleop.errors import Refused, number
 
@@ -37,7 +37,7 @@ class PingLog(Effect):
     _: KW_ONLY
     start: float = 0.0  # s of it to skip
     crc: int = field(init=False, repr=False)
-    """Of the file: other contents under the same path are another effect."""
+    """Checksum of the file: other contents under the same path are another effect."""
     _sent: Ints = field(init=False, repr=False, compare=False)  # ns from the first probe
     _delay: Ints = field(init=False, repr=False, compare=False)  # ns one way, or _LOST
     _period: int = field(init=False, repr=False, compare=False)
@@ -50,8 +50,8 @@ class PingLog(Effect):
                             ("_period", period)):
             object.__setattr__(self, name, value)
 
-    def begin(self, dice: Dice) -> None:
-        """Nothing to remember."""
+    def begin(self, rng: Rng) -> None:
+        """No state."""
 
     def carry(self, state: None, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, None]:

@@ -12,7 +12,7 @@ _NUMBERS = 2**62
 
 
 class Counts(NamedTuple):
-    """What became of one direction's datagrams so far.
+    """Counts of one direction's datagrams so far.
 
     received + doubled = lost + overflowed + rejected + delivered + under_way.
     """
@@ -89,7 +89,7 @@ class Relay:
         return out + [(0, load.load) for load in fwd] + [(1, load.load) for load in bwd]
 
     def next_ns(self) -> int | None:
-        """When to ask `due` again, None if nothing is under way."""
+        """The time to ask `due` again, None if nothing is under way."""
         one, other = self._streams
         soon, then = one.next_ns(), other.next_ns()
         if soon is None or (then is not None and then < soon):
@@ -99,7 +99,7 @@ class Relay:
         return soon
 
     def counts(self, direction: int) -> Counts:
-        """What became of one direction's datagrams so far, the session's own included."""
+        """Counts of one direction's datagrams so far, the session's own included."""
         stream = self._streams[direction]
         return Counts(received=self._received[direction], doubled=stream.doubled, lost=stream.lost,
                       overflowed=self._overflowed[direction], rejected=self._rejected[direction],

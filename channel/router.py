@@ -1,10 +1,10 @@
-"""Who is passed on between the masters that come and the slave, without clock or loop.
+"""The choice of datagrams that are passed on between masters and the slave, without clock or loop.
 
-Who has the link is the slave's choice alone: see `channel.flow`. With keys a master has a flow once it has shown its
-address by a cookie of the relay's (`channel.cookie`), and a port towards the slave for itself, so that the slave judges
-each by itself, as if there were no relay. In the open masters are told apart by their sessions' numbers: the first
-exchange of any is passed on, at a bounded rate (`channel.introduction`), and the one to which the slave answers START
-or sends its messages has a flow.
+The slave alone chooses which master has the link: see `channel.flow`. With keys a master has a flow once it has shown
+its address by a cookie of the relay's (`channel.cookie`), and a port towards the slave for itself, so that the slave
+judges each by itself, as if there were no relay. In the open masters are told apart by their sessions' numbers: the
+first exchange of any is passed on, at a bounded rate (`channel.introduction`), and the one to which the slave answers
+START or sends its messages has a flow.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ _FORTH, _BACK, _START = Kind.FORTH, Kind.BACK, Kind.START
 
 
 class Router:
-    """Who is passed on between masters and one slave. All that comes in goes through `from_near` and `from_far`.
+    """The choice of datagrams that are passed on between masters and one slave.
+
+    All that comes in goes through `from_near` and `from_far`.
 
     `near`: the wire where masters come in; `far`: the one towards the slave that sessions in the open share, whose peer
     is where the slave was said to be. `port`: makes another wire towards it, one for each master with keys, and `close`
@@ -170,7 +172,7 @@ class Router:
         return self._open
 
     def _sealed_from_near(self, flow: Flow | None, data: bytes, sender: Address, now: int) -> None:
-        """From a master something that only the ends can read. Its number is that of its coming."""
+        """Take a sealed datagram of a master. Its number counts the datagrams in order of arrival."""
         handshake = data[0] != DATA
         found = (records(data) or []) if handshake and len(data) <= MTU + EXTRA else []
         hello = found[0] if found and found[0].is_hello else None
@@ -209,7 +211,7 @@ class Router:
         return self._begin(Flow(sender, self.home, wire, Bulk(wire), self._relay(), now, own=True))
 
     def _sealed_from_far(self, flow: Flow, data: bytes, sender: Address, now: int) -> None:
-        """From the slave something that only the ends can read."""
+        """Take a sealed datagram of the slave."""
         if not data or data[0] not in SEALED or len(data) > LONGEST:
             self.foreign += 1
             return
@@ -231,7 +233,7 @@ class Router:
         flow.numbers[1] += 1
 
     def _is_free(self, sender: Address, now: int) -> bool:
-        """May a session of this sender begin? Not while another's runs; its own master may ask anew at any time."""
+        """True if a session of this sender may begin: not while another's runs; its own master may ask anew."""
         return self.flows.held_by(now) in (None, sender)
 
     def _begin(self, flow: Flow) -> Flow:
@@ -275,7 +277,7 @@ class Router:
                   "or any sender can take the link from a session that runs", file=sys.stderr, flush=True)
 
     def counts(self, direction: int) -> Counts:
-        """What became of one direction's datagrams, of all sessions."""
+        """Counts of one direction's datagrams, over all sessions."""
         first, rest = self._introduced[direction], self.flows.counts(direction)
         return rest._replace(received=rest.received + first, delivered=rest.delivered + first)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from channel.dice import Ints
+from channel.rng import Ints
 
 
 def by_time(packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:

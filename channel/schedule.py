@@ -1,4 +1,4 @@
-"""What becomes of every packet: a whole direction drawn up front, or packet by packet as they are sent.
+"""The arrivals of packets: a whole direction drawn up front, or packet by packet as they are sent.
 
 Both forms give the same packets at the same nanosecond, because ties have a rule: at every place in the
 chain, packets of the same time go in the order of their numbers.
@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from channel.dice import Dice, Ints
+from channel.rng import Ints, Rng
 from channel.rows import by_number
 from teleop.errors import Refused
 
@@ -30,7 +30,7 @@ class Carrier(Protocol):
     @property
     def constant_ns(self) -> int | None: ...
 
-    def begin(self, dice: Dice) -> State: ...
+    def begin(self, rng: Rng) -> State: ...
 
     def carry(self, state: State, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, State]: ...
 
@@ -44,14 +44,14 @@ class TwoWay(Protocol):
 
 
 class Arrivals(NamedTuple):
-    """What comes out of one direction, sorted by (time, number): a lost packet is absent, a doubled twice."""
+    """The packets that come out of one direction, sorted by (time, number): lost ones absent, doubled ones twice."""
 
     packet: Ints  # (m,)
     time_ns: Ints  # (m,), ns from the start of the session
 
 
 class Verdicts(NamedTuple):
-    """What one effect did to the packets handed to it; who is in and not out was lost."""
+    """The packets that one effect was given and gave; one that is in and not out was lost."""
 
     effect: str
     packet_in: Ints
@@ -69,7 +69,7 @@ class Delivery(NamedTuple):
 
 
 def arrivals(link: TwoWay, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
-    """What arrives when packets 0..count-1 are sent at k*dt_ns, each of `size` bytes on the wire."""
+    """The arrivals when packets 0..count-1 are sent at k*dt_ns, each of `size` bytes on the wire."""
     packet, time_ns = _sent(count, dt_ns)
     for done in _passed(link, direction, packet, time_ns, seed, size):
         packet, time_ns = done.packet_out, done.time_out
@@ -92,7 +92,7 @@ def _passed(link: TwoWay, direction: int, packet: Ints, time_ns: Ints, seed: int
     for place, effect in enumerate(link.in_direction(direction)):
         if effect.order == "number":
             packet, time_ns = by_number(packet, time_ns)
-        state = effect.begin(Dice(seed, direction, place))
+        state = effect.begin(Rng(seed, direction, place))
         out, time_out, _ = effect.carry(state, packet, time_ns, size)
         yield Verdicts(repr(effect), packet, time_ns, out, time_out)
         packet, time_ns = out, time_out
@@ -112,7 +112,7 @@ class Stream:
         self._effects = link.in_direction(direction) if link is not None else ()
         self._size = whole("size", size, 1)
         self.queues = any(e.order == "time" for e in self._effects)  # must packets enter in order of time
-        self._states: list[State] = [e.begin(Dice(seed, direction, p)) for p, e in enumerate(self._effects)]
+        self._states: list[State] = [e.begin(Rng(seed, direction, p)) for p, e in enumerate(self._effects)]
         self._log = log
         self._heap: list[tuple[int, int, int, int, bytes]] = []  # time, place, packet, serial, load
         self._serial = 0
@@ -154,7 +154,7 @@ class Stream:
         return out
 
     def next_ns(self) -> int | None:
-        """When to ask again: the time of the next arrival or event inside, None if nothing is under way."""
+        """The time to ask again: that of the next arrival or event inside, None if nothing is under way."""
         return self._heap[0][0] if self._heap else None
 
     @property

@@ -106,7 +106,7 @@ class RelayShell:
         wire.sock.close()
 
     def _due(self) -> int | None:
-        """When something has to go out, on our clock."""
+        """The time at which the next datagram has to go out, on our clock."""
         return min((due for flow in self.router.flows if (due := flow.due()) is not None), default=None)
 
     def _pass_on(self) -> None:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from channel.dice import Dice, Ints
 from channel.effect import Effect, seconds
+from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
 
 
@@ -24,12 +24,12 @@ class UniformJitter(Effect):
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", seconds("width", self.width))
 
-    def begin(self, dice: Dice) -> Dice:
-        """The dice are all there is to remember."""
-        return dice
+    def begin(self, rng: Rng) -> Rng:
+        """The random numbers are the whole state."""
+        return rng
 
-    def carry(self, state: Dice, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Dice]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
+              size: int) -> tuple[Ints, Ints, Rng]:
         """All packets, each later by its own draw."""
         delay = (state.uniform(packet) * nanoseconds(self.width)).astype(np.int64)
         return *by_time(packet, time_ns + delay), state

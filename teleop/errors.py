@@ -1,4 +1,4 @@
-"""What a wrong request is answered with: one sentence that says what, why and what to type.
+"""Refusals: one sentence that says what is wrong, why, and what to type.
 
 `Refused` is the only exception that the command line turns into exit code 2. Misuse found while an
 object is made (a negative mass, an unknown name) raises it at once, before anything is computed or
@@ -17,7 +17,7 @@ class Refused(ValueError):
 
 
 class DeviceError(Exception):
-    """What a device or robot raises that cannot be read or moved now: its end is safe until it can again."""
+    """Raised by a device or robot that cannot be read or moved now; its end is safe until it can again."""
 
 
 class WrongNumber(Refused):

@@ -28,7 +28,7 @@ from teleop.physics.plant import Force, MassDamper, Move, Plant, bound
 
 
 class Carried(NamedTuple):
-    """What `move_carried` and `carried_force` compute with."""
+    """The coefficients of `move_carried` and `carried_force`."""
 
     c: Any  # of the still environment
     path: list[float]  # at the ticks 0 .. last, and the last place once more
@@ -72,7 +72,7 @@ def carried(plant: Plant, path: Sequence[float], body: MassDamper, dt: float) ->
 
 
 def is_carried(plant: Plant) -> bool:
-    """Is it a plant that `carried` gave?"""
+    """True if `carried` made this plant."""
     return getattr(plant.move, "func", None) in (move_carried, move_carried_inner, move_carried_sliding)
 
 

@@ -38,7 +38,7 @@ class WallStep(NamedTuple):
     gp: float  # in contact: g' = gp p + gu p' + gf f
     gu: float
     gf: float
-    calm: float  # 1.0 if g turns at most once within a tick and g' is not lost in rounding, else 0.0
+    one_turn: float  # 1.0 if g turns at most once within a tick and g' is not lost in rounding, else 0.0
     mass: float
     damping: float
     dt: float
@@ -56,7 +56,7 @@ def wall(body: MassDamper, dt: float, *, k: float, d: float, at: float, side: fl
 
 
 def wall_coefficients(body: MassDamper, dt: float, *, k: float, d: float, at: float, side: float) -> WallStep:
-    """What `move_wall` and `wall_force` compute with; the arguments are those of `wall`."""
+    """The coefficients of `move_wall` and `wall_force`; the arguments are those of `wall`."""
     m, b = body.mass, body.damping
     free = linear(m, b, 0.0, number("dt", dt, above=0.0))
     touch = linear(m, b + d, k, dt)
@@ -66,9 +66,9 @@ def wall_coefficients(body: MassDamper, dt: float, *, k: float, d: float, at: fl
         decay, angle = sigma, sqrt(-gap) * dt
     else:
         decay, angle = w2 / (sigma + sqrt(gap)) if w2 > 0.0 else 0.0, 0.0
-    calm = 1.0 if angle < pi and decay * dt < 10.0 else 0.0
+    one_turn = 1.0 if angle < pi and decay * dt < 10.0 else 0.0
     return WallStep(side, at, k, d, free.a12, free.b1, free.a22, free.b2, *touch,
-                    -k * d / m, k - d * (b + d) / m, d / m, calm, m, b, dt)
+                    -k * d / m, k - d * (b + d) / m, d / m, one_turn, m, b, dt)
 
 
 def wall_force(c: Coefficients, x: float, v: float) -> float:
@@ -86,7 +86,7 @@ def move_wall(c: Coefficients, x: float, v: float, f: float) -> tuple[float, flo
     A tick that provably stays in the mode it begins in is one matrix product. All others go to `events`.
     """
     (side, at, k, d, s12, t1, s22, t2, a11, a12, b1, a21, a22, b2,
-     gp, gu, gf, calm, mass, damping, dt) = c
+     gp, gu, gf, one_turn, mass, damping, dt) = c
     p = side * (x - at)
     if p < 0.0:
         x1 = x + s12 * v + t1 * f
@@ -94,7 +94,7 @@ def move_wall(c: Coefficients, x: float, v: float, f: float) -> tuple[float, flo
         # A free velocity is monotone, so p has a maximum inside the tick only if it turns from in to out.
         if side * (x1 - at) < 0.0 and (side * v <= 0.0 or side * v1 >= 0.0):
             return x1, v1, 0
-    elif p > 0.0 and calm == 1.0:
+    elif p > 0.0 and one_turn == 1.0:
         u = side * v
         w = side * f
         p1 = a11 * p + a12 * u + b1 * w

@@ -22,7 +22,7 @@ NO_PART = (0.0,) * 11  # where `slides` is not asked
 
 
 class Resistance(NamedTuple):
-    """What resists a body: force g along its depth p = side (x - at), m, and speed u = side v, m/s.
+    """Resistance to a body: force g along its depth p = side (x - at), m, and speed u = side v, m/s.
 
     NOTHING: 0. WALL: `max(0, k p + d u)` for p > 0, else 0. BOND: `k p + d u`. HUNT_CROSSLEY:
     `k p^n max(0, 1 + lam u)` for p > 0, else 0 (k in N/m^n, lam in s/m). k, d, lam >= 0, 1 <= n <= 10.
@@ -49,7 +49,7 @@ class Effort(NamedTuple):
 
 
 def report(z: Any) -> Mapping[str, float]:
-    """What a run's summary says of the integration.
+    """The figures of the integration in a run's summary.
 
     An estimate is of the error that its tick makes in position, and dt times that in speed (`integrate`). What
     becomes of it later is the motion's business: in contact it fades, in free flight an error of speed goes on.
@@ -76,8 +76,8 @@ def _linear_part(body: MassDamper, mass: float, k: float, d: float, dt: float) -
     gap = sigma * sigma - w2
     angle = sqrt(-gap) * dt if gap < 0.0 else 0.0
     decay = sigma if gap < 0.0 else w2 / (sigma + sqrt(gap)) if w2 > 0.0 else 0.0
-    calm = 1.0 if angle < pi and decay * dt < 10.0 else 0.0
-    return (*linear(mass, damping, k, dt), k, d, damping, mass, calm)
+    one_turn = 1.0 if angle < pi and decay * dt < 10.0 else 0.0
+    return (*linear(mass, damping, k, dt), k, d, damping, mass, one_turn)
 
 
 def implicit_plant(body: MassDamper, dt: float, *, resistance: Resistance, friction: float = 0.0,
@@ -142,12 +142,12 @@ def slides(part: tuple[float, ...], kind: int, p: float, u: float, f: float, f_s
 
     Within a tick in which u' and g' turn at most once, u has its extremum inside only if u' changes sign.
     """
-    a11, a12, b1, a21, a22, b2, k, d, damping, m, calm = part
+    a11, a12, b1, a21, a22, b2, k, d, damping, m, one_turn = part
     p1 = a11 * p + a12 * u + b1 * f
     u1 = a21 * p + a22 * u + b2 * f
     if f_slide == 0.0 and kind == BOND:
         return True, p1, u1
-    if calm == 0.0:
+    if one_turn == 0.0:
         return False, p, u
     a = f - damping * u - k * p
     a1 = f - damping * u1 - k * p1

@@ -175,7 +175,7 @@ def step(c: Core, p: float, u: float, f: float, s: float, h: float) -> tuple[flo
 
 def unseen(c: Core, p: float, u: float, s: float, a: float, mode: int,
            end: tuple[float, float, float, float, int, int], span: float) -> bool:
-    """May contact or friction have begun and ended between the stages of a step, which none of them would see?
+    """True if contact or friction may have begun and ended between the stages of a step, unseen by them.
 
     Outside, on its way in and then out again: a free speed is convex in time until it turns, so the depth grows by at
     most half of u times span. Sliding slower, then faster: the speed falls by at most |a| span.

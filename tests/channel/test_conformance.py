@@ -8,9 +8,9 @@ import pytest
 
 from channel.conformance import check_effect
 from channel.delay import Delay
-from channel.dice import Dice, Ints
 from channel.effect import Effect
 from channel.link import EFFECTS, describe, parse_link
+from channel.rng import Ints, Rng
 from channel.rows import by_time
 from channel.schedule import Order
 from teleop.errors import Refused
@@ -36,12 +36,12 @@ class Broken(Effect):
     order: ClassVar[Order] = "any"
     reorders: ClassVar[bool] = False
 
-    def begin(self, dice: Dice) -> Any:
-        return [dice, 0]
+    def begin(self, rng: Rng) -> Any:
+        return [rng, 0]
 
     def carry(self, state: Any, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Any]:
-        dice, seen = state
-        later = dice.uniform(packet)
+        rng, seen = state
+        later = rng.uniform(packet)
         match self.fault:
             case "wrote to its input":
                 time_ns += 1
@@ -56,19 +56,19 @@ class Broken(Effect):
             case "changes a state":
                 state[1] = seen + len(packet)
                 return packet, time_ns + seen, state
-            case "dice of its own":
+            case "random numbers of its own":
                 keep = np.random.default_rng().random(len(packet)) < 0.5
                 return packet[keep], time_ns[keep], state
             case "pieces":
                 return packet[1:], time_ns[1:], state
             case "order of packets":
                 keep = (np.arange(len(packet)) + seen) % 3 > 0
-                return packet[keep], time_ns[keep], [dice, seen + len(packet)]
+                return packet[keep], time_ns[keep], [rng, seen + len(packet)]
             case "reorders":
                 return *by_time(packet, time_ns + (later * 1e8).astype(np.int64)), state
             case "both directions" | "every place":
-                other = Dice(dice.seed, dice.direction if self.fault == "every place" else 0,
-                             dice.place if self.fault == "both directions" else 0)
+                other = Rng(rng.seed, rng.direction if self.fault == "every place" else 0,
+                             rng.place if self.fault == "both directions" else 0)
                 keep = other.uniform(packet) < 0.5
                 return packet[keep], time_ns[keep], state
         return packet, time_ns, state
@@ -92,8 +92,8 @@ def test_an_effect_that_does_more_than_its_constant_delay_is_refused() -> None:
 
 
 @pytest.mark.parametrize("fault", [
-    "wrote to its input", "int64", "not sorted", "invented", "before it entered", "changes a state", "dice of its own",
-    "pieces", "order of packets", "reorders", "both directions", "every place"])
+    "wrote to its input", "int64", "not sorted", "invented", "before it entered", "changes a state",
+    "random numbers of its own", "pieces", "order of packets", "reorders", "both directions", "every place"])
 def test_each_fault_is_named(fault: str) -> None:
     with pytest.raises(Refused, match=fault):
         check_effect(Broken(fault))

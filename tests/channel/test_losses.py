@@ -9,10 +9,10 @@ from scipy import stats
 
 from channel.bernoulli import Bernoulli
 from channel.blackout import Blackout
-from channel.dice import Dice
 from channel.duplicate import Duplicate
 from channel.effect import Effect
 from channel.gilbert_elliott import GilbertElliott
+from channel.rng import Rng
 from teleop.errors import Refused
 
 MS = 1_000_000
@@ -81,13 +81,13 @@ def test_gilbert_elliott_state_is_the_chain_step_by_step(p: float, r: float, see
     if p + r == 0:
         return
     effect = GilbertElliott(p, r)
-    u = Dice(seed, 0, 0).uniform(np.arange(5001))
+    u = Rng(seed, 0, 0).uniform(np.arange(5001))
     bad = bool(u[0] < p / (p + r))
     chain = [bad]
-    for die in u[1:].tolist():
-        bad = die < 1 - r if bad else die < p
+    for draw in u[1:].tolist():
+        bad = draw < 1 - r if bad else draw < p
         chain.append(bad)
-    state = effect.begin(Dice(seed, 0, 0))
+    state = effect.begin(Rng(seed, 0, 0))
     assert effect.bad(state, np.array(asked)).tolist() == [chain[k] for k in asked]
     assert effect.bad(state, np.arange(5001)).tolist() == chain
     assert [bool(effect.bad(state, np.array([k]))[0]) for k in asked] == [chain[k] for k in asked]
@@ -97,7 +97,7 @@ def test_gilbert_elliott_far_from_the_start_is_found_by_looking_back() -> None:
     """A packet number of 2^40 costs no more than a few blocks."""
     effect = GilbertElliott(0.01, 0.1)
     far = np.array([2**40 + 5])
-    assert effect.bad(effect.begin(Dice(1, 0, 0)), far) == effect.bad(effect.begin(Dice(1, 0, 0)), far)
+    assert effect.bad(effect.begin(Rng(1, 0, 0)), far) == effect.bad(effect.begin(Rng(1, 0, 0)), far)
 
 
 def test_duplicate_share_and_times() -> None:

@@ -5,11 +5,11 @@ import pytest
 import channel.relay
 from channel.bernoulli import Bernoulli
 from channel.delay import Delay
-from channel.dice import Dice, Ints
 from channel.duplicate import Duplicate
 from channel.effect import Effect
 from channel.link import Link, parse_link
 from channel.relay import Counts, Relay
+from channel.rng import Ints, Rng
 from channel.rows import later
 
 MS = 1_000_000
@@ -153,8 +153,8 @@ def test_what_is_read_late_is_due_by_when_it_came() -> None:
 class EveryOther(Effect):
     """Packets of even numbers leave 3 ms later."""
 
-    def begin(self, dice: Dice) -> None:
-        """Nothing to remember."""
+    def begin(self, rng: Rng) -> None:
+        """No state."""
 
     def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
         return *later(packet, time_ns, 0.003 * (packet % 2 == 0)), None
@@ -168,8 +168,8 @@ class Queue(Effect):
     def __init__(self) -> None:
         self.entered: list[int] = []
 
-    def begin(self, dice: Dice) -> None:
-        """Nothing to remember."""
+    def begin(self, rng: Rng) -> None:
+        """No state."""
 
     def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
         self.entered += time_ns.tolist()

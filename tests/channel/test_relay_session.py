@@ -42,11 +42,11 @@ def test_a_master_meets_the_slave_however_many_hosts_say_hello_meanwhile() -> No
 
 def test_hellos_reach_the_slave_at_a_bounded_rate_and_each_sender_has_a_share() -> None:
     """Of 20,000 a second from any addresses a thousand are passed on; an honest master's find room among them."""
-    site, dice = Site(), random.Random(4)
+    site, rng = Site(), random.Random(4)
     asked = passed = 0
     for k in range(20_000):
         site.now += MS // 20
-        passed += site.takes(site.session(k)(Kind.HELLO), (UNKNOWN[0], dice.randrange(10_000, 60_000)))
+        passed += site.takes(site.session(k)(Kind.HELLO), (UNKNOWN[0], rng.randrange(10_000, 60_000)))
         if k % 1000 == 0:
             asked += site.takes(site.session(10**6)(Kind.HELLO), MASTER)
     assert asked > 0
@@ -157,10 +157,10 @@ def test_messages_longer_than_the_scenes_are_not_passed_on() -> None:
 
 def test_two_thousand_hellos_a_second_without_a_cookie_keep_no_master_out_and_nothing_of_them_is_kept() -> None:
     """From 64 ports; each is answered with a cookie, no longer than it was, and neither passed on nor remembered."""
-    site, dice = Site(), random.Random(1)
+    site, rng = Site(), random.Random(1)
     for k in range(2000):
         site.now += MS // 2
-        data = hello(k, random=dice.randbytes(32))
+        data = hello(k, random=rng.randbytes(32))
         assert not site.takes(data, (UNKNOWN[0], 6000 + k % 64))
         to, reply = site.out[0].pop()
         assert to == (UNKNOWN[0], 6000 + k % 64)

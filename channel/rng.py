@@ -1,10 +1,10 @@
-"""Counter-based dice: a draw is a pure function of (seed, direction, place, packet, draw).
+"""Counter-based random numbers: a draw is a pure function of (seed, direction, place, packet, draw).
 
 The words of a packet are the first four 64-bit words of
 `numpy.random.Philox(key=[seed, KEY], counter=[packet, draw, 2*place + direction, 0])`
 (Philox4x64-10: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011). So a
 draw knows nothing of the order, the block, the thread or the row of a sweep in which it is asked for.
-numpy.random is imported when the first die is thrown.
+numpy.random is imported when the first number is drawn.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from teleop.errors import Refused
 if TYPE_CHECKING:
     from numpy.random import Philox
 
-KEY = 0x74656C656F70  # the second word of every key: this project's own dice
+KEY = 0x74656C656F70  # the second word of every key: this project's own
 BLOCK = 1024  # packets whose words are drawn and kept together for packet-by-packet use
 _KEPT = 4  # blocks
 
@@ -28,8 +28,8 @@ Words = NDArray[np.uint64]
 Floats = NDArray[np.float64]
 
 
-class Dice:
-    """The dice of one effect: seed 0..2^64-1, direction 0 or 1, place in the chain from 0.
+class Rng:
+    """The random numbers of one effect: seed 0..2^64-1, direction 0 or 1, place in the chain from 0.
 
     What is kept between calls (a generator that is put in place again and again, the last blocks drawn)
     makes draws cheap and changes none. To be used by one thread at a time.

@@ -1,4 +1,4 @@
-"""The dice: Philox by the book, keyed by what they say, uniform and normal."""
+"""Random numbers: Philox as published, keyed as stated, uniform and normal."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.random import Generator, Philox
 from scipy import stats
 
-from channel.dice import BLOCK, KEY, Dice, inside, unit
+from channel.rng import BLOCK, KEY, Rng, inside, unit
 from teleop.errors import Refused
 
 MASK = 2**64 - 1
@@ -35,7 +35,7 @@ def test_reference_gives_the_published_vectors() -> None:
        place=st.integers(0, 50), direction=st.integers(0, 1))
 def test_words_are_philox_of_seed_direction_place_packet_draw(
         seed: int, packet: int, draw: int, place: int, direction: int) -> None:
-    words = Dice(seed, direction, place).words(np.array([packet]), draw)[0].tolist()
+    words = Rng(seed, direction, place).words(np.array([packet]), draw)[0].tolist()
     lane = 2 * place + direction
     assert words == philox_4x64_10([packet + 1, draw, lane, 0], [seed, KEY])
     numpys = Philox(key=np.array([seed, KEY], np.uint64), counter=np.array([packet, draw, lane, 0], np.uint64))
@@ -44,24 +44,24 @@ def test_words_are_philox_of_seed_direction_place_packet_draw(
 
 @given(packets=st.lists(st.one_of(st.integers(0, 5000), st.integers(0, 2**61)), max_size=40))
 def test_a_draw_does_not_depend_on_what_it_is_drawn_with(packets: list[int]) -> None:
-    together = Dice(3, 0, 1).words(np.array(packets, np.int64))
+    together = Rng(3, 0, 1).words(np.array(packets, np.int64))
     assert together.shape == (len(packets), 4)
-    kept = Dice(3, 0, 1)
+    kept = Rng(3, 0, 1)
     for packet, row in zip(packets, together, strict=True):
         assert np.array_equal(kept.words(np.array([packet]))[0], row)
 
 
 def test_a_long_run_equals_its_packets_one_by_one() -> None:
     run = np.arange(BLOCK - 100, 2 * BLOCK + 100)
-    whole = Dice(9, 1, 2).uniform(run, draw=5, word=2)
-    kept = Dice(9, 1, 2)
+    whole = Rng(9, 1, 2).uniform(run, draw=5, word=2)
+    kept = Rng(9, 1, 2)
     assert whole.tolist() == [float(kept.uniform(run[i:i + 1], draw=5, word=2)[0]) for i in range(len(run))]
-    assert np.array_equal(Dice(9, 1, 2).uniform(run[::-1], draw=5, word=2), whole[::-1])
+    assert np.array_equal(Rng(9, 1, 2).uniform(run[::-1], draw=5, word=2), whole[::-1])
 
 
 def test_uniform_is_numpys() -> None:
     """The same 53 bits that numpy's Generator takes."""
-    ours = Dice(4, 0, 0).words(np.arange(50))
+    ours = Rng(4, 0, 0).words(np.arange(50))
     theirs = Generator(Philox(key=[4, KEY], counter=[0, 0, 0, 0])).random(200)
     assert unit(ours).ravel().tolist() == theirs.tolist()
 
@@ -74,12 +74,12 @@ def test_ends_of_the_intervals() -> None:
 
 def test_distributions_and_independence() -> None:
     packet = np.arange(20_000)
-    base = Dice(1, 0, 0)
+    base = Rng(1, 0, 0)
     u, z = base.uniform(packet), base.normal(packet)
     assert stats.kstest(u, "uniform").pvalue > 1e-3
     assert stats.kstest(z, "norm").pvalue > 1e-3
-    others = [base.uniform(packet, draw=1), base.uniform(packet, word=1), Dice(2, 0, 0).uniform(packet),
-              Dice(1, 1, 0).uniform(packet), Dice(1, 0, 1).uniform(packet), np.roll(u, 1)]
+    others = [base.uniform(packet, draw=1), base.uniform(packet, word=1), Rng(2, 0, 0).uniform(packet),
+              Rng(1, 1, 0).uniform(packet), Rng(1, 0, 1).uniform(packet), np.roll(u, 1)]
     for other in others:
         assert abs(np.corrcoef(u, other)[0, 1]) < 4 / np.sqrt(len(packet))
 
@@ -87,6 +87,6 @@ def test_distributions_and_independence() -> None:
 @pytest.mark.parametrize("seed", [-1, 2**64, 1.0, "1", None, True])
 def test_a_seed_is_a_whole_number_of_64_bits(seed: object) -> None:
     with pytest.raises(Refused, match=r"seed must be a whole number.*write seed=1"):
-        Dice(seed, 0, 0)  # type: ignore[arg-type]
+        Rng(seed, 0, 0)  # type: ignore[arg-type]
     with pytest.raises(Refused, match="direction must be 0"):
-        Dice(1, 2, 0)
+        Rng(1, 2, 0)
