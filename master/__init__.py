@@ -1,4 +1,12 @@
-"""The hand's side: hands, and the references they follow."""
+"""The hand's side: hands, the references that they follow, and the simulated master.
+
+    from master import Grip, Reach
+    hand = Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=0.05, duration=1.0))
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import teleop
 
@@ -7,3 +15,29 @@ if getattr(teleop, "DISTRIBUTION", None) != "bilateral-teleop":
         "`master` found another package called teleop in place of its own; install bilateral-teleop in an "
         "environment of its own: python -m venv own && own/bin/python -m pip install bilateral-teleop"
     )
+
+if TYPE_CHECKING:
+    from master.device import SimulatedMaster
+    from master.hand import Grip, Reach, Rest, Sine
+    from master.recording import Recording
+
+__all__ = [
+    "Grip", "Reach", "Recording", "Rest", "SimulatedMaster", "Sine",
+]
+_HOMES = {  # the module of each name, under this package
+    "device": ("SimulatedMaster",),
+    "hand": ("Grip", "Reach", "Rest", "Sine"),
+    "recording": ("Recording",),
+}
+
+
+if not TYPE_CHECKING:  # a type checker goes by the imports above, and finds a name that is misspelt
+
+    def __getattr__(name: str) -> object:
+        from teleop.naming import public_name
+
+        return public_name(__name__, _HOMES, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

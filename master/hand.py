@@ -34,7 +34,7 @@ class Grip:
             object.__setattr__(self, name, number(name, getattr(self, name), low=0.0))
         if not callable(getattr(self.reference, "samples", None)):
             raise Refused(f"reference must be something that a hand can follow, not {self.reference!r}; "
-                          "write for example reference=Hold(at=0.0)")
+                          "write for example reference=Rest(at=0.0)")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,7 +93,7 @@ class Reach:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Hold:
+class Rest:
     """Staying at `at` (m, with a direction)."""
 
     at: Vector = 0.0

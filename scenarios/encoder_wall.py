@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from math import pi
 
-from master.hand import Grip, Hold
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
-from teleop.stages.device import Device, Encoder
-from teleop.stages.safety import Cap
-from teleop.stages.velocity.backward_difference import BackwardDifference
+from master import Grip, Rest
+from teleop import BackwardDifference, Cap, Device, Encoder, MassDamper, Scene, VirtualWall
 
 
 def scene(
@@ -28,13 +23,13 @@ def scene(
     if cap is None:
         passivity = None
     else:
-        from teleop.stages.passivity_controller import PassivityController
+        from teleop import PassivityController
 
         passivity = PassivityController(cap=cap, v_min=v_min)
     return Scene(
         law=VirtualWall(K=K, at=0.030),
         master=MassDamper(mass=0.04, damping=0.8),
-        hand=Grip(mass=0.0, k=400.0, d=0.0, reference=Hold(at=0.033)),
+        hand=Grip(mass=0.0, k=400.0, d=0.0, reference=Rest(at=0.033)),
         device_m=Device(
             encoder=None if step is None else Encoder(step=step), velocity=BackwardDifference(), every=every,
         ),

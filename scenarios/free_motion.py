@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from channel.delay import Delay
-from master.hand import Grip, Sine
-from teleop.law import Law
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
+from channel import Delay
+from master import Grip, Sine
+from teleop import Law, MassDamper, Scene, Wave
 
 
 def scene(

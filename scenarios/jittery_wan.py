@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from channel.bernoulli import Bernoulli
-from channel.delay import Delay
-from channel.uniform import UniformJitter
-from master.hand import Grip, Reach
-from slave.wall import Wall
-from teleop.law import Law
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.protocol.inbox import Fixed
-from teleop.scene.scene import Playout, Scene
-from teleop.stages.safety import Cap, Watchdog
+from channel import Bernoulli, Delay, UniformJitter
+from master import Grip, Reach
+from slave import Wall
+from teleop import Cap, Fixed, Law, MassDamper, Playout, Scene, Watchdog, Wave
 
 
 def scene(

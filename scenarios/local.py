@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from master.hand import Grip, Reach
-from slave.wall import Wall
-from teleop.law import Law
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
+from master import Grip, Reach
+from slave import Wall
+from teleop import Law, MassDamper, Scene, Wave
 
 
 def scene(

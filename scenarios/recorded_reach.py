@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from channel.delay import Delay
-from master.hand import Grip
-from master.recording import Recording
-from slave.wall import Wall
-from teleop.law import Law
-from teleop.laws.pfra import PFRA
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
-from teleop.stages.safety import Cap, Watchdog
+from channel import Delay
+from master import Grip, Recording
+from slave import Wall
+from teleop import PFRA, Cap, Law, MassDamper, Scene, Watchdog
 
 
 def scene(

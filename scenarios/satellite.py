@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from channel.delay import Delay
-from master.hand import Grip, Reach
-from slave.wall import Wall
-from teleop.law import Law
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
-from teleop.stages.safety import Cap, Watchdog
+from channel import Delay
+from master import Grip, Reach
+from slave import Wall
+from teleop import Cap, Law, MassDamper, Scene, Watchdog, Wave
 
 
 def scene(

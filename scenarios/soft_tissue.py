@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from channel.delay import Delay
-from master.hand import Grip, Sine
-from slave.tissue import Tissue
-from teleop.law import Law
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
+from channel import Delay
+from master import Grip, Sine
+from slave import Tissue
+from teleop import Law, MassDamper, Scene, Wave
 
 
 def scene(

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from master.hand import Grip, Reach
-from teleop.law import OnePortLaw
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
-from teleop.stages.device import Device, Encoder, VelocityEstimator
-from teleop.stages.velocity.backward_difference import BackwardDifference
+from master import Grip, Reach
+from teleop import BackwardDifference, Device, Encoder, MassDamper, OnePortLaw, Scene, VelocityEstimator, VirtualWall
 
 
 def scene(
@@ -37,15 +32,15 @@ def scene(
     """A reach of least jerk takes a finger into a virtual wall, which it then presses."""
     passivity, saturation, electrical = None, None, None
     if cap is not None:
-        from teleop.stages.passivity_controller import PassivityController
+        from teleop import PassivityController
 
         passivity = PassivityController(cap=cap, v_min=v_min)
     if f_max is not None:
-        from teleop.stages.safety import Cap
+        from teleop import Cap
 
         saturation = Cap(f_max=f_max)
     if b_e is not None:
-        from teleop.physics.relaxing import ElectricalDamping
+        from teleop import ElectricalDamping
 
         electrical = ElectricalDamping(b=b_e, cutoff=cutoff)
     return Scene(

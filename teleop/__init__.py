@@ -3,40 +3,92 @@
     from teleop import load_scene, run
     result = run(load_scene("canonical", delay=0.1), seed=1)
 
-Names are loaded when they are first used: importing `teleop` loads neither numpy nor asyncio.
+The names below are the public ones: with those of `master`, `slave` and `channel` they are all that a scene, a law, an
+effect, a device or a test of yours imports, and the modules underneath may move. A name is loaded when it is first
+used: importing `teleop` loads neither numpy nor asyncio.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
-DISTRIBUTION = "bilateral-teleop"  # the index knows another package that imports as `teleop`
+from teleop.version import DISTRIBUTION, __version__
 
 if TYPE_CHECKING:
-    from teleop.checks.two_port import check_law as check_law
-    from teleop.errors import Refused as Refused
-    from teleop.law import At as At
-    from teleop.law import find_law as find_law
-    from teleop.scene.scene import Scene as Scene
-    from teleop.scene.scene import load_scene as load_scene
-    from teleop.simulation.result import Result as Result
-    from teleop.simulation.result import load_result as load_result
-    from teleop.simulation.virtual import run as run
-    from teleop.sweeps.runner import sweep as sweep
+    from teleop.checks.two_port import check_law
+    from teleop.errors import DeviceError, Refused, number, whole_number
+    from teleop.law import At, Law, OnePortLaw, find_law, messages
+    from teleop.laws.direct import Direct
+    from teleop.laws.pfra import PFRA
+    from teleop.laws.virtual_coupling import VirtualCoupling
+    from teleop.laws.virtual_wall import VirtualWall
+    from teleop.laws.wave import Wave
+    from teleop.live.devices.heartbeat import DeviceWatchdog
+    from teleop.live.end import end_main
+    from teleop.physics.implicit import Resistance
+    from teleop.physics.plant import MassDamper, Plant
+    from teleop.physics.relaxing import ElectricalDamping
+    from teleop.protocol.endpoint import Reading
+    from teleop.protocol.inbox import Fixed, Hold, Playout, Zero
+    from teleop.scene.scene import Environment, Hand, Reference, Scene, Vector, load_scene
+    from teleop.simulation.result import Result, load_result
+    from teleop.simulation.virtual import run
+    from teleop.stages.device import Device, Encoder, VelocityEstimator
+    from teleop.stages.passivity_controller import PassivityController
+    from teleop.stages.safety import Cap, Watchdog
+    from teleop.stages.velocity.adaptive_window import BestFit, EndFit
+    from teleop.stages.velocity.backward_difference import BackwardDifference
+    from teleop.stages.velocity.levant import Levant
+    from teleop.stages.velocity.low_pass import LowPass
+    from teleop.sweeps.runner import sweep
+    from teleop.sweeps.table import Table
 
-_HOME = {
-    "At": "law", "find_law": "law", "check_law": "checks.two_port", "Refused": "errors", "run": "simulation.virtual",
-    "Result": "simulation.result", "load_result": "simulation.result", "Scene": "scene.scene",
-    "load_scene": "scene.scene", "sweep": "sweeps.runner",
+__all__ = [
+    "DISTRIBUTION", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError",
+    "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Environment", "Fixed", "Hand", "Hold",
+    "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant", "Playout", "Reading",
+    "Reference", "Refused", "Resistance", "Result", "Scene", "Table", "Vector", "VelocityEstimator",
+    "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "check_law", "end_main",
+    "find_law", "load_result", "load_scene", "messages", "number", "run", "sweep", "whole_number",
+]
+_HOMES = {  # the module of each name, under this package
+    "checks.two_port": ("check_law",),
+    "errors": ("DeviceError", "Refused", "number", "whole_number"),
+    "law": ("At", "Law", "OnePortLaw", "find_law", "messages"),
+    "laws.direct": ("Direct",),
+    "laws.pfra": ("PFRA",),
+    "laws.virtual_coupling": ("VirtualCoupling",),
+    "laws.virtual_wall": ("VirtualWall",),
+    "laws.wave": ("Wave",),
+    "live.devices.heartbeat": ("DeviceWatchdog",),
+    "live.end": ("end_main",),
+    "physics.implicit": ("Resistance",),
+    "physics.plant": ("MassDamper", "Plant"),
+    "physics.relaxing": ("ElectricalDamping",),
+    "protocol.endpoint": ("Reading",),
+    "protocol.inbox": ("Fixed", "Hold", "Playout", "Zero"),
+    "scene.scene": ("Environment", "Hand", "Reference", "Scene", "Vector", "load_scene"),
+    "simulation.result": ("Result", "load_result"),
+    "simulation.virtual": ("run",),
+    "stages.device": ("Device", "Encoder", "VelocityEstimator"),
+    "stages.passivity_controller": ("PassivityController",),
+    "stages.safety": ("Cap", "Watchdog"),
+    "stages.velocity.adaptive_window": ("BestFit", "EndFit"),
+    "stages.velocity.backward_difference": ("BackwardDifference",),
+    "stages.velocity.levant": ("Levant",),
+    "stages.velocity.low_pass": ("LowPass",),
+    "sweeps.runner": ("sweep",),
+    "sweeps.table": ("Table",),
 }
-__all__ = ["DISTRIBUTION", "At", "Refused", "Result", "Scene", "__version__", "check_law", "find_law",
-           "load_result", "load_scene", "run", "sweep"]
 
 
-def __getattr__(name: str) -> object:
-    if name not in _HOME:
-        raise AttributeError(f"module 'teleop' has no attribute {name!r}")
-    from importlib import import_module
+if not TYPE_CHECKING:  # a type checker goes by the imports above, and finds a name that is misspelt
 
-    return getattr(import_module(f"teleop.{_HOME[name]}"), name)
+    def __getattr__(name: str) -> object:
+        from teleop.naming import public_name
+
+        return public_name(__name__, _HOMES, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

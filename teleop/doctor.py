@@ -24,7 +24,7 @@ def kernels() -> Path:
 
 def findings() -> dict[str, Any]:
     """Versions, extras and the kernels on disk, as JSON can hold them."""
-    from teleop import __version__
+    from teleop.version import __version__
 
     held = _kept(kernels())
     from teleop.sweeps.kernels.cache_folder import open_to_others

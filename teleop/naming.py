@@ -6,7 +6,7 @@ effect by the group `teleop.effects`, a scene (its module) by `teleop.scenes`. T
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -36,3 +36,14 @@ def find(kind: str, group: str, built_in: Mapping[str, str], name: str) -> Any:
     module, _, attribute = place.partition(":")
     loaded = import_module(module)
     return getattr(loaded, attribute) if attribute else loaded
+
+
+def public_name(package: str, homes: Mapping[str, Sequence[str]], name: str) -> Any:
+    """A public name of a package, loaded now; `homes` has the names of each of the package's modules.
+
+    Raises `AttributeError`, as a module does, if no module of `homes` has the name.
+    """
+    for module, names in homes.items():
+        if name in names:
+            return getattr(import_module(f"{package}.{module}"), name)
+    raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=import_module(package))

@@ -71,8 +71,8 @@ def _own_source(law: object) -> str:
     """What stands in the file of a law that does not come with this package; built-in ones go by version."""
     from pathlib import Path
 
-    from teleop import __version__
     from teleop.law import BUILT_IN
+    from teleop.version import __version__
 
     if law_name(law) in BUILT_IN:
         return __version__

@@ -27,7 +27,7 @@ SHAPES = {  # what is asked of a part of a scene, and what to write for one
     "one-port law": (("start", "force"), "VirtualWall(K=500.0)"),
     "master": (("mass", "damping"), "MassDamper(mass=0.1)"),
     "slave": (("mass", "damping"), "MassDamper(mass=0.5)"),
-    "hand": (("mass", "k", "d", "reference"), "Grip(mass=0.4, k=200.0, d=5.0, reference=Hold())"),
+    "hand": (("mass", "k", "d", "reference"), "Grip(mass=0.4, k=200.0, d=5.0, reference=Rest())"),
     "environment": (("plant",), "Wall(k=1e3)"),
     "link": (("arrivals",), "Delay(0.05)"),
     "watchdog": (("limits",), "Watchdog(timeout=0.1)"),

@@ -27,7 +27,7 @@ def versions() -> dict[str, str]:
     """What a summary says it was made by."""
     import numpy
 
-    from teleop import __version__
+    from teleop.version import __version__
 
     return {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
 

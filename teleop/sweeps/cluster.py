@@ -176,7 +176,7 @@ class Cluster(Executor):
                 f"again: {GOES_ON}")
 
     def _lacks(self, error: ImportError) -> str:
-        from teleop import __version__
+        from teleop.version import __version__
 
         name = error.name or "a module"
         if name.partition(".")[0] == "teleop":

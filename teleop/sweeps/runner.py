@@ -52,7 +52,7 @@ class Sweep:
 
     def definition(self) -> dict[str, Any]:
         """What the folder of this sweep is held to."""
-        from teleop import __version__
+        from teleop.version import __version__
 
         return {
             "scene": self.scene, "fixed": {key: plain(listed(key, [value])[0]) for key, value in self.fixed.items()},

@@ -39,7 +39,7 @@ def sources() -> str:
     """The version of this package and a digest of its files, as this process found them: others make other rows."""
     from hashlib import sha256
 
-    from teleop import __version__
+    from teleop.version import __version__
 
     found = sha256()
     for package in ("teleop", "master", "slave", "channel", "scenarios"):

@@ -195,6 +195,6 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
 
 
 def _version() -> str:
-    from teleop import __version__
+    from teleop.version import __version__
 
     return f"bilateral-teleop {__version__}"

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from channel.link import parse_link
-from master.hand import Grip, Hold, Sine
+from master.hand import Grip, Rest, Sine
 from slave.hunt_crossley import HuntCrossley
 from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid
@@ -156,7 +156,7 @@ def test_datagrams_that_are_lost_on_the_way_are_sent_again(
 
 UNSTABLE = scene(
     law=Direct(K=2000.0, B=8.0, kf=3.0), master=MassDamper(mass=0.04, damping=0.8), environment=Tissue(k=2000.0, d=0.0),
-    slave=MassDamper(mass=0.04, damping=0.8), hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Hold()),
+    slave=MassDamper(mass=0.04, damping=0.8), hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Rest()),
     start_m=1e-3, x_limit=0.05,
 )
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from master.hand import Grip, Hold, Reach, Sine
+from master.hand import Grip, Reach, Rest, Sine
 from teleop.errors import Refused
 
 MS = 1_000_000
@@ -57,14 +57,14 @@ def test_reach_has_less_jerk_than_its_neighbours() -> None:
 
 
 def test_hold_stays() -> None:
-    assert [*Hold(at=0.02).samples(1, 3, MS)[0]] == [0.02, 0.02, 0.02]
-    assert [*Hold().samples(1, 2, MS)[0]] == [0.0, 0.0]
+    assert [*Rest(at=0.02).samples(1, 3, MS)[0]] == [0.02, 0.02, 0.02]
+    assert [*Rest().samples(1, 2, MS)[0]] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("reference", [
-    Sine(amplitude=0.2, frequency=250.0), Reach(to=0.2, duration=1e-3), Hold(at=0.2),
+    Sine(amplitude=0.2, frequency=250.0), Reach(to=0.2, duration=1e-3), Rest(at=0.2),
 ])
-def test_a_number_lies_along_the_first_axis(reference: Hold) -> None:
+def test_a_number_lies_along_the_first_axis(reference: Rest) -> None:
     x, y, z = reference.samples(3, 2, MS)
     assert x[1] == 0.2
     assert [*y] == [*z] == [0.0, 0.0]
@@ -73,9 +73,9 @@ def test_a_number_lies_along_the_first_axis(reference: Hold) -> None:
 @pytest.mark.parametrize("reference", [
     Sine(amplitude=(0.1, 0.2, -0.3), frequency=250.0),
     Reach(to=(0.1, 0.2, -0.3), duration=1e-3, origin=(1.0, 2.0, 3.0)),
-    Hold(at=(0.1, 0.2, -0.3)),
+    Rest(at=(0.1, 0.2, -0.3)),
 ])
-def test_a_tuple_has_an_entry_for_each_axis(reference: Hold) -> None:
+def test_a_tuple_has_an_entry_for_each_axis(reference: Rest) -> None:
     assert [axis[1] for axis in reference.samples(3, 2, MS)] == [0.1, 0.2, -0.3]
     with pytest.raises(Refused, match=r"has 3 entries, the scene has axes=1"):
         reference.samples(1, 2, MS)
@@ -94,10 +94,10 @@ def test_references_and_grips_compare_by_value() -> None:
     (lambda: Reach(to=(0.1, math.inf), duration=1.0), r"to\[1\] must be finite"),
     (lambda: Reach(to=0.1, duration=0.0), "duration must be above 0"),
     (lambda: Reach(to=0.1, duration=1.0, start=None), "start must be a number"),  # type: ignore[arg-type]
-    (lambda: Hold(at=[0.1]), "at must be a number"),  # type: ignore[arg-type]
-    (lambda: Grip(mass=-0.1, k=1.0, d=1.0, reference=Hold()), "mass must be at least 0"),
-    (lambda: Grip(mass=0.1, k=math.inf, d=1.0, reference=Hold()), "k must be finite"),
-    (lambda: Grip(mass=0.1, k=1.0, d=1.0, reference=0.05), "write for example reference=Hold"),  # type: ignore[arg-type]
+    (lambda: Rest(at=[0.1]), "at must be a number"),  # type: ignore[arg-type]
+    (lambda: Grip(mass=-0.1, k=1.0, d=1.0, reference=Rest()), "mass must be at least 0"),
+    (lambda: Grip(mass=0.1, k=math.inf, d=1.0, reference=Rest()), "k must be finite"),
+    (lambda: Grip(mass=0.1, k=1.0, d=1.0, reference=0.05), "write for example reference=Rest"),  # type: ignore[arg-type]
 ])
 def test_impossible_hands_are_refused(make: type, says: str) -> None:
     with pytest.raises(Refused, match=says):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from channel.link import parse_link
-from master.hand import Grip, Hold, Reach, Sine
+from master.hand import Grip, Reach, Rest, Sine
 from teleop import load_scene
 from teleop.errors import Refused
 from teleop.law import Law
@@ -51,7 +51,7 @@ def scene(
     count = axes if made.axes == 1 else made.axes
     to = (amplitude, -0.6 * amplitude, 0.3 * amplitude)[:count]
     references: dict[str, Reference] = {
-        "sine": Sine(amplitude=to, frequency=rate), "reach": Reach(to=to, duration=1.0 / rate), "hold": Hold(at=to)}
+        "sine": Sine(amplitude=to, frequency=rate), "reach": Reach(to=to, duration=1.0 / rate), "hold": Rest(at=to)}
     return replace(made, axes=count, playout=playout,
                    hand=Grip(mass=m_h, k=k_h, d=d_h, reference=references[motion]))
 

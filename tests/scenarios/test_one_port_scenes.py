@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from scenarios import encoder_wall, virtual_coupling, virtual_wall
 from teleop import Refused, Scene, load_scene, run
 from teleop.laws.virtual_coupling import VirtualCoupling
@@ -94,7 +94,7 @@ def rate(scene: Scene) -> float:
 
 def pressed(K: float, B: float, delay: int) -> Scene:
     """A device of 0.04 kg and 0.8 N s/m pressed with a steady 20 N into a wall, 1e-6 of the way off balance."""
-    push = Grip(mass=0.0, k=1e-4 * K, d=0.0, reference=Hold(at=20.0 / (1e-4 * K)))
+    push = Grip(mass=0.0, k=1e-4 * K, d=0.0, reference=Rest(at=20.0 / (1e-4 * K)))
     rest = 20.0 / (K + 1e-4 * K)
     scene = virtual_wall.scene(law=VirtualWall(K=K, B=B), delay=delay, duration=20.0, energy=False)
     return replace(scene, hand=push, start_m=rest * (1.0 + 1e-6), law=VirtualWall(K=K, B=B))

@@ -169,8 +169,8 @@ def _llewellyn(judged: Judged) -> str:
 
 def summary(answer: Answer, command: Sequence[str] = ()) -> dict[str, Any]:
     """The answer as JSON can hold it: SI units; what is endless or not known is null."""
-    from teleop import __version__
     from teleop.simulation.result import parameters
+    from teleop.version import __version__
 
     told: dict[str, Any] = {
         "scene": answer.scene.name, "mode": "passivity", "sentence": answer.sentence,

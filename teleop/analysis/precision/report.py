@@ -134,7 +134,7 @@ def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
     """What goes into summary.json; a number that does not exist, or is endless, is null."""
     import numpy
 
-    from teleop import __version__
+    from teleop.version import __version__
 
     versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
     if got.agreement.differences:

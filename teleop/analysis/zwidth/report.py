@@ -127,8 +127,8 @@ def summary(got: ZWidth, command: Sequence[str] = ()) -> dict[str, Any]:
     """What goes into zwidth.json; what does not exist is null."""
     import numpy
 
-    from teleop import __version__
     from teleop.simulation.result import parameters
+    from teleop.version import __version__
 
     versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
     told: dict[str, Any] = {

@@ -7,7 +7,7 @@ import pytest
 
 from channel.delay import Delay
 from channel.link import Link
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from teleop.errors import Refused
 from teleop.law import At, start_at
@@ -52,7 +52,7 @@ def growth(round_trip: int, *, dt: float, K: float, B: float, k_e: float) -> flo
     handle = MassDamper(mass=0.04, damping=0.8)
     scene = Scene(
         law=Direct(K=K, B=B), master=handle, slave=handle, environment=Tissue(k=k_e, d=0.0),
-        hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Hold(at=0.0)), start_m=1e-3, dt=dt, duration=4.0,
+        hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Rest(at=0.0)), start_m=1e-3, dt=dt, duration=4.0,
         link=Link(fwd=Delay(there * dt), bwd=Delay((round_trip - there) * dt)), x_limit=1e9,
     )
     x = np.abs(run(scene).trace["x_m"])

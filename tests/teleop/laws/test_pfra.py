@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from channel.bernoulli import Bernoulli
 from channel.delay import Delay
 from channel.uniform import UniformJitter
-from master.hand import Grip, Hold, Sine
+from master.hand import Grip, Rest, Sine
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop.errors import Refused
@@ -167,7 +167,7 @@ def test_direct_reflection_would_have_moved_it() -> None:
 def test_a_hand_that_rests_is_not_moved_either() -> None:
     scene = Scene(
         law=PFRA(kf=10.0), master=MassDamper(mass=0.1), slave=MassDamper(mass=0.3), duration=0.5, start_s=0.02,
-        hand=Grip(mass=0.3, k=200.0, d=5.0, reference=Hold()), environment=Wall(k=1e4), link=Delay(0.05),
+        hand=Grip(mass=0.3, k=200.0, d=5.0, reference=Rest()), environment=Wall(k=1e4), link=Delay(0.05),
         observer=None,
     )
     assert not run(scene).trace["x_m"].any()

@@ -159,6 +159,6 @@ class TestBesideAScenesFile:
     def test_the_command_runs_it(self, tmp_path: Path) -> None:
         text, law = (ROOT / "scenarios" / "hard_wall.py").read_text(), ROOT / "teleop" / "laws" / "direct.py"
         (tmp_path / "law_mine.py").write_text(law.read_text())
-        text = text.replace("from teleop.laws.wave import Wave", "from law_mine import Direct")
+        text = text.replace("\n\n\ndef scene", "\nfrom law_mine import Direct\n\n\ndef scene")
         (tmp_path / "mine.py").write_text(text.replace("Wave()", "Direct()"))
         assert main(["run", str(tmp_path / "mine.py"), "--set", "duration=0.1", "--out", str(tmp_path / "out")]) == 0

@@ -26,8 +26,7 @@ from channel.in_order import InOrder
 from channel.link import Link
 from channel.normal import NormalJitter
 from channel.uniform import UniformJitter
-from master.hand import Grip, Reach, Sine
-from master.hand import Hold as Rest
+from master.hand import Grip, Reach, Rest, Sine
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop.laws.direct import Direct

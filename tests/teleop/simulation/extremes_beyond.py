@@ -17,8 +17,7 @@ import numpy as np
 from channel.bernoulli import Bernoulli
 from channel.delay import Delay
 from channel.uniform import UniformJitter
-from master.hand import Grip, Reach, Sine
-from master.hand import Hold as Rest
+from master.hand import Grip, Reach, Rest, Sine
 from slave.hunt_crossley import HuntCrossley
 from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from channel.delay import Delay
-from master.hand import Grip
-from master.hand import Hold as Rest
+from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop.laws.direct import Direct

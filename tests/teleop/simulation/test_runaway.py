@@ -7,8 +7,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from master.hand import Grip
-from master.hand import Hold as Rest
+from master.hand import Grip, Rest
 from slave.hunt_crossley import HuntCrossley
 from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid

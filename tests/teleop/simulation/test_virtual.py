@@ -14,7 +14,7 @@ from channel.bernoulli import Bernoulli
 from channel.delay import Delay
 from channel.link import Link
 from channel.uniform import UniformJitter
-from master.hand import Grip, Hold, Sine
+from master.hand import Grip, Rest, Sine
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop.errors import Refused
@@ -119,7 +119,7 @@ def test_a_run_that_ends_says_so() -> None:
 UNSTABLE = Scene(
     law=Direct(K=2000.0, B=8.0, kf=3.0), master=MassDamper(mass=0.04, damping=0.8), link=Delay(0.05),
     slave=MassDamper(mass=0.04, damping=0.8), environment=Tissue(k=2000.0, d=0.0), start_m=1e-3, duration=60.0,
-    hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Hold()), x_limit=1e3, energy=True,
+    hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Rest()), x_limit=1e3, energy=True,
 )
 
 
@@ -214,7 +214,7 @@ def test_a_slave_that_starts_inside_the_wall_is_pushed_out(side: int) -> None:
     {"environment": Wall(k=5e3, d=0.0, at=0.01), "master": MassDamper(mass=0.1), "slave": MassDamper(mass=0.3)},
     {"environment": Wall(k=0.0, d=5.0, at=0.01)}, {"environment": Wall(k=0.0, d=0.0, at=0.01)},
     {"environment": Wall(k=1e8, d=0.0, at=0.0)}, {"environment": Tissue(k=0.0, d=0.0)},
-    {"hand": Grip(mass=0.0, k=0.0, d=0.0, reference=Hold()), "start_m": 0.05},
+    {"hand": Grip(mass=0.0, k=0.0, d=0.0, reference=Rest()), "start_m": 0.05},
 ], ids=["no damping", "no stiffness", "no wall", "very stiff", "no tissue", "limp hand"])
 def test_coefficients_may_be_zero_or_huge(other: dict[str, Any]) -> None:
     got = pushed(**other)

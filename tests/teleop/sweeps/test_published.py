@@ -10,7 +10,7 @@ from teleop import load_scene, sweep
 from teleop.analysis.stability.assess import critical
 
 SCENE = '''
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from teleop import Scene
 from teleop.stages.device import Device
 from teleop.laws.virtual_wall import VirtualWall
@@ -22,7 +22,7 @@ def scene(*, K: float = 100.0, delay: int = 0, near: float = 100.0, duration: fl
     press = 0.03 * near
     return Scene(
         law=VirtualWall(K=K), master=MassDamper(mass=0.04, damping=0.8), start_m=press / (K + 1.0) + 1e-4,
-        hand=Grip(mass=0.0, k=1.0, d=0.0, reference=Hold(at=press)), x_limit=0.05, dt=1e-3, duration=duration,
+        hand=Grip(mass=0.0, k=1.0, d=0.0, reference=Rest(at=press)), x_limit=0.05, dt=1e-3, duration=duration,
         device_m=Device(velocity=BackwardDifference(), delay=delay),
     )
 '''
@@ -43,7 +43,7 @@ def test_the_critical_stiffness_of_a_sampled_wall(engine: str, delay: int, compu
 HANDLES = '''
 from channel.delay import Delay
 from channel.link import Link
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from teleop import Scene
 from teleop.laws.direct import Direct
@@ -54,7 +54,7 @@ def scene(*, forth: int = 1, back: int = 1, k: float = 400.0, duration: float = 
     handle = MassDamper(mass=0.04, damping=0.8)
     return Scene(
         law=Direct(K=k, B=0.01 * k if k == 400.0 else 8.0), master=handle, slave=handle, start_m=1e-3,
-        hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Hold()), environment=Tissue(k=k, d=0.0), observer=None,
+        hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Rest()), environment=Tissue(k=k, d=0.0), observer=None,
         link=Link(Delay(1e-3 * forth), Delay(1e-3 * back)), x_limit=0.1, dt=1e-3, duration=duration,
     )
 '''

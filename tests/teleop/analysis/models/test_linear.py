@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from channel.link import parse_link
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop import Refused, Scene, load_scene, run
@@ -58,7 +58,7 @@ class Nosy:
 def scene_of(law: Any, **changes: Any) -> Scene:
     scene = Scene(
         law=law, master=MassDamper(mass=0.1, damping=0.5), slave=MassDamper(mass=0.5, damping=1.0),
-        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Hold()), environment=Tissue(k=200.0, d=2.0),
+        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Rest()), environment=Tissue(k=200.0, d=2.0),
         link=parse_link("delay(0.004) ; delay(0.0065)"), duration=0.4, start_m=0.01, start_s=0.02,
     )
     return replace(scene, **changes)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from scenarios.encoder_wall import scene as encoder_wall
 from teleop.analysis.models.one_port_loop import controller, one_port
 from teleop.analysis.stability.assess import critical, is_stable, stability
@@ -83,7 +83,7 @@ class TestTheLoop:
     def test_says_what_a_run_does_on_both_sides(self, velocity: Any, every: int) -> None:
         def made(K: float) -> Scene:  # pressed 50 N deep, so that a small swing stays in contact
             return scene(K, damper=0.3, velocity=velocity, every=every, start_m=50.0 / (50.0 + K) + 1e-6, duration=3.0,
-                         hand=Grip(mass=0.0, k=50.0, d=0.0, reference=Hold(at=1.0)))
+                         hand=Grip(mass=0.0, k=50.0, d=0.0, reference=Rest(at=1.0)))
 
         edge = critical(made, "K", low=10.0, high=1e5).value
         for K, grows in ((0.97 * edge, False), (1.03 * edge, True)):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import teleop.simulation.virtual
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from teleop.analysis.models.rest import QUIET, frequency, settled
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
@@ -36,7 +36,7 @@ class Pushing:
 
 def spring(damping: float, **other: Any) -> Scene:
     """1 kg at 10 Hz on a hand's spring, let go 1 mm off; the wall is out of reach. Decays as exp(-damping t/2)."""
-    hand = Grip(mass=0.0, k=(20.0 * np.pi) ** 2, d=damping, reference=Hold(at=0.0))
+    hand = Grip(mass=0.0, k=(20.0 * np.pi) ** 2, d=damping, reference=Rest(at=0.0))
     made = Scene(law=VirtualWall(K=1.0, at=1.0), master=MassDamper(mass=1.0), hand=hand, start_m=1e-3, dt=1e-3,
                  device_m=Device(velocity=BackwardDifference()), duration=2.0)
     return replace(made, **other)

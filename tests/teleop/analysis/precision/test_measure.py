@@ -15,7 +15,7 @@ import pytest
 import teleop.analysis.precision.measure
 import teleop.analysis.precision.reference.agreement as agreement_module
 from channel.delay import Delay
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop.analysis.precision.contenders.contenders import method_bodies, touch_of
@@ -42,7 +42,7 @@ def strike(**other: Any) -> Scene:
     return Scene(**{
         "law": Direct(K=500.0, B=5.0, kf=0.05), "master": MassDamper(mass=0.1, damping=0.5),
         "slave": MassDamper(mass=0.3, damping=1.0), "start_m": 0.02,
-        "hand": Grip(mass=0.4, k=300.0, d=5.0, reference=Hold(at=0.02)), "link": Delay(2e-3),
+        "hand": Grip(mass=0.4, k=300.0, d=5.0, reference=Rest(at=0.02)), "link": Delay(2e-3),
         "environment": Wall(k=1e5, d=5.0, at=1e-3), "duration": 0.08, **other,
     })
 

@@ -15,7 +15,7 @@ import pytest
 from scipy.optimize import brentq
 
 from channel.delay import Delay
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop import Refused, Scene, load_scene, run
@@ -116,7 +116,7 @@ SOFT, STIFF = Direct(K=400.0, B=4.0), Direct(K=2000.0, B=8.0)
 
 def handles(law: Any, *, wall: float = 400.0, hand: tuple[float, float] = (100.0, 2.0), **changes: Any) -> Scene:
     """Two handles, a hand of no mass, and a wall that is held on to."""
-    grip = Grip(mass=0.0, k=hand[0], d=hand[1], reference=Hold())
+    grip = Grip(mass=0.0, k=hand[0], d=hand[1], reference=Rest())
     scene = Scene(law=law, master=HANDLE, slave=HANDLE, hand=grip, environment=Tissue(k=wall, d=0.0), duration=1.0)
     return replace(scene, **changes)
 
@@ -169,7 +169,7 @@ class TestTheDelayMargin:
 
     @pytest.mark.parametrize("observer", [None, 200.0])
     def test_of_a_law_with_memory_and_a_force_sensor_is_the_limit_of_short_ticks(self, observer: float | None) -> None:
-        hand = Grip(mass=0.1, k=100.0, d=2.0, reference=Hold())
+        hand = Grip(mass=0.1, k=100.0, d=2.0, reference=Rest())
         scene = replace(handles(Filtered(), observer=observer, dt=1e-5, duration=0.1), hand=hand)
         limit = continuous(scene).round_trip
         ticks = stability(scene).critical_round_trip

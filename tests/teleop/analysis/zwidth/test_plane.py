@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import teleop.analysis.zwidth.plane
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from teleop.analysis.models.gains import with_gains
 from teleop.analysis.stability.assess import critical
 from teleop.analysis.zwidth.passive import passive_region
@@ -72,7 +72,7 @@ def handle(law: Any = None, *, m: float = 0.04, b: float = 0.8, dt: float = 1e-3
 
 
 def finger(mass: float = 0.0) -> Grip:
-    return Grip(mass=mass, k=400.0, d=1.0, reference=Hold())
+    return Grip(mass=mass, k=400.0, d=1.0, reference=Rest())
 
 
 def edge(scene: Scene, B: float = 0.0) -> float:
@@ -149,7 +149,7 @@ class TestRegion:
     @pytest.mark.parametrize("k", [0.0, 50.0, 1e4])
     @pytest.mark.parametrize("mass", [0.0, 1.0])
     def test_with_a_shunt_too_and_four_times_as_far_out_it_is_not(self, k: float, mass: float) -> None:
-        scene = replace(handle(hand=Grip(mass=mass, k=k, d=0.0, reference=Hold())),
+        scene = replace(handle(hand=Grip(mass=mass, k=k, d=0.0, reference=Rest())),
                         electrical=ElectricalDamping(b=2.0, cutoff=10.0))
         corners = np.array(passive_region(scene).corners)
         assert is_stable(loop(scene, hand=True), 0.999 * corners[:, 0], 0.999 * corners[:, 1]).all()

@@ -287,7 +287,7 @@ def test_walls_without_friction_are_left_to_the_exact_steps() -> None:
 
 
 OWN = '''
-from master.hand import Grip, Hold
+from master.hand import Grip, Rest
 from slave.hunt_crossley import HuntCrossley
 from teleop import Scene
 from teleop.laws.wave import Wave
@@ -297,5 +297,5 @@ def scene() -> Scene:
     "A push into something that stiffens."
     return Scene(law=Wave(), master=MassDamper(mass=0.1), slave=MassDamper(mass=0.5, friction=0.01), start_s=0.0011,
                  environment=HuntCrossley(k=1e6, lam=1.0, at=0.001), duration=0.01,
-                 hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Hold(at=0.02)))
+                 hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Rest(at=0.02)))
 '''
