@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import doctest
-import re
 import subprocess
 import sys
 from importlib import import_module
@@ -88,42 +87,6 @@ def test_every_public_module_class_and_function_has_a_docstring() -> None:
                 if documented and not fields_only and ast.get_docstring(node) is None:  # type: ignore[arg-type]
                     bare.append(f"{path.relative_to(ROOT)}: {getattr(node, 'name', 'module')}")
     assert bare == []
-
-
-def test_the_readme_names_only_commands_and_scenes_that_exist() -> None:
-    from teleop.scene.library import built_in_scenes
-    from teleop.terminal.commands import COMMANDS
-
-    text = (ROOT / "README.md").read_text()
-    typed = re.findall(r"bin/teleop ([a-z]+)(?: ([a-z_]+)(?![a-z_./]))?", text)
-    assert {command for command, _ in typed} >= {"run", "sweep", "precision", "stability", "passivity", "zwidth"}
-    for command, scene in typed:
-        assert command in COMMANDS
-        if command not in ("list", "report", "matrix", "doctor", "keygen") and scene:
-            assert scene in built_in_scenes()
-    for picture in re.findall(r"!\[.*?\]\((.*?)\)", text):
-        assert (ROOT / picture).is_file()
-
-
-def test_every_line_of_the_table_of_attackers_names_tests_that_exist() -> None:
-    lines = [line for line in (ROOT / "SECURITY.md").read_text().splitlines() if line.startswith("| ")]
-    rows = [cells for cells in ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
-            if cells[-1] != "tests"]
-    assert len(rows) > 20
-    for row in rows:
-        named = re.findall(r"`([^`]+)`", row[-1])
-        assert named, row[0]
-        assert all((ROOT / "tests" / name).exists() for name in named), row
-
-
-def test_the_python_of_the_readme_runs() -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(blocks) == 3
-    delays, swept, own_law = (run(sys.executable, "-c", block) for block in blocks)
-    assert [each.returncode for each in (delays, swept, own_law)] == [0, 0, 0], delays.stderr + own_law.stderr
-    assert "{'ok': 12}" in swept.stdout
-    assert [line.split()[2] for line in delays.stdout.splitlines()] == ["ok"] * 3
-    assert 0.0 < float(own_law.stdout) < 0.05  # m: the example follows, it does not run away
 
 
 def modules() -> list[str]:

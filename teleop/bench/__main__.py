@@ -1,4 +1,4 @@
-"""`python -m teleop.bench [NAME ...]`: measures what the README claims, side by side."""
+"""`python -m teleop.bench [NAME ...]`: measures what this folder's README claims, side by side."""
 
 from __future__ import annotations
 

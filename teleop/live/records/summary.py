@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 INSECURE = "the link was neither authenticated nor encrypted, beyond loopback, as --insecure asked"
 UNWATCHED = ("the device has neither a deadline nor a watchdog: if this process is killed, stopped or hangs, its force "
-             "stays on; see README, \"A device of your own\"")
+             "stays on; see teleop/live/devices/README.md")
 FEWEST_NS = 3_000_000_000  # of two clocks beside each other, before their rates are judged
 NAMES = {"m": "master", "s": "slave"}
 WAYS = {"m": ("fwd", "bwd"), "s": ("bwd", "fwd")}  # the direction an end sends in, and the other
