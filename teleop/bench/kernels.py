@@ -8,7 +8,7 @@ from typing import Any
 
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies, reference_samples
-from teleop.simulation.virtual import link_plans
+from teleop.simulation.plan import link_plans
 from teleop.sweeps.kernels.kernel import Inputs, Water, tree_of
 from teleop.sweeps.kernels.leaves import leaves
 

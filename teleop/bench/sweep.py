@@ -142,7 +142,7 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     import numpy as np
 
     from teleop.simulation.bodies import reference_samples
-    from teleop.simulation.virtual import link_plans
+    from teleop.simulation.plan import link_plans
     from teleop.sweeps.kernels.kernel import Water
 
     law, hand, wall, slave = scene.law, scene.hand, scene.environments[0], scene.slave

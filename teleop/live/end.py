@@ -123,7 +123,7 @@ def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
     manifest = {**scene.manifest(), "mode": "lockstep" if args.lockstep else "live"}
     inbox = None
     if args.lockstep:
-        from teleop.simulation.virtual import link_plans
+        from teleop.simulation.plan import link_plans
 
         manifest["seed"] = str(args.seed)  # by the clock, the channel alone draws
         inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])

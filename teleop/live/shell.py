@@ -24,7 +24,7 @@ from teleop.protocol.endpoint import Axes, Endpoint, Reading, Stepped
 from teleop.protocol.guard import Event
 from teleop.protocol.packet import Kind, peek
 from teleop.scene.scene import Scene
-from teleop.simulation.virtual import divergence
+from teleop.simulation.outcome import divergence
 
 SAY_NS = 250_000_000  # between two live lines
 

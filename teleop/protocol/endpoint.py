@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import Guard
 from teleop.protocol.held_force import HeldForce
-from teleop.protocol.inbox import Fixed, Inbox, Plan
+from teleop.protocol.inbox import Fixed, Inbox
 from teleop.protocol.packet import (
     DATA,
     MOST_SEQ,
@@ -36,6 +36,7 @@ from teleop.protocol.presence import Presence
 from teleop.protocol.rates import Heard, Messages, Resampling
 from teleop.protocol.session import RENEW_NS, Session
 from teleop.scene.scene import Scene
+from teleop.simulation.plan import Plan
 from teleop.simulation.source import beginnings, compiled, live_text
 from teleop.simulation.tick import ENDS, columns
 

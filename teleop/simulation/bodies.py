@@ -42,9 +42,12 @@ class Bodies(NamedTuple):
                     tuple([plant.start for plant in self.slaves]))
 
 
-def exact_bodies(scene: Scene) -> Bodies:
-    """The scene's own bodies: without an error of integration, or with one that is kept to `scene.tolerance`."""
-    slaves = slave_plants(scene)
+def exact_bodies(scene: Scene, slaves: list[Plant] | None = None) -> Bodies:
+    """The scene's own bodies: without an error of integration, or with one that is kept to `scene.tolerance`.
+
+    `slaves`: its `slave_plants`, where they are at hand.
+    """
+    slaves = slave_plants(scene) if slaves is None else slaves
     if scene.master.friction == 0.0 and scene.electrical is None:
         return Bodies(master_plant(scene), slaves)
     held = held_master(scene)

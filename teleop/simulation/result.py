@@ -6,18 +6,16 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS, finite, worked_out
+from teleop.simulation.packets import Packets
 from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import BEGUN, is_being_written, new_folder
 from teleop.storage.strict_json import Misshapen, parse, plain, written
-
-if TYPE_CHECKING:
-    from teleop.protocol.inbox import Plan
 
 RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
 LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
@@ -30,31 +28,6 @@ def versions() -> dict[str, str]:
     from teleop.version import __version__
 
     return {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Packets:
-    """Counts of one direction. `rejected` names the cause of each refusal; it happens live only."""
-
-    sent: int = 0
-    received: int = 0
-    lost: int = 0
-    late: int = 0
-    overtaken: int = 0
-    duplicates: int = 0
-    in_flight: int = 0
-    rejected: Mapping[str, int] = field(default_factory=dict)
-
-    @classmethod
-    def of_plan(cls, plan: Plan) -> Packets:
-        """The counts of a direction that was drawn up front."""
-        return cls(sent=plan.sent, received=plan.received, lost=plan.lost, late=plan.late, overtaken=plan.overtaken,
-                   duplicates=plan.duplicates, in_flight=plan.in_flight)
-
-    @classmethod
-    def without_link(cls, ticks: int) -> Packets:
-        """No queue and no packets: each end sees the other's last message."""
-        return cls(sent=ticks, received=max(0, ticks - 1), in_flight=min(1, ticks))
 
 
 @dataclass(frozen=True, kw_only=True)

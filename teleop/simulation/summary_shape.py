@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 from teleop.scene.scene import MOST_TICKS
-from teleop.simulation.result import Packets
+from teleop.simulation.packets import Packets
 from teleop.storage.strict_json import (
     Check,
     Misshapen,

@@ -8,8 +8,7 @@ from functools import partial
 from math import nan
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from teleop.scene.scene import Scene
-from teleop.simulation.tick import columns
+from teleop.simulation.prepared import Prepared, prepare
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,8 +20,6 @@ AHEAD = 1_000_000  # ticks without a row that a record may have, 17 min at 1 kHz
 AHEAD_EACH = 100  # ... and so many more for each row, for what is worked out at every tick in between
 UNKNOWN = ("its rows lie so far apart that the forces that were not recorded, and how late ticks were, are not worked "
            "out in between")
-
-Reference = tuple[Sequence[float], ...] | None  # the hand's, per axis at the ticks 0 .. n
 
 
 class Rows(Protocol):
@@ -78,22 +75,19 @@ def seconds(ticks: Any, dt_ns: int) -> NDArray[np.float64]:
     return t
 
 
-def end_columns(scene: Scene, e: str, record: EndRecord, reference: Reference = None) -> Columns:
-    """One end's columns as arrays of shape (rows,), or (rows, axes) where there are several axes.
-
-    `reference` are the hand's samples at the ticks, if the caller has them already.
-    """
+def end_columns(prepared: Prepared, e: str, record: EndRecord) -> Columns:
+    """The columns of one end (m or s) as arrays of shape (rows,), or (rows, axes) where there are several axes."""
     import numpy as np
 
-    table = _Table(scene, e, record)
+    table = _Table(prepared, e, record)
     makers: dict[str, Callable[[], NDArray[Any]]] = {name: partial(table.column, name) for name in table.places}
     if record.played is not None:
         makers[f"seq_{e}"] = lambda: np.array(record.played, dtype=np.int64)
-    until = _until(scene, record.ticks)
+    until = _until(prepared, record.ticks)
     if e == "m" and "f_h" not in makers:
-        makers["f_h"] = partial(_hand_force, until or scene, table, reference, known=until is not None)
+        makers["f_h"] = partial(_hand_force, until or prepared, table, known=until is not None)
     if e == "s" and "f_env" not in makers:
-        makers["f_env"] = partial(_touch, until or scene, table, known=until is not None)
+        makers["f_env"] = partial(_touch, until or prepared, table, known=until is not None)
     return Columns(makers)
 
 
@@ -102,19 +96,20 @@ def far_apart(ticks: Sequence[int], first: int = 0) -> bool:
     return len(ticks) > 0 and int(ticks[-1]) - first >= AHEAD + AHEAD_EACH * len(ticks)
 
 
-def _until(scene: Scene, ticks: Sequence[int]) -> Scene | None:
+def _until(prepared: Prepared, ticks: Sequence[int]) -> Prepared | None:
     """The scene as far as these ticks go; None if that is too far for as few as they are."""
     if far_apart(ticks):
         return None
-    last = int(ticks[-1]) if len(ticks) else 0
-    return scene if last >= scene.ticks - 1 else replace(scene, duration=(last + 1) * scene.dt_ns / 1e9)
+    scene, last = prepared.scene, int(ticks[-1]) if len(ticks) else 0
+    return prepared if last >= scene.ticks - 1 else prepare(replace(scene, duration=(last + 1) * scene.dt_ns / 1e9))
 
 
-def assemble(scene: Scene, records: Mapping[str, EndRecord], reference: Reference = None) -> Columns:
+def assemble(prepared: Prepared, records: Mapping[str, EndRecord]) -> Columns:
     """The trace of a run: `t`, then each end's columns, at the ticks that both ends ran."""
     import numpy as np
 
-    ends = {e: end_columns(scene, e, record, reference) for e, record in records.items()}
+    scene = prepared.scene
+    ends = {e: end_columns(prepared, e, record) for e, record in records.items()}
     ticks_m, ticks_s = (np.asarray(records[e].ticks, dtype=np.int64) for e in ("m", "s" if "s" in ends else "m"))
     if not np.array_equal(ticks_m, ticks_s):
         _, *both = np.intersect1d(ticks_m, ticks_s, assume_unique=True, return_indices=True)
@@ -159,11 +154,11 @@ def _ledgers(sums: Columns) -> dict[str, Callable[[], NDArray[Any]]]:
 class _Table:
     """The rows of an end and where in them each column stands."""
 
-    def __init__(self, scene: Scene, e: str, record: EndRecord) -> None:
+    def __init__(self, prepared: Prepared, e: str, record: EndRecord) -> None:
         import numpy as np
 
-        names = columns(scene, e)
-        widths = [scene.axes if "@" in name else 1 for name in names]
+        names = prepared.columns(e)
+        widths = [prepared.scene.axes if "@" in name else 1 for name in names]
         ends = np.add.accumulate(widths).tolist()
         self.places = {name.removesuffix("@"): slice(end - width, end)
                        for name, width, end in zip(names, widths, ends, strict=True)}
@@ -208,18 +203,19 @@ def _of_axes(count: int, axes: int) -> NDArray[np.float64]:
     return np.empty(count) if axes == 1 else np.empty((count, axes))
 
 
-def _hand_force(scene: Scene, table: _Table, reference: Reference, *, known: bool) -> NDArray[Any]:
+def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[Any]:
     """f_h of a master without a force sensor, worked out after the run from what it recorded; NaN if not `known`."""
     import numpy as np
 
     from teleop.physics.plant import grip_force
-    from teleop.simulation.bodies import master_plant, reference_samples
+    from teleop.simulation.bodies import master_plant
 
+    scene = prepared.scene
     out = _of_axes(len(table), scene.axes)
     if not known:
         out[:] = np.nan
         return out
-    reference = reference or reference_samples(scene)
+    reference = prepared.reference
     if reference is None:
         out[:] = 0.0
         return out
@@ -239,15 +235,13 @@ def _hand_force(scene: Scene, table: _Table, reference: Reference, *, known: boo
     return out
 
 
-def _touch(scene: Scene, table: _Table, *, known: bool) -> NDArray[Any]:
+def _touch(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[Any]:
     """f_env of a slave whose law reads no force, worked out after the run; NaN if not `known`."""
-    from teleop.simulation.bodies import slave_plants
-
-    out = _of_axes(len(table), scene.axes)
+    out = _of_axes(len(table), prepared.scene.axes)
     if not known:
         out[:] = nan
         return out
-    plants = slave_plants(scene)
+    plants = prepared.slaves
     for block in blocks(len(table)):
         part = table.part(block)
         x, v = (_per_axis(part, table.places[name]).tolist() for name in ("x_s", "v_s"))

@@ -12,8 +12,8 @@ from teleop.errors import Refused
 from teleop.law import functions_of
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
+from teleop.simulation.plan import link_plans
 from teleop.simulation.tick import features
-from teleop.simulation.virtual import link_plans
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, Water, figures, plain, tree_of
 from teleop.sweeps.kernels.leaves import Leaves, leaves
 

@@ -124,7 +124,7 @@ def whole(text: str) -> int:
 
 
 def _seed(text: str) -> int:
-    from teleop.simulation.virtual import check_seed
+    from teleop.simulation.plan import check_seed
 
     try:
         seed = int(text) if text.isascii() and text.isdecimal() else text

@@ -9,7 +9,8 @@ from teleop.terminal.table import facts
 from teleop.terminal.units import si
 
 if TYPE_CHECKING:
-    from teleop.simulation.result import Packets, Result
+    from teleop.simulation.packets import Packets
+    from teleop.simulation.result import Result
 
 _DIRECTIONS = ("fwd", "bwd")
 _LATE = (("half under", "p50"), ("99 % under", "p99"), ("at most", "p100"))

@@ -30,7 +30,7 @@ from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.session import Session
 from teleop.scene.library import ROOT
 from teleop.scene.scene import Scene
-from teleop.simulation.virtual import link_plans
+from teleop.simulation.plan import link_plans
 from tests.waiting import PATIENCE
 
 DEVICES: dict[str, Callable[[Scene], Any]] = {"m": SimulatedMaster, "s": SimulatedSlave}

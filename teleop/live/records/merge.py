@@ -15,10 +15,12 @@ from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.live.records.summary import NAMES, WAYS, end_result, lateness, spread_us
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
-from teleop.simulation.result import RUNNING, Packets, Result, records_in, stored_summary
+from teleop.simulation.outcome import standing_notes
+from teleop.simulation.packets import Packets, packet_counts
+from teleop.simulation.prepared import prepare
+from teleop.simulation.result import RUNNING, Result, records_in, stored_summary
 from teleop.simulation.summary_shape import of_end
 from teleop.simulation.trace import UNKNOWN, EndRecord, assemble, far_apart
-from teleop.simulation.virtual import packet_counts, standing_notes
 from teleop.storage.folder import BEGUN, is_being_written
 from teleop.storage.strict_json import Misshapen
 
@@ -64,7 +66,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     apart = not stepped and (alone or met[0] != met[1] or any(_killed(end) for end in ends.values()))
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
-    trace = assemble(scene, records)
+    trace = assemble(prepare(scene), records)
     within = span[1:]  # at its first tick there is nothing yet that another session has summed up
     again = any(one.get("what") == "session" and one.get("k") in within for told in events.values() for one in told)
     if again:

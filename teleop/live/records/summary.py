@@ -12,9 +12,11 @@ from teleop.live.process.realtime import sentence
 from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.protocol.endpoint import SLEW
 from teleop.protocol.estimates import LinkEstimates, Times
-from teleop.simulation.result import Packets, Result
+from teleop.simulation.outcome import age_note
+from teleop.simulation.packets import Packets
+from teleop.simulation.prepared import prepare
+from teleop.simulation.result import Result
 from teleop.simulation.trace import far_apart
-from teleop.simulation.virtual import age_note
 
 if TYPE_CHECKING:
     import numpy as np
@@ -93,7 +95,7 @@ def end_result(
     """
     from teleop.simulation.trace import Columns, end_columns, seconds
 
-    trace = Columns({"t": lambda: seconds(record.ticks, scene.dt_ns), **end_columns(scene, e, record).makers,
+    trace = Columns({"t": lambda: seconds(record.ticks, scene.dt_ns), **end_columns(prepare(scene), e, record).makers,
                      f"late_{e}": lambda: _scaled(late, 1e9)})
     own = {
         "status": status, "sentence": sentence, "ticks": len(record.ticks), **told,

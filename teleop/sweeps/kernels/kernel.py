@@ -23,7 +23,7 @@ from teleop.sweeps.kernels.measures import MAGNITUDES, SUMS, known, least, most,
 from teleop.sweeps.kernels.text import COMPILED, PLAIN
 
 if TYPE_CHECKING:
-    from teleop.protocol.inbox import Plan
+    from teleop.simulation.plan import Plan
 
 
 class NotCompiled(Exception):

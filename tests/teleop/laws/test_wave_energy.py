@@ -19,8 +19,9 @@ from master.hand import Grip, Sine
 from slave.wall import Wall
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.inbox import Fixed, Hold, Zero, plan
+from teleop.protocol.inbox import Fixed, Hold, Zero
 from teleop.scene.scene import Link, Playout, Scene
+from teleop.simulation.plan import plan
 from teleop.simulation.virtual import run
 
 MS = 1_000_000

@@ -26,8 +26,10 @@ from teleop.protocol.inbox import Fixed, Hold, Zero
 from teleop.protocol.packet import VERSION, Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import Session
 from teleop.scene.scene import Scene, load_scene
+from teleop.simulation.plan import link_plans
+from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, assemble
-from teleop.simulation.virtual import link_plans, run
+from teleop.simulation.virtual import run
 from teleop.stages.safety import Cap, Watchdog
 
 MS = 1_000_000
@@ -92,7 +94,7 @@ class Both:
     def trace(self) -> dict[str, Any]:
         """As the trace of a run."""
         link = self.scene.link is not None
-        return assemble(self.scene, {
+        return assemble(prepare(self.scene), {
             e: EndRecord(range(self.scene.ticks), self.rows[e], self.played[e] if link else None) for e in "ms"
         })
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from teleop.errors import Refused
-from teleop.protocol.inbox import Fixed, Hold, Inbox, Plan, Playout, Zero, plan, repeats
+from teleop.protocol.inbox import Fixed, Hold, Inbox, Playout, Zero, repeats
+from teleop.simulation.plan import Plan, plan
 
 MS = 1_000_000
 DT = 1000  # ns, in the small cases

@@ -26,10 +26,12 @@ from teleop.physics.plant import MassDamper, grip_force, move_free, move_gripped
 from teleop.protocol.inbox import Fixed, Hold
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import master_plant, reference_samples, slave_plants
+from teleop.simulation.plan import link_plans
+from teleop.simulation.prepared import prepare
 from teleop.simulation.source import beginnings, compiled, live_text, loop_text
 from teleop.simulation.tick import columns, features
 from teleop.simulation.trace import EndRecord, assemble
-from teleop.simulation.virtual import link_plans, run
+from teleop.simulation.virtual import run
 from teleop.stages.device import Device, Encoder
 from teleop.stages.safety import Cap, Watchdog, watch
 from teleop.stages.velocity.low_pass import LowPass
@@ -279,7 +281,7 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
                 place["m"][i], speed["m"][i] = move_gripped(grip, x, v, f, ref[i][k], ref[i][k + 1])
             move, _, c, *_ = plants[i]
             place["s"][i], speed["s"][i], _ = move(c, place["s"][i], speed["s"][i], held["s"][i])
-    return assemble(scene, {
+    return assemble(prepare(scene), {
         e: EndRecord(range(scene.ticks), rows[e], None if plan is None else plan.play)
         for e, plan in (("m", back), ("s", forth))
     })

@@ -18,6 +18,7 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
+from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import Columns, EndRecord, assemble, end_columns
 from teleop.simulation.virtual import run
 
@@ -26,6 +27,7 @@ SCENE = Scene(
     law=Wave(), master=MassDamper(mass=0.1, damping=0.5), slave=MassDamper(mass=0.5, damping=1.0), link=Delay(0.01),
     hand=Grip(mass=0.4, k=200.0, d=5.0, reference=SINE), environment=Wall(k=5e3, d=5.0, at=0.03), duration=0.5,
 )
+PREPARED = prepare(SCENE)
 
 
 def test_a_trace_has_t_first_and_the_symbols_of_what_the_scene_has() -> None:
@@ -92,7 +94,7 @@ def test_two_ends_are_joined_at_the_ticks_that_both_ran() -> None:
         "m": EndRecord(range(8), rows(range(8)), [-1, 0, 1, 2, 3, 4, 5, 6]),
         "s": EndRecord(skipped, [v for k in skipped for v in (float(-k), 0.0, 0.0)], [-1, -1, 0, 3, 4, 7]),
     }
-    trace = assemble(SCENE, records)
+    trace = assemble(PREPARED, records)
     assert trace["t"].tolist() == [0.0, 0.001, 0.002, 0.005, 0.006]
     assert trace["x_m"].tolist() == [0.0, 1.0, 2.0, 5.0, 6.0]
     assert trace["x_s"].tolist() == [0.0, -1.0, -2.0, -5.0, -6.0]
@@ -102,11 +104,11 @@ def test_two_ends_are_joined_at_the_ticks_that_both_ran() -> None:
 
 def test_ends_that_share_no_tick_leave_empty_columns() -> None:
     records = {"m": EndRecord(range(3), rows(range(3)), [-1] * 3), "s": EndRecord([], [], [])}
-    assert all(len(column) == 0 for column in assemble(SCENE, records).values())
+    assert all(len(column) == 0 for column in assemble(PREPARED, records).values())
 
 
 def test_one_end_alone_has_its_own_columns() -> None:
-    got = end_columns(SCENE, "s", EndRecord(range(3), rows(range(3)), [-1, 0, 1]))
+    got = end_columns(PREPARED, "s", EndRecord(range(3), rows(range(3)), [-1, 0, 1]))
     assert set(got) == {"x_s", "v_s", "f_s", "seq_s", "f_env"}
     assert got["x_s"].tolist() == [0.0, 1.0, 2.0]
     assert got["seq_s"].dtype == np.int64
@@ -132,7 +134,7 @@ def test_the_rows_of_a_run_that_is_over_did_not_stay_in_memory_until_a_garbage_c
 
     def read(rows: Zeros) -> float:
         records = {e: EndRecord(range(5), rows, None) for e in ("m", "s")}
-        return float(assemble(replace(SCENE, energy=True), records)["E_link"].sum())
+        return float(assemble(prepare(replace(SCENE, energy=True)), records)["E_link"].sum())
 
     rows = Zeros()
     gone = weakref.ref(rows)

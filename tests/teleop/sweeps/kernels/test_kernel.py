@@ -21,7 +21,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.scene.library import ROOT, built_in_scenes
 from teleop.simulation.bodies import exact_bodies, reference_samples
-from teleop.simulation.virtual import link_plans
+from teleop.simulation.plan import link_plans
 from teleop.stages.device import Device, Encoder
 from teleop.stages.safety import Cap, Watchdog
 from teleop.stages.velocity.low_pass import LowPass

@@ -1,0 +1,85 @@
+"""The outcome of a run in words: its status, the sentence that goes with it, and the notes that a reader needs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from teleop.protocol.inbox import repeats
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import Bodies
+from teleop.simulation.plan import Plan
+
+
+def verdict(scene: Scene, trace: dict[str, Any], ran: int, end: Any) -> tuple[str, str]:
+    """The run's status and its sentence. `end` is None, or the positions that left the bounds.
+
+    What is not finite anywhere in the trace is a divergence, even of a run that came to its end.
+    """
+    import numpy as np
+
+    lost = {
+        name: int(np.argmin(sound.reshape(ran, -1).all(axis=1)))
+        for name in ("f_m", "f_s", *trace) if name in trace and not (sound := np.isfinite(trace[name])).all()
+    }
+    if lost:
+        name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
+        return "diverged", divergence(scene, lost[name], f"{name} is not finite")
+    if end is None:
+        return "ok", f"ran to its end, {ran} ticks of {scene.dt:g} s"
+    far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]
+    return "diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} m")
+
+
+def divergence(scene: Scene, k: int, what: str) -> str:
+    """The sentence of a run that diverged at tick k."""
+    when = f"diverged at t = {k * scene.dt_ns / 1e9:g} s (tick {k})"
+    return f"{when}: {what}; a smaller dt, gain or delay may hold it"
+
+
+def standing_notes(scene: Scene) -> list[str]:
+    """The notes that hold for every run of a scene, in virtual time and live."""
+    if scene.has_waves and repeats(scene.playout):
+        return ["playout holds waves in the gaps, which is active: E_link may fall below zero"]
+    return []
+
+
+def too_old(scene: Scene, end: str, plan: Plan | None, ran: int) -> list[str]:
+    """The note on messages that were too old for an end's watchdog: how many, how old, and what to type."""
+    age = getattr(scene.watchdog, "age", None)
+    if plan is None or age is None:
+        return []
+    import numpy as np
+
+    ages = (np.arange(ran) - plan.played_at[:ran])[plan.played_at[:ran] >= 0] * scene.dt
+    old = ages[ages > age + 0.5 * scene.dt]
+    return [age_note(end, len(old), float(old.max()), age)] if len(old) else []
+
+
+def age_note(end: str, count: int, most: float, age: float) -> str:
+    """The sentence for messages that were too old for the watchdog of an end."""
+    enough = f"{2.0 * most:.2g}"
+    return (f"{count} messages were more than the watchdog's age of {age:g} s old when the {end} played them, up to "
+            f"{most:g} s, so it let go; for a link as long as that type --set age={enough}, or in a scene of your own "
+            f"watchdog=Watchdog(age={enough}); with none in place of a number a message may be of any age")
+
+
+def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tuple[Any, ...]]) -> dict[str, Any]:
+    """The reports of the bodies that are integrated, by end: of each figure the worst of the axes.
+
+    `inner`: the inner states that each end's bodies ended with, per axis.
+    """
+    reports = {"master": [bodies.report_m] * scene.axes, "slave": [plant.report for plant in bodies.slaves]}
+    found = {}
+    for (end, each), states in zip(reports.items(), inner, strict=True):
+        axes = [report(z) for report, z in zip(each, states, strict=False) if report is not None]
+        names = {name for one in axes for name in one}
+        if names:
+            found[end] = {name: max(one[name] for one in axes if name in one) for name in sorted(names)}
+    return {"integration": found} if found else {}
+
+
+def over_tolerance(reports: dict[str, Any]) -> list[str]:
+    """The notes on the ends whose integration was not within the scene's tolerance at every tick."""
+    return [f"{own['ticks_over_tolerance']} ticks of the {end} are not within {own['tolerance']:g} m: the figures "
+            "may be off by the estimate; a smaller dt may help"
+            for end, own in reports.get("integration", {}).items() if own.get("ticks_over_tolerance")]
