@@ -16,7 +16,8 @@ from teleop.live.net.address import Address, address, bound, peer_address, shown
 from teleop.live.net.wire import Wire
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
-from teleop.scene.scene import both_ends, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import both_ends
 from teleop.terminal.options import Parser, guarded, knobs_from, scene_options
 
 

@@ -24,7 +24,7 @@ from teleop.errors import Refused
 from teleop.live.net.address import Address, shown
 from teleop.live.net.bulk import Bulk
 from teleop.live.net.wire import Wire
-from teleop.protocol.manifest import INSECURE, manifest_difference
+from teleop.protocol.manifest import INSECURE, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, decode, encode, peek
 from teleop.protocol.secure.dtls_record import DATA, HANDSHAKE, MTU, OVERHEAD, Record, records
 from teleop.protocol.secure.relayed import EXTRA, cookie_of, without
@@ -62,7 +62,7 @@ class Router:
         self._link: Any = scene.link  # a scene asks less of its link than a relay does
         self._seed, self._port, self._beyond = seed, port, beyond
         self._sealed_only, self._tells = beyond is not None and not insecure, beyond is not None and insecure
-        self._manifest = {key: text for key, text in scene.manifest().items() if key not in ("link", "delay")}
+        self._manifest = {key: text for key, text in manifest_of(scene).items() if key not in ("link", "delay")}
         self._said_unsealed = False
         self._differed: list[str] = []  # what was said of masters that run another scene
         self._open: Flow | None = None  # the flow of the session in the open that the slave took up last

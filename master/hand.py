@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from teleop.errors import Refused, number
 
 if TYPE_CHECKING:
-    from teleop.scene.scene import Reference, Vector
+    from teleop.scene.parts import Reference, Vector
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from teleop.errors import Refused
 
 if TYPE_CHECKING:
-    from teleop.scene.scene import Exact, Integrated, Reference
+    from teleop.scene.parts import Exact, Integrated, Reference
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

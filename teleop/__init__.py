@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from teleop.physics.plant import MassDamper, Plant
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.protocol.endpoint import Reading
-    from teleop.protocol.inbox import Fixed, Hold, Playout, Zero
-    from teleop.scene.scene import Environment, Hand, Reference, Scene, Vector, load_scene
+    from teleop.scene.loading import load_scene
+    from teleop.scene.parts import Environment, Hand, Reference, Vector
+    from teleop.scene.playout import Fixed, Hold, Playout, Zero
+    from teleop.scene.scene import Scene
     from teleop.simulation.result import Result, load_result
     from teleop.simulation.virtual import run
     from teleop.stages.device import Device, Encoder, VelocityEstimator
@@ -66,8 +68,10 @@ _HOMES = {  # the module of each name, under this package
     "physics.plant": ("MassDamper", "Plant"),
     "physics.relaxing": ("ElectricalDamping",),
     "protocol.endpoint": ("Reading",),
-    "protocol.inbox": ("Fixed", "Hold", "Playout", "Zero"),
-    "scene.scene": ("Environment", "Hand", "Reference", "Scene", "Vector", "load_scene"),
+    "scene.loading": ("load_scene",),
+    "scene.parts": ("Environment", "Hand", "Reference", "Vector"),
+    "scene.playout": ("Fixed", "Hold", "Playout", "Zero"),
+    "scene.scene": ("Scene",),
     "simulation.result": ("Result", "load_result"),
     "simulation.virtual": ("run",),
     "stages.device": ("Device", "Encoder", "VelocityEstimator"),

@@ -36,7 +36,7 @@ def _run(args: Namespace) -> None:
     from dataclasses import replace
     from time import perf_counter_ns
 
-    from teleop.scene.scene import load_scene
+    from teleop.scene.loading import load_scene
     from teleop.simulation.virtual import run
     from teleop.storage.folder import new_folder
 
@@ -54,7 +54,7 @@ def _precision(args: Namespace) -> None:
 
     from teleop.analysis.precision.measure import measure
     from teleop.analysis.precision.report import summary, table, write
-    from teleop.scene.scene import load_scene
+    from teleop.scene.loading import load_scene
     from teleop.storage.folder import new_folder
     from teleop.terminal.plotting import drawable
     from teleop.terminal.progress import Progress

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from statistics import median
 
 from teleop.scene.library import ROOT
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.sweeps.grid import grid
 from teleop.sweeps.runner import sweep
 

@@ -17,7 +17,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from teleop.bench.kernels import kernel_of
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 
 Row = tuple[str, str, str]
 ROUGH = "delay(0.05) | uniform(0.02) | bernoulli(0.02)"

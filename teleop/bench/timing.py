@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from teleop.bench.compiled import compiled, reason
 from teleop.live.process.realtime import SPIN_NS
+from teleop.protocol.manifest import manifest_of
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
@@ -120,12 +121,13 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
 def datagrams(folder: Path, count: int) -> None:
     """What the two ends of a session send, in the form that the load reads: `forth` and `back`."""
     from teleop.protocol.packet import Kind, Packet, encode
-    from teleop.scene.scene import both_ends, load_scene
+    from teleop.scene.loading import load_scene
+    from teleop.scene.scene import both_ends
 
     scene = both_ends(load_scene(SCENE, link=f"delay({DELAY})"))
     ways = {"fwd": (Kind.HELLO, Kind.FORTH), "bwd": (Kind.START, Kind.BACK)}
     for name, (control, message) in ways.items():
-        first = encode(Packet(control, 1, 0, 0, None, scene.manifest() if control is Kind.HELLO else 0))
+        first = encode(Packet(control, 1, 0, 0, None, manifest_of(scene) if control is Kind.HELLO else 0))
         rest = (encode(Packet(message, 1, k, k * scene.dt_ns, None, (0.1,), 0.1), scene.wire_size)
                 for k in range(count))
         with (folder / name).open("wb") as file:

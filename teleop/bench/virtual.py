@@ -16,7 +16,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 
 from teleop.scene.library import ROOT
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 
 Row = tuple[str, str, str]

@@ -14,7 +14,7 @@ from teleop.errors import Refused
 from teleop.law import At, Law, messages, start_at
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant
-from teleop.protocol.inbox import Fixed, Playout, Zero
+from teleop.scene.playout import Fixed, Playout, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 

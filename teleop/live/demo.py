@@ -22,7 +22,8 @@ from teleop.live.records.merge import merge
 from teleop.live.records.record import fresh_folder, read_noted
 from teleop.live.records.summary import NAMES
 from teleop.scene.library import ROOT
-from teleop.scene.scene import Scene, both_ends, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
 
 PATIENCE = 15.0  # s for a process to come up

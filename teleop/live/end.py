@@ -29,9 +29,10 @@ from teleop.live.records.summary import NAMES, UNWATCHED, holds_on, write_end
 from teleop.live.shell import Shell
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import UNNAMED
-from teleop.protocol.manifest import MOST_EVERY
+from teleop.protocol.manifest import MOST_EVERY, manifest_of
 from teleop.protocol.session import Session
-from teleop.scene.scene import Scene, both_ends, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene, both_ends
 from teleop.scene.trust import asks_for_trust
 from teleop.storage.strict_json import written
 from teleop.terminal.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
@@ -120,7 +121,7 @@ def _said_of_faults(shell: Shell, folder: Path) -> int:
 
 def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
     """The end without its sockets. What the two ends have to agree on goes into the session's manifest."""
-    manifest = {**scene.manifest(), "mode": "lockstep" if args.lockstep else "live"}
+    manifest = {**manifest_of(scene), "mode": "lockstep" if args.lockstep else "live"}
     inbox = None
     if args.lockstep:
         from teleop.simulation.plan import link_plans

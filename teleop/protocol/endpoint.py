@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import Guard
 from teleop.protocol.held_force import HeldForce
-from teleop.protocol.inbox import Fixed, Inbox
+from teleop.protocol.inbox import Inbox
 from teleop.protocol.packet import (
     DATA,
     MOST_SEQ,
@@ -35,6 +35,7 @@ from teleop.protocol.packet import (
 from teleop.protocol.presence import Presence
 from teleop.protocol.rates import Heard, Messages, Resampling
 from teleop.protocol.session import RENEW_NS, Session
+from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import Plan
 from teleop.simulation.source import beginnings, compiled, live_text

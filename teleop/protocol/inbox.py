@@ -11,50 +11,14 @@ direction of a link that was drawn up front.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from teleop.errors import Refused, number
+from teleop.errors import Refused
+from teleop.scene.playout import Fixed, Playout
 
 Entry = TypeVar("Entry")
 
 _REMEMBERED = 65536  # packet numbers behind the newest within which an inbox tells copies apart
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Zero:
-    """Newest wins; at a tick without a fresh packet the law is told so (a wave law puts 0: passive)."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Hold:
-    """Newest wins; at a tick without a fresh packet the last message is played again (active)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Fixed:
-    """Every packet is played `delay` after it was sent (s), late ones never; the gaps as `gaps` says."""
-
-    delay: float
-    gaps: Zero | Hold = Zero()
-
-    def __post_init__(self) -> None:
-        number("playout delay", self.delay, above=0.0, high=3600.0)
-        if not isinstance(self.gaps, (Zero, Hold)):
-            raise Refused(f"gaps are Zero() or Hold(), not {self.gaps!r}; write gaps=Zero()")
-
-    def ticks(self, dt_ns: int) -> int:
-        """The delay in ticks: rounded up, at least 1."""
-        # By way of whole nanoseconds: 0.1 + 0.2 s are 300 ticks of 1 ms, not 301.
-        return max(1, -(-round(self.delay * 1e9) // dt_ns))
-
-
-Playout = Zero | Hold | Fixed
-
-
-def repeats(playout: Playout) -> bool:
-    """Is the last message played again in the gaps?"""
-    return isinstance(playout.gaps if isinstance(playout, Fixed) else playout, Hold)
 
 
 class Inbox(Generic[Entry]):

@@ -30,8 +30,12 @@ _MADE = frozenset((  # the parts of a scene, which its knobs make
 ))
 
 
-def manifest(scene: Scene) -> dict[str, str]:
-    """Every part of the scene, every knob, and what the files behind it hold; see `Scene.manifest`."""
+def manifest_of(scene: Scene) -> dict[str, str]:
+    """The entries on which both ends of a live run of `scene` must agree, as text by name.
+
+    Every part of the scene, every knob, and the contents of the files behind them: a scene or a law of the user's own
+    is compared by its source, a recorded motion by its content. Raises `Refused` if such a file cannot be read.
+    """
     from teleop.protocol.packet import VERSION
 
     parts = {name: getattr(scene, name) for name in scene.__dataclass_fields__ if name not in ("name", "knobs")}

@@ -1,7 +1,7 @@
-"""Scenes: what they consist of, how they are found, and the knobs by which they are varied.
+"""Scenes: their parts, the files in which they are found, and the knobs by which they are varied.
 
     from teleop.scene import Scene, load_scene
 """
 
+from teleop.scene.loading import load_scene as load_scene
 from teleop.scene.scene import Scene as Scene
-from teleop.scene.scene import load_scene as load_scene

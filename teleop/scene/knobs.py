@@ -14,8 +14,8 @@ from typing import Any, get_args, get_type_hints
 
 from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, law_name
-from teleop.protocol.inbox import Fixed, Hold, Zero
 from teleop.scene.library import house
+from teleop.scene.playout import Fixed, Hold, Zero
 
 _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 

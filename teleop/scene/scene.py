@@ -2,114 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
-from teleop.errors import Refused, WrongNumber, number, whole_number
+from teleop.errors import Refused, number, whole_number
 from teleop.law import law_name, messages
-from teleop.protocol.inbox import Fixed, Hold, Zero
+from teleop.scene.parts import SHAPES, Environment, Hand, LinkLike, Vector, check_shape
+from teleop.scene.playout import Fixed, Hold, Playout, Zero
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from teleop.physics.implicit import Resistance
-    from teleop.physics.plant import MassDamper, Plant
+    from teleop.physics.plant import MassDamper
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.stages.device import Device
     from teleop.stages.passivity_controller import PassivityController
     from teleop.stages.safety import Cap, Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
-SHAPES = {  # what is asked of a part of a scene, and what to write for one
-    "law": (("master_start", "master", "slave_start", "slave"), "Wave()"),
-    "one-port law": (("start", "force"), "VirtualWall(K=500.0)"),
-    "master": (("mass", "damping"), "MassDamper(mass=0.1)"),
-    "slave": (("mass", "damping"), "MassDamper(mass=0.5)"),
-    "hand": (("mass", "k", "d", "reference"), "Grip(mass=0.4, k=200.0, d=5.0, reference=Rest())"),
-    "environment": (("plant",), "Wall(k=1e3)"),
-    "link": (("arrivals",), "Delay(0.05)"),
-    "watchdog": (("limits",), "Watchdog(timeout=0.1)"),
-    "cap": (("limits",), "Cap(f_max=20.0)"),
-    "device_m": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
-    "device_s": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
-    "passivity": (("limits",), "PassivityController(cap=0.8)"),
-    "electrical": (("b", "cutoff"), "ElectricalDamping(b=1.0, cutoff=10.0)"),
-}
-
-
-class Reference(Protocol):
-    """Where a hand wants to be."""
-
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[Sequence[float], ...]:
-        """For each axis the position (m) at the ticks 0 .. count-1."""
-        ...
-
-
-class Hand(Protocol):
-    """A grip: the mass, stiffness and damping between the master and a moving reference."""
-
-    @property
-    def mass(self) -> float: ...
-    @property
-    def k(self) -> float: ...
-    @property
-    def d(self) -> float: ...
-    @property
-    def reference(self) -> Reference: ...
-
-
-class Exact(Protocol):
-    """What the slave touches, in one axis, where its motion has a closed form.
-
-    If the plant has an inner state, the environment has `inner = True`.
-    """
-
-    def plant(self, body: MassDamper, dt: float) -> Plant:
-        """The exact step of `body` in this environment."""
-        ...
-
-
-class Integrated(Protocol):
-    """What the slave touches where there is none, or where it goes with friction; see `teleop.physics.implicit`."""
-
-    def resistance(self) -> Resistance:
-        """What resists the body."""
-        ...
-
-
-class Moved(Protocol):
-    """Any other environment, carried along a path."""
-
-    @property
-    def environment(self) -> Exact | Integrated: ...
-    @property
-    def path(self) -> Reference: ...
-
-
-Environment = Exact | Integrated | Moved
-
-
-class Arrivals(Protocol):
-    """What comes out of one direction of a link, sorted by time."""
-
-    @property
-    def packet(self) -> NDArray[np.int64]: ...
-    @property
-    def time_ns(self) -> NDArray[np.int64]: ...
-
-
-class Link(Protocol):
-    """The water between the ends: two directions, 0 forth (master to slave) and 1 back."""
-
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
-        """Packets 0 .. count-1 sent at the ticks, as (packet, time in ns) when they come out."""
-        ...
-
-
-Playout = Zero | Hold | Fixed
-Vector = float | tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +33,7 @@ class Scene:
     slave: MassDamper | None = None
     hand: Hand | None = None
     environment: Environment | tuple[Environment | None, ...] | None = None  # one: on the first axis
-    link: Link | None = None
+    link: LinkLike | None = None
     playout: Playout = Zero()
     observer: float | None = 200.0  # bandwidth L (1/s) of the human-force observer; None: a force sensor
     watchdog: Watchdog | None = None  # both ends
@@ -146,11 +55,11 @@ class Scene:
     knobs: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _shaped("master", self.master)
+        check_shape("master", self.master)
         self._check_ends()
         for name in ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical"):
             if getattr(self, name) is not None:
-                _shaped(name, getattr(self, name))
+                check_shape(name, getattr(self, name))
         if not isinstance(self.playout, Zero | Hold | Fixed):
             raise Refused(f"playout must be Zero(), Hold() or Fixed(...), not {self.playout!r}; "
                           "write for example playout=Fixed(0.1)")
@@ -160,7 +69,7 @@ class Scene:
         for each in self.environments:
             if each is not None and (
                     isinstance(each, type) or not (hasattr(each, "resistance") or hasattr(each, "path"))):
-                _shaped("environment", each)
+                check_shape("environment", each)
         if len(self.environments) != self.axes:
             raise Refused(f"environment names {len(self.environments)} axes, the scene has {self.axes}; "
                           "write None for an axis that touches nothing")
@@ -172,13 +81,13 @@ class Scene:
             if one_port and not hasattr(self.law, "slave"):
                 raise Refused(f"law {law_name(self.law)} is a one-port law, which renders by itself, and the scene has "
                               "a slave; take a law with two ends, for example law=Wave(), or leave the slave out")
-            _shaped("law", self.law)
-            _shaped("slave", self.slave)
+            check_shape("law", self.law)
+            check_shape("slave", self.slave)
             return
         if not one_port and all(hasattr(self.law, each) for each in SHAPES["law"][0]):
             raise Refused(f"law {law_name(self.law)} has two ends and the scene has no slave; write for example "
                           "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
-        _shaped("one-port law", self.law)
+        check_shape("one-port law", self.law)
         for name in ("link", "environment", "watchdog", "device_s"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
@@ -245,25 +154,6 @@ class Scene:
         forth, back = messages(self.law)
         return "u" in forth._fields and "w" in back._fields
 
-    def manifest(self) -> dict[str, str]:
-        """What both ends of a live run must agree on, as text: the first exchange compares it.
-
-        Every part of the scene, every knob, and what the files behind it hold: a scene or a law of the
-        user's own is compared by its source, a recorded motion by its content.
-        """
-        from teleop.protocol.manifest import manifest
-
-        return manifest(self)
-
-
-def _shaped(name: str, part: object) -> None:
-    """Refuse a part that lacks what the run will ask of it."""
-    asked, example = SHAPES[name]
-    if isinstance(part, type) or not all(hasattr(part, each) for each in asked):
-        got = f"the class {part.__name__}" if isinstance(part, type) else repr(part)
-        raise Refused(f"{name} must be something with {', '.join(asked)}, not {got}; "
-                      f"write for example {name}={example}")
-
 
 def both_ends(scene: Scene) -> Scene:
     """The scene, to be run by two processes. Refused if it has no slave: there is nothing to send to then."""
@@ -271,59 +161,3 @@ def both_ends(scene: Scene) -> Scene:
         raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
                       f"teleop run {scene.name}")
     return scene
-
-
-def load_scene(name: str, /, **knobs: object) -> Scene:
-    """The scene `name` (built in, of a plug-in, or a path ending in .py) with its knobs set.
-
-    `law` may be a law or a law's name; `law.FIELD` sets one of the law's own numbers; `x_limit` (m), beyond which a run
-    has diverged, is a knob of every scene, and so is `link`, which takes a link
-    or its text and replaces the scene's. Values may be texts, as on the command line. Raises `Refused`.
-
-    >>> load_scene("canonical", delay=0.1).name
-    'canonical'
-    """
-    from teleop.scene.library import scene_function
-
-    if not isinstance(name, str):
-        raise Refused(f"a scene is named by a text, not {name!r}; write for example load_scene('canonical')")
-    return made_by(scene_function(name), name, knobs)
-
-
-def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]) -> Scene:
-    """The scene that a scene's function makes with its knobs set, as `load_scene` does."""
-    from teleop.scene.knobs import settle
-
-    settled, of_scene = settle(name, function, knobs)
-    try:
-        scene = function(**settled)
-    except Refused as refused:
-        raise _as_typed(refused, name, {key: settled[key] for key in knobs if key in settled}) from None
-    except (Exception, SystemExit) as error:
-        why = f"{type(error).__name__}: {error}"
-        raise Refused(f"scene {name} stopped with {why}; mend it and run again") from error
-    if not isinstance(scene, Scene):
-        raise Refused(f"scene {name!r} returned {type(scene).__name__}; its function must return a teleop.Scene")
-    stem = name.rsplit("/", 1)[-1].removesuffix(".py")
-    shown = {key: shown for key, (shown, _) in of_scene.items()}
-    parts: dict[str, Any] = {key: part for key, (_, part) in of_scene.items()}
-    return _called(replace(scene, **parts) if parts else scene, stem, {**settled, **shown})
-
-
-def _called(scene: Scene, name: str, knobs: Mapping[str, object]) -> Scene:
-    """The same scene by a name; what was checked when it was made is not checked again."""
-    called = object.__new__(Scene)
-    called.__dict__.update(scene.__dict__, name=name, knobs=knobs)
-    return called
-
-
-def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:
-    """A part's refusal in the words of whoever set the knobs: the part may know a knob by another name."""
-    if isinstance(refused, WrongNumber) and given.get(refused.name) != refused.value:
-        same = [key for key, value in given.items() if type(value) in (int, float) and value == refused.value]
-        if len(same) == 1:
-            return refused.called(same[0])
-    said = str(refused).replace("=", " ").split()
-    if not given or any(key in said for key in given):
-        return refused
-    return Refused(f"{refused} (scene {name} with {', '.join(f'{key}={value}' for key, value in given.items())})")

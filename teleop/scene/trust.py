@@ -13,7 +13,8 @@ from types import UnionType
 from typing import get_args
 
 from teleop.errors import Refused
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 
 CURE = "if the folder and that file are your own, or you have read them, add --trust (from Python trust=True)"
 

@@ -7,7 +7,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.scene.scene import Environment, Reference, Scene
+from teleop.scene.parts import Environment, Reference
+from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
     from teleop.physics.plant import Force, MassDamper, Move, Plant

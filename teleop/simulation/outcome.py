@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from teleop.protocol.inbox import repeats
+from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.plan import Plan

@@ -6,7 +6,7 @@ from numbers import Integral
 from typing import TYPE_CHECKING, NamedTuple
 
 from teleop.errors import Refused
-from teleop.protocol.inbox import Fixed, Playout
+from teleop.scene.playout import Fixed, Playout
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.law import functions_of, reads
-from teleop.protocol.inbox import repeats
+from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.scene.library import scene_function
-from teleop.scene.scene import Scene, made_by
+from teleop.scene.loading import made_by
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.metrics import of_plan
 from teleop.simulation.tick import features

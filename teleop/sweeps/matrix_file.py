@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 
 from teleop.errors import Refused, nearest, number, whole_number
 from teleop.scene.library import ROOT
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.storage.files import read_bytes
 from teleop.sweeps.runner import prepare
 

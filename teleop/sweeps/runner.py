@@ -14,7 +14,8 @@ from threading import Event
 from typing import Any
 
 from teleop.errors import Refused, nearest
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import WHOLE, Done, Job, Measure, whole_runs, work
 from teleop.sweeps.grid import Grid, grid, listed, plain

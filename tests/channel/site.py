@@ -8,10 +8,11 @@ from typing import Any
 
 from channel.flow import Flow
 from channel.router import Router
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, encode
 from teleop.protocol.secure.dtls_record import records
 from teleop.protocol.secure.relayed import is_shown, shown
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from tests.channel.no_wire import NoWire
 
 MS = 1_000_000
@@ -68,7 +69,8 @@ class Site:
     def session(self, number: int) -> Callable[..., bytes]:
         """Packets of a session, by kind."""
         def packet(kind: Kind, seq: int = 0) -> bytes:
-            payload: Any = (1.0,) if kind in (Kind.FORTH, Kind.BACK) else 0 if kind is Kind.START else SCENE.manifest()
+            payload: Any = 0 if kind is Kind.START else manifest_of(SCENE)
+            payload = (1.0,) if kind in (Kind.FORTH, Kind.BACK) else payload
             payload = "it is over" if kind in (Kind.BYE, Kind.REFUSE) else payload
             return encode(Packet(kind, number, seq, 0, Echo(0, 0), payload))
         return packet

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, decode
 from teleop.protocol.session import Session
 from tests.channel.site import MASTER, SCENE, SLAVE, Site, sealed
@@ -46,8 +47,8 @@ def test_what_is_sealed_passes_a_channel_that_reaches_beyond_this_machine() -> N
 def test_both_ends_are_told_by_a_channel_that_was_asked_to_carry_their_link_in_the_open() -> None:
     """By an entry in each other's manifest, that tells and is not compared; the exchange goes on with it."""
     site = Site(beyond=ANY, insecure=True)
-    ends = {True: Session(master=True, manifest=SCENE.manifest(), number=7),
-            False: Session(master=False, manifest=SCENE.manifest())}
+    ends = {True: Session(master=True, manifest=manifest_of(SCENE), number=7),
+            False: Session(master=False, manifest=manifest_of(SCENE))}
     assert not any(end.in_the_open for end in ends.values())
     waiting = [(True, data) for data in ends[True].due(site.now)]
     while waiting:

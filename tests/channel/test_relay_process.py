@@ -16,13 +16,14 @@ from typing import Any
 import pytest
 
 from channel.link import parse_link
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene.library import ROOT
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live
-MANIFEST = load_scene("canonical").manifest()
+MANIFEST = manifest_of(load_scene("canonical"))
 Words = tuple[str, ...]
 
 

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from teleop.protocol.manifest import manifest_of
+
 TARGETS = ("decode", "session", "line")
 MS = 1_000_000
 
@@ -68,7 +70,7 @@ def of_session() -> Callable[[bytes], None]:
     from tests.fuzz.running import CAP, fuzzed
 
     scene = fuzzed(1000)
-    manifest, still = scene.manifest(), Reading((0.0,), (0.0,), (0.0,))
+    manifest, still = manifest_of(scene), Reading((0.0,), (0.0,), (0.0,))
 
     def fresh(e: str, running: bool) -> Session:
         return Session(master=e == "m", manifest=manifest, number=7 if e == "m" or running else None)

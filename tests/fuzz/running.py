@@ -20,9 +20,11 @@ from channel.link import parse_link
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import DATA, Kind, Packet, Rejection, decode
 from teleop.protocol.session import Session
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.stages.safety import Cap, Watchdog
 from tests.fuzz.datagrams import Hostile, View, is_lost, keep
 
@@ -53,7 +55,7 @@ class Running:
         fire: Shots = lambda _: (), early: bool = False,
     ) -> None:
         self.scene, self.lines, self.at, self.fire, self.early = scene, lines or {}, at, fire, early
-        told = scene.manifest()
+        told = manifest_of(scene)
         sessions = {"m": Session(master=True, manifest=told, number=number), "s": Session(master=False, manifest=told)}
         self.ends = {e: Endpoint(scene, e, sessions[e]) for e in "ms"}
         self.devices: dict[str, Any] = {"m": SimulatedMaster(scene), "s": SimulatedSlave(scene)}
@@ -198,7 +200,7 @@ def foreign() -> list[bytes]:
     """All that two other sessions said, one of them refused."""
     run = Running(fuzzed(150), 424_242).run()
     refused = Session(master=False, manifest={"scene": "another"})
-    master = Session(master=True, manifest=run.scene.manifest(), number=99)
+    master = Session(master=True, manifest=manifest_of(run.scene), number=99)
     hello = master.due(0)[0]
     packet = decode(hello, 0)
     assert isinstance(packet, Packet)

@@ -19,7 +19,7 @@ from hypothesis.stateful import (
 )
 
 from teleop.protocol.endpoint import Endpoint
-from teleop.protocol.manifest import EVERY
+from teleop.protocol.manifest import EVERY, manifest_of
 from teleop.protocol.packet import (
     DATA,
     MOST_CONTROL,
@@ -36,7 +36,7 @@ from teleop.protocol.session import MOST_WELCOMED, RENEW_NS, Session
 from tests.fuzz.datagrams import BODIES, MANIFESTS, NUMBERS, ODD, framed, packed, sealed
 from tests.fuzz.running import fuzzed
 
-MANIFEST = fuzzed(100).manifest()
+MANIFEST = manifest_of(fuzzed(100))
 OTHER = {**MANIFEST, "law": "another"}
 times = st.one_of(st.integers(-(2**63), 2**63 - 1), st.sampled_from([n for n in NUMBERS if -(2**63) <= n < 2**63]))
 texts = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")).filter(str.isprintable), max_size=30)

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import DATA, Kind, Packet, decode, encode
 from teleop.protocol.secure.dtls_record import Dropped
 from teleop.protocol.session import MOST_WELCOMED, Session
@@ -154,7 +155,7 @@ def test_an_end_that_waits_for_the_other_answers_no_more_than_it_is_asked(
 ) -> None:
     """Where there are no keys anybody may ask a slave; a master answers only who knows the number of its session."""
     scene = fuzzed(1000)
-    session = Session(master=e == "m", manifest=scene.manifest(), number=7 if e == "m" else None)
+    session = Session(master=e == "m", manifest=manifest_of(scene), number=7 if e == "m" else None)
     end = Endpoint(scene, e, session)
     hostile = Hostile(random.Random(9), View(10**6, end.hears, end._width), others, [])
     fire, words, answers = Fire(ticks), 0, 0
@@ -164,7 +165,7 @@ def test_an_end_that_waits_for_the_other_answers_no_more_than_it_is_asked(
         for _ in range(EACH):
             name, data = hostile.shot()
             if hostile.dice.random() < 0.2:
-                asks = Packet(Kind.HELLO, hostile.dice.getrandbits(64), 0, now, None, scene.manifest())
+                asks = Packet(Kind.HELLO, hostile.dice.getrandbits(64), 0, now, None, manifest_of(scene))
                 name, data = "asking", encode(asks, hostile.dice.choice((None, 1200)))
             fire.counts[name] += 1
             packet = decode(data, end._width)

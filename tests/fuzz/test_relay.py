@@ -18,6 +18,7 @@ import pytest
 
 from channel.link import parse_link
 from channel.router import Router
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, encode, peek
 from tests.channel.no_wire import NoWire
 from tests.fuzz.datagrams import Hostile, View
@@ -58,7 +59,7 @@ def relayed(ticks: int, fire: Fire | None, others: list[bytes]) -> Relayed:
             router.from_far(None, data, sender, now)
 
     for kind in (Kind.HELLO, Kind.WELCOME, Kind.START, Kind.START):
-        payload: Any = 0 if kind is Kind.START else scene.manifest()
+        payload: Any = 0 if kind is Kind.START else manifest_of(scene)
         direction = int(kind is Kind.WELCOME or router.counts(0).received == 2)
         take(direction, encode(Packet(kind, NUMBER, 0, 0, None, payload)), AT["ms"[direction]], 0)
     for k in range(ticks + 100):

@@ -27,6 +27,7 @@ from teleop.live.records.record import Recorder
 from teleop.live.records.summary import WAYS, write_end
 from teleop.live.shell import Shell
 from teleop.protocol.endpoint import Endpoint, Stepped
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.library import ROOT
 from teleop.scene.scene import Scene
@@ -40,7 +41,7 @@ def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | No
     """A shell as the command line makes it; with a `seed` it is stepped."""
     inbox = None if seed is None else Stepped(link_plans(scene, seed)[0 if e == "s" else 1])
     number = 99 if e == "m" else None
-    session = Session(master=e == "m", manifest=scene.manifest(), number=number, heals=seed is None)
+    session = Session(master=e == "m", manifest=manifest_of(scene), number=number, heals=seed is None)
     folder.mkdir(parents=True)
     device = other.pop("device", DEVICES[e](scene))
     parts = {"say": lambda _numbers: None, "patience": PATIENCE, "interrupt": Interrupt(), **other}

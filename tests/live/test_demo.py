@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from teleop.live.demo import demo
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import load_result
 from teleop.simulation.virtual import run
 from tests.waiting import until

@@ -23,7 +23,7 @@ from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.record import EVERY, FILE, read_noted, read_record
 from teleop.live.records.summary import WAYS
 from teleop.scene.library import ROOT
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import load_result
 from tests.live.conftest import share_received
 from tests.waiting import PATIENCE, until

@@ -19,7 +19,7 @@ from teleop.live.leaving import RETRY_NS, UNRELEASED
 from teleop.live.records.merge import merge
 from teleop.live.records.record import read_record
 from teleop.protocol.endpoint import Endpoint, Reading
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
 
 pytestmark = pytest.mark.live

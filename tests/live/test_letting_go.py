@@ -19,7 +19,7 @@ from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.record import read_events
 from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Reading
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.stages.safety import Cap, Watchdog
 

@@ -12,7 +12,7 @@ import pytest
 
 from teleop.live.records.record import Recorder
 from teleop.protocol.guard import Event
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.tick import columns
 
 TICKS = 1_800_000

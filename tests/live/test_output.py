@@ -19,9 +19,10 @@ from typing import Any
 import pytest
 
 from teleop.live.process.output import END_S, Output
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene.library import ROOT
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
 from tests.waiting import PATIENCE
 
@@ -223,7 +224,7 @@ def free_port() -> int:
 
 
 def hello(number: int, **knobs: Any) -> bytes:
-    manifest = {**load_scene("canonical", **knobs).manifest(), "mode": "live"}
+    manifest = {**manifest_of(load_scene("canonical", **knobs)), "mode": "live"}
     return encode(Packet(Kind.HELLO, number, 0, 0, None, manifest), 2000)
 
 

@@ -24,7 +24,8 @@ from teleop.live.records.record import (
 )
 from teleop.live.records.summary import NAMES, WAYS
 from teleop.protocol.guard import Event
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.tick import columns
 from teleop.simulation.trace import EndRecord
 from teleop.terminal.run_table import table

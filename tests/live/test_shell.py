@@ -22,7 +22,7 @@ from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS, FILE, read_record
 from teleop.protocol.packet import DATA, Kind, peek
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.stages.safety import Watchdog
 
 pytestmark = pytest.mark.live

@@ -28,9 +28,9 @@ from teleop.live.net.wire import Wire
 from teleop.live.records.merge import merge
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
-from teleop.protocol.inbox import Fixed
-from teleop.protocol.inbox import Hold as HoldLast
 from teleop.protocol.packet import Kind, peek
+from teleop.scene.playout import Fixed
+from teleop.scene.playout import Hold as HoldLast
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 from teleop.stages.device import Device, Encoder

@@ -20,7 +20,7 @@ from teleop.live.records.merge import merge, needs_recovery
 from teleop.live.records.record import FILE, Recorder
 from teleop.live.records.summary import NAMES
 from teleop.protocol.guard import Event
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING
 from teleop.simulation.tick import columns
 from teleop.storage.folder import is_being_written

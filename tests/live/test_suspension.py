@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from teleop.live.process.suspension import LEAST_NS, Suspension, boottime
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.stages.safety import Watchdog
 
 S = 1_000_000_000

@@ -16,10 +16,11 @@ from master.hand import Grip, Reach, Rest, Sine
 from teleop import load_scene
 from teleop.errors import Refused
 from teleop.law import Law
-from teleop.protocol.inbox import Zero
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import built_in_scenes, scene_function
-from teleop.scene.scene import Playout, Reference, Scene
+from teleop.scene.parts import Reference
+from teleop.scene.playout import Playout, Zero
+from teleop.scene.scene import Scene
 
 Dice = np.random.Generator
 RECORDINGS = 6  # of either kind

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law import law_name
-from teleop.protocol.inbox import Fixed
+from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.source import beginnings, compiled, specialise

@@ -13,7 +13,7 @@ def passivity(name: str, knobs: Mapping[str, object], *, seed: int = 0, span: st
     With `out` or `plot` summary.json and curves.npz go into a new folder, with `plot` passivity.png too.
     """
     from teleop.analysis.passivity.report import ask, summary, table, write
-    from teleop.scene.scene import load_scene
+    from teleop.scene.loading import load_scene
     from teleop.storage.folder import new_folder
 
     scene = load_scene(name, **knobs)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.models.linear import link_ticks
 from teleop.errors import Refused
-from teleop.protocol.inbox import Fixed
+from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:

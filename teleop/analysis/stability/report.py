@@ -33,7 +33,7 @@ class Answer(NamedTuple):
 def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
         knob: str | None = None, span: str | None = None, tol: str | None = None) -> Answer:
     """Load the scene and answer; the texts `span` (LOW:HIGH) and `tol` as they were typed. Raises `Refused`."""
-    from teleop.scene.scene import load_scene
+    from teleop.scene.loading import load_scene
 
     if knob is None and (span is not None or tol is not None):
         raise Refused("--range and --tol are for a critical value; name its knob with --critical KNOB")

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from teleop.analysis.models.rest import WINDOWS, Swing, settled
-from teleop.scene.scene import Reference, Scene
+from teleop.scene.parts import Reference
+from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
     from teleop.simulation.result import Result

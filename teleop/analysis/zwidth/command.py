@@ -25,7 +25,7 @@ def carry_out(name: str, knobs: Mapping[str, object], *, range_k: str | None, ra
     """
     from teleop.analysis.zwidth.assess import assess, span
     from teleop.analysis.zwidth.report import write
-    from teleop.scene.scene import load_scene
+    from teleop.scene.loading import load_scene
     from teleop.storage.folder import new_folder
     from teleop.terminal.progress import Progress
 

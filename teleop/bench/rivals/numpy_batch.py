@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 from teleop.bench.rivals.numpy_wall import located, stepped
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, parts, stiffnesses
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 
 LOCATED_ROWS, LOCATED_SECONDS = 16_000, 2.0
 STEPPED_ROWS, STEPPED_SECONDS = 2_000, 0.1

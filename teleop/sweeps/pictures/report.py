@@ -175,7 +175,7 @@ def check_run(at: Path, wish: Wish) -> None:
 
 def limits_of(scene: str, knobs: Mapping[str, Any], turned: Sequence[str]) -> dict[str, float]:
     """What every row of a sweep runs for (s) and may not pass (m), as its first row has it; without what is turned."""
-    from teleop.scene.scene import load_scene
+    from teleop.scene.loading import load_scene
 
     made = load_scene(scene, **knobs)
     return {key: getattr(made, key) for key in ("duration", "x_limit") if key not in turned}

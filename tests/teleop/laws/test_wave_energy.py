@@ -19,8 +19,9 @@ from master.hand import Grip, Sine
 from slave.wall import Wall
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.inbox import Fixed, Hold, Zero
-from teleop.scene.scene import Link, Playout, Scene
+from teleop.scene.parts import LinkLike
+from teleop.scene.playout import Fixed, Hold, Playout, Zero
+from teleop.scene.scene import Scene
 from teleop.simulation.plan import plan
 from teleop.simulation.virtual import run
 
@@ -33,7 +34,7 @@ def spread(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(0.0, 1.0).map(lambda part: low * (high / low) ** part)
 
 
-def scene(law: Wave, link: Link | None, playout: Playout = NO_REPEATS, **other: float) -> Scene:
+def scene(law: Wave, link: LinkLike | None, playout: Playout = NO_REPEATS, **other: float) -> Scene:
     """A hand that swings a master, and a slave that strikes a wall."""
     knobs = {"m_m": 0.1, "m_s": 0.5, "k_h": 200.0, "k_e": 5000.0, "wall": 0.01, "rate": 2.0, "duration": 0.8} | other
     return Scene(
@@ -84,7 +85,7 @@ def test_holding_the_last_wave_makes_energy_in_the_whole_scene() -> None:
     assert not zero.notes
 
 
-def stored(link: Link, wave: Sequence[float], playout: Playout, seed: int) -> float:
+def stored(link: LinkLike, wave: Sequence[float], playout: Playout, seed: int) -> float:
     """The smallest energy stored in one direction of a link at 1 kHz, into which `wave` is sent."""
     u, count = np.asarray(wave), len(wave)
     arrived = link.arrivals(0, count, MS, seed, 100)
@@ -101,7 +102,7 @@ TWO_TONES = [0.5 * (np.sin(2.0 * pi * 5.0 * t) + np.sin(2.0 * pi * 6.0 * t)) for
 @pytest.mark.parametrize("link", [
     Delay(0.05) | Bernoulli(0.1), Delay(0.05) | UniformJitter(0.02) | Bernoulli(0.1)
 ], ids=["loss", "loss and jitter"])
-def test_zero_for_a_lost_wave_is_passive_and_holding_the_last_one_is_not(link: Link) -> None:
+def test_zero_for_a_lost_wave_is_passive_and_holding_the_last_one_is_not(link: LinkLike) -> None:
     """Known numbers: 10 % loss, 50 ms, a two-tone wave at 1 kHz, 20 s; its signs."""
     held = [stored(link, TWO_TONES, Hold(), seed) for seed in range(8)]
     assert min(held) < 0.0

@@ -12,7 +12,7 @@ from teleop import load_scene, run
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.protocol.inbox import Fixed, Hold, Playout, Zero
+from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.source import loop_text
 from teleop.stages.safety import Watchdog

@@ -22,10 +22,12 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.guard import UNNAMED
-from teleop.protocol.inbox import Fixed, Hold, Zero
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import VERSION, Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import Session
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.playout import Fixed, Hold, Zero
+from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, assemble
@@ -42,7 +44,7 @@ def met(scene: Scene) -> dict[str, Endpoint]:
     """Two ends that have agreed to start at START."""
     ends = {}
     for e in "ms":
-        session = Session(master=e == "m", manifest=scene.manifest(), number=7)
+        session = Session(master=e == "m", manifest=manifest_of(scene), number=7)
         session.begin(START, START)
         session.data_came(START)
         ends[e] = Endpoint(scene, e, session)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from teleop.laws.direct import Direct
 from teleop.protocol.estimates import FEWEST, MOST_RTT_NS, LinkEstimates, PeerClock, Times
-from teleop.protocol.inbox import Fixed, Zero
+from teleop.scene.playout import Fixed, Zero
 from teleop.scene.scene import Scene
 from tests.teleop.protocol.virtual_clock import MS, Clock, S, World, healing
 

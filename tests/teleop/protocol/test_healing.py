@@ -15,8 +15,8 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.protocol.deadline import DEADLINE, LAPSING
 from teleop.protocol.guard import Event
-from teleop.protocol.inbox import Fixed
 from teleop.protocol.packet import Echo, Kind, Packet, encode
+from teleop.scene.playout import Fixed
 from teleop.simulation.tick import columns
 from teleop.stages.device import Device, Encoder
 from teleop.stages.safety import Cap, Watchdog

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.protocol.manifest import manifest_difference
+from teleop.protocol.manifest import manifest_difference, manifest_of
 from teleop.protocol.packet import one_line
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 
 
 def test_equal_manifests_do_not_differ() -> None:
@@ -58,7 +58,7 @@ def test_what_follows_from_another_is_not_counted(
     def told(typed: dict[str, str]) -> dict[str, str]:
         of_run = {key: typed[key] for key in typed if key in ("mode", "seed")}
         knobs = {key: value for key, value in typed.items() if key not in (*of_run, "scene")}
-        return {**load_scene(typed.get("scene", "hard_wall"), **knobs).manifest(), **of_run}
+        return {**manifest_of(load_scene(typed.get("scene", "hard_wall"), **knobs)), **of_run}
 
     sentence = manifest_difference(told(here), told(there))
     assert sentence is not None

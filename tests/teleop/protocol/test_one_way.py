@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from teleop.protocol.inbox import Fixed, Zero
 from teleop.protocol.packet import Kind, peek
+from teleop.scene.playout import Fixed, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.safety import Watchdog
 from tests.teleop.protocol.test_healing import LAWS, PATIENT, alike, check, running

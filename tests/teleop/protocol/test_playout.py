@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from teleop.errors import Refused
-from teleop.protocol.inbox import Fixed, Hold, Inbox, Playout, Zero, repeats
+from teleop.protocol.inbox import Inbox
+from teleop.scene.playout import Fixed, Hold, Playout, Zero, repeats
 from teleop.simulation.plan import Plan, plan
 
 MS = 1_000_000

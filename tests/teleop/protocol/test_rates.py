@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
-from teleop.protocol.inbox import Fixed, Hold, Inbox, Playout, Zero
+from teleop.protocol.inbox import Inbox
 from teleop.protocol.rates import Heard, Resampling
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.simulation.tick import columns
 from teleop.simulation.virtual import run
 from tests.teleop.protocol.virtual_clock import MS, World, healing

@@ -11,8 +11,8 @@ from slave.robot import SimulatedSlave
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.protocol.endpoint import Endpoint
-from teleop.protocol.inbox import Fixed, Hold, Zero
 from teleop.protocol.packet import Echo, Packet, decode, encode
+from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.safety import Watchdog
 from tests.teleop.protocol.test_endpoint import MS, START, met, scene

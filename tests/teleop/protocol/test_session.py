@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference
+from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference, manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import AGAIN_NS, AHEAD_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 
 MS = 1_000_000
 MANIFEST = {"wire version": "1", "scene": "canonical", "law": "wave Wave(b=2.0)", "k_e": "5000.0", "dt": "0.001"}
@@ -186,13 +186,13 @@ def test_a_start_that_comes_twice_moves_nothing() -> None:
 
 def manifests() -> list[tuple[str, dict[str, str]]]:
     """Every entry of a real manifest, changed."""
-    real = load_scene("hard_wall").manifest()
+    real = manifest_of(load_scene("hard_wall"))
     return [(name, {**real, name: real[name] + "1"}) for name in real]
 
 
 @pytest.mark.parametrize(("name", "other"), manifests())
 def test_ends_that_differ_both_stop_with_a_sentence_that_names_it(name: str, other: dict[str, str]) -> None:
-    mine = load_scene("hard_wall").manifest()
+    mine = manifest_of(load_scene("hard_wall"))
     talk = Talk(Session(master=True, manifest=mine, number=7), Session(master=False, manifest=other))
     talk.run(1000 * MS)
     assert (talk.master.start_ns, talk.slave.start_ns) == (None, None)
@@ -396,7 +396,7 @@ def test_scenes_of_the_same_name_that_differ_anywhere_do_not_run_together(tmp_pa
         path = tmp_path / folder / "mine.py"
         path.parent.mkdir()
         path.write_text(MINE.replace("SIGN", sign).replace("MASS", mass))
-        return load_scene(str(path)).manifest()
+        return manifest_of(load_scene(str(path)))
 
     one = manifest("one")
     assert manifest_difference(one, manifest("copy")) is None
@@ -414,7 +414,7 @@ def test_a_recorded_motion_may_lie_elsewhere_but_not_differ(tmp_path: Path) -> N
         path = tmp_path / folder / "motion.csv"
         path.parent.mkdir()
         path.write_text(f"t,x,y,z\n0,0,0,0\n1,{reach},0,0\n")
-        manifests.append(load_scene("recorded_reach", motion=str(path)).manifest())
+        manifests.append(manifest_of(load_scene("recorded_reach", motion=str(path))))
     assert manifest_difference(manifests[0], manifests[1]) is None
     told = manifest_difference(manifests[0], manifests[2])
     assert told is not None

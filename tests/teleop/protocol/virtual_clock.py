@@ -17,9 +17,11 @@ from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.laws.wave import Wave
 from teleop.protocol.endpoint import Endpoint, Reading
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, peek
 from teleop.protocol.session import Session
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.stages.safety import Cap, Watchdog
 
 S, MS = 1_000_000_000, 1_000_000
@@ -199,7 +201,7 @@ class World:
         """Start end `e` anew: another process that remembers nothing."""
         self.kill(e)
         number = self.dice.getrandbits(64) if e == "m" else None
-        session = Session(master=e == "m", manifest=(scene or self.scene).manifest(), number=number,
+        session = Session(master=e == "m", manifest=manifest_of(scene or self.scene), number=number,
                           every=self.every[e])
         end = Endpoint(scene or self.scene, e, session)
         if not self.still:

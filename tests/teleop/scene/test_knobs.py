@@ -17,9 +17,9 @@ from teleop.errors import number
 from teleop.law import Law, OnePortLaw
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.protocol.inbox import Fixed, Hold, Zero
 from teleop.scene.knobs import _found_in_link, knobs_of, read, settle
-from teleop.scene.scene import Playout, Vector
+from teleop.scene.parts import Vector
+from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.stages.device import VelocityEstimator
 from teleop.stages.velocity.low_pass import LowPass
 
@@ -91,7 +91,7 @@ class TestOfALinkThatIsReplaced:
     def test_that_feed_more_than_the_link_are_taken(self, tmp_path: Path) -> None:
         (tmp_path / "mine.py").write_text(
             "from teleop import load_scene\nfrom dataclasses import replace\nfrom channel.delay import Delay\n"
-            "from teleop.protocol.inbox import Fixed\n"
+            "from teleop.scene.playout import Fixed\n"
             "def scene(*, delay: float = 0.1, other: float = 1.0):\n"
             "    made = load_scene('free_motion')\n"
             "    return replace(made, link=Delay(delay), playout=Fixed(2 * delay))\n")

@@ -18,7 +18,7 @@ from teleop import Refused, Scene, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.manifest import fingerprint
+from teleop.protocol.manifest import fingerprint, manifest_of
 from teleop.scene.scene import MOST_TICKS
 
 BODY = MassDamper(mass=1.0, damping=1.0)
@@ -123,17 +123,17 @@ class TestManifest:
         (replace(BASE, start_m=0.1), "start_m"), (replace(BASE, name="other"), "scene"),
     ])
     def test_differs_where_the_scenes_differ_and_nowhere_else(self, other: Scene, key: str) -> None:
-        mine, theirs = self.BASE.manifest(), other.manifest()
+        mine, theirs = manifest_of(self.BASE), manifest_of(other)
         apart = {name for name in mine if mine[name] != theirs[name]}
         assert apart - {"link"} == {key}  # a knob of the link shows there too
         assert ("link" in apart) == (key == "delay")
 
     def test_of_another_link_differs_in_the_link(self) -> None:
-        mine, theirs = (load_scene("canonical", link=f"delay({d})").manifest() for d in (0.1, 0.2))
+        mine, theirs = (manifest_of(load_scene("canonical", link=f"delay({d})")) for d in (0.1, 0.2))
         assert {name for name in mine if mine[name] != theirs[name]} == {"link"}
 
     def test_of_the_same_scene_is_the_same_text(self) -> None:
-        assert load_scene("canonical", delay="0.05").manifest() == self.BASE.manifest()
+        assert manifest_of(load_scene("canonical", delay="0.05")) == manifest_of(self.BASE)
 
     def test_tells_files_apart_by_what_is_in_them_not_by_where_they_lie(self, tmp_path: Path) -> None:
         for folder, text in (("a", "1"), ("b", "1"), ("c", "2")):

@@ -33,7 +33,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.inbox import Fixed, Hold, Zero
+from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run

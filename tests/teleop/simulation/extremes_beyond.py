@@ -31,7 +31,7 @@ from teleop.laws.virtual_wall import VirtualWall
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
-from teleop.protocol.inbox import Hold, Zero
+from teleop.scene.playout import Hold, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.device import Device, Encoder
 from teleop.stages.passivity_controller import PassivityController

@@ -18,8 +18,9 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.inbox import Fixed, Hold
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.playout import Fixed, Hold
+from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 
 DT, B = 1e-3, 2.0

@@ -20,7 +20,7 @@ from slave.wall import Wall
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.inbox import repeats
+from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
 from teleop.simulation.result import Result, load_result
 from teleop.simulation.virtual import run

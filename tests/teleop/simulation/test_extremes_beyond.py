@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from teleop.physics.sdirk import MOST_SUBSTEPS
-from teleop.protocol.inbox import repeats
+from teleop.scene.playout import repeats
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from tests.teleop.simulation.extremes import Case, failing, tried

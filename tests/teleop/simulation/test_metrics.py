@@ -10,7 +10,8 @@ import pytest
 
 from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.metrics import MEANING, UNITS, metrics
 from teleop.simulation.virtual import run
 

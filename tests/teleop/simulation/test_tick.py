@@ -23,7 +23,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper, grip_force, move_free, move_gripped
-from teleop.protocol.inbox import Fixed, Hold
+from teleop.scene.playout import Fixed, Hold
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import master_plant, reference_samples, slave_plants
 from teleop.simulation.plan import link_plans

@@ -22,7 +22,8 @@ from teleop.law import At
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 
 ROUGH = Delay(0.02) | UniformJitter(0.02) | Bernoulli(0.2)

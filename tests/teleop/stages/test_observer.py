@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.source import beginnings, compiled, live_text
 from teleop.simulation.tick import columns
 from teleop.stages.observer import coefficients, observe

@@ -15,7 +15,7 @@ from channel.blackout import Blackout
 from channel.delay import Delay
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.stages.safety import Cap, Watchdog, cap, watch
 

@@ -20,8 +20,8 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.inbox import Fixed
-from teleop.protocol.inbox import Hold as Repeat
+from teleop.scene.playout import Fixed
+from teleop.scene.playout import Hold as Repeat
 from teleop.stages.safety import Cap, Watchdog
 
 

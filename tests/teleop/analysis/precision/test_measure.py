@@ -29,7 +29,8 @@ from teleop.analysis.precision.report import summary, table
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.virtual import run
 

@@ -21,7 +21,8 @@ from teleop.analysis.zwidth.assess import ZWidth, assess, span
 from teleop.analysis.zwidth.plane import Span
 from teleop.analysis.zwidth.report import numbers, ratios, said, summary, table, write
 from teleop.errors import Refused
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 
 Typed = Callable[..., Any]
 LEVERS = ["as it is", "damping x2", "encoder", "rate x2", "velocity filter", "virtual coupling",

@@ -11,7 +11,8 @@ from teleop.analysis.models.rest import Swing, settled
 from teleop.analysis.zwidth.measured import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.plane import boundary, loop
 from teleop.errors import Refused
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 
 
 @pytest.mark.parametrize("knobs", [{}, {"delay": 2}, {"every": 5}])

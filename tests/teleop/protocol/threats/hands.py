@@ -9,8 +9,9 @@ import numpy as np
 
 from channel.link import parse_link
 from teleop.protocol.endpoint import Endpoint, Reading
-from teleop.protocol.inbox import Fixed, Hold, Playout, Zero
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, Payload, encode
+from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.tick import columns
 from teleop.stages.safety import Watchdog
@@ -19,7 +20,7 @@ from tests.teleop.protocol.test_endpoint import MS, START, Both, scene
 OURS, OTHER = 7, 700  # session numbers
 LINK = parse_link("delay(0.01)")
 WATCHED = scene(link=LINK, watchdog=Watchdog(timeout=0.05, ramp=0.02))
-MANIFEST = WATCHED.manifest()
+MANIFEST = manifest_of(WATCHED)
 STILL = Reading((0.0,), (0.0,), (0.0,))
 PLAYOUTS: list[Playout] = [Zero(), Hold(), Fixed(0.02)]
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from teleop.protocol.endpoint import Endpoint
-from teleop.protocol.inbox import Fixed, Playout, Zero
+from teleop.scene.playout import Fixed, Playout, Zero
 from tests.teleop.protocol.threats.hands import (
     OTHER,
     TAKEOVER,

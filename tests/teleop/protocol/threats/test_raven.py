@@ -17,8 +17,9 @@ from itertools import pairwise
 import pytest
 
 from teleop.protocol.endpoint import Endpoint, Stepped
-from teleop.protocol.inbox import Fixed, Playout
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, decode
+from teleop.scene.playout import Fixed, Playout
 from tests.teleop.protocol.test_endpoint import START, Both, met
 from tests.teleop.protocol.threats.hands import (
     MS,
@@ -115,7 +116,7 @@ def test_raven_no_reset_of_the_sequence_makes_old_numbers_fresh_again(playout: P
     end = met(kept)["s"]
     before = ticks(end, range(1, 101), lambda k: [data(k - 1)])
     replies = [
-        reply for kind, payload in ((Kind.HELLO, kept.manifest()), (Kind.START, at(101)), (Kind.START, 0))
+        reply for kind, payload in ((Kind.HELLO, manifest_of(kept)), (Kind.START, at(101)), (Kind.START, 0))
         for reply in end.receive(control(kind, payload, session), at(101))
     ]
     kinds = [packet.kind for reply in replies if isinstance(packet := decode(reply, 1), Packet)]

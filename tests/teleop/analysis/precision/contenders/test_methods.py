@@ -16,7 +16,7 @@ from teleop.analysis.precision.contenders.methods import METHODS, Method, Touch
 from teleop.errors import Refused
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.virtual import run
 

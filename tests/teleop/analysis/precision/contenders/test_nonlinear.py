@@ -29,7 +29,8 @@ from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping, relaxing
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, resistance_force
-from teleop.scene.scene import Scene, load_scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 from tests.teleop.analysis.precision.test_measure import strike
 

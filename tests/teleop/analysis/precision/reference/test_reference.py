@@ -16,7 +16,7 @@ from teleop.physics.contact import wall
 from teleop.physics.implicit import implicit_plant
 from teleop.physics.plant import MassDamper, spring_damper
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL
-from teleop.scene.scene import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 
 both = pytest.mark.parametrize("solver", ["DOP853", "Radau"])

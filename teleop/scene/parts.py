@@ -1,0 +1,115 @@
+"""The parts of a scene as protocols: the methods and numbers that a run uses. A part needs no base class."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+from teleop.errors import Refused
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from teleop.physics.implicit import Resistance
+    from teleop.physics.plant import MassDamper, Plant
+
+SHAPES = {  # of each part of a scene: the attributes that a run uses, and an example
+    "law": (("master_start", "master", "slave_start", "slave"), "Wave()"),
+    "one-port law": (("start", "force"), "VirtualWall(K=500.0)"),
+    "master": (("mass", "damping"), "MassDamper(mass=0.1)"),
+    "slave": (("mass", "damping"), "MassDamper(mass=0.5)"),
+    "hand": (("mass", "k", "d", "reference"), "Grip(mass=0.4, k=200.0, d=5.0, reference=Rest())"),
+    "environment": (("plant",), "Wall(k=1e3)"),
+    "link": (("arrivals",), "Delay(0.05)"),
+    "watchdog": (("limits",), "Watchdog(timeout=0.1)"),
+    "cap": (("limits",), "Cap(f_max=20.0)"),
+    "device_m": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
+    "device_s": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
+    "passivity": (("limits",), "PassivityController(cap=0.8)"),
+    "electrical": (("b", "cutoff"), "ElectricalDamping(b=1.0, cutoff=10.0)"),
+}
+
+
+class Reference(Protocol):
+    """The motion that a hand follows, or that carries an environment along."""
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[Sequence[float], ...]:
+        """For each axis the position (m) at the ticks 0 .. count-1."""
+        ...
+
+
+class Hand(Protocol):
+    """A grip: the mass, stiffness and damping between the master and a moving reference."""
+
+    @property
+    def mass(self) -> float: ...
+    @property
+    def k(self) -> float: ...
+    @property
+    def d(self) -> float: ...
+    @property
+    def reference(self) -> Reference: ...
+
+
+class Exact(Protocol):
+    """An environment of the slave, in one axis, in which the motion of a body has a closed form.
+
+    If the plant has an inner state, the environment has `inner = True`.
+    """
+
+    def plant(self, body: MassDamper, dt: float) -> Plant:
+        """The exact step of `body` in this environment."""
+        ...
+
+
+class Integrated(Protocol):
+    """An environment in which the motion of a body is integrated: it has no closed form, or the body has friction.
+
+    See `teleop.physics.implicit`.
+    """
+
+    def resistance(self) -> Resistance:
+        """The force that a body meets in this environment, as coefficients."""
+        ...
+
+
+class Moved(Protocol):
+    """Another environment that is carried along a path."""
+
+    @property
+    def environment(self) -> Exact | Integrated: ...
+    @property
+    def path(self) -> Reference: ...
+
+
+Environment = Exact | Integrated | Moved
+
+
+class ArrivalsLike(Protocol):
+    """The packets that arrive in one direction of a link, sorted by time."""
+
+    @property
+    def packet(self) -> NDArray[np.int64]: ...
+    @property
+    def time_ns(self) -> NDArray[np.int64]: ...
+
+
+class LinkLike(Protocol):
+    """A link between the ends: direction 0 is forward (master to slave), 1 is backward."""
+
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> ArrivalsLike:
+        """The arrivals of packets 0 .. count-1, sent at the ticks: packet numbers and times in ns."""
+        ...
+
+
+Vector = float | tuple[float, ...]
+
+
+def check_shape(name: str, part: object) -> None:
+    """Refuse a part that lacks an attribute which a run uses."""
+    asked, example = SHAPES[name]
+    if isinstance(part, type) or not all(hasattr(part, each) for each in asked):
+        got = f"the class {part.__name__}" if isinstance(part, type) else repr(part)
+        raise Refused(f"{name} must be something with {', '.join(asked)}, not {got}; "
+                      f"write for example {name}={example}")
