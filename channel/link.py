@@ -16,8 +16,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from channel.effect import Chain, Effect
 from channel.schedule import Arrivals, Stream, arrivals
 from teleop.errors import Refused
-from teleop.naming import known
-from teleop.written import Kind
+from teleop.naming import PartKind, known
 
 EFFECTS = {
     "bernoulli": "channel.bernoulli:Bernoulli",
@@ -50,7 +49,7 @@ EXAMPLES = {
 """An example of each, with all of its knobs."""
 
 GROUP = "teleop.effects"  # of entry points
-KIND = Kind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES)
+KIND = PartKind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES)
 _LONGEST = 10_000  # characters of a text
 _FORM = 'write for example "delay(0.05) | bernoulli(p=0.02)", or "FWD ; BWD"'
 

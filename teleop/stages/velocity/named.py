@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from teleop.written import Kind
+from teleop.naming import PartKind
 
-ESTIMATORS = Kind(
+ESTIMATORS = PartKind(
     word="velocity estimator",
     group="teleop.estimators",
     places={
