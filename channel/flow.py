@@ -14,7 +14,7 @@ from channel.relay import Counts, Relay
 from teleop.live.net.address import Address
 from teleop.live.net.bulk import Bulk
 from teleop.live.net.wire import Wire
-from teleop.protocol.session import RENEW_NS
+from teleop.protocol.liveness import RENEW_NS
 
 QUIET_NS = RENEW_NS  # a flow in which the master, or the slave, has been silent for so long gives way to others
 UNMET_NS = 5_000_000_000  # a flow that the slave has not taken up is over after this; a handshake is given up by then

@@ -8,7 +8,7 @@ slave, which has to answer each.
 from __future__ import annotations
 
 from teleop.live.net.address import Address
-from teleop.protocol.session import RENEW_NS
+from teleop.protocol.liveness import RENEW_NS
 
 MOST_ASKED = 4096  # sessions
 EACH_NS, EACH_MOST = 10_000_000, 16  # between two datagrams of one sender on the average, for all but so many

@@ -8,8 +8,8 @@ from teleop.live.net.address import Address
 from teleop.live.net.filter import of_next, of_records, of_session
 from teleop.live.net.wire import Wire
 from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.packet import Kind, peek
-from teleop.protocol.session import RENEW_NS
 
 OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
 
@@ -41,7 +41,7 @@ class Hearing:
             self._heard_ns = now
             if self.open or heard[1] != before[1]:
                 self._keep_to_peer()
-        elif not self.open and (now - self._heard_ns > OPEN_NS or self.endpoint.session.mute()):
+        elif not self.open and (now - self._heard_ns > OPEN_NS or not self.endpoint.session.carries_data):
             self.open = True
             self.wire.listen_to_all()
 

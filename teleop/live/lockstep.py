@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from teleop.live.leaving import let_go
-from teleop.live.meeting import HUSH
+from teleop.protocol.session import FINISHED
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell
@@ -47,7 +47,7 @@ async def _until_there(shell: Shell, inbox: Stepped, packet: int) -> bool:
     while not shell.over.is_set():
         if inbox.has(packet):
             return True
-        left = session.farewell not in (None, HUSH)
+        left = session.farewell not in (None, FINISHED)
         if quiet > (HEED if left else SILENT):
             shell.stop(f"the other end left: {session.farewell or 'it fell silent'}")
         if shell.interrupt.name is not None:

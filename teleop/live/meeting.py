@@ -7,11 +7,11 @@ import time
 from typing import TYPE_CHECKING
 
 from teleop.live.net.address import shown
+from teleop.protocol.session import FINISHED
 
 if TYPE_CHECKING:
     from teleop.live.shell import Shell
 
-HUSH = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
 HINT_NS = 2_000_000_000  # so long nobody is there, and whoever waits is told what may be wrong
 EARLY_NS = 10_000_000  # so long before tick 0 the exchange is over at the latest
 
@@ -24,7 +24,7 @@ async def meet(shell: Shell) -> bool:
         now = time.monotonic_ns()
         if session.failure is not None:
             shell.end("refused", session.failure)
-        elif session.farewell not in (None, HUSH):
+        elif session.farewell not in (None, FINISHED):
             shell.end("refused", f"the other end left before the run began: {session.farewell}")
         elif shell.interrupt.name is not None:
             shell.stop(f"it was asked to stop ({shell.interrupt.name})")

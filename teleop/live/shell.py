@@ -12,7 +12,7 @@ from teleop.live import fault
 from teleop.live.devices.guarded_device import Device, Stand, deadline_of
 from teleop.live.hearing import Hearing
 from teleop.live.leaving import UNRELEASED, leave, let_go
-from teleop.live.meeting import HUSH, meet
+from teleop.live.meeting import meet
 from teleop.live.net.wire import DRAIN, SHARE, Wire
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.suspension import Suspension, boottime
@@ -23,6 +23,7 @@ from teleop.live.security import tell_relayed
 from teleop.protocol.endpoint import Axes, Endpoint, Reading, Stepped
 from teleop.protocol.guard import Event
 from teleop.protocol.packet import Kind, peek
+from teleop.protocol.session import FINISHED
 from teleop.scene.scene import Scene
 from teleop.simulation.outcome import divergence
 
@@ -144,7 +145,7 @@ class Shell:
 
     def bye(self) -> list[bytes]:
         """The farewell that says how the run ended for this end."""
-        return self.endpoint.session.bye(HUSH if self.status == "ok" else self.sentence, time.monotonic_ns())
+        return self.endpoint.session.bye(FINISHED if self.status == "ok" else self.sentence, time.monotonic_ns())
 
     def guarded(self, callback: Callable[[], None]) -> None:
         """Call `callback`; whatever it raises ends the run: see `teleop.live.fault`."""
@@ -214,7 +215,7 @@ class Shell:
         before = self.hearing.heard()
         self._drain()  # first, for it tells of what came while this process was away, and of where the grid is
         self.hearing.listen(now, before)
-        if session.farewell not in (None, HUSH):
+        if session.farewell not in (None, FINISHED):
             self.stop(f"the other end left: {session.farewell}")
         elif self.interrupt.name is not None:
             self.stop(f"it was asked to stop ({self.interrupt.name})")

@@ -19,6 +19,7 @@ from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import Guard
 from teleop.protocol.held_force import HeldForce
 from teleop.protocol.inbox import Inbox
+from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.packet import (
     DATA,
     MOST_SEQ,
@@ -34,7 +35,7 @@ from teleop.protocol.packet import (
 )
 from teleop.protocol.presence import Presence
 from teleop.protocol.rates import Heard, Messages, Resampling
-from teleop.protocol.session import RENEW_NS, Session
+from teleop.protocol.session import Session
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import Plan
@@ -115,7 +116,7 @@ class Endpoint:
         self.guard = Guard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
         # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
         played = round(scene.playout.delay * 1e9) if isinstance(scene.playout, Fixed) else 0
-        session.renew_ns = max(session.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
+        session.liveness.renew_ns = max(session.liveness.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self._window = Window()  # so that a copy or a replay is no second measurement
         self._tick = -1
@@ -171,7 +172,7 @@ class Endpoint:
                 self.rejected["session"] += 1
                 return []
             return session.receive(packet, now, len(data))
-        if packet.session != session.number or session.start_ns is None or session.mute():
+        if packet.session != session.number or session.start_ns is None or not session.carries_data:
             self.rejected["session"] += 1
             return []
         if packet.kind is not self.hears:
@@ -236,7 +237,7 @@ class Endpoint:
     def left_out(self, k: int, trouble: str) -> Axes:
         """Tick k cannot be run, for there is no reading: the force (N, per axis) to hold, on its way to zero."""
         force = self.held.blind(k, self._tick, trouble)
-        self.session.let_go = not any(force)
+        self.session.zero_force = not any(force)
         return force
 
     def stood_still(self, ns: int) -> None:
@@ -297,7 +298,7 @@ class Endpoint:
             came = self._came
         gain = self.guard.step(
             k, age is not None, trouble, came=came, over=session.ended, unheard=unheard, age=age or 0)
-        session.let_go = gain == 0.0
+        session.zero_force = gain == 0.0
         return gain
 
     def _counted_from(self, x: Axes) -> Axes:
@@ -337,7 +338,7 @@ class Endpoint:
         if not all(map(isfinite, payload)):
             self.message_failed = True
             return None
-        if session.number is None or session.mute():
+        if session.number is None or not session.carries_data:
             return None
         newest = self._newest
         echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))

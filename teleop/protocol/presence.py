@@ -39,7 +39,7 @@ class Presence:
     def newest(self, echo: Echo | None, sent_ns: int, now: int) -> None:
         """The newest message came at `now`, sent at `sent_ns` by our clock, with this echo."""
         if echo is None:
-            self.unheard_ns = max(0, sent_ns - self.session.begun_ns)
+            self.unheard_ns = max(0, sent_ns - self.session.liveness.begun_ns)
         elif 0 <= now - echo.sent_ns - echo.held_ns <= MOST_RTT_NS:  # otherwise it is of a message that was never sent
             self.answered, self.unheard_ns = True, echo.held_ns
             self.session.answer_came(echo)

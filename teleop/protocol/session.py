@@ -9,8 +9,8 @@
                         <-   RENEW  why     (of a slave whose session is over)
       BYE    a reason   <->  BYE
 
-The master repeats what is not answered. Each WELCOME echoes its HELLO, which bounds the slave's clock
-against the master's: the offset is taken from the fastest round trip and is uncertain by half of that.
+The states and what leads from one to the next are the tables of `teleop.protocol.states`. The master repeats what is
+not answered, and measures the slave's clock by the round trips (`teleop.protocol.clock_exchange`).
 The master places tick 0 a little ahead on its own clock and sends it as a time on the slave's, so that
 both ends count the same ticks: a packet's number is the tick it was sent at.
 
@@ -32,29 +32,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from teleop.protocol.clock_exchange import AHEAD_NS, ClockExchange
 from teleop.protocol.estimates import MOST_RTT_NS
+from teleop.protocol.liveness import Liveness
 from teleop.protocol.manifest import EVERY, INSECURE, MOST_CLOCK_NS, TICK_0, manifest_difference, parted
 from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, encode, one_line
+from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, SessionEvent, SessionState
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
-ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster
-FASTER_NS = 1_000_000  # by so much: what waited at a process that stood still is answered faster from one to the next
-LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
-AHEAD_NS = LEAD_NS + 3 * MOST_RTT_NS  # the furthest that tick 0 can be ahead
-RENEW_NS = 1_000_000_000  # of silence, and a session is over
-FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
 OVER = "the session is over"
+FINISHED = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
 NEXT = 16  # numbers: a HELLO of one of these after a session's own is of its master, who renews it
 ROOM = 96  # bytes: what a WELCOME says beyond its HELLO
 SHORTEST = 1200  # bytes of a HELLO: the sentence of a REFUSE fits, whole if it is in English
 MOST_WELCOMED = 1024  # answers that a slave remembers, to know a START by
+REPEATED = {
+    True: {SessionState.ASKING: Kind.HELLO, SessionState.RENEWING: Kind.HELLO, SessionState.STARTING: Kind.START,
+           SessionState.OVER: Kind.START},
+    False: {SessionState.OVER: Kind.RENEW},
+}
+"""By role (True: the master), what is sent in a state, every `AGAIN_NS`, until it is answered."""
 
 
 class Session:
     """One end's side of the exchange. `now` is the end's own monotonic clock in ns.
 
-    `start_ns` becomes the time of tick 0 on that clock; `failure` the sentence with which this end must
-    stop; `farewell` the reason the peer gave for leaving. `every`: this end ticks at every so many ticks of the grid.
+    `start_ns` becomes the time of tick 0 on that clock; `failure` the sentence with which this end must stop;
+    `farewell` the reason that the peer gave for leaving; `ended` the reason why the session is over for this end, from
+    then until another begins. `every`: this end ticks at every so many ticks of the grid. `met` counts the sessions
+    that this end has begun. `heals=False`: no silence ends the session.
     """
 
     def __init__(
@@ -64,179 +70,185 @@ class Session:
         self.master = master
         self.manifest = dict(manifest)
         self.number = number  # of the session; a slave takes that of the master that starts it
-        self._former: int | None = None  # the session that this master is renewing: the slave may be in it still
         self.every, self.peer_every = every, 1
+        self.state = SessionState.ASKING if master else SessionState.LISTENING
+        self.carries_data = False  # is the state one of `CARRIES_DATA`: asked for at every datagram
         self.start_ns: int | None = None
         self.failure: str | None = None
         self.farewell: str | None = None
-        self.offset_ns = 0  # the peer's clock less ours (known to the master)
-        self.rtt_ns: int | None = None  # of the fastest first exchange
-        self._grid_rtt_ns: int | None = None  # the round trip by which the grids of the two ends were set to be one
-        self.met = 0  # sessions that this end has begun
+        self.ended: str | None = None
+        self.met = 0
         self.joined = False  # was the other end running already when this one came
-        self.meeting = True  # is the exchange still to be done
         self.in_the_open = False  # has a relay said so by `INSECURE`: nothing proves it, nor that there is none
-        self.ended: str | None = None  # why the session is over for this end, which waits for another
-        self.let_go = True  # does this end hold no force: before that no session takes the place of one that is over
-        self._rounds, self._since_ns = 0, 0  # of the exchange, and when the first of them was over
-        self._acknowledged = not master
-        self._next_ns: int | None = None
+        self.zero_force = True  # does this end's device hold no force: before that no session follows one that is over
+        self.start_rtt_ns = 0  # at most as long took the round trip with which a slave was started
+        self.clock = ClockExchange()
+        self.liveness = Liveness(master=master)
+        self._table = MASTER if master else SLAVE
+        self._repeated = REPEATED[master]
+        self._heals = heals
+        self._former: int | None = None  # the session that this master is renewing: the slave may be in it still
+        self._next_ns: int | None = None  # when what is not answered is sent again
         self._asking: int | None = None  # the session of the HELLO that this slave has answered last
         self._welcomed: dict[tuple[int, int], int] = {}  # by session and send time of a WELCOME: the master's `every`
-        self._welcome_ns = 0  # send time of the last that this master has had
-        self.begun_ns = 0  # when the session began: before that nothing can have come
-        self._heard_ns: int | None = None  # when the newest message came in it
-        self._answered = False  # did one come that shows that the peer hears this end
-        self._sound_ns = 0  # until then nothing is to be judged, if nothing else ends the session
-        self._heals = heals
-        self._first_ns = FIRST_NS
-        self.start_rtt_ns = 0  # at most as long took the round trip with which a slave was started
-        self.renew_ns = RENEW_NS  # longer for an end that takes longer to let go
+        self._welcome_ns = 0  # send time of the last WELCOME that this master has had
+
+    @property
+    def meeting(self) -> bool:
+        """True while an exchange has yet to be done."""
+        return self.state in MEETING
+
+    @property
+    def rtt_ns(self) -> int | None:
+        """The fastest round trip of the exchange; known to the master."""
+        return self.clock.rtt_ns
+
+    @property
+    def offset_ns(self) -> int:
+        """The peer's clock less ours; known to the master."""
+        return self.clock.offset_ns
+
+    def take(self, event: SessionEvent) -> bool:
+        """Go where the table leads with `event`; False if it leads nowhere from here: the event is ignored."""
+        state = self._table.get((self.state, event))
+        if state is None:
+            return False
+        self.state = state
+        self.carries_data = state in CARRIES_DATA
+        return True
 
     def receive(self, packet: Packet, now: int, room: int = MOST_CONTROL) -> list[bytes]:
         """Take a control packet of `room` bytes; the datagrams to send back at once."""
         if not self.belongs(packet, now):
             return []
-        if packet.kind is Kind.HELLO:
-            return self._welcome(packet, now, room)
-        if packet.kind is Kind.START and isinstance(packet.payload, int) and not self.master:
-            return self._start(packet, packet.payload, now, room)
-        if packet.kind is Kind.RENEW:
+        kind = packet.kind
+        if kind is Kind.HELLO:
+            return self._answer_hello(packet, now, room)
+        if kind is Kind.WELCOME and self.master:
+            return self._answer_welcome(packet, now)
+        if kind is Kind.START and isinstance(packet.payload, int) and not self.master:
+            return self._answer_start(packet, packet.payload, now, room)
+        if kind is Kind.START:
+            self.take(SessionEvent.START)
+        elif kind is Kind.RENEW:
             self.end(f"{OVER}: {packet.payload}")
-        if packet.kind is Kind.WELCOME and self.master and self.meeting:
-            return self._measure(packet, now)
-        if packet.kind is Kind.START:
-            self._acknowledged = True
-        if packet.kind is Kind.REFUSE and not self.met:
+        elif kind is Kind.REFUSE and self.take(SessionEvent.REFUSE):
             self.failure = str(packet.payload)
-        if packet.kind is Kind.BYE:
+        elif kind is Kind.BYE and self.take(SessionEvent.BYE):
             self.farewell = str(packet.payload)
         return []
 
     def belongs(self, packet: Packet, now: int) -> bool:
-        """Is this packet of our session, or of one that this slave may take up?
+        """True if this packet is of this session, or of one that this slave may take up.
 
-        One session at a time: one that is heard is not taken over.
+        One session at a time: while messages of it come, none takes its place.
         """
-        if packet.kind in (Kind.BYE, Kind.RENEW) and self.meeting and self._former is not None:
+        if self.state is SessionState.RENEWING and packet.kind in (Kind.BYE, Kind.RENEW):
             return packet.session in (self.number, self._former)
         if self.master or packet.kind not in (Kind.HELLO, Kind.START, Kind.BYE):
-            return packet.session == self.number and packet.kind is not (Kind.RENEW if not self.master else Kind.HELLO)
+            return packet.session == self.number and packet.kind is not (Kind.HELLO if self.master else Kind.RENEW)
         if packet.kind is Kind.HELLO:
-            return self._free(now) or self._renews(packet)
+            return self._is_free(now) or self._is_renewed_by(packet)
         if packet.kind is Kind.BYE:
             return packet.session == (self.number if self.met else self._asking)
         answers = packet.echo is not None and (packet.session, packet.echo.sent_ns) in self._welcomed
-        return packet.session == self.number or (answers and self._free(now))
+        return packet.session == self.number or (answers and self._is_free(now))
 
     def silent(self, now: int) -> bool:
-        """Is the session over, or has nothing come in it for so long that it is no longer kept?"""
-        if not self._heals:
-            return False
-        if self.ended is not None:
-            return True
-        if self._heard_ns is None and self.master:
-            return now - self.begun_ns > max(self._first_ns, self.renew_ns)
-        return now - (self.begun_ns if self._heard_ns is None else self._heard_ns) > self.renew_ns
+        """True if the session is over, or nothing has come in it for so long that it is no longer kept."""
+        return self._heals and (self.ended is not None or self.liveness.silent(now))
 
     def judge(self, now: int) -> None:
-        """See whether the session is over for this end: to be asked at every tick."""
-        if now <= self._sound_ns or self.meeting or self.ended is not None:
-            return
-        if self.silent(now):
-            if self.master or self._heard_ns is not None:  # before its first message a link may just be long
-                self.end(f"{OVER}: nothing came for {self.renew_ns / 1e9:g} s")
-        elif self.master and not self._answered and now - self.begun_ns > 2 * max(self._first_ns, self.renew_ns):
-            self.end(f"{OVER}: nothing of this end arrives at the other")  # there and back it takes twice as long
+        """Judge whether the session is over for this end: to be asked at every tick."""
+        if self.carries_data and self._heals:
+            self._end_if(self.liveness.judge(now))
 
     def end(self, why: str) -> None:
         """The session is over for this end: it sends and takes no messages, and is released by another one alone."""
-        if self._heals and self.met and not self.meeting and self.ended is None:
-            self.ended, self._next_ns = why, None
-
-    def mute(self) -> bool:
-        """Is nothing of the law's to be sent? Nor in a session that is over: the peer has to notice."""
-        return self.meeting or self.ended is not None
+        if self._heals and self.take(SessionEvent.END):
+            self.ended = why
+            self._next_ns = None
 
     def data_came(self, now: int, sent_ns: int | None = None) -> None:
         """A new message of the peer: it has had START, and it is there. `sent_ns`: when it was sent, by our clock."""
-        first = self._heard_ns is None
-        self._acknowledged, self._heard_ns = True, now
-        self._sound_ns = now + self.renew_ns if self._answered or not self.master else 0
-        if first and sent_ns is not None and sent_ns - self.begun_ns > self.renew_ns:
-            self.end(f"{OVER}: its first {self.renew_ns / 1e9:g} s did not arrive")
+        self.take(SessionEvent.DATA)
+        self._end_if(self.liveness.message(now, sent_ns))
 
     def answer_came(self, echo: Echo) -> None:
         """What the peer's newest message says of ours: which one arrived last, and how long before it was sent."""
-        first, self._answered = not self._answered, True
-        if first and echo.sent_ns - self.begun_ns > self.renew_ns:
-            self.end(f"{OVER}: nothing of its first {self.renew_ns / 1e9:g} s arrived at the other end")
-        elif echo.held_ns > self.renew_ns:
-            self.end(f"{OVER}: nothing of this end arrived at the other for {self.renew_ns / 1e9:g} s")
+        self._end_if(self.liveness.echo(echo))
 
-    def _free(self, now: int) -> bool:
-        """May a slave be taken up?"""
-        return self.number is None or (self.let_go and self.silent(now))
-
-    def _renews(self, hello: Packet) -> bool:
-        """Is this HELLO of the master of this session, who begins another?"""
-        return bool(self.met) and self.number is not None and 0 < (hello.session - self.number) % 2**64 <= NEXT
-
-    def begin(self, start_ns: int, now: int) -> None:
-        """The two have met: the session begins, on the grid whose tick 0 is at `start_ns`."""
-        self.start_ns, self.meeting, self.ended = start_ns, False, None
-        self._heard_ns, self._answered, self._sound_ns = None, False, 0
-        self.begun_ns = max(now, min(start_ns, now + MOST_RTT_NS)) + (self.rtt_ns or 0)
+    def begin(self, start_ns: int, now: int) -> bool:
+        """The two have met: the session begins, on the grid whose tick 0 is at `start_ns`. False if it may not."""
+        if not self.take(SessionEvent.BEGIN):
+            return False
+        self.start_ns = start_ns
+        self.ended = None
         self.met += 1
+        self.liveness.begin(max(now, min(start_ns, now + MOST_RTT_NS)) + (self.rtt_ns or 0))
+        return True
 
     def due(self, now: int) -> list[bytes]:
         """What is to be sent now because it was not answered."""
-        if self.failure:
-            return []
         self.judge(now)
-        if self.master and self.ended is not None and self.let_go and not self.meeting:
+        if self.master and self.zero_force and self.take(SessionEvent.ZERO_FORCE):
             self._renew()
-        if self.ended is None and not (self.master and (self.meeting or not self._acknowledged)):
-            return []
-        if self._next_ns is not None and now < self._next_ns:
+        kind = self._repeated.get(self.state)
+        if kind is None or (self._next_ns is not None and now < self._next_ns):
             return []
         self._next_ns = now + AGAIN_NS
-        if not self.master:
-            return [self._packet(Kind.RENEW, now, str(self.ended))]
-        if self.meeting:
-            return [self._hello(now)]
-        assert self.start_ns is not None
-        return [self._packet(Kind.START, now, self.start_ns + self.offset_ns, Echo(self._welcome_ns, 0))]
+        if kind is Kind.RENEW:
+            return [self._packet(kind, now, str(self.ended))]
+        return [self._hello(now) if kind is Kind.HELLO else self._start(now)]
 
     def bye(self, reason: str, now: int) -> list[bytes]:
-        """The farewell to send when this end leaves; nothing if it never met anybody."""
+        """The farewell to send when this end leaves; nothing if it never met a peer."""
         numbers = [self._asking if self.number is None else self.number, self._former if self.meeting else None]
         return [self._packet(Kind.BYE, now, reason, number=each) for each in numbers if each is not None]
+
+    def _end_if(self, why: str | None) -> None:
+        if why is not None:
+            self.end(f"{OVER}: {why}")
+
+    def _is_free(self, now: int) -> bool:
+        """True if another session may be begun with this slave."""
+        return self.number is None or (self.zero_force and self.silent(now))
+
+    def _is_renewed_by(self, hello: Packet) -> bool:
+        """True if this HELLO is of the master of this session, who begins another."""
+        return bool(self.met) and self.number is not None and 0 < (hello.session - self.number) % 2**64 <= NEXT
 
     def _renew(self) -> None:
         assert self.number is not None
         self._former = self.number
         self.number = (self.number + 1) % 2**64
-        self.meeting, self.rtt_ns, self._rounds, self._acknowledged = True, None, 0, False
-        self._first_ns = FIRST_NS if self._answered else min(2 * self._first_ns, MOST_RTT_NS)
+        self.clock.restart()
+        self.liveness.wait_longer()
         self._next_ns = None
 
     def _hello(self, now: int) -> bytes:
-        hello = self._packet(Kind.HELLO, now, self._told())
+        hello = self._packet(Kind.HELLO, now, self._entries())
         size = max(SHORTEST, len(hello) + ROOM)
         if size > MOST_CONTROL:
             size = MOST_CONTROL - ROOM  # its answer would not fit: it is refused where it is written
-        return self._packet(Kind.HELLO, now, self._told(), size=size)
+        return self._packet(Kind.HELLO, now, self._entries(), size=size)
 
-    def _told(self) -> dict[str, str]:
+    def _start(self, now: int) -> bytes:
+        assert self.start_ns is not None
+        return self._packet(Kind.START, now, self.start_ns + self.offset_ns, Echo(self._welcome_ns, 0))
+
+    def _entries(self) -> dict[str, str]:
+        """The manifest, and what this end tells beside it."""
         own = {EVERY: str(self.every)} if self.every != 1 else {}
         if not self.master and self.start_ns is not None:
             own[TICK_0] = str(self.start_ns)
         return {**self.manifest, **own}
 
-    def _welcome(self, hello: Packet, now: int, room: int) -> list[bytes]:
-        if not self._free(now):
+    def _answer_hello(self, hello: Packet, now: int, room: int) -> list[bytes]:
+        if not self._is_free(now):
             self.end(f"{OVER}: the master asks for another")
+            return []
+        if not self.take(SessionEvent.HELLO):
             return []
         theirs, told = parted(hello.payload)
         self.in_the_open = self.in_the_open or INSECURE in told
@@ -246,9 +258,9 @@ class Session:
             self._welcomed[hello.session, now] = told.get(EVERY, 1)
             if len(self._welcomed) > MOST_WELCOMED:
                 del self._welcomed[next(iter(self._welcomed))]
-            reply = self._packet(Kind.WELCOME, now, self._told(), Echo(hello.sent_ns, 0), number=hello.session)
+            reply = self._packet(Kind.WELCOME, now, self._entries(), Echo(hello.sent_ns, 0), number=hello.session)
         else:
-            if not self.met:
+            if self.take(SessionEvent.REFUSE):
                 self._asking = hello.session
                 self.failure = f"the master asks for another run: {difference}"
             why = f"the slave is set up for another run: {manifest_difference(theirs, self.manifest)}"
@@ -258,68 +270,45 @@ class Session:
                 reply = self._packet(Kind.REFUSE, now, fits, number=hello.session)
         return [reply] if len(reply) <= room else []
 
-    def _start(self, start: Packet, tick_0: int, now: int, room: int) -> list[bytes]:
+    def _answer_start(self, start: Packet, tick_0: int, now: int, room: int) -> list[bytes]:
         if not -MOST_CLOCK_NS <= tick_0 <= now + AHEAD_NS:
-            return []  # of a clock that nobody has, or further ahead than any master sets it
+            return []  # implausible time, or further ahead than any master sets it: ignore
         if start.session != self.number or self.meeting:
-            self.joined = self.joined or (not self.met and tick_0 < now)
-            self.number = start.session
             assert start.echo is not None  # it would not belong
+            if not self.begin(tick_0, now):
+                return []
+            self.joined = self.joined or (self.met == 1 and tick_0 < now)
+            self.number = start.session
             self.peer_every = self._welcomed[start.session, start.echo.sent_ns]
             self.start_rtt_ns = max(0, now - start.echo.sent_ns)
-            self.begin(tick_0, now)
+        elif not self.take(SessionEvent.START):
+            return []
         reply = self._packet(Kind.START, now, tick_0)
         return [reply] if len(reply) <= room else []
 
-    def _measure(self, welcome: Packet, now: int) -> list[bytes]:
+    def _answer_welcome(self, welcome: Packet, now: int) -> list[bytes]:
+        if not self.take(SessionEvent.WELCOME):
+            return []
         theirs, told = parted(welcome.payload)
         self.in_the_open = self.in_the_open or INSECURE in told
         difference = manifest_difference(self.manifest, theirs)
         if difference is not None:
-            if not self.met:
+            if self.take(SessionEvent.REFUSE):
                 self.failure = f"the slave is set up for another run: {difference}"
             return [self._packet(Kind.BYE, now, "the master refused")]
-        if welcome.echo is None:
+        if not self.clock.take(welcome, now):
             return []
-        rtt = now - welcome.echo.sent_ns - welcome.echo.held_ns
-        if not 0 <= rtt <= MOST_RTT_NS or abs(welcome.sent_ns) > MOST_CLOCK_NS:
-            return []  # forged, or of a clock that nobody has
-        if self.rtt_ns is None or rtt < self.rtt_ns - FASTER_NS:
-            self._rounds, self._since_ns = 1, now  # what was asked before may have waited just as long
-        elif welcome.echo.sent_ns >= self._since_ns:
-            self._rounds += 1
-        if self.rtt_ns is None or rtt < self.rtt_ns:
-            self.rtt_ns = rtt
-            self.offset_ns = welcome.sent_ns - (now - rtt // 2)
         self.peer_every = told.get(EVERY, 1)
         self._welcome_ns = welcome.sent_ns
         self._next_ns = now + AGAIN_NS
-        if TICK_0 in told and told[TICK_0] - self.offset_ns > now + AHEAD_NS:
-            return []  # likewise
-        if self._rounds < ROUNDS:
+        theirs_0 = told.get(TICK_0)
+        if theirs_0 is not None and theirs_0 - self.offset_ns > now + AHEAD_NS:
+            return []  # implausible time: ignore
+        if not self.clock.enough:
             return [self._hello(now)]
-        grids = [self.start_ns] if self.start_ns is not None else []
-        if TICK_0 in told and grids and self._is_better_known(told[TICK_0] - grids[0]):
-            self.offset_ns = told[TICK_0] - grids[0]  # the two ends have one grid still
-        else:
-            self._grid_rtt_ns = self.rtt_ns
-        if TICK_0 in told:
-            self.joined |= not grids
-            grids.append(told[TICK_0] - self.offset_ns)
-        # Of two grids that came apart the one that is further on: ticks cannot be taken back, only left out.
-        tick_0 = min(grids) if grids else now + LEAD_NS + 2 * self.rtt_ns
-        self.begin(tick_0, now)
-        return [self._packet(Kind.START, now, tick_0 + self.offset_ns, Echo(self._welcome_ns, 0))]
-
-    def _is_better_known(self, offset_ns: int) -> bool:
-        """Does `offset_ns`, by which the grids of the two ends are one, say more of the clocks than this exchange does?
-
-        It does if it was measured by a round trip less than half as long, and this one does not contradict it: one way
-        may be slow at the moment, and the grids would be set apart by half of that for good.
-        """
-        assert self.rtt_ns is not None
-        rtt, before = self.rtt_ns, self._grid_rtt_ns
-        return before is not None and rtt > 2 * before and abs(offset_ns - self.offset_ns) <= (rtt + before) // 2
+        self.joined = self.joined or (theirs_0 is not None and self.start_ns is None)
+        self.begin(self.clock.tick_0(self.start_ns, theirs_0, now), now)
+        return [self._start(now)]
 
     def _packet(
         self, kind: Kind, now: int, payload: dict[str, str] | str | int, echo: Echo | None = None,

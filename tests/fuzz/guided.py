@@ -67,6 +67,7 @@ def of_session() -> Callable[[bytes], None]:
 
     from teleop.protocol.endpoint import Endpoint, Reading
     from teleop.protocol.session import Session
+    from tests.begun import begin
     from tests.fuzz.running import CAP, fuzzed
 
     scene = fuzzed(1000)
@@ -88,7 +89,7 @@ def of_session() -> Callable[[bytes], None]:
         end.__dict__.update({**plain[e, running], "session": session})
         end.inbox, end.guard, end.link, end._window = made(scene)
         if running:
-            session.begin(now, now)
+            begin(session, now, now)
             session.data_came(now)
         for step, mode, each in cut(data[1:]):
             now += step * MS * (100 if mode & 2 else 1)

@@ -19,6 +19,7 @@ from hypothesis.stateful import (
 )
 
 from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.manifest import EVERY, manifest_of
 from teleop.protocol.packet import (
     DATA,
@@ -32,7 +33,8 @@ from teleop.protocol.packet import (
     encode,
     peek,
 )
-from teleop.protocol.session import MOST_WELCOMED, RENEW_NS, Session
+from teleop.protocol.session import MOST_WELCOMED, Session
+from tests.begun import begin
 from tests.fuzz.datagrams import BODIES, MANIFESTS, NUMBERS, ODD, framed, packed, sealed
 from tests.fuzz.running import fuzzed
 
@@ -252,7 +254,7 @@ class OneEnd(RuleBasedStateMachine):
         assert len(end._welcomed) <= MOST_WELCOMED
         assert end.failure is None or len(end.failure) < 2000
         assert end.start_ns is None or abs(end.start_ns) < 2**64
-        assert end._first_ns <= 60_000_000_000
+        assert end.liveness._first_ns <= 60_000_000_000
         said = end.bye("done", self.now)
         assert len(said) <= 1 + (end.master and end.meeting), "while it asks anew, to the session before as well"
 
@@ -291,7 +293,7 @@ def test_many_more_bytes_raise_nothing_and_come_back_as_they_are(data: bytes, wi
 def test_no_datagrams_at_any_time_raise_at_an_end(e: str, running: bool, several: list[tuple[bytes, int]]) -> None:
     session = Session(master=e == "m", manifest=MANIFEST, number=OURS if running or e == "m" else None)
     if running:
-        session.begin(10**12, 10**12)
+        begin(session, 10**12, 10**12)
         session.data_came(10**12)
     end, now = Endpoint(fuzzed(100), e, session), 10**12
     for data, step in several:

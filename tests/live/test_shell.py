@@ -333,7 +333,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
     both = pair(replace(SCENE, duration=2.2), wire=Roaming)
     master, slave = both.shells["m"], both.shells["s"]
     for shell in (master, slave):
-        shell.endpoint.session.renew_ns = 400_000_000
+        shell.endpoint.session.liveness.renew_ns = 400_000_000
     moved = Wire(bound(("127.0.0.1", 0), "--listen"), slave.wire.sock.getsockname())
 
     def move() -> None:

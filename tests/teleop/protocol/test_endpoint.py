@@ -33,6 +33,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, assemble
 from teleop.simulation.virtual import run
 from teleop.stages.safety import Cap, Watchdog
+from tests.begun import begin
 
 MS = 1_000_000
 START = 10**12  # tick 0 on both clocks
@@ -45,7 +46,7 @@ def met(scene: Scene) -> dict[str, Endpoint]:
     ends = {}
     for e in "ms":
         session = Session(master=e == "m", manifest=manifest_of(scene), number=7)
-        session.begin(START, START)
+        begin(session, START, START)
         session.data_came(START)
         ends[e] = Endpoint(scene, e, session)
     return ends
@@ -397,8 +398,8 @@ def test_a_session_is_renewed_only_after_the_watchdog_has_let_go(playout: Any, p
     """With a fixed playout the last messages act for that long: a new session would have cut their force off."""
     dog = Watchdog(timeout=0.4, ramp=0.3)
     end = met(scene(playout=playout, watchdog=dog))["s"]
-    assert end.session.renew_ns >= (played + dog.timeout + dog.ramp) * 1e9
-    assert end.session.renew_ns <= max(1.0, played + dog.timeout + dog.ramp + 0.1) * 1e9
+    assert end.session.liveness.renew_ns >= (played + dog.timeout + dog.ramp) * 1e9
+    assert end.session.liveness.renew_ns <= max(1.0, played + dog.timeout + dog.ramp + 0.1) * 1e9
 
 
 @pytest.mark.parametrize("seen", [True, False])

@@ -13,6 +13,7 @@ from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.guard import MOST_EVENTS, UNNAMED, Event, Guard
 from teleop.protocol.session import Session
 from teleop.stages.safety import Watchdog, watch
+from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import scene
 
 DT = 0.01
@@ -282,7 +283,7 @@ def test_a_stepped_end_has_none_but_the_one_that_its_scene_names() -> None:
 @pytest.mark.parametrize(("dog", "stepped", "safe"), [(None, True, False), (None, False, True), (DOG, True, True)])
 def test_an_endpoint_has_its_scenes_watchdog_or_another(dog: Watchdog | None, stepped: bool, safe: bool) -> None:
     session = Session(master=False, manifest={}, number=7)
-    session.begin(0, 0)
+    begin(session, 0, 0)
     end = Endpoint(scene(watchdog=dog), "s", session, Stepped(None) if stepped else None)
     assert end.guard.step(0, True) == 1.0
     for k in range(1, 1100):
@@ -292,7 +293,7 @@ def test_an_endpoint_has_its_scenes_watchdog_or_another(dog: Watchdog | None, st
 
 def test_a_tick_without_a_reading_is_one_of_the_guard_all_the_same() -> None:
     session = Session(master=False, manifest={}, number=7)
-    session.begin(0, 0)
+    begin(session, 0, 0)
     end = Endpoint(scene(watchdog=Watchdog(timeout=0.01, ramp=0.004)), "s", session)
     reading = Reading((0.0,), (0.0,), (0.0,))
     end.tick(0, 0, reading)

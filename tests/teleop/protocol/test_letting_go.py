@@ -13,6 +13,7 @@ from teleop.laws.direct import Direct
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.session import Session
 from teleop.stages.safety import Cap, Watchdog
+from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import MS, START, met, reading, scene
 
 
@@ -52,7 +53,7 @@ def test_without_a_reading_there_is_no_force_after_a_tenth_of_a_second_whatever_
 
 def test_without_a_reading_a_stepped_end_without_a_watchdog_lets_go_too() -> None:
     session = Session(master=False, manifest={}, number=7)
-    session.begin(START, START)
+    begin(session, START, START)
     end = Endpoint(scene(Direct(K=200.0, B=0.0)), "s", session, Stepped(None))
     end.tick(0, START, reading(-0.01))
     end.held.force = (2.0,)

@@ -15,6 +15,7 @@ from teleop.protocol.packet import Echo, Packet, decode, encode
 from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.safety import Watchdog
+from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import MS, START, met, scene
 
 COUNT = 500
@@ -32,7 +33,7 @@ class Joined:
         sent: dict[str, list[bytes]] = {"m": [], "s": []}
         devices: dict[str, Any] = {"m": SimulatedMaster(given), "s": SimulatedSlave(given)}
         for end in self.ends.values():
-            end.session.begin(START - base * MS, START)
+            begin(end.session, START - base * MS, START)
             end.join(base)
             self.width = end._width
         for k in range(COUNT):

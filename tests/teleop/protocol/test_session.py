@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop.protocol.clock_exchange import AHEAD_NS, LEAD_NS, ROUNDS
+from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference, manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
-from teleop.protocol.session import AGAIN_NS, AHEAD_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
+from teleop.protocol.session import AGAIN_NS, Session
 from teleop.scene.loading import load_scene
 
 MS = 1_000_000

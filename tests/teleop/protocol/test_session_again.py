@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop.protocol.clock_exchange import LEAD_NS, ROUNDS
+from teleop.protocol.liveness import FIRST_NS, RENEW_NS
 from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
 from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, decode, encode
-from teleop.protocol.session import FIRST_NS, LEAD_NS, RENEW_NS, ROUNDS, Session
+from teleop.protocol.session import Session
 from tests.teleop.protocol.test_session import MANIFEST, MS, Talk, hello, start_of, started
 
 
@@ -126,7 +128,7 @@ def test_two_ends_meet_and_stay_met_however_long_the_link(way: int) -> None:
                 end.data_came(talk.now)
                 reached[end.master] = number
                 if answers:
-                    end.answer_came(Echo(end.begun_ns, 0))
+                    end.answer_came(Echo(end.liveness.begun_ns, 0))
     assert talk.master.number == talk.slave.number
     met = talk.master.met
     assert met <= 4
@@ -288,11 +290,11 @@ def test_an_end_that_the_other_has_not_heard_for_as_long_as_a_session_lives_is_i
     talk.run(2000 * MS)
     end = talk.master if master else talk.slave
     end.data_came(talk.now)
-    end.answer_came(Echo(end.begun_ns, 0))
+    end.answer_came(Echo(end.liveness.begun_ns, 0))
     end.answer_came(Echo(talk.now, RENEW_NS))
-    assert not end.mute()
+    assert end.carries_data
     end.answer_came(Echo(talk.now, RENEW_NS + 1))
-    assert end.mute()
+    assert not end.carries_data
     assert "nothing of this end arrived" in str(end.ended)
     (data,) = end.due(talk.now)
     packet = decode(data, 1)
@@ -309,9 +311,9 @@ def test_a_session_whose_first_second_was_lost_either_way_is_over_when_something
         talk = Talk(messages=False)
         talk.run(1000 * MS)
         end = talk.master if master else talk.slave
-        sent, now = end.begun_ns + RENEW_NS + late, end.begun_ns + 2 * RENEW_NS
-        end.data_came(now, end.begun_ns if answers else sent)
-        end.answer_came(Echo(sent if answers else end.begun_ns, 0))
+        sent, now = end.liveness.begun_ns + RENEW_NS + late, end.liveness.begun_ns + 2 * RENEW_NS
+        end.data_came(now, end.liveness.begun_ns if answers else sent)
+        end.answer_came(Echo(sent if answers else end.liveness.begun_ns, 0))
         assert (end.ended is not None) == bool(late)
 
 
@@ -337,16 +339,16 @@ def test_a_slave_that_asks_for_another_session_has_it_and_its_asking_for_the_one
 def test_neither_end_takes_another_session_before_it_has_let_go() -> None:
     talk = Talk()
     talk.run(2000 * MS)
-    talk.master.let_go = talk.slave.let_go = False
+    talk.master.zero_force = talk.slave.zero_force = False
     talk.master.end("the session is over: as a test has it")
     talk.run(talk.now + 500 * MS)
     assert not talk.master.meeting
-    talk.master.let_go = True
+    talk.master.zero_force = True
     talk.run(talk.now + 500 * MS)
     assert talk.master.meeting
     assert str(talk.slave.ended).startswith("the session is over"), "the master's next number tells it"
     assert talk.slave.number == 7
-    talk.slave.let_go = True
+    talk.slave.zero_force = True
     talk.run(talk.now + 500 * MS)
     assert talk.master.number == talk.slave.number == 8
     assert (talk.master.meeting, talk.slave.ended) == (False, None)
@@ -356,9 +358,9 @@ def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_t
     talk = Talk(messages=False)
     talk.run(1000 * MS)
     master = talk.master
-    for now in range(master.begun_ns, master.begun_ns + 2 * FIRST_NS + 1, RENEW_NS // 4):
+    for now in range(master.liveness.begun_ns, master.liveness.begun_ns + 2 * FIRST_NS + 1, RENEW_NS // 4):
         master.data_came(now, now)
         master.judge(now)
         assert master.ended is None
-    master.judge(master.begun_ns + 2 * FIRST_NS + 1)
+    master.judge(master.liveness.begun_ns + 2 * FIRST_NS + 1)
     assert str(master.ended).endswith("nothing of this end arrives at the other")

@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.laws.pfra import PFRA
+from teleop.protocol.clock_exchange import ROUNDS
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import VERSION, Echo, Kind, Packet, Payload, Rejection, decode, encode, unwrapped
-from teleop.protocol.session import ROUNDS, Session
+from teleop.protocol.session import Session
 from teleop.scene.playout import Fixed, Hold
 from teleop.stages.safety import Cap
 from tests.teleop.protocol.test_endpoint import MS, START, met, scene, sealed

@@ -1,0 +1,111 @@
+"""The states of a session, and the table that says which event leads from which state to which.
+
+`MASTER` and `SLAVE` are all there is to it: an event that a state has no line for is ignored, in `Session.take` and
+nowhere else. The diagrams in `teleop/protocol/README.md` are made from the two tables, by
+
+    python -m teleop.protocol.states
+
+and a test compares them. The form is that of h11's `_state.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+
+
+class SessionState(Enum):
+    """Where one end is in its exchange with the other; each value is a sentence for the diagram's legend."""
+
+    LISTENING = "the slave waits for a master"
+    ASKED = "the slave has answered a HELLO and waits for START"
+    ASKING = "the master asks for its first session and measures the clock offset"
+    STARTING = "the session runs; the master repeats START until the slave has answered it"
+    RUNNING = "the session runs"
+    OVER = "the session is over for this end: it sends and takes no message of the law"
+    RENEWING = "the master, whose device holds no force, asks for the next session"
+    REFUSED = "the two ends are not set up for the same run; this end stops"
+
+
+class SessionEvent(Enum):
+    """What can happen to a session, once the packet or the instant has been checked."""
+
+    HELLO = "HELLO came, and the slave may answer it"
+    WELCOME = "WELCOME came"
+    BEGIN = "tick 0 is known: by enough WELCOMEs at the master, by START at the slave"
+    START = "START of this very session came again, or its answer"
+    DATA = "a message of the law came"
+    BYE = "BYE came: the reason is kept"
+    REFUSE = "the manifests differ, or REFUSE came"
+    END = "silence, no echo, a stall, RENEW, or the master's next HELLO ended the session"
+    ZERO_FORCE = "this end's device holds no force"
+
+
+Table = Mapping[tuple[SessionState, SessionEvent], SessionState]
+_S, _E = SessionState, SessionEvent
+
+MASTER: Table = {
+    (_S.ASKING, _E.WELCOME): _S.ASKING,
+    (_S.ASKING, _E.BEGIN): _S.STARTING,
+    (_S.ASKING, _E.BYE): _S.ASKING,
+    (_S.ASKING, _E.REFUSE): _S.REFUSED,
+    (_S.STARTING, _E.START): _S.RUNNING,
+    (_S.STARTING, _E.DATA): _S.RUNNING,
+    (_S.STARTING, _E.BYE): _S.STARTING,
+    (_S.STARTING, _E.END): _S.OVER,
+    (_S.RUNNING, _E.START): _S.RUNNING,
+    (_S.RUNNING, _E.DATA): _S.RUNNING,
+    (_S.RUNNING, _E.BYE): _S.RUNNING,
+    (_S.RUNNING, _E.END): _S.OVER,
+    (_S.OVER, _E.BYE): _S.OVER,
+    (_S.OVER, _E.ZERO_FORCE): _S.RENEWING,
+    (_S.RENEWING, _E.WELCOME): _S.RENEWING,
+    (_S.RENEWING, _E.BYE): _S.RENEWING,
+    (_S.RENEWING, _E.BEGIN): _S.STARTING,
+}
+
+SLAVE: Table = {
+    (_S.LISTENING, _E.HELLO): _S.ASKED,
+    (_S.ASKED, _E.HELLO): _S.ASKED,
+    (_S.ASKED, _E.BEGIN): _S.RUNNING,
+    (_S.ASKED, _E.BYE): _S.ASKED,
+    (_S.ASKED, _E.REFUSE): _S.REFUSED,
+    (_S.RUNNING, _E.HELLO): _S.RUNNING,
+    (_S.RUNNING, _E.BEGIN): _S.RUNNING,
+    (_S.RUNNING, _E.START): _S.RUNNING,
+    (_S.RUNNING, _E.DATA): _S.RUNNING,
+    (_S.RUNNING, _E.BYE): _S.RUNNING,
+    (_S.RUNNING, _E.END): _S.OVER,
+    (_S.OVER, _E.HELLO): _S.OVER,
+    (_S.OVER, _E.BEGIN): _S.RUNNING,
+    (_S.OVER, _E.START): _S.OVER,
+    (_S.OVER, _E.BYE): _S.OVER,
+}
+
+CARRIES_DATA = frozenset((_S.STARTING, _S.RUNNING))
+"""The states in which messages of the law are sent and taken."""
+
+MEETING = frozenset((_S.LISTENING, _S.ASKED, _S.ASKING, _S.RENEWING, _S.REFUSED))
+"""The states in which an exchange has yet to be done."""
+
+
+def diagram(table: Table, first: SessionState) -> str:
+    """The table as a state diagram in mermaid's language; events between the same two states share one arrow."""
+    arrows: dict[tuple[str, str], list[str]] = {}
+    for (state, event), then in table.items():
+        arrows.setdefault((state.name, then.name), []).append(event.name)
+    lines = [f"    {state} --> {then}: {', '.join(events)}" for (state, then), events in arrows.items()]
+    named = dict.fromkeys([first, *[state for pair in table for state in (pair[0], table[pair])]])
+    legend = [f"    {state.name}: {state.name}\\n{state.value}" for state in named]
+    return "\n".join(["```mermaid", "stateDiagram-v2", *legend, f"    [*] --> {first.name}", *lines, "```"])
+
+
+def diagrams() -> str:
+    """Both diagrams and the list of events, as they stand in the README of this folder."""
+    events = "\n".join(f"- `{event.name}`: {event.value}" for event in SessionEvent)
+    return (f"### The master's session\n\n{diagram(MASTER, SessionState.ASKING)}\n\n"
+            f"### The slave's session\n\n{diagram(SLAVE, SessionState.LISTENING)}\n\n### Events\n\n{events}\n")
+
+
+if __name__ == "__main__":
+    print(diagrams(), end="")
