@@ -1,8 +1,11 @@
-"""A law with its velocity estimator, as what it makes of a reading for each unit of stiffness and of damping."""
+"""The parts of a one-port loop: the law with its velocity estimator, per unit of stiffness and of damping, and the
+damping of the device at each frequency.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.gains import linear_part, scales, with_gains
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from teleop.scene.scene import Scene
 
     Points = NDArray[np.complex128]
+    Reals = NDArray[np.float64]
 
 LONGEST = 100_000  # ticks of an impulse response
 
@@ -89,3 +93,19 @@ def norms(parts: Parts) -> tuple[float, float]:
     size = max(len(stiff), len(both))
     first, second = (np.pad(each, (0, size - len(each))) for each in (stiff, both))
     return float(np.abs(first).sum() / parts.K0), float(np.abs(second - first).sum() / parts.B0)
+
+
+def effective_damping(scene: Scene, th: Reals) -> Reals:
+    """b_eff(th) of the device (N s/m): its damping, and what a shunt of its motor adds."""
+    import numpy as np
+
+    b = scene.master.damping
+    if scene.electrical is None or scene.electrical.b == 0.0:
+        return np.full_like(th, b)
+    b_e, w_c = scene.electrical.b, 2.0 * pi * scene.electrical.cutoff
+    WT = w_c * (b / (b + b_e)) ** 0.5 * scene.dt_ns / 1e9
+    half = np.sin(0.5 * th) ** 2
+    # S(W)/S(0), with cosh(WT) - cos(th) = 2 sinh(WT/2)^2 + 2 sin(th/2)^2, and e^WT taken out above and below
+    share = -np.expm1(-2.0 * WT) / (2.0 * WT) * half / (0.25 * np.expm1(-WT) ** 2 + half * np.exp(-WT))
+    found: Reals = b / (1.0 - b_e / (b + b_e) * share)
+    return found

@@ -104,7 +104,7 @@ class StateSpace(NamedTuple):
     D: Matrix
 
 
-class Linear(NamedTuple):
+class LinearScene(NamedTuple):
     """Both ends of a linear scene, and the delays between them in whole ticks."""
 
     master: StateSpace  # from the messages it receives to those it sends
@@ -119,7 +119,7 @@ class Linear(NamedTuple):
         return self.forth + self.back
 
 
-def linear_scene(scene: Scene, *, seed: int = 0) -> Linear:
+def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
     """The matrices of a linear scene, at least one tick each way. Refused if something in it is not linear."""
     scene = about_rest(scene)
     refuse_nonlinear_parts(scene)
@@ -128,7 +128,7 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> Linear:
             raise Refused(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant; "
                           f"{INSTEAD}, or set every=1")
     forth, back = link_ticks(scene, seed)
-    return Linear(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
+    return LinearScene(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
 
 
 def about_rest(scene: Scene) -> Scene:

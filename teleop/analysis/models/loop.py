@@ -30,7 +30,7 @@ from math import floor, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.curve import Curve, about_one, circle
-from teleop.analysis.models.linear import Linear, StateSpace
+from teleop.analysis.models.linear import LinearScene, StateSpace
 
 if TYPE_CHECKING:
     import numpy as np
@@ -187,17 +187,17 @@ class Loop:
         return Crossing(high, j, into, at, value + log(gain))
 
 
-def sampled_loop(linear: Linear, radius: float = 1.0) -> Loop:
+def sampled_loop(linear: LinearScene, radius: float = 1.0) -> Loop:
     """The loop of a sampled scene along |z| = `radius`."""
     return Loop(master=linear.master, slave=linear.slave, curve=circle(radius, indent(linear)))
 
 
-def resting_loop(linear: Linear) -> Loop:
+def resting_loop(linear: LinearScene) -> Loop:
     """The same about z = 1."""
     return Loop(master=linear.master, slave=linear.slave, curve=about_one(indent(linear)))
 
 
-def indent(linear: Linear) -> float:
+def indent(linear: LinearScene) -> float:
     """How near a root must be to z = 1 to count as resting there."""
     import numpy as np
 

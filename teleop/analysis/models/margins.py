@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import exp, floor, log, pi
 from typing import TYPE_CHECKING, NamedTuple
 
-from teleop.analysis.models.linear import Linear
+from teleop.analysis.models.linear import LinearScene
 from teleop.analysis.models.loop import Loop, gains, indent, resting_loop, sampled_loop
 
 if TYPE_CHECKING:
@@ -38,13 +38,13 @@ class Mode(NamedTuple):
         return cls(z, abs(rate.imag) / (2.0 * pi * dt), rate.real / dt, -rate.real / abs(rate) if rate else 0.0)
 
 
-def integrators(linear: Linear) -> int:
+def integrators(linear: LinearScene) -> int:
     """Roots at z = 1 (nearer than `teleop.analysis.models.loop.indent`): positions that nothing returns."""
     loop = resting_loop(linear)
     return len(loop.poles) - loop.outside(linear.round_trip)
 
 
-def dense(linear: Linear) -> NDArray[np.float64]:
+def dense(linear: LinearScene) -> NDArray[np.float64]:
     """The whole loop as one matrix, the delay a line of the smaller of the two messages.
 
     All the delay stands on one way, which changes no eigenvalue but those at 0.
@@ -67,7 +67,7 @@ def dense(linear: Linear) -> NDArray[np.float64]:
     return whole
 
 
-def dominant(linear: Linear, resting: int) -> Mode | None:
+def dominant(linear: LinearScene, resting: int) -> Mode | None:
     """The root of greatest magnitude but the `resting` ones at z = 1; None if nothing moves for longer than a tick.
 
     From the eigenvalues of the dense matrix up to `MOST_STATES`. Beyond, the radius is bracketed by the count of
@@ -86,7 +86,7 @@ def dominant(linear: Linear, resting: int) -> Mode | None:
     return None if root is None else Mode.of(root, linear.dt)
 
 
-def _bracket(linear: Linear, resting: int) -> tuple[float, float] | None:
+def _bracket(linear: LinearScene, resting: int) -> tuple[float, float] | None:
     """Two values of log |z| with the greatest root between them."""
     d = linear.round_trip
 
@@ -108,7 +108,7 @@ def _bracket(linear: Linear, resting: int) -> tuple[float, float] | None:
     return low, high
 
 
-def _root(linear: Linear, low: float, high: float) -> complex | None:
+def _root(linear: LinearScene, low: float, high: float) -> complex | None:
     """The root with log |z| between low and high."""
     from cmath import exp as cexp
 
@@ -135,7 +135,7 @@ def _root(linear: Linear, low: float, high: float) -> complex | None:
     return cexp(max(found, key=lambda rate: rate.real)) if found else None
 
 
-def _secant(linear: Linear, rate: complex) -> complex | None:
+def _secant(linear: LinearScene, rate: complex) -> complex | None:
     """A zero of `log(z^-d l_j(z))`, `rate` = log z, of the branch that is nearest to it."""
     import numpy as np
 
@@ -159,7 +159,7 @@ def _secant(linear: Linear, rate: complex) -> complex | None:
         return None
 
 
-def gain_margin(linear: Linear) -> float | None:
+def gain_margin(linear: LinearScene) -> float | None:
     """The factor on the round trip's gain at which the scene's verdict changes.
 
     What rests at z = 1 is left out of it. Above 1 for a stable loop: the least gain at which a root reaches the unit
@@ -221,7 +221,7 @@ def _size_at_turn(loop: Loop, delay: int, low: float, high: float, j: int, turn:
     return psi(0.5 * (low + high)).real
 
 
-def critical_round_trip(linear: Linear, least: int = 2) -> int | None:
+def critical_round_trip(linear: LinearScene, least: int = 2) -> int | None:
     """The least round trip in ticks, from `least` on, at which the loop is unstable; None if there is none.
 
     On the unit circle a delay changes phases alone, so the places where |l_j| = 1 are found once and the count of

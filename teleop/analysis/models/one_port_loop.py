@@ -15,7 +15,7 @@ from math import exp, log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.linear import (
-    Linear,
+    LinearScene,
     StateSpace,
     begin,
     end_function,
@@ -107,7 +107,7 @@ def one_axis(scene: Scene) -> Scene:
     return replace(scene, axes=1, start_m=scene.vector("start_m", scene.start_m)[0])
 
 
-def opened(scene: Scene) -> Linear | None:
+def opened(scene: Scene) -> LinearScene | None:
     """The loop cut open at the force: device and controller as two ends, the computation's delay between them.
 
     Kept as a number beside the matrices the delay costs nothing, whatever its length. None where the loop is not of
@@ -136,7 +136,7 @@ def opened(scene: Scene) -> Linear | None:
     read = np.eye(2, len(body))  # position and velocity
     plant = StateSpace(dead[np.ix_(body, body)], push[:, None], read, np.zeros((2, 1)))
     law = StateSpace(tick[np.ix_(own, own)], tick[np.ix_(own, [0, 1])], force[own][None, :], force[[0, 1]][None, :])
-    return Linear(plant, law, device.delay, 0, scene.dt_ns / 1e9)
+    return LinearScene(plant, law, device.delay, 0, scene.dt_ns / 1e9)
 
 
 def _inner_states(scene: Scene) -> int:

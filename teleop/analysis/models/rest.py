@@ -18,9 +18,10 @@ stricter limit would tell where the edges are and not how stiff the wall may be.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ KEPT = (0.9, 1.2)  # the swing stays if it changed by a factor between these
 SLOW = 0.01  # and did not change by more than this from piece to piece always the same way
 
 
-class Swing(NamedTuple):
+class FreeMotion(NamedTuple):
     """What a scene does when nothing moves it any more."""
 
     verdict: str  # stable, limit cycle or unstable
@@ -48,13 +49,23 @@ class Swing(NamedTuple):
     rests: bool  # stable, or a limit cycle within `STEPS` of the encoder
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HeldGrip:
+    """The scene's own grip with another `reference`, one that stays where it is."""
+
+    mass: float  # kg
+    k: float  # N/m
+    d: float  # N s/m
+    reference: Reference
+
+
 class _Seen(NamedTuple):
     trend: str  # falls, stays or grows
     last: float  # m peak to peak
     pitch: float  # Hz
 
 
-def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> Swing:
+def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
     """What a scene that nothing moves from tick `since` on comes to. Its own duration is the first that is tried."""
     from teleop.simulation.virtual import run
 
@@ -65,11 +76,11 @@ def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> Swing:
             break
         result = run(replace(scene, duration=(since + times * first + 0.5) * scene.dt_ns / 1e9), seed=seed)
         if result.status != "ok":
-            return Swing("unstable", result.sentence, None, None, False)
+            return FreeMotion("unstable", result.sentence, None, None, False)
         seen = _look(result, since)
         if seen.last < QUIET:
             told = f"comes to rest: less than {QUIET:g} m of swing is left"
-            return Swing("stable", told, 0.5 * seen.last, None, True)
+            return FreeMotion("stable", told, 0.5 * seen.last, None, True)
         if before and before.trend == seen.trend == "stays" and KEPT[0] < seen.last / before.last < KEPT[1]:
             break
         before = seen
@@ -95,20 +106,20 @@ def _look(result: Result, since: int) -> _Seen:
     return _Seen(trend, float(late[-1]), frequency(_level(motion[-2 * size:])[:, most], result.dt))
 
 
-def _decided(scene: Scene, seen: _Seen, lasting: float) -> Swing:
+def _decided(scene: Scene, seen: _Seen, lasting: float) -> FreeMotion:
     """What the last run says, which is not at rest and has not diverged."""
     step = max((end.encoder.step for end in (scene.device_m, scene.device_s) if end and end.encoder), default=0.0)
     amplitude, told = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} m peak to peak"
     if seen.trend == "grows":
-        return Swing("unstable", f"still grows after {lasting:.3g} s: {told} by now", amplitude, seen.pitch, False)
+        return FreeMotion("unstable", f"still grows after {lasting:.3g} s: {told} by now", amplitude, seen.pitch, False)
     if seen.trend == "falls" and not step:
-        return Swing("stable", f"still dies away after {lasting:.3g} s: {told} left", amplitude, seen.pitch, True)
+        return FreeMotion("stable", f"still dies away after {lasting:.3g} s: {told} left", amplitude, seen.pitch, True)
     rests = seen.last <= STEPS * step
     if step:
         told += f", {seen.last / step:.2g} steps of the encoder"
         told += f", of which {STEPS:g} count as rest" if rests else ""
     kept = f"has not come to rest after {lasting:.3g} s" if seen.trend == "falls" else "keeps swinging"
-    return Swing("limit cycle", f"{kept}: {told}", amplitude, seen.pitch, rests)
+    return FreeMotion("limit cycle", f"{kept}: {told}", amplitude, seen.pitch, rests)
 
 
 def _level(motion: NDArray[np.float64]) -> NDArray[np.float64]:

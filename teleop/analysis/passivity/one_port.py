@@ -14,17 +14,16 @@ from dataclasses import dataclass, replace
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.models import sampled
-from teleop.analysis.passivity import coupling
+from teleop.analysis.models import coupling, sampled
 from teleop.analysis.passivity.surroundings import linear_parts
 from teleop.analysis.passivity.verdict import Verdict, verdict
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
+    from teleop.analysis.models.coupling import Lack
     from teleop.analysis.models.peak import Reals
     from teleop.analysis.models.sampled import Impedance, Needed
-    from teleop.analysis.passivity.coupling import Lack
     from teleop.laws.virtual_coupling import VirtualCoupling
 
 INTEGRATORS = {  # (theta_f, theta_x)
@@ -50,7 +49,7 @@ class Behind(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnePort:
+class RenderedImpedance:
     """A rendered impedance and the damping that it needs."""
 
     E: Impedance
@@ -80,7 +79,7 @@ class OnePort:
                                      every=self.every)
 
 
-def one_port(scene: Scene) -> OnePort:
+def one_port(scene: Scene) -> RenderedImpedance:
     """The one-port of a scene without a slave. Refused if its law is not linear in contact."""
     if scene.slave is not None:
         raise Refused("a scene with a slave has two ports; ask for its hybrid matrix "
@@ -94,7 +93,7 @@ def one_port(scene: Scene) -> OnePort:
     needed = sampled.needed_damping(E, T, d=device.delay, every=device.every)
     judged = verdict(scene, E, needed)
     simple = device.every == 1 and device.delay == 0 and judged.spring  # Abbott and Okamura's conditions
-    return OnePort(
+    return RenderedImpedance(
         E=E, T=T, d=device.delay, every=device.every, damping=scene.master.damping, needed=needed,
         stiffness=coupling.stiffness(E, T), verdict=judged,
         quantised=sampled.quantised_stiffness(b=scene.master.damping, T=T, step=device.encoder.step,

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from teleop.analysis.passivity.one_port import Behind, OnePort
-    from teleop.analysis.passivity.report import Answer
+    from teleop.analysis.passivity.one_port import Behind, RenderedImpedance
+    from teleop.analysis.passivity.report import PassivityAnswer
 
 STYLES = {"sampled": ("-", 1.4), "continuous": ("--", 1.0)}
 ETA = (-1.3, 4.0)  # shown of Llewellyn's parameter
 
 
-def draw(answer: Answer, path: Path) -> None:
+def draw(answer: PassivityAnswer, path: Path) -> None:
     """Draw `answer` into the PNG file `path`. `Refused` if the extra is missing or it cannot be written."""
     alone = answer.one is not None and answer.one.behind is None
     title = literal(f"{answer.scene.name}, law {law_name(answer.scene.law)}")
@@ -61,7 +61,7 @@ def _legend(axes: Axes) -> None:
     axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, borderaxespad=0.2)
 
 
-def _two(figure: Figure, answer: Answer, data: dict[str, Any]) -> None:
+def _two(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]) -> None:
     import numpy as np
 
     (top, eta), (passed, felt) = figure.subplots(2, 2, sharex=True)
@@ -107,7 +107,7 @@ def _touched(axes: Axes, data: dict[str, Any]) -> None:
     axes.text(0.5, 0.5, "the environment is not linear", ha="center", transform=axes.transAxes, color=DARK)
 
 
-def _bands(axes: Axes, answer: Answer) -> None:
+def _bands(axes: Axes, answer: PassivityAnswer) -> None:
     """The bands in which the criterion fails: those of the sampled two-port, or of the only one there is."""
     judged = answer.two and (answer.two.sampled or answer.two.continuous)
     for i, band in enumerate(judged.bands if judged else ()):
@@ -115,7 +115,7 @@ def _bands(axes: Axes, answer: Answer) -> None:
         axes.axvspan(*band, color=FAILS, alpha=0.12, linewidth=0.0, label=f"fails, {which}" if i == 0 else None)
 
 
-def _one(figure: Figure, one: OnePort, data: dict[str, Any]) -> None:
+def _one(figure: Figure, one: RenderedImpedance, data: dict[str, Any]) -> None:
     if one.behind is None:
         _needed(figure.subplots(), one, data)
         return
@@ -127,7 +127,7 @@ def _one(figure: Figure, one: OnePort, data: dict[str, Any]) -> None:
     _real(real, one, one.behind, data["frequency"][data["frequency"] < 0.49 / one.T])
 
 
-def _lost(axes: Axes, one: OnePort, behind: Behind, data: dict[str, Any]) -> None:
+def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, Any]) -> None:
     """What the coupling costs: the environment's impedance, the coupling's, and what is left of them together."""
     import numpy as np
 
@@ -145,7 +145,7 @@ def _lost(axes: Axes, one: OnePort, behind: Behind, data: dict[str, Any]) -> Non
     _frequency(axes, "impedance (N s/m)")
 
 
-def _needed(axes: Axes, one: OnePort, data: dict[str, Any]) -> None:
+def _needed(axes: Axes, one: RenderedImpedance, data: dict[str, Any]) -> None:
     import numpy as np
 
     f, need = data["frequency"], data["needed_damping"]
@@ -158,11 +158,11 @@ def _needed(axes: Axes, one: OnePort, data: dict[str, Any]) -> None:
     _legend(axes)
 
 
-def _diagram(axes: Axes, one: OnePort, behind: Behind) -> None:
+def _diagram(axes: Axes, one: RenderedImpedance, behind: Behind) -> None:
     """How much passivity an environment may lack, over the coupling made stiffer and more damped alike."""
     import numpy as np
 
-    from teleop.analysis.passivity.coupling import alpha_max, alpha_miller
+    from teleop.analysis.models.coupling import alpha_max, alpha_miller
 
     delta = one.damping
     factors = np.geomspace(1e-2, 1e2, 400)
@@ -193,7 +193,7 @@ def _scaled(behind: Behind, factor: float) -> Any:
     return lambda z: factor * behind.C(z)
 
 
-def _real(axes: Axes, one: OnePort, behind: Behind, frequency: Any) -> None:
+def _real(axes: Axes, one: RenderedImpedance, behind: Behind, frequency: Any) -> None:
     """The real part of the environment's impedance on the unit circle, by integrator; what it is not says the legend.
 
     Below 0 it is not passive; above it is if nothing of it grows or anticipates, which the circle does not show.

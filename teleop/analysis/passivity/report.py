@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_ports
-from teleop.analysis.passivity.one_port import OnePort, one_port
+from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
 from teleop.terminal.table import facts
 from teleop.terminal.units import si
@@ -15,18 +15,18 @@ from teleop.terminal.units import si
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from teleop.analysis.passivity.coupling import Lack
+    from teleop.analysis.models.coupling import Lack
     from teleop.analysis.passivity.one_port import Behind
     from teleop.scene.scene import Scene
 
 SHOWN = 3  # bands in the table
 
 
-class Answer(NamedTuple):
+class PassivityAnswer(NamedTuple):
     """All that was asked: one port, or two."""
 
     scene: Scene
-    one: OnePort | None
+    one: RenderedImpedance | None
     two: TwoPorts | None
     left_out: tuple[str, ...]
     low: float  # Hz
@@ -43,21 +43,21 @@ class Answer(NamedTuple):
         return _llewellyn(judged)
 
 
-def ask(scene: Scene, *, seed: int = 0, span: str | None = None) -> Answer:
-    """Answer for a scene; `span` is a range LOW:HIGH in Hz as it was typed. Raises `Refused`."""
+def ask(scene: Scene, *, seed: int = 0, span: str | None = None) -> PassivityAnswer:
+    """PassivityAnswer for a scene; `span` is a range LOW:HIGH in Hz as it was typed. Raises `Refused`."""
     from teleop.analysis.passivity.surroundings import linear_parts
 
     low, high = _span(span)
     if scene.slave is not None:
         two = two_ports(scene, low=low, high=high, seed=seed)
-        return Answer(scene, None, two, tuple(linear_parts(scene)[1]), two.low, two.high)
+        return PassivityAnswer(scene, None, two, tuple(linear_parts(scene)[1]), two.low, two.high)
     one = one_port(scene)
     top = 0.5 / (one.every * one.T)
     high = top if high is None else high
     if not 0.0 < low < high <= top:
         raise Refused(f"the range {low:g}:{high:g} Hz must lie above 0 and not above half the rate, {top:g} Hz here, "
                       "its lower end first; write for example --range 0.1:100")
-    return Answer(scene, one, None, one.left_out, low, high)
+    return PassivityAnswer(scene, one, None, one.left_out, low, high)
 
 
 def _span(typed: str | None) -> tuple[float, float | None]:
@@ -73,7 +73,7 @@ def _span(typed: str | None) -> tuple[float, float | None]:
     return ends
 
 
-def table(answer: Answer) -> str:
+def table(answer: PassivityAnswer) -> str:
     """The answer in a few lines."""
     from teleop.law import law_name
 
@@ -91,7 +91,7 @@ def _damping(value: float) -> str:
     return f"{value:.4g} N s/m"
 
 
-def _one(one: OnePort) -> list[tuple[str, str]]:
+def _one(one: RenderedImpedance) -> list[tuple[str, str]]:
     rows = [("verdict", one.verdict.sentence)]
     late = f", {one.d} of them after the reading" if one.d else ""
     often = "tick" if one.every == 1 else f"{one.every} ticks"
@@ -103,7 +103,7 @@ def _one(one: OnePort) -> list[tuple[str, str]]:
     return rows + ([] if one.behind is None else _behind(one, one.behind))
 
 
-def _behind(one: OnePort, behind: Behind) -> list[tuple[str, str]]:
+def _behind(one: RenderedImpedance, behind: Behind) -> list[tuple[str, str]]:
     alpha, delta = behind.alpha.alpha, one.damping
     lacks = f"lacks alpha_e = {_damping(alpha)}, it is passive"
     if alpha > 0.0:
@@ -167,7 +167,7 @@ def _llewellyn(judged: Judged) -> str:
     return f"not absolutely stable: fails at {where}; {least}"
 
 
-def summary(answer: Answer, command: Sequence[str] = ()) -> dict[str, Any]:
+def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
     """The answer as JSON can hold it: SI units; what is endless or not known is null."""
     from teleop.simulation.result import parameters
     from teleop.version import __version__
@@ -186,7 +186,7 @@ def summary(answer: Answer, command: Sequence[str] = ()) -> dict[str, Any]:
     return told
 
 
-def _one_numbers(one: OnePort) -> dict[str, Any]:
+def _one_numbers(one: RenderedImpedance) -> dict[str, Any]:
     behind = one.behind
     return {
         "damping": one.damping, "needed_damping": _finite(one.needed.damping), "frequency": one.needed.frequency,
@@ -216,7 +216,7 @@ def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
 
 
-def curves(answer: Answer) -> dict[str, Any]:
+def curves(answer: PassivityAnswer) -> dict[str, Any]:
     """Arrays over frequency: `frequency` and `needed_damping`, or `sampled_h` and so on, each with its `_frequency`."""
     import numpy as np
 
@@ -224,7 +224,7 @@ def curves(answer: Answer) -> dict[str, Any]:
         f = np.geomspace(answer.low, answer.high, 2000)
         found = {"frequency": f, "needed_damping": answer.one.curve(f)}
         if answer.one.behind is not None:
-            from teleop.analysis.passivity.coupling import gap
+            from teleop.analysis.models.coupling import gap
 
             found["gap"] = gap(answer.one.behind.C, answer.one.behind.E, answer.one.T, f)
         return found
@@ -241,7 +241,7 @@ def curves(answer: Answer) -> dict[str, Any]:
     return two
 
 
-def write(answer: Answer, folder: Path, command: Sequence[str] = ()) -> None:
+def write(answer: PassivityAnswer, folder: Path, command: Sequence[str] = ()) -> None:
     """Write summary.json and curves.npz into a folder that is there."""
     import json
 

@@ -4,8 +4,8 @@ Two leaks that do not mix (Abbott and Okamura 2005): what holding the force make
 steps make, Coulomb friction does.
 
 - Damping: `sampled.needed_damping`, necessary and sufficient; with a shunt of the motor against the damping that it
-  adds at each frequency (`teleop.analysis.zwidth.passive.effective_damping`). Friction does not help: of large motions
-  it takes up next to nothing.
+  adds at each frequency (`law_parts.effective_damping`). Friction does not help: of large motions it takes up next to
+  nothing.
 - Encoder: (D/2)(K |h_K|_1 + B |h_B|_1) <= fc is sufficient (`teleop.analysis.zwidth.passive` derives it). Without
   friction nothing that is rendered is passive: a handle moved slowly to and fro over an edge of the encoder, turning
   whenever the force has changed, is helped on both ways by half the step's force. That is energy to the first order in
@@ -98,7 +98,7 @@ def _damped(scene: Scene, E: Impedance, needed: Needed, device: Device) -> bool 
         return enough
     if device.every > 1 or b == 0.0:
         return None
-    from teleop.analysis.zwidth.passive import effective_damping
+    from teleop.analysis.models.law_parts import effective_damping
 
     T, d = scene.dt_ns / 1e9, device.delay
     share = highest(lambda th: sampled.damping_curve(E, T, th, d=d) / effective_damping(scene, th), d + 1)
@@ -122,7 +122,7 @@ def _stepped(scene: Scene, device: Device, asked: float | None, spring: bool) ->
 def _unknown(scene: Scene, device: Device, E: Impedance, *, spring: bool, damped: bool | None,
              stepped: bool | None) -> tuple[str, ...]:
     """The parts with which the verdict is not known."""
-    from teleop.analysis.passivity.coupling import stiffness
+    from teleop.analysis.models.coupling import stiffness
 
     left = ["passivity controller"] if scene.passivity is not None else []
     if cap := scene.cap:

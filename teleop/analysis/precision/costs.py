@@ -11,7 +11,7 @@ from teleop.physics.plant import move_free, move_gripped
 from teleop.simulation.bodies import Bodies, reference_samples
 
 if TYPE_CHECKING:
-    from teleop.analysis.precision.measure import Contender
+    from teleop.analysis.precision.contenders.contenders import Contender
     from teleop.scene.scene import Scene
 
 Clock = Callable[[], int]

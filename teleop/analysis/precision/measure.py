@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders.contenders import method_bodies
+from teleop.analysis.precision.contenders.contenders import Contender, method_bodies
 from teleop.analysis.precision.contenders.methods import METHODS
 from teleop.analysis.precision.contenders.nonlinear import goes
 from teleop.analysis.precision.contenders.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
@@ -23,7 +23,7 @@ from teleop.analysis.precision.reference.agreement import Agreement
 from teleop.analysis.precision.reference.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
 from teleop.analysis.precision.reference.truth import Truth, truth_of
 from teleop.errors import Refused
-from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.metrics import tracking
 from teleop.simulation.virtual import run
 
@@ -44,30 +44,6 @@ OUTSIDE = 0.4  # of the budget is for scipy's solvers
 MOST_UNASKED = 1_000_000  # ticks: more do not fit into a minute
 BINS = 800  # of the errors along the run
 EULER = "semi_implicit_euler/1"
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Contender:
-    """A way to move the bodies: the stack's own, a fixed-step method with `substeps`, or scipy's solver with `rtol`.
-
-    The stack's own is `exact` where every body has a closed form, else `default`.
-    """
-
-    method: str
-    label: str
-    bodies: Bodies
-    substeps: int | None = None
-    rtol: float | None = None
-
-    @property
-    def step(self) -> str:
-        """What is finer or coarser about it."""
-        return str(self.substeps) if self.substeps else f"{self.rtol:.0e}" if self.rtol else ""
-
-    @property
-    def key(self) -> str:
-        """Its name among all."""
-        return f"{self.method}/{self.step}" if self.step else self.method
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -13,25 +13,25 @@ from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from teleop.analysis.models.continuous import Continuous
-    from teleop.analysis.models.rest import Swing
+    from teleop.analysis.models.rest import FreeMotion
     from teleop.scene.scene import Scene
 
 PLACES_IN_TIME = 21  # of a range: each is a few runs
 TOLD = 4  # further changes in the table
 
 
-class Answer(NamedTuple):
+class StabilityAnswer(NamedTuple):
     """All that was asked."""
 
     scene: Scene
-    found: Stability | Swing
+    found: Stability | FreeMotion
     limit: Continuous | None
     edge: Critical | None
     unit: str = ""  # of its knob, with a space before it, where the scene names one
 
 
 def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
-        knob: str | None = None, span: str | None = None, tol: str | None = None) -> Answer:
+        knob: str | None = None, span: str | None = None, tol: str | None = None) -> StabilityAnswer:
     """Load the scene and answer; the texts `span` (LOW:HIGH) and `tol` as they were typed. Raises `Refused`."""
     from teleop.scene.loading import load_scene
 
@@ -43,7 +43,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     own = None if knob is None else own_value(scene, knob)
     low, high = (0.0, 0.0) if knob is None or own is None else _span(knob, own, span)
     closeness = None if tol is None else number("tol", _as_number("--tol", tol), above=0.0)
-    found: Stability | Swing
+    found: Stability | FreeMotion
     limit = None
     if in_time:
         from teleop.analysis.stability.swing import swing
@@ -56,7 +56,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
 
         limit = without_clock(scene)
     if knob is None or own is None:
-        return Answer(scene, found, limit, None)
+        return StabilityAnswer(scene, found, limit, None)
 
     def make(value: float) -> Scene:
         return load_scene(name, **{**knobs, knob: value})
@@ -70,7 +70,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     from teleop.scene.catalogue import units_of
 
     unit = units_of(name, [knob]).get(knob)
-    return Answer(scene, found, limit, edge, f" {unit}" if unit else "")
+    return StabilityAnswer(scene, found, limit, edge, f" {unit}" if unit else "")
 
 
 def _whole(name: str, knob: str) -> bool:
@@ -121,7 +121,7 @@ def _as_number(option: str, typed: str) -> float:
         raise Refused(f"{option} needs finite numbers, not {typed!r}") from None
 
 
-def summary(answer: Answer) -> dict[str, Any]:
+def summary(answer: StabilityAnswer) -> dict[str, Any]:
     """The answer as JSON can hold it: SI units; forth, back, round trips and the delay margin in ticks."""
     from teleop.simulation.result import parameters
 
@@ -145,7 +145,7 @@ def summary(answer: Answer) -> dict[str, Any]:
     return told
 
 
-def table(answer: Answer) -> str:
+def table(answer: StabilityAnswer) -> str:
     """The answer in a few lines."""
     from teleop.law import law_name
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from teleop.analysis.models.rest import WINDOWS, Swing, settled
+from teleop.analysis.models.rest import WINDOWS, FreeMotion, HeldGrip, settled
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 
@@ -41,21 +41,13 @@ class Staying:
         return tuple([*place, *rest][:count] for place, rest in zip(moved, tail, strict=True))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Grip:
-    mass: float
-    k: float
-    d: float
-    reference: Reference
-
-
-def swing(scene: Scene, *, seed: int = 0) -> Swing:
+def swing(scene: Scene, *, seed: int = 0) -> FreeMotion:
     """Run `scene` and say whether it comes to rest, keeps swinging, or does not stay bounded."""
     from teleop.simulation.virtual import run
 
     first = run(scene, seed=seed)
     if first.status != "ok":
-        return Swing("unstable", first.sentence, None, None, False)
+        return FreeMotion("unstable", first.sentence, None, None, False)
     since = 0 if scene.hand is None else _hardest(first)
     trip = first.metrics.get("T_fwd_mean", 0.0) + first.metrics.get("T_bwd_mean", 0.0)
     dt = scene.dt_ns / 1e9
@@ -66,7 +58,7 @@ def swing(scene: Scene, *, seed: int = 0) -> Swing:
         kicked = replace(kicked, start_m=(start[0] + KICK, *start[1:]))
     else:
         hand = scene.hand
-        own = _Grip(mass=hand.mass, k=hand.k, d=hand.d, reference=Staying(path=hand.reference, until=since))
+        own = HeldGrip(mass=hand.mass, k=hand.k, d=hand.d, reference=Staying(path=hand.reference, until=since))
         kicked = replace(kicked, hand=own)
     return settled(kicked, since=since, seed=seed)
 

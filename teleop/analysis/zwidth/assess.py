@@ -17,7 +17,7 @@ from teleop.analysis.zwidth.impedance import Curves, curves
 from teleop.analysis.zwidth.levers import Lever, levers
 from teleop.analysis.zwidth.measured import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.passive import Region, passive_region
-from teleop.analysis.zwidth.plane import ALL, Boundary, Loop, Span, boundary, loop, rows
+from teleop.analysis.zwidth.plane import ALL, Boundary, LoopFamily, Span, boundary, loop, rows
 from teleop.errors import Refused, number
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ LEVERS = 10  # of which there are about so many
 RUNS = 17  # a search of the stiffest at rest has about so many
 
 
-class Row(NamedTuple):
+class LeverRow(NamedTuple):
     """One lever: what it comes to, at the scene's own B where a single one is meant. None: not claimed, not looked at.
 
     Stiffnesses in N/m; inf is beyond the range looked at, 0 below all of it.
@@ -55,13 +55,13 @@ class ZWidth:
     span_B: Span
     stable: Boundary | None = None  # with the scene's hand; None: it has none, or the loop is not linear
     stable_free: Boundary | None = None
-    rows: list[Row] = field(default_factory=list)
+    rows: list[LeverRow] = field(default_factory=list)
     measured: list[tuple[float, float | None]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     interrupted: bool = False
 
     @property
-    def base(self) -> Row:
+    def base(self) -> LeverRow:
         """The scene as it is."""
         return self.rows[0]
 
@@ -138,7 +138,7 @@ def _steps(found: ZWidth, show: Show) -> Iterator[ZWidth]:
     yield from _runs(found, {lever.name: lever for lever in tried}, with_hand, show)
 
 
-def _runs(found: ZWidth, tried: dict[str, Lever], linear: Loop | None, show: Show) -> Iterator[ZWidth]:
+def _runs(found: ZWidth, tried: dict[str, Lever], linear: LoopFamily | None, show: Show) -> Iterator[ZWidth]:
     """The same with what comes to rest in virtual time, one search after another."""
     own, high = found.scene.law.B, found.span_B.high
     try:
@@ -182,7 +182,7 @@ def _runs(found: ZWidth, tried: dict[str, Lever], linear: Loop | None, show: Sho
             yield found
 
 
-def _row(scene: Scene, lever: Lever, B: float, span_K: Span, span_B: Span) -> Row:
+def _row(scene: Scene, lever: Lever, B: float, span_K: Span, span_B: Span) -> LeverRow:
     region = passive_region(scene)
     stable, free, most = None, None, None
     if scene.passivity is None:  # whose damping no eigenvalue knows
@@ -194,10 +194,10 @@ def _row(scene: Scene, lever: Lever, B: float, span_K: Span, span_B: Span) -> Ro
             stable = None if scene.hand is None else boundary(held, [B], span_K).K[0]
             if not held.coarse:
                 most = boundary(held, rows(held, span_B, span_K), span_K).stiffest
-    return Row(lever.name, lever.what, region, curves(scene, region), stable, free, most)
+    return LeverRow(lever.name, lever.what, region, curves(scene, region), stable, free, most)
 
 
-def _loop(scene: Scene, *, hand: bool) -> tuple[Loop | None, str]:
+def _loop(scene: Scene, *, hand: bool) -> tuple[LoopFamily | None, str]:
     try:
         return loop(scene, hand=hand), ""
     except Refused as refused:

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from teleop.analysis.models.gains import with_gains
-from teleop.analysis.models.rest import settled
+from teleop.analysis.models.rest import HeldGrip, settled
 from teleop.errors import Refused
 
 if TYPE_CHECKING:
@@ -39,14 +39,6 @@ class _Staying:
         return ([self.at] * count, *[[0.0] * count] * (axes - 1))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Grip:
-    mass: float
-    k: float
-    d: float
-    reference: Any
-
-
 def let_go(scene: Scene) -> Scene:
     """The experiment's scene. Refused if no hand presses the device into the wall."""
     if scene.hand is None:
@@ -61,7 +53,7 @@ def let_go(scene: Scene) -> Scene:
     ticks = min(max(round(LASTING / T), TICKS[0]), TICKS[1])
     return replace(
         scene, start_m=wall - BEFORE, duration=(ticks + 0.5) * T, energy=False,
-        hand=_Grip(mass=hand.mass, k=hand.k, d=hand.d, reference=_Staying(at=held)),
+        hand=HeldGrip(mass=hand.mass, k=hand.k, d=hand.d, reference=_Staying(at=held)),
     )
 
 

@@ -34,20 +34,18 @@ What else bounds it:
   pulled on by B D/T at every tick. Without friction nothing is left.
 
 Behind a virtual coupling the tool may meet any passive environment; the polygon is then that of the coupling's K and B
-(`teleop.analysis.passivity.coupling`, from which the formula is: quadratic over linear, so again convex).
+(`teleop.analysis.models.coupling`, from which the formula is: quadratic over linear, so again convex).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.models import sampled
+from teleop.analysis.models import coupling, sampled
 from teleop.analysis.models.gains import scales
-from teleop.analysis.models.law_parts import law_parts, norms
+from teleop.analysis.models.law_parts import effective_damping, law_parts, norms
 from teleop.analysis.models.peak import grid, highest
-from teleop.analysis.passivity import coupling
 from teleop.analysis.zwidth.polygon import CLOSE, Gauge, Point, clip, polygon
 from teleop.errors import Refused
 from teleop.laws.virtual_coupling import VirtualCoupling
@@ -221,19 +219,3 @@ def _coupled(scene: Scene, T: float, d: int, every: int) -> Curve:
         return lambda th: coupling.damping_curve(C, 0.0, th, d=d)
 
     return curve
-
-
-def effective_damping(scene: Scene, th: Reals) -> Reals:
-    """b_eff(th) of the device (N s/m): its damping, and what a shunt of its motor adds."""
-    import numpy as np
-
-    b = scene.master.damping
-    if scene.electrical is None or scene.electrical.b == 0.0:
-        return np.full_like(th, b)
-    b_e, w_c = scene.electrical.b, 2.0 * pi * scene.electrical.cutoff
-    WT = w_c * (b / (b + b_e)) ** 0.5 * scene.dt_ns / 1e9
-    half = np.sin(0.5 * th) ** 2
-    # S(W)/S(0), with cosh(WT) - cos(th) = 2 sinh(WT/2)^2 + 2 sin(th/2)^2, and e^WT taken out above and below
-    share = -np.expm1(-2.0 * WT) / (2.0 * WT) * half / (0.25 * np.expm1(-WT) ** 2 + half * np.exp(-WT))
-    found: Reals = b / (1.0 - b_e / (b + b_e) * share)
-    return found

@@ -47,7 +47,7 @@ COARSE = (7, 14, 14)
 AT_ONCE = 2_000_000  # numbers of the matrices worked out at once
 
 
-class Loop(NamedTuple):
+class LoopFamily(NamedTuple):
     """The loop of a scene's linear part as a function of (K, B)."""
 
     scene: Scene
@@ -85,7 +85,7 @@ class Span(NamedTuple):
 ALL = Span()
 
 
-def loop(scene: Scene, *, hand: bool) -> Loop:
+def loop(scene: Scene, *, hand: bool) -> LoopFamily:
     """The loop with the scene's hand or a free handle. Refused where it is not linear in contact."""
     scene = linear_part(scene if hand else replace(scene, hand=None))
     device = scene.device_m
@@ -93,11 +93,11 @@ def loop(scene: Scene, *, hand: bool) -> Loop:
         at_once = _loop(replace(scene, device_m=replace(device, delay=0)))
         cut = at_once.first and opened(at_once.first, device.delay)
         if cut:
-            return Loop(scene, at_once.first, at_once.others, 1, at_once.states, cut)
+            return LoopFamily(scene, at_once.first, at_once.others, 1, at_once.states, cut)
     return _loop(scene)
 
 
-def _loop(scene: Scene) -> Loop:
+def _loop(scene: Scene) -> LoopFamily:
     K0, B0 = scales(scene)
     places = ((K0, 0.0), (2.0 * K0, 0.0), (K0, B0), (1.7 * K0, 0.6 * B0))
     found = [one_port(with_gains(scene, K, B)).ticks for K, B in places]
@@ -108,12 +108,12 @@ def _loop(scene: Scene) -> Loop:
         M_0 = base - K0 * M_K
         size = abs(M_0) + K0 * abs(M_K) + B0 * abs(M_B)
         if (abs(M_0 + 1.7 * K0 * M_K + 0.6 * B0 * M_B - tried) > 1e-7 * size + 1e-12).any():
-            return Loop(scene, None, None, len(found[0]), len(base))
+            return LoopFamily(scene, None, None, len(found[0]), len(base))
         kinds.append((M_0, M_K, M_B))
-    return Loop(scene, kinds[0], kinds[-1], len(found[0]), len(kinds[0][0]))
+    return LoopFamily(scene, kinds[0], kinds[-1], len(found[0]), len(kinds[0][0]))
 
 
-def is_stable(of: Loop, K: Any, B: Any) -> NDArray[np.bool_]:
+def is_stable(of: LoopFamily, K: Any, B: Any) -> NDArray[np.bool_]:
     """Whether the loop is stable at each (K, B): no root outside the unit circle, those at rest at z = 1 aside."""
     import numpy as np
 
@@ -148,7 +148,7 @@ def top(scene: Scene) -> tuple[float, float]:
     return B / T, B
 
 
-def boundary(of: Loop, B: Sequence[float], span: Span = ALL) -> Boundary:
+def boundary(of: LoopFamily, B: Sequence[float], span: Span = ALL) -> Boundary:
     """The stable region's edge at each of these B, within `span` of K."""
     import numpy as np
 
@@ -170,7 +170,7 @@ def boundary(of: Loop, B: Sequence[float], span: Span = ALL) -> Boundary:
     return Boundary(tuple(rows.tolist()), tuple(edge.tolist()))
 
 
-def _crossed(of: Loop, cut: Open, B: Sequence[float], span: Span) -> Boundary:
+def _crossed(of: LoopFamily, cut: Open, B: Sequence[float], span: Span) -> Boundary:
     """The same where the eigenvalues are too many."""
     least, high = max(span.low, 1e-7 * top(of.scene)[0]), span.high or float("inf")
     most, found = first_B(cut, least), []
@@ -180,7 +180,7 @@ def _crossed(of: Loop, cut: Open, B: Sequence[float], span: Span) -> Boundary:
     return Boundary(tuple(B), tuple(found))
 
 
-def most_damping(of: Loop, span: Span = ALL) -> float:
+def most_damping(of: LoopFamily, span: Span = ALL) -> float:
     """The least B at which the loop is unstable with next to no K; 0 if every one is."""
     import numpy as np
 
@@ -200,7 +200,7 @@ def most_damping(of: Loop, span: Span = ALL) -> float:
     return float(high)
 
 
-def rows(of: Loop, span: Span, stiffness: Span) -> list[float]:
+def rows(of: LoopFamily, span: Span, stiffness: Span) -> list[float]:
     """The values of B at which the boundary is looked for."""
     import numpy as np
 

@@ -13,7 +13,7 @@ from teleop.terminal.table import columns, facts
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from teleop.analysis.zwidth.assess import Row, ZWidth
+    from teleop.analysis.zwidth.assess import LeverRow, ZWidth
     from teleop.analysis.zwidth.plane import Boundary
 
 
@@ -49,7 +49,7 @@ MEANING = {
 }
 
 
-def numbers(row: Row) -> dict[str, float | None]:
+def numbers(row: LeverRow) -> dict[str, float | None]:
     """A row's metrics by their keys."""
     c = row.curves
     return {
@@ -59,7 +59,7 @@ def numbers(row: Row) -> dict[str, float | None]:
     }
 
 
-def ratios(row: Row, base: Row) -> dict[str, float | None]:
+def ratios(row: LeverRow, base: LeverRow) -> dict[str, float | None]:
     """A row's metrics over those of the scene as it is; None where there is no such ratio."""
     own = numbers(base)
     found: dict[str, float | None] = {}
@@ -80,7 +80,7 @@ def table(got: ZWidth) -> str:
     return f"{columns([head, unit, *body])}\n\n{facts(_facts(got))}"
 
 
-def _cells(row: Row, base: Row, *, first: bool) -> Iterator[str]:
+def _cells(row: LeverRow, base: LeverRow, *, first: bool) -> Iterator[str]:
     own, times = numbers(row), ratios(row, base)
     for metric in METRICS:
         value, factor = own[metric.key], times[metric.key]
@@ -154,7 +154,7 @@ def summary(got: ZWidth, command: Sequence[str] = ()) -> dict[str, Any]:
     return {**told, **{key: _number(value) for key, value in numbers(base).items()}}
 
 
-def _row(row: Row, base: Row) -> dict[str, Any]:
+def _row(row: LeverRow, base: LeverRow) -> dict[str, Any]:
     own = numbers(row)
     return {
         "name": row.name, "what": row.what, **{key: _number(value) for key, value in own.items()},

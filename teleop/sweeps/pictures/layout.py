@@ -28,7 +28,7 @@ DECADES = 100.0  # a metric whose values are this far apart gets a log scale
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Knob:
+class PlottedKnob:
     """A knob that varies: its values in order, and for each row the place of its value there."""
 
     name: str
@@ -50,11 +50,11 @@ class Panel:
     rows: NDArray[Any]
 
 
-def varying(table: Table, units: Mapping[str, str]) -> tuple[list[Knob], list[str]]:
+def varying(table: Table, units: Mapping[str, str]) -> tuple[list[PlottedKnob], list[str]]:
     """The knobs with several values; of those that go in step, as zipped ones do, the first, and what follows it."""
     import numpy as np
 
-    found: list[Knob] = []
+    found: list[PlottedKnob] = []
     for name in table.knobs:
         column = table[name]
         numeric = column.dtype.kind in "fiu" and bool(np.isfinite(column).all())
@@ -66,8 +66,9 @@ def varying(table: Table, units: Mapping[str, str]) -> tuple[list[Knob], list[st
             place = np.array([order.setdefault(str(value), len(order)) for value in column.tolist()], dtype=np.int64)
             kept = [*order]
         if len(kept) > 1:
-            found.append(Knob(name=name, unit=units.get(name, ""), values=tuple(kept), place=place, numeric=numeric))
-    kept_knobs: list[Knob] = []
+            unit = units.get(name, "")
+            found.append(PlottedKnob(name=name, unit=unit, values=tuple(kept), place=place, numeric=numeric))
+    kept_knobs: list[PlottedKnob] = []
     notes: list[str] = []
     for knob in found:
         leader = next((other for other in kept_knobs if _in_step(knob, other)), None)
@@ -78,7 +79,7 @@ def varying(table: Table, units: Mapping[str, str]) -> tuple[list[Knob], list[st
     return kept_knobs, notes
 
 
-def pairs_of(a: Knob, b: Knob) -> NDArray[Any] | None:
+def pairs_of(a: PlottedKnob, b: PlottedKnob) -> NDArray[Any] | None:
     """The places of both for each value of `a`, if each value of one comes with a single one of the other."""
     import numpy as np
 
@@ -88,7 +89,7 @@ def pairs_of(a: Knob, b: Knob) -> NDArray[Any] | None:
     return np.stack(np.divmod(pairs, len(b.values)), axis=1) if len(pairs) == len(a.values) else None
 
 
-def _in_step(a: Knob, b: Knob) -> bool:
+def _in_step(a: PlottedKnob, b: PlottedKnob) -> bool:
     """Does one follow from the other? Numbers must also rise or fall together: those of a sample do not."""
     import numpy as np
 
@@ -99,7 +100,7 @@ def _in_step(a: Knob, b: Knob) -> bool:
     return not (a.numeric and b.numeric) or bool((steps > 0).all() or (steps < 0).all())
 
 
-def axes_knobs_of(knobs: list[Knob], kind: str) -> list[Knob]:
+def axes_knobs_of(knobs: list[PlottedKnob], kind: str) -> list[PlottedKnob]:
     """The knobs on the axes: x and y of a map; x and, if there is one, the lines of curves."""
     most = sorted((knob for knob in knobs if knob.numeric), key=lambda knob: -len(knob.values))
     if kind != "curves":
@@ -111,7 +112,7 @@ def axes_knobs_of(knobs: list[Knob], kind: str) -> list[Knob]:
     return [x, *(texts or rest)[:1]]
 
 
-def panels_of(table: Table, knobs: list[Knob]) -> tuple[list[Panel], str]:
+def panels_of(table: Table, knobs: list[PlottedKnob]) -> tuple[list[Panel], str]:
     """A panel for each combination of values that has rows, up to `PANELS`, and what was left out."""
     import numpy as np
 

@@ -10,8 +10,8 @@ from teleop.sweeps.pictures.layout import (
     OTHER,
     STATUS,
     WITHOUT,
-    Knob,
     Panel,
+    PlottedKnob,
     gradient_map,
     groups_of,
     scale,
@@ -52,7 +52,7 @@ class _Found:
     value: NDArray[Any]  # what colours it: the share, or the median of the metric over the rows that ended ok
 
 
-def _found(table: Table, rows: NDArray[Any], x: Knob, y: Knob, metric: str | None) -> _Found:
+def _found(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob, metric: str | None) -> _Found:
     import numpy as np
 
     at, where = np.unique(x.place[rows] * len(y.values) + y.place[rows], return_inverse=True)
@@ -69,7 +69,7 @@ def _found(table: Table, rows: NDArray[Any], x: Knob, y: Knob, metric: str | Non
 
 
 def draw_maps(
-    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[Knob], metric: str | None,
+    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[PlottedKnob], metric: str | None,
     words: Mapping[str, str],
 ) -> str:
     """Coloured cells by status, by share of runs that end ok, or by a metric; the boundary. Leaves nothing out.
@@ -135,7 +135,7 @@ def _norm(values: NDArray[Any]) -> Any:
     return (LogNorm if scaled == "log" else Normalize)(low, high)
 
 
-def _place(axes: Axes, x: Knob, y: Knob, found: _Found, paint: NDArray[Any], sampled: bool) -> bool:
+def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, found: _Found, paint: NDArray[Any], sampled: bool) -> bool:
     """Colour the points: cells of a grid, with the boundary between them, or dots. Was there a boundary?"""
     import numpy as np
     from matplotlib.collections import LineCollection

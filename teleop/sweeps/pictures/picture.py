@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from teleop.errors import Refused, nearest
 from teleop.sweeps.pictures.layout import (
     TEXTS,
-    Knob,
     Panel,
+    PlottedKnob,
     axes_knobs_of,
     gradient_map,
     groups_of,
@@ -106,7 +106,7 @@ def check(knobs: Sequence[str], numeric: Sequence[str], kind: str | None, metric
 
 
 def _curves(
-    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[Knob], metric: str
+    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[PlottedKnob], metric: str
 ) -> str:
     """Median, quartiles and extremes over the seeds; a cross where not every run ended ok. What was left out."""
     import numpy as np

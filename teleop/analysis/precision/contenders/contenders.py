@@ -8,6 +8,7 @@ that are not piecewise linear are those of `nonlinear`, bodies that remember tho
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,30 @@ from teleop.simulation.bodies import Bodies, exact_bodies
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Contender:
+    """A way to move the bodies: the stack's own, a fixed-step method with `substeps`, or scipy's solver with `rtol`.
+
+    The stack's own is `exact` where every body has a closed form, else `default`.
+    """
+
+    method: str
+    label: str
+    bodies: Bodies
+    substeps: int | None = None
+    rtol: float | None = None
+
+    @property
+    def step(self) -> str:
+        """What is finer or coarser about it."""
+        return str(self.substeps) if self.substeps else f"{self.rtol:.0e}" if self.rtol else ""
+
+    @property
+    def key(self) -> str:
+        """Its name among all."""
+        return f"{self.method}/{self.step}" if self.step else self.method
 
 
 def touch_of(plant: Plant, body: MassDamper) -> Touch:

@@ -11,7 +11,7 @@ import pytest
 
 import teleop.analysis.models.margins
 from teleop.analysis.models.curve import circle
-from teleop.analysis.models.linear import Linear, StateSpace
+from teleop.analysis.models.linear import LinearScene, StateSpace
 from teleop.analysis.models.loop import Loop, sampled_loop, transfer
 from teleop.analysis.models.margins import critical_round_trip, dense, dominant, gain_margin, integrators
 
@@ -23,17 +23,17 @@ def random_end(dice: np.random.Generator, states: int, into: int, out: int, radi
                       dice.normal(size=(out, into)) * 0.4)
 
 
-def random_loop(seed: int) -> Linear:
+def random_loop(seed: int) -> LinearScene:
     """Ends of 1 to 5 states, stable or not, 1 to 3 fields each way, up to 40 ticks of delay."""
     dice = np.random.default_rng(seed)
     forth, back = dice.integers(1, 4, 2)
     radius = dice.choice([0.5, 0.98, 0.9999, 1.02], 2)
-    return Linear(random_end(dice, int(dice.integers(1, 6)), int(back), int(forth), radius[0]),
+    return LinearScene(random_end(dice, int(dice.integers(1, 6)), int(back), int(forth), radius[0]),
                   random_end(dice, int(dice.integers(1, 6)), int(forth), int(back), radius[1]),
                   int(dice.integers(1, 20)), int(dice.integers(1, 20)), 1e-3)
 
 
-def roots_of(linear: Linear) -> Any:
+def roots_of(linear: LinearScene) -> Any:
     """Independently: both delay lines in full, forth and back."""
     m, s = linear.master, linear.slave
     sizes = [len(m.A), len(s.A), *[len(m.C)] * linear.forth, *[len(s.C)] * linear.back]
@@ -73,7 +73,7 @@ class TestTheCount:
             end = StateSpace(A, np.array([[1.0], [0.0]]), sign * np.array([[1.2e-9, 0.0]]), np.zeros((1, 1)))
             unit = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
             for delay in (2, 3, 4, 5):
-                linear = Linear(end, unit, 1, delay - 1, 1e-3)
+                linear = LinearScene(end, unit, 1, delay - 1, 1e-3)
                 sizes = np.abs(np.linalg.eigvals(dense(linear)))
                 assert sampled_loop(linear).outside(delay) == np.count_nonzero(sizes > 1.0 + 1e-11)
 
@@ -87,7 +87,7 @@ class TestTheCount:
         theta = np.linspace(0.5, 1.5, 200_001)
         gain = transfer(end, np.exp(1j * theta))[:, 0, 0]
         top = np.abs(gain).max()
-        linear = Linear(end._replace(C=end.C * (1.0 + rise) / top), unit, 1_000, 2_000, 1e-3)
+        linear = LinearScene(end._replace(C=end.C * (1.0 + rise) / top), unit, 1_000, 2_000, 1e-3)
         above = np.flatnonzero(np.abs(gain) * (1.0 + rise) / top > 1.0)
         psi = np.angle(gain[above[[0, -1]]]) - 3_000 * theta[above[[0, -1]]]
         turns = np.floor(psi / (2.0 * np.pi))
@@ -100,7 +100,7 @@ class TestTheCount:
         A = np.array([[1.0, 1e-3], [0.0, 1.0 if states == 2 else 0.99]])
         master = StateSpace(A, np.array([[0.0], [1e-3]]), np.array([[0.0, 0.0]]), np.ones((1, 1)))
         slave = StateSpace(np.array([[0.5]]), np.ones((1, 1)), np.array([[0.1]]), np.zeros((1, 1)))
-        linear = Linear(master, slave, 3, 3, 1e-3)
+        linear = LinearScene(master, slave, 3, 3, 1e-3)
         assert sampled_loop(linear).outside(6) == 0
         assert integrators(linear) == states
 
@@ -111,7 +111,7 @@ class TestTheCount:
 
         for delay in (2, 7, 20_001):
             for gain, count in ((1.01, delay), (-1.01, delay), (0.99, 0), (-0.99, 0)):
-                linear = Linear(unit(gain), unit(1.0), 1, delay - 1, 1e-3)
+                linear = LinearScene(unit(gain), unit(1.0), 1, delay - 1, 1e-3)
                 assert sampled_loop(linear).outside(delay) == count
 
 
@@ -156,7 +156,7 @@ class TestTheMargins:
             assert np.abs(roots - mode.z).min() < 1e-6
 
 
-def scaled(linear: Linear, gain: float) -> Linear:
+def scaled(linear: LinearScene, gain: float) -> LinearScene:
     return linear._replace(slave=linear.slave._replace(C=gain * linear.slave.C, D=gain * linear.slave.D))
 
 

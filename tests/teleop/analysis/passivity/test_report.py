@@ -11,7 +11,7 @@ import pytest
 from teleop import Refused, load_scene
 from teleop.__main__ import main
 from teleop.analysis.models import sampled
-from teleop.analysis.passivity.coupling import ANTICIPATES, UNSTABLE
+from teleop.analysis.models.coupling import ANTICIPATES, UNSTABLE
 from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.report import ask, summary, table
 from teleop.stages.velocity.low_pass import LowPass

@@ -18,10 +18,10 @@ from channel.delay import Delay
 from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.analysis.precision.contenders.contenders import method_bodies, touch_of
+from teleop.analysis.precision.contenders.contenders import Contender, method_bodies, touch_of
 from teleop.analysis.precision.contenders.methods import METHODS
 from teleop.analysis.precision.contenders.outsiders import outsider_bodies
-from teleop.analysis.precision.measure import Contender, Entry, Precision, contenders, measure, verdicts
+from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
 from teleop.analysis.precision.reference.agreement import agreement, wobbled
 from teleop.analysis.precision.reference.deviation import NEAR, Error, contacts, errors, felt, missed
 from teleop.analysis.precision.reference.located import located

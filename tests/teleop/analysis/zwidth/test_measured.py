@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import teleop.analysis.zwidth.measured
-from teleop.analysis.models.rest import Swing, settled
+from teleop.analysis.models.rest import FreeMotion, settled
 from teleop.analysis.zwidth.measured import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.plane import boundary, loop
 from teleop.errors import Refused
@@ -45,7 +45,7 @@ def test_up_to_what_is_found_all_that_were_tried_rest() -> None:
     scene = let_go(load_scene("virtual_wall", step=2e-5))
     tried: list[tuple[float, bool]] = []
 
-    def noted(one: Scene, *, seed: int = 0) -> Swing:
+    def noted(one: Scene, *, seed: int = 0) -> FreeMotion:
         found = settled(one, seed=seed)
         tried.append((one.law.K, found.rests))
         return found

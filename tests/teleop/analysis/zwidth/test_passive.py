@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from teleop.analysis.models import coupling
+from teleop.analysis.models.law_parts import effective_damping
 from teleop.analysis.models.sampled import (
     filtered_wall,
     needed_damping,
@@ -16,8 +18,7 @@ from teleop.analysis.models.sampled import (
     spring_damper,
     wall_damping,
 )
-from teleop.analysis.passivity import coupling
-from teleop.analysis.zwidth.passive import effective_damping, passive_region
+from teleop.analysis.zwidth.passive import passive_region
 from teleop.analysis.zwidth.polygon import Point
 from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.laws.virtual_wall import VirtualWall

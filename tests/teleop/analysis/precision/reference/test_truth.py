@@ -17,9 +17,10 @@ import teleop.analysis.precision.reference.agreement
 import teleop.analysis.precision.reference.truth as truth_module
 from slave.hunt_crossley import HuntCrossley
 from slave.wall import Wall
+from teleop.analysis.precision.contenders.contenders import Contender
 from teleop.analysis.precision.contenders.methods import METHODS
 from teleop.analysis.precision.costs import step_costs
-from teleop.analysis.precision.measure import Contender, Entry, Precision, contenders, measure, verdicts
+from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
 from teleop.analysis.precision.reference.agreement import Agreement, wobbled
 from teleop.analysis.precision.reference.deviation import felt
 from teleop.analysis.precision.reference.tight import reference_bodies

@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.analysis.models.sampled import needed_damping as needed_alone
-from teleop.analysis.models.sampled import spring_damper, wall_damping
-from teleop.analysis.passivity.coupling import (
+from teleop.analysis.models.coupling import (
     ANTICIPATES,
     UNSTABLE,
     alpha_max,
@@ -28,6 +26,8 @@ from teleop.analysis.passivity.coupling import (
     stiffness,
     tool_lack,
 )
+from teleop.analysis.models.sampled import needed_damping as needed_alone
+from teleop.analysis.models.sampled import spring_damper, wall_damping
 from teleop.law import At
 from teleop.laws.virtual_coupling import Tool, VirtualCoupling, coupling_impedance, tool_impedance
 from teleop.physics.plant import linear
