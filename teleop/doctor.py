@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from teleop.terminal.answer import Answer
 from teleop.terminal.table import facts
 
 EXTRAS = {  # what to install for each
@@ -58,6 +60,14 @@ def text(found: dict[str, Any]) -> str:
     if held["not_kept"]:
         rows.append(("", f"they are not made use of: {held['not_kept']}"))
     return facts(rows)
+
+
+def command(args: Namespace) -> Answer:
+    """What `teleop doctor` does: show the findings, with --clear after the kernels are removed."""
+    removed = clear() if args.clear else 0
+    found = findings()
+    said = f"{removed} kernels removed\n{text(found)}" if args.clear else text(found)
+    return Answer(said, {**found, "removed": removed})
 
 
 def _kept(folder: Path) -> list[Path]:

@@ -15,19 +15,31 @@ from teleop.simulation.packets import Packets
 from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import BEGUN, is_being_written, new_folder
-from teleop.storage.strict_json import Misshapen, parse, plain, written
+from teleop.storage.strict_json import Misshapen, parse, plain, write_document
 
 RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
 LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
 
 
-def versions() -> dict[str, str]:
-    """What a summary says it was made by."""
+def versions(*also: str) -> dict[str, str]:
+    """The versions that a document says it was made by: of this package, Python, numpy, and the packages `also`."""
     import numpy
 
     from teleop.version import __version__
 
-    return {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+    found = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+    if also:
+        from importlib.metadata import version
+
+        found |= {name: version(name) for name in also}
+    return found
+
+
+def head(*, status: str, sentence: str, scene: str, mode: str, parameters: Mapping[str, object], seed: int,
+         command: Sequence[str], dt: float, also: Sequence[str] = ()) -> dict[str, Any]:
+    """The keys that the JSON document of every command about a scene begins with; dt in s."""
+    return {"status": status, "sentence": sentence, "scene": scene, "mode": mode, "parameters": dict(parameters),
+            "seed": seed, "versions": versions(*also), "command": list(command), "dt": dt}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +81,9 @@ class Result:
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
         """What goes into summary.json: a number that is not finite as the text "inf", "-inf" or "nan"."""
         summary: dict[str, Any] = plain({
-            "status": self.status, "sentence": self.sentence, "scene": self.scene, "mode": self.mode,
-            "parameters": dict(self.parameters), "seed": self.seed,
-            "versions": versions(),
-            "command": list(command), "dt": self.dt, "ticks": self.ticks, "run_time": self.run_time,
+            **head(status=self.status, sentence=self.sentence, scene=self.scene, mode=self.mode,
+                   parameters=self.parameters, seed=self.seed, command=command, dt=self.dt),
+            "ticks": self.ticks, "run_time": self.run_time,
             "metrics": {k: {"value": v, "unit": UNITS[k]} for k, v in self.metrics.items()},
             "packets": {way: asdict(counts) for way, counts in self.packets.items()},
             "notes": list(self.notes), **self.extra,
@@ -87,11 +98,10 @@ class Result:
 
     def write(self, folder: Path, command: Sequence[str] = ()) -> None:
         """Write the files of the run into a folder that is there, each in the place of one that it may hold."""
-        text = written(self.summary(command), indent=2)
+        summary = self.summary(command)
         with replacing(folder / "trace.npz") as file:
             write_arrays(file, self.trace)
-        with replacing(folder / "summary.json") as file:
-            file.write(text.encode() + b"\n")
+        write_document(folder / "summary.json", summary)
 
 
 def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:

@@ -9,7 +9,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from math import isfinite
+from pathlib import Path
 from typing import Any, NoReturn
+
+from teleop.storage.files import replacing
 
 Check = Callable[[object, str], None]
 DEEPEST = 32  # brackets within brackets
@@ -57,6 +60,13 @@ def _decoded(data: bytes | str, decoder: json.JSONDecoder) -> Any:
 def written(value: Any, *, indent: int | None = None) -> str:
     """`value` as JSON that every reader takes, `parse` too. Never raises over a number."""
     return json.dumps(plain(value), indent=indent, allow_nan=False, default=str)
+
+
+def write_document(path: Path, value: Any) -> None:
+    """Write `value` as the JSON file `path`, indented, whole or not at all. Raises `OSError`."""
+    text = written(value, indent=2)
+    with replacing(path) as file:
+        file.write(text.encode() + b"\n")
 
 
 def plain(value: Any) -> Any:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from teleop.errors import Refused
 from teleop.simulation.result import versions
-from teleop.sweeps.pictures.report import Wish, joined, limits_of, status_lines, summary_of, write
+from teleop.sweeps.pictures.report import Wish, drawn, joined, limits_of, status_rows, summary_of, write
+from teleop.terminal.answer import Answer
+from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
+from teleop.terminal.plotting import need_plot
+from teleop.terminal.progress import RowsProgress
+from teleop.terminal.table import facts
+from teleop.terminal.units import grouped
 
 if TYPE_CHECKING:
     from teleop.sweeps.cluster import Cluster
@@ -35,14 +42,15 @@ class Swept(NamedTuple):
 
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
         """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
+        compilers = () if all(engine == "plain" for engine, _ in self.plan.ran) else ("numba", "llvmlite")
         return {
-            **self.plan.definition(), "versions": {**versions(), **_compilers(self.plan)},
-            "rows": len(self.plan.grid), "done": len(self.table),
-            "ran": self.ran,
-            "counts": self.table.counts(), "engine": self.plan.engine, "why": self.plan.why,
+            "status": "interrupted" if self.interrupted else "done", "mode": "sweep",
+            **self.plan.definition(), "versions": versions(*compilers), "command": list(command),
+            "rows": len(self.plan.grid), "done": len(self.table), "ran": self.ran, "counts": self.table.counts(),
+            "engine": self.plan.engine, "why": self.plan.why,
             "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in self.plan.ran.items()],
-            "seconds": self.seconds, "interrupted": self.interrupted,
-            "command": list(command), "path": str(self.folder), "limits": dict(self.limits),
+            "seconds": self.seconds, "interrupted": self.interrupted, "path": str(self.folder),
+            "limits": dict(self.limits),
             "cluster": self.cluster and {"address": self.cluster[0], "workers": self.cluster[1]},
         }
 
@@ -54,22 +62,36 @@ class Swept(NamedTuple):
 
     def text(self) -> str:
         """The sweep in a few lines."""
-        from teleop.terminal.units import grouped
-
         rate = f", {self.ran / self.seconds:.3g} rows a second" if self.seconds > 0.0 and self.ran else ""
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
-        lines = [f"sweep    {self.plan.scene}, {grouped(len(self.plan.grid))} rows of {turned}",
-                 *status_lines(self.table)]
+        rows = [("sweep", f"{self.plan.scene}, {grouped(len(self.plan.grid))} rows of {turned}"),
+                *status_rows(self.table)]
         found = not self.ran and len(self.table) == len(self.plan.grid)
-        lines.append(f"engine   {self.plan.engine}: {self.plan.why}{rate}" if not found else
-                     "engine   none, for no row was left to run: summary.json says which ran them")
-        lines += [f"         {rows} rows by {engine}: {why}" for (engine, why), rows in self.plan.ran.items() if why]
+        rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if found else
+                     f"{self.plan.engine}: {self.plan.why}{rate}"))
+        rows += [("", f"{count} rows by {engine}: {why}") for (engine, why), count in self.plan.ran.items() if why]
         if self.cluster is not None:
-            lines.append(f"cluster  {self.cluster[0]}, rows by {self.cluster[1]} of its workers")
-        lines += [str(self.table), f"written to {self.folder}"]
-        if self.interrupted:
-            lines.append("interrupted: the same command goes on from here")
-        return "\n".join(lines)
+            rows.append(("cluster", f"{self.cluster[0]}, rows by {self.cluster[1]} of its workers"))
+        return f"{facts(rows)}\n{self.table}"
+
+
+def command(args: Namespace) -> Answer:
+    """What `teleop sweep` does: run the rows, write summary.json and draw what is wished for. Raises `Refused`."""
+    wish = Wish(args.picture, args.metric) if args.plot or args.picture or args.metric else None
+    if wish is not None:
+        need_plot()
+    swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
+                      latin=args.latin, random=args.random, cluster=args.cluster,
+                      engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds, wish=wish,
+                      stream=None if args.json else sys.stderr)
+    told = swept.write(args.typed)
+    answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": told["runs"]}).kept_in(swept.folder)
+    text = answer.text
+    if swept.interrupted:
+        text += "\ninterrupted: the same command goes on from here"
+    if wish is not None:
+        text += "\n" + drawn(swept.table, swept.folder, told, wish, trust=True)
+    return answer._replace(text=text, code=INTERRUPTED if swept.interrupted else DONE)
 
 
 def carry_out(
@@ -86,9 +108,6 @@ def carry_out(
     from teleop.sweeps.runner import carry_out as run_rows
     from teleop.sweeps.runner import prepare
     from teleop.sweeps.store import Store
-    from teleop.terminal.progress import RowsProgress
-    from teleop.terminal.units import grouped
-
     wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
     points = _points(axes, seeds, latin, random)
     plan = prepare(name, points, metrics=wanted, fixed=knobs, engine=engine)
@@ -139,13 +158,6 @@ def _check_picture(plan: Sweep, wish: Wish) -> None:
                if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)]
     metrics = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
     check([*several], numeric, wish.kind, wish.metric, metrics)
-
-
-def _compilers(plan: Sweep) -> dict[str, str]:
-    """The versions of what compiled rows, if anything did."""
-    if all(engine == "plain" for engine, _ in plan.ran):
-        return {}
-    return {name: version(name) for name in ("numba", "llvmlite")}
 
 
 @contextmanager

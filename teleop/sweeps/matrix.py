@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from argparse import Namespace
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, NamedTuple
 
+from teleop.simulation.result import versions
 from teleop.sweeps.matrix_file import BUILT_IN, METRICS, Block, Row, read_matrix
 from teleop.sweeps.runner import sweep
+from teleop.terminal.answer import Answer
+from teleop.terminal.progress import shown_on
 from teleop.terminal.table import columns
 
 Show = Callable[[int, int], None]
@@ -86,26 +91,21 @@ def summary(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> dic
     }
 
 
-def answer(path: str | None, *, out: str | None, command: Sequence[str], clock: Callable[[], float],
-           stream: TextIO | None) -> tuple[dict[str, Any], str]:
-    """What `teleop matrix` says of the matrix at `path`, as JSON can hold it and as text. Raises `Refused`."""
-    from teleop.terminal.progress import Progress
-
-    blocks = read_matrix(BUILT_IN if path is None else path)
-    line = None if stream is None else Progress(stream, float(sum(len(block.rows()) for block in blocks)))
-
-    def show(done: int, of: int) -> None:
-        if line is not None:
-            line.show(float(done), clock(), f"{done} of {of} rows")
-
-    began = clock()
-    try:
-        came = run_matrix(blocks, out=None if out is None else Path(out), show=show)
-    finally:
-        if line is not None:
-            line.end()
-    told = {"matrix": str(path or BUILT_IN), "seconds": clock() - began, "path": out, "command": list(command)}
-    return {**told, **summary(blocks, came)}, "\n".join([table(blocks, came), *([f"written to {out}"] if out else [])])
+def command(args: Namespace) -> Answer:
+    """What `teleop matrix` does: run the matrix and say what did not end as expected. Raises `Refused`."""
+    path = args.file or BUILT_IN
+    blocks = read_matrix(path)
+    rows = sum(len(block.rows()) for block in blocks)
+    began = args.seconds()
+    with shown_on(None if args.json else sys.stderr, args.seconds, float(rows)) as show:
+        came = run_matrix(blocks, out=None if args.out is None else Path(args.out),
+                          show=lambda done, of: show(float(done), f"{done} of {of} rows"))
+    document = {
+        "status": "done", "matrix": str(path), "mode": "matrix", "versions": versions(), "command": list(args.typed),
+        "seconds": args.seconds() - began, "path": None, **summary(blocks, came),
+    }
+    answer = Answer(table(blocks, came), document)
+    return answer if args.out is None else answer.kept_in(args.out)
 
 
 def _good(outcomes: list[Outcome]) -> int:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Callable, Mapping
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Callable
 
 from teleop.terminal.options import Parser, scene_options, whole
-
-Do = Callable[[Namespace], None]
 
 EXAMPLES = """\
 examples:
@@ -26,18 +24,18 @@ examples:
 """
 
 
-def parser(do: Mapping[str, Do]) -> ArgumentParser:
-    """The parser of the command line; `do` has what each command does, by its name."""
+def parser() -> ArgumentParser:
+    """The parser of the command line; `do` of what it parsed is the command's name, None if none was typed."""
     whole_parser = Parser(
         prog="teleop", epilog=EXAMPLES, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False,
         description="A delayed bilateral teleoperation stack: run a scene in virtual time or live.",
     )
     whole_parser.add_argument("--version", action="version", version=_version())
-    whole_parser.set_defaults(do=None)
+    whole_parser.set_defaults(do=None, json=False)
     commands = whole_parser.add_subparsers(title="commands", metavar="COMMAND")
     for name, (text, options) in COMMANDS.items():
         added: ArgumentParser = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
-        added.set_defaults(do=do[name])
+        added.set_defaults(do=name)
         options(added)
     return whole_parser
 
@@ -88,7 +86,7 @@ def _sweep(added: ArgumentParser) -> None:
     added.add_argument("--latin", metavar="N", type=whole, help="N points drawn from the ranges of --grid "
                        "(delay=0:0.5, k_e=1e2:1e6:log, law=wave,pfra) in place of all of them: a Latin hypercube")
     added.add_argument("--random", metavar="N", type=whole, help="the same, each point by itself")
-    added.add_argument("--metrics", metavar="NAMES", help="which figures, joined by commas; left out: the tracking "
+    added.add_argument("--metrics", metavar="NAMES", help="which metrics, joined by commas; left out: the tracking "
                        "error, the largest force, the energies")
     added.add_argument("--engine", metavar="NAME", help="plain, or compiled: scalar, vector (extra `batch`); left "
                        "out: by the amount of work")
@@ -128,6 +126,7 @@ def _stability(added: ArgumentParser) -> None:
     added.add_argument("--continuous", action="store_true", help="the delay margin in continuous time too")
     added.add_argument("--time", action="store_true",
                        help="judge by a run in virtual time: for scenes that are not linear")
+    added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json into; left out: none")
     _json(added)
 
 
@@ -135,9 +134,10 @@ def _passivity(added: ArgumentParser) -> None:
     scene_options(added)
     added.add_argument("--range", metavar="LOW:HIGH", help="frequencies in Hz; left out: 0.1 to half the rate, of two "
                        "ports 0.49 of it")
-    added.add_argument("--out", metavar="DIR", help="write summary.json and curves.npz into this new folder")
+    added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json and curves.npz into; "
+                       "left out: none, or with --plot runs/SCENE-passivity-NUMBER")
     _json(added)
-    _plot(added, "passivity.png, without --out into runs/SCENE-passivity-NUMBER,")
+    _plot(added, "passivity.png")
 
 
 def _zwidth(added: ArgumentParser) -> None:

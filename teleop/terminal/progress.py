@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TextIO
 
 from teleop.terminal.units import duration, grouped, two_digits
+
+Show = Callable[[float, str], None]  # how much is done, and a text
 
 RATE_AFTER = 0.5  # s of rows before their rate is told: the first few come in a bunch
 RATE_OVER = 10.0  # s that it is taken over, or as long as a few rows last
@@ -38,6 +42,22 @@ class Progress:
     def end(self) -> None:
         """Leave the line as it stands and go on below it."""
         self._line.end()
+
+
+@contextmanager
+def shown_on(stream: TextIO | None, clock: Callable[[], float], total: float = 1.0) -> Iterator[Show]:
+    """`show(done, text)`, which tells on `stream` how much of `total` is done; None: nothing is told.
+
+    `clock` gives the time in s; the line is ended however the work ends.
+    """
+    if stream is None:
+        yield lambda *_: None
+        return
+    line = Progress(stream, total)
+    try:
+        yield lambda done, text: line.show(done, clock(), text)
+    finally:
+        line.end()
 
 
 class RowsProgress:

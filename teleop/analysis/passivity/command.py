@@ -1,30 +1,38 @@
-"""What `teleop passivity` does: ask, write a folder where one is wanted, and say what was found."""
+"""What `teleop passivity` does."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from argparse import Namespace
+
+from teleop.analysis.passivity.report import ask, curves, summary, table
+from teleop.scene.loading import load_scene
+from teleop.simulation.result import write_arrays
+from teleop.storage.files import replacing
+from teleop.storage.folder import new_folder
+from teleop.storage.strict_json import write_document
+from teleop.terminal.answer import Answer
+from teleop.terminal.options import knobs_from
+from teleop.terminal.plotting import need_plot
 
 
-def passivity(name: str, knobs: Mapping[str, object], *, seed: int = 0, span: str | None = None,
-              out: str | None = None, plot: bool = False, command: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
-    """The answer for the scene `name` as JSON and as a table; `span` is LOW:HIGH in Hz as typed. Raises `Refused`.
+def command(args: Namespace) -> Answer:
+    """Judge the scene; with --out or --plot leave summary.json, curves.npz and passivity.png in a new folder.
 
-    With `out` or `plot` summary.json and curves.npz go into a new folder, with `plot` passivity.png too.
+    Raises `Refused`.
     """
-    from teleop.analysis.passivity.report import ask, summary, table, write
-    from teleop.scene.loading import load_scene
-    from teleop.storage.folder import new_folder
-
-    scene = load_scene(name, **knobs)
-    answer = ask(scene, seed=seed, span=span)
-    told, text = summary(answer, command), table(answer)
-    if out is None and not plot:
-        return told, text
-    with new_folder(out, f"{scene.name}-passivity") as new:
-        write(answer, new.inside, command)
-        if plot:
+    if args.plot:
+        need_plot()
+    scene = load_scene(args.scene, **knobs_from(args))
+    found = ask(scene, seed=args.seed, span=args.range)
+    answer = Answer(table(found), summary(found, args.typed))
+    if args.out is None and not args.plot:
+        return answer
+    with new_folder(args.out, f"{scene.name}-passivity") as new:
+        with replacing(new.inside / "curves.npz") as file:
+            write_arrays(file, curves(found))
+        write_document(new.inside / "summary.json", answer.document)
+        if args.plot:
             from teleop.analysis.passivity.plot import draw
 
-            draw(answer, new.inside / "passivity.png")
-    return {**told, "path": str(new.path)}, f"{text}\nwritten to {new.path}"
+            draw(found, new.inside / "passivity.png")
+    return answer.kept_in(new.path)

@@ -7,7 +7,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.passivity.report import curves, lacking
-from teleop.law import law_name
+from teleop.terminal.answer import titled
 from teleop.terminal.plotting import (
     BLUE,
     DARK,
@@ -38,7 +38,7 @@ ETA = (-1.3, 4.0)  # shown of Llewellyn's parameter
 def draw(answer: PassivityAnswer, path: Path) -> None:
     """Draw `answer` into the PNG file `path`. `Refused` if the extra is missing or it cannot be written."""
     alone = answer.one is not None and answer.one.behind is None
-    title = literal(f"{answer.scene.name}, law {law_name(answer.scene.law)}")
+    title = literal(titled(answer.scene))
     figure = new_figure((9.5, 5.0) if alone else (13.0, 8.5),
                         f"{title}\n{fill(literal(answer.sentence), 110 if alone else 170)}")
     data = curves(answer)

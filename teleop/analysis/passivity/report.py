@@ -9,17 +9,24 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_ports
 from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
+from teleop.terminal.answer import finite, scene_head, titled
+from teleop.terminal.ranges import typed_range
 from teleop.terminal.table import facts
 from teleop.terminal.units import si
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from teleop.analysis.models.coupling import Lack
     from teleop.analysis.passivity.one_port import Behind
     from teleop.scene.scene import Scene
 
 SHOWN = 3  # bands in the table
+UNITS = {
+    "dt": "s", "range": "Hz", "damping": "N s/m", "needed_damping": "N s/m", "frequency": "Hz", "delay": "ticks",
+    "every": "ticks", "stiffness": "N/m", "quantised_stiffness": "N/m", "encoder_friction": "N",
+    "touched_stiffness": "N/m", "alpha_e": "N s/m", "delta": "N s/m", "gamma": "N s/m", "alpha_miller": "N s/m",
+    "alpha_max": "N s/m", "alpha_by_integrator": "N s/m", "needed_for_passive": "N s/m", "needed_alone": "N s/m",
+    "bands": "Hz", "eta_min": "1", "eta_min_frequency": "Hz", "free_impedance": "N s/m", "felt_stiffness": "N/m",
+}
 
 
 class PassivityAnswer(NamedTuple):
@@ -31,6 +38,7 @@ class PassivityAnswer(NamedTuple):
     left_out: tuple[str, ...]
     low: float  # Hz
     high: float  # Hz
+    seed: int = 0
 
     @property
     def sentence(self) -> str:
@@ -50,34 +58,25 @@ def ask(scene: Scene, *, seed: int = 0, span: str | None = None) -> PassivityAns
     low, high = _span(span)
     if scene.slave is not None:
         two = two_ports(scene, low=low, high=high, seed=seed)
-        return PassivityAnswer(scene, None, two, tuple(linear_parts(scene)[1]), two.low, two.high)
+        return PassivityAnswer(scene, None, two, tuple(linear_parts(scene)[1]), two.low, two.high, seed)
     one = one_port(scene)
     top = 0.5 / (one.every * one.T)
     high = top if high is None else high
     if not 0.0 < low < high <= top:
         raise Refused(f"the range {low:g}:{high:g} Hz must lie above 0 and not above half the rate, {top:g} Hz here, "
                       "its lower end first; write for example --range 0.1:100")
-    return PassivityAnswer(scene, one, None, one.left_out, low, high)
+    return PassivityAnswer(scene, one, None, one.left_out, low, high, seed)
 
 
 def _span(typed: str | None) -> tuple[float, float | None]:
     if typed is None:
         return 0.1, None
-    low, _, high = typed.partition(":")
-    try:
-        ends = float(low), float(high)
-    except ValueError:
-        raise Refused(f"--range {typed} is not LOW:HIGH in Hz; write for example --range 0.1:100") from None
-    if not 0.0 < ends[0] < ends[1] or not isfinite(ends[1]):
-        raise Refused(f"--range {typed} is empty; write frequencies above 0, the lower one first: --range 0.1:100")
-    return ends
+    return typed_range("--range", typed, what="Hz", example="0.1:100", above=0.0)
 
 
 def table(answer: PassivityAnswer) -> str:
     """The answer in a few lines."""
-    from teleop.law import law_name
-
-    rows = [("scene", f"{answer.scene.name}, law {law_name(answer.scene.law)}")]
+    rows = [("scene", titled(answer.scene))]
     if answer.one is not None:
         rows += _one(answer.one)
     if answer.two is not None:
@@ -168,15 +167,9 @@ def _llewellyn(judged: Judged) -> str:
 
 
 def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
-    """The answer as JSON can hold it: SI units; what is endless or not known is null."""
-    from teleop.simulation.result import parameters
-    from teleop.version import __version__
-
-    told: dict[str, Any] = {
-        "scene": answer.scene.name, "mode": "passivity", "sentence": answer.sentence,
-        "parameters": parameters(answer.scene), "dt": answer.scene.dt_ns / 1e9, "range": [answer.low, answer.high],
-        "left_out": list(answer.left_out), "versions": {"bilateral-teleop": __version__}, "command": list(command),
-    }
+    """The JSON document: SI units; what has no bound or is not known is null."""
+    told = scene_head(answer.scene, "passivity", sentence=answer.sentence, seed=answer.seed, command=command)
+    told |= {"units": UNITS, "range": [answer.low, answer.high], "left_out": list(answer.left_out)}
     if answer.one is not None:
         told |= {"ports": 1, "passive": answer.one.passive, **_one_numbers(answer.one)}
     if answer.two is not None:
@@ -189,15 +182,15 @@ def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, A
 def _one_numbers(one: RenderedImpedance) -> dict[str, Any]:
     behind = one.behind
     return {
-        "damping": one.damping, "needed_damping": _finite(one.needed.damping), "frequency": one.needed.frequency,
+        "damping": one.damping, "needed_damping": finite(one.needed.damping), "frequency": one.needed.frequency,
         "delay": one.d, "every": one.every, "stiffness": one.stiffness,
         "quantised_stiffness": one.quantised, "encoder_friction": one.verdict.asked,
         "coupling": behind and {
-            "alpha_e": _finite(behind.alpha.alpha), "alpha_e_frequency": behind.alpha.frequency, "delta": one.damping,
+            "alpha_e": finite(behind.alpha.alpha), "alpha_e_frequency": behind.alpha.frequency, "delta": one.damping,
             "gamma": behind.gamma, "alpha_miller": behind.miller, "alpha_max": behind.most,
-            "needed_for_passive": _finite(behind.passive_needs),
-            "needed_alone": _finite(behind.alone), "stiffness": behind.stiffness,
-            "alpha_by_integrator": {name: _finite(lack.alpha) for name, lack in behind.integrators.items()},
+            "needed_for_passive": finite(behind.passive_needs),
+            "needed_alone": finite(behind.alone), "stiffness": behind.stiffness,
+            "alpha_by_integrator": {name: finite(lack.alpha) for name, lack in behind.integrators.items()},
             "why_not": {name: lack.why for name, lack in [("alpha_e", behind.alpha), *behind.integrators.items()]
                         if lack.why},
         },
@@ -207,13 +200,9 @@ def _one_numbers(one: RenderedImpedance) -> dict[str, Any]:
 def _numbers(judged: Judged | None) -> dict[str, Any] | None:
     return judged and {
         "absolutely_stable": judged.absolutely_stable, "bands": [list(band) for band in judged.bands],
-        "eta_min": _finite(judged.least), "eta_min_frequency": judged.at, "passive": judged.passive,
+        "eta_min": finite(judged.least), "eta_min_frequency": judged.at, "passive": judged.passive,
         "free_impedance": judged.free, "felt_stiffness": judged.felt,
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def curves(answer: PassivityAnswer) -> dict[str, Any]:
@@ -241,12 +230,3 @@ def curves(answer: PassivityAnswer) -> dict[str, Any]:
     return two
 
 
-def write(answer: PassivityAnswer, folder: Path, command: Sequence[str] = ()) -> None:
-    """Write summary.json and curves.npz into a folder that is there."""
-    import json
-
-    import numpy as np
-
-    np.savez(folder / "curves.npz", **curves(answer))
-    text = json.dumps(summary(answer, command), indent=2, allow_nan=False, default=str)
-    (folder / "summary.json").write_text(text + "\n")

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Mapping, Sequence
-from math import isfinite
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
+from teleop.terminal.answer import finite, scene_head
+from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from teleop.analysis.precision.measure import Entry, Precision
 
 HEAD = ("method/sub-steps", "per tick", "x_s max", "x_s rms", "x_s end", "f_env max", "f_env rms", "peak", "")
@@ -57,10 +55,8 @@ def _said(e: Entry) -> str:
 def _facts(got: Precision) -> list[tuple[str, str]]:
     first, others = got.entries[0], got.entries[1:]
     beaten = sum(e.beaten_by == first.key for e in others)
-    law = got.result.parameters.get("law")
-    name = law["name"] if isinstance(law, Mapping) else law
     told = [
-        ("run", f"{got.scene.name}, law {name}, {got.result.ticks} ticks, {got.contacts} contacts, seed {got.seed}"),
+        ("run", f"{heading(got.result)}, {got.result.ticks} ticks, {got.contacts} contacts, seed {got.seed}"),
         ("status", f"{got.result.status}: {got.result.sentence}"),
         ("verdict", verdict(got)),
         ("beaten means", f"another is at least as accurate in x_s and f_env and more than {FASTER:g} times faster; "
@@ -131,27 +127,18 @@ def verdict(got: Precision) -> str:
 
 
 def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
-    """What goes into summary.json; a number that does not exist, or is endless, is null."""
-    import numpy
-
-    from teleop.version import __version__
-
-    versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
-    if got.agreement.differences:
-        import scipy
-
-        versions["scipy"] = scipy.__version__
+    """The JSON document; a number that does not exist, or has no bound, is null."""
     result = got.result
     return {
-        "status": result.status, "sentence": verdict(got), "scene": got.scene.name, "mode": "precision",
-        "parameters": dict(result.parameters), "seed": got.seed, "versions": versions, "command": list(command),
-        "dt": result.dt, "ticks": result.ticks, "rounds": got.rounds, "contacts": got.contacts,
+        **scene_head(got.scene, "precision", status=result.status, sentence=verdict(got), seed=got.seed,
+                     command=command, also=["scipy"] if got.agreement.differences else []),
+        "ticks": result.ticks, "rounds": got.rounds, "contacts": got.contacts,
         "units": {**SERIES, "ns_per_tick": "ns", "peak_ratio": "1"},
         "reference": {
             "method": got.truth.method, "sentence": got.truth.sentence,
-            "off_by": {name: _number(size) for name, size in got.truth.off.items()},
+            "off_by": {name: finite(size) for name, size in got.truth.off.items()},
             "compared": got.agreement.sentence, "ticks": got.agreement.ticks, "changes": got.agreement.changes,
-            "per_tick": {s: {"x": _number(x), "v": _number(v)} for s, (x, v) in got.agreement.differences.items()},
+            "per_tick": {s: {"x": finite(x), "v": finite(v)} for s, (x, v) in got.agreement.differences.items()},
             "put_off_by": {"x": got.agreement.x, "v": got.agreement.v}, "step_ns": dict(got.step_ns),
         },
         "estimates": {end: dict(one) for end, one in got.truth.estimates.items()},
@@ -166,21 +153,8 @@ def _entry(e: Entry) -> dict[str, Any]:
     return {
         "name": e.key, "method": c.method, "label": c.label, "substeps": c.substeps, "rtol": c.rtol,
         "ns_per_tick": e.ns_per_tick, "runs": e.runs, "status": e.status, "sentence": e.sentence,
-        "errors": {name: {k: _number(v) for k, v in error._asdict().items()} for name, error in e.errors.items()},
+        "errors": {name: {k: finite(v) for k, v in error._asdict().items()} for name, error in e.errors.items()},
         "peak_ratio": e.peak_ratio, "missed_contacts": e.missed, "beaten_by": e.beaten_by,
     }
 
 
-def _number(value: float) -> float | None:
-    return value if isfinite(value) else None
-
-
-def write(got: Precision, folder: Path, command: Sequence[str] = ()) -> None:
-    """Write summary.json and errors.npz into a folder that is there."""
-    import json
-
-    import numpy as np
-
-    np.savez(folder / "errors.npz", **got.along)
-    text = json.dumps(summary(got, command), indent=2, allow_nan=False, default=str)
-    (folder / "summary.json").write_text(text + "\n")

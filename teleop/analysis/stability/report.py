@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.stability.assess import Change, Critical, Stability, critical, lowest, rests, stability
-from teleop.errors import Refused, number
+from teleop.errors import Refused
+from teleop.terminal.answer import scene_head, titled
+from teleop.terminal.ranges import typed_number, typed_range
 from teleop.terminal.table import facts
 from teleop.terminal.units import si
 
@@ -18,6 +20,11 @@ if TYPE_CHECKING:
 
 PLACES_IN_TIME = 21  # of a range: each is a few runs
 TOLD = 4  # further changes in the table
+UNITS = {
+    "dt": "s", "fwd": "ticks", "bwd": "ticks", "round_trip": "ticks", "critical_round_trip": "ticks",
+    "delay_margin": "ticks", "gain_margin": "1", "frequency": "Hz", "growth": "1/s", "damping": "1", "amplitude": "m",
+    "continuous.round_trip": "s",
+}
 
 
 class StabilityAnswer(NamedTuple):
@@ -28,6 +35,16 @@ class StabilityAnswer(NamedTuple):
     limit: Continuous | None
     edge: Critical | None
     unit: str = ""  # of its knob, with a space before it, where the scene names one
+    seed: int = 0
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        found = self.found
+        if not isinstance(found, Stability):
+            return f"{found.verdict}: {found.sentence}"
+        count = "no root" if not found.unstable else "1 root" if found.unstable == 1 else f"{found.unstable} roots"
+        return f"{found.verdict}: {count} outside the unit circle"
 
 
 def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
@@ -42,7 +59,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     scene = load_scene(name, **knobs)
     own = None if knob is None else own_value(scene, knob)
     low, high = (0.0, 0.0) if knob is None or own is None else _span(knob, own, span)
-    closeness = None if tol is None else number("tol", _as_number("--tol", tol), above=0.0)
+    closeness = None if tol is None else typed_number("--tol", tol, example="0.01", above=0.0)
     found: Stability | FreeMotion
     limit = None
     if in_time:
@@ -56,7 +73,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
 
         limit = without_clock(scene)
     if knob is None or own is None:
-        return StabilityAnswer(scene, found, limit, None)
+        return StabilityAnswer(scene, found, limit, None, seed=seed)
 
     def make(value: float) -> Scene:
         return load_scene(name, **{**knobs, knob: value})
@@ -70,7 +87,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     from teleop.scene.catalogue import units_of
 
     unit = units_of(name, [knob]).get(knob)
-    return StabilityAnswer(scene, found, limit, edge, f" {unit}" if unit else "")
+    return StabilityAnswer(scene, found, limit, edge, f" {unit}" if unit else "", seed)
 
 
 def _whole(name: str, knob: str) -> bool:
@@ -105,40 +122,25 @@ def _span(knob: str, own: float, typed: str | None) -> tuple[float, float]:
         if own <= 0.0:
             raise Refused(f"{knob} is {own:g}, which gives no range to look in; write --range LOW:HIGH")
         return own / 100.0, own * 100.0
-    low, colon, high = typed.partition(":")
-    if not colon:
-        raise Refused(f"--range {typed} is not LOW:HIGH; write for example --range 10:1e4")
-    ends = _as_number("--range", low), _as_number("--range", high)
-    if not ends[0] < ends[1]:
-        raise Refused(f"--range {typed} of {knob} is empty; write the lower value first, for example --range 10:1e4")
-    return ends
+    return typed_range("--range", typed, what=f"values of {knob}", example="10:1e4")
 
 
-def _as_number(option: str, typed: str) -> float:
-    try:
-        return number(option, float(typed))
-    except ValueError:
-        raise Refused(f"{option} needs finite numbers, not {typed!r}") from None
-
-
-def summary(answer: StabilityAnswer) -> dict[str, Any]:
-    """The answer as JSON can hold it: SI units; forth, back, round trips and the delay margin in ticks."""
-    from teleop.simulation.result import parameters
-
+def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
+    """The JSON document: SI units; fwd, bwd, round trips and the delay margin in ticks."""
     found = answer.found
-    told: dict[str, Any] = {"scene": answer.scene.name, "parameters": parameters(answer.scene),
-                            "dt": answer.scene.dt_ns / 1e9, "verdict": found.verdict}
+    told = scene_head(answer.scene, "stability", sentence=answer.sentence, seed=answer.seed, command=command)
+    told |= {"units": UNITS, "verdict": found.verdict}
     if isinstance(found, Stability):
-        mode = found.mode
+        root = found.mode
         told |= {
             "method": "roots", "unstable": found.unstable, "integrators": found.integrators, "fwd": found.forth,
             "bwd": found.back, "round_trip": found.round_trip, "critical_round_trip": found.critical_round_trip,
             "delay_margin": found.delay_margin, "gain_margin": found.gain_margin,
-            "mode": mode and {"z": [mode.z.real, mode.z.imag], "frequency": mode.frequency, "growth": mode.growth,
-                              "damping": mode.damping},
+            "dominant": root and {"z": [root.z.real, root.z.imag], "frequency": root.frequency, "growth": root.growth,
+                                  "damping": root.damping},
         }
     else:
-        told |= {"method": "virtual time", "sentence": found.sentence, "amplitude": found.amplitude,
+        told |= {"method": "virtual time", "amplitude": found.amplitude,
                  "frequency": found.frequency, "rests": found.rests}
     told["continuous"] = answer.limit and answer.limit._asdict()
     told["critical"] = answer.edge and {**answer.edge._asdict(), "all": [one._asdict() for one in answer.edge.all]}
@@ -147,11 +149,9 @@ def summary(answer: StabilityAnswer) -> dict[str, Any]:
 
 def table(answer: StabilityAnswer) -> str:
     """The answer in a few lines."""
-    from teleop.law import law_name
-
     found, limit, edge = answer.found, answer.limit, answer.edge
-    rows = [("scene", f"{answer.scene.name}, law {law_name(answer.scene.law)}")]
-    rows += _roots(found) if isinstance(found, Stability) else [("verdict", f"{found.verdict}: {found.sentence}")]
+    rows = [("scene", titled(answer.scene)), ("verdict", answer.sentence)]
+    rows += _roots(found) if isinstance(found, Stability) else []
     if limit is not None:
         rows.append(("continuous", _without_clock(limit)))
     if edge is not None:
@@ -160,14 +160,12 @@ def table(answer: StabilityAnswer) -> str:
 
 
 def _roots(found: Stability) -> list[tuple[str, str]]:
-    count = found.unstable
-    said = "no root" if not count else "1 root" if count == 1 else f"{count} roots"
-    rows = [("verdict", f"{found.verdict}: {said} outside the unit circle")]
+    rows: list[tuple[str, str]] = []
     if found.integrators:
         rows.append(("at rest", f"{found.integrators} at z = 1: positions that nothing returns"))
     if found.mode is not None:
         mode, word = found.mode, "grows" if found.mode.growth > 0.0 else "decays"
-        rows.append(("last mode" if not count else "first mode", f"{si(mode.frequency, 'Hz')}, {word} at "
+        rows.append(("first mode" if found.unstable else "last mode", f"{si(mode.frequency, 'Hz')}, {word} at "
                      f"{abs(mode.growth):.4g} 1/s, damping ratio {mode.damping:.4g}"))
     trip, edge, dt = found.round_trip, found.critical_round_trip, found.dt
     if found.alone:

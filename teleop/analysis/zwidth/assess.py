@@ -18,7 +18,8 @@ from teleop.analysis.zwidth.levers import Lever, levers
 from teleop.analysis.zwidth.measured import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.passive import Region, passive_region
 from teleop.analysis.zwidth.plane import ALL, Boundary, LoopFamily, Span, boundary, loop, rows
-from teleop.errors import Refused, number
+from teleop.errors import Refused
+from teleop.terminal.ranges import typed_range
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
@@ -70,19 +71,7 @@ def span(name: str, typed: str | None) -> Span:
     """LOW:HIGH as it was typed; `Refused` if it is no range of numbers from 0 up."""
     if typed is None:
         return Span()
-    low, colon, high = typed.partition(":")
-    try:
-        ends = float(low), float(high)
-    except ValueError:
-        colon = ""
-    if not colon:
-        raise Refused(f"{name} {typed} is not LOW:HIGH in numbers; write for example {name} 0:2000")
-    found = Span(number(f"{name}'s low end", ends[0]), number(f"{name}'s high end", ends[1]))
-    if found.low < 0.0:
-        raise Refused(f"{name} {typed} goes below 0, where there is nothing to render; write for example {name} 0:2000")
-    if not found.low < (found.high or 0.0):
-        raise Refused(f"{name} {typed} is empty; write the lower value first, for example {name} 0:2000")
-    return found
+    return Span(*typed_range(name, typed, example="0:2000", low=0.0))
 
 
 def assess(scene: Scene, *, span_K: Span = ALL, span_B: Span = ALL, seed: int = 0, show: Show | None = None) -> ZWidth:

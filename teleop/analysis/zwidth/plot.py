@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.zwidth.plane import passive_line, published_rule
 from teleop.analysis.zwidth.report import numbers, said
-from teleop.law import law_name
+from teleop.terminal.answer import titled
 from teleop.terminal.plotting import (
     BLACK,
     BLUE,
@@ -40,15 +40,8 @@ PANELS = (
 )
 
 
-def draw(got: ZWidth, folder: Path) -> None:
-    """Draw plane.png, impedance.png and levers.png. `Refused` without the extra, or if one cannot be written."""
-    _plane(got, folder / "plane.png")
-    _impedance(got, folder / "impedance.png")
-    _levers(got, folder / "levers.png")
-
-
 def _new(got: ZWidth, title: str, size: tuple[float, float]) -> Figure:
-    told = f"{got.scene.name}, law {law_name(got.scene.law)}: {title}"
+    told = f"{titled(got.scene)}: {title}"
     return new_figure(size, literal(told + " (interrupted)" * got.interrupted))
 
 
@@ -178,3 +171,6 @@ def _levers(got: ZWidth, path: Path) -> None:
         axes.set_axisbelow(True)
     every[0, 0].invert_yaxis()
     save(figure, path)
+
+
+PLOTS = {"plane.png": _plane, "impedance.png": _impedance, "levers.png": _levers}

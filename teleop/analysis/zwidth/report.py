@@ -1,18 +1,15 @@
-"""What a Z-width leaves: a table for a person, and zwidth.json."""
+"""What a Z-width leaves: a table for a person, and a JSON document."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.law import law_name
+from teleop.terminal.answer import finite, scene_head, titled
 from teleop.terminal.table import columns, facts
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from teleop.analysis.zwidth.assess import LeverRow, ZWidth
     from teleop.analysis.zwidth.plane import Boundary
 
@@ -100,7 +97,7 @@ def said(value: float | None) -> str:
 def _facts(got: ZWidth) -> Iterator[tuple[str, str]]:
     if got.interrupted:
         yield "interrupted", "what was done until then is here, the rest is missing"
-    yield "scene", f"{got.scene.name}, law {law_name(got.scene.law)}, own K {got.scene.law.K:g} N/m, own B " \
+    yield "scene", f"{titled(got.scene)}, own K {got.scene.law.K:g} N/m, own B " \
                    f"{got.scene.law.B:g} N s/m"
     if not got.rows:
         return
@@ -124,20 +121,15 @@ def _facts(got: ZWidth) -> Iterator[tuple[str, str]]:
 
 
 def summary(got: ZWidth, command: Sequence[str] = ()) -> dict[str, Any]:
-    """What goes into zwidth.json; what does not exist is null."""
-    import numpy
-
-    from teleop.simulation.result import parameters
-    from teleop.version import __version__
-
-    versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
-    told: dict[str, Any] = {
-        "status": "interrupted" if got.interrupted else "done", "scene": got.scene.name, "mode": "zwidth",
-        "parameters": parameters(got.scene), "seed": got.seed, "versions": versions, "command": list(command),
-        "dt": got.scene.dt, "units": UNITS, "meaning": MEANING,
+    """The JSON document; what does not exist is null."""
+    sentence = got.base.region.sentence if got.rows else "interrupted before anything was found"
+    told = scene_head(got.scene, "zwidth", status="interrupted" if got.interrupted else "done", sentence=sentence,
+                      seed=got.seed, command=command)
+    told |= {
+        "units": UNITS, "meaning": MEANING,
         "range": {"K": list(got.span_K), "B": list(got.span_B)},
         "stable": {"hand": _boundary(got.stable), "free": _boundary(got.stable_free)},
-        "measured": [{"B": B, "K": _number(K)} for B, K in got.measured],
+        "measured": [{"B": B, "K": finite(K)} for B, K in got.measured],
         "levers": [_row(row, got.base) for row in got.rows], "notes": list(got.notes),
     }
     if not got.rows:
@@ -151,29 +143,19 @@ def summary(got: ZWidth, command: Sequence[str] = ()) -> dict[str, Any]:
         "frequency": base.curves.frequency.tolist(), "upper": None if upper is None else upper.tolist(),
         "lower": base.curves.lower.tolist(),
     }
-    return {**told, **{key: _number(value) for key, value in numbers(base).items()}}
+    return {**told, **{key: finite(value) for key, value in numbers(base).items()}}
 
 
 def _row(row: LeverRow, base: LeverRow) -> dict[str, Any]:
     own = numbers(row)
     return {
-        "name": row.name, "what": row.what, **{key: _number(value) for key, value in own.items()},
+        "name": row.name, "what": row.what, **{key: finite(value) for key, value in own.items()},
         "beyond": [key for key, value in own.items() if value is not None and not isfinite(value)],
         "ratio": ratios(row, base), "sentence": row.region.sentence,
     }
 
 
 def _boundary(edge: Boundary | None) -> dict[str, Any] | None:
-    return None if edge is None else {"B": list(edge.B), "K": [_number(K) for K in edge.K]}
+    return None if edge is None else {"B": list(edge.B), "K": [finite(K) for K in edge.K]}
 
 
-def _number(value: float | None) -> float | None:
-    return value if value is not None and isfinite(value) else None
-
-
-def write(got: ZWidth, folder: Path, command: Sequence[str] = ()) -> None:
-    """Write zwidth.json into a folder that is there."""
-    import json
-
-    text = json.dumps(summary(got, command), indent=2, allow_nan=False, default=str)
-    (folder / "zwidth.json").write_text(text + "\n")

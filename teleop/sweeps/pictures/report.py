@@ -10,10 +10,13 @@ from teleop.errors import Refused
 from teleop.scene.catalogue import units_of
 from teleop.simulation.result import has_record
 from teleop.storage import strict_json as stored
-from teleop.storage.files import read_bytes, replacing
+from teleop.storage.files import read_bytes
 from teleop.storage.folder import is_being_written
-from teleop.storage.strict_json import Misshapen, parse
-from teleop.terminal.printable import printable
+from teleop.storage.strict_json import Misshapen, parse, write_document
+from teleop.terminal.answer import Answer
+from teleop.terminal.plotting import drawable, need_plot
+from teleop.terminal.table import facts
+from teleop.terminal.units import grouped
 
 if TYPE_CHECKING:
     from teleop.sweeps.table import Table
@@ -59,8 +62,7 @@ def joined(told: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]
 def write(told: Mapping[str, Any], folder: Path) -> None:
     """Write summary.json, whole or not at all. Raises `Refused` if that cannot be."""
     try:
-        with replacing(folder / SUMMARY) as file:
-            file.write(stored.written(told, indent=2).encode() + b"\n")
+        write_document(folder / SUMMARY, told)
     except OSError as error:
         raise Refused(f"cannot write to {folder} ({error.strerror or error}); the rows are kept, and the same "
                       "command goes on") from error
@@ -75,27 +77,24 @@ def sentences(table: Table, *, refused: bool) -> dict[str, int]:
     return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda pair: -pair[1]))
 
 
-def status_lines(table: Table) -> list[str]:
+def status_rows(table: Table) -> list[tuple[str, str]]:
     """How many rows ended how, why some were refused, and which of a user's own metrics failed."""
-    from teleop.terminal.units import grouped
-
-    counts = ", ".join(f"{grouped(count)} {printable(status)}" for status, count in table.counts().items())
-    lines = [f"status   {grouped(len(table))} done: {counts or 'none'}"]
+    counts = ", ".join(f"{grouped(count)} {status}" for status, count in table.counts().items())
+    rows = [("status", f"{grouped(len(table))} done: {counts or 'none'}")]
     for label, refused in (("refused", True), ("metrics", False)):
         every = [*sentences(table, refused=refused).items()]
         for i, (sentence, count) in enumerate(every[:SENTENCES]):
-            lines.append(f"{'' if i else label:<8} {grouped(count)} row{'s' * (count > 1)}: {printable(sentence)}")
+            rows.append(("" if i else label, f"{grouped(count)} row{'s' * (count > 1)}: {sentence}"))
         if len(every) > SENTENCES:
             rest = every[SENTENCES:]
-            lines.append(f"         and {grouped(len(rest))} more sentence{'s' * (len(rest) > 1)} in "
-                         f"{grouped(sum(count for _, count in rest))} rows, which rows.jsonl has")
-    return lines
+            rows.append(("", f"and {grouped(len(rest))} more sentence{'s' * (len(rest) > 1)} in "
+                             f"{grouped(sum(count for _, count in rest))} rows, which rows.jsonl has"))
+    return rows
 
 
 def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     """What a sweep's folder holds: as JSON can hold it, as text, and its rows. It may still be growing."""
     from teleop.sweeps.store import Store
-    from teleop.terminal.units import grouped
 
     store = Store.look(folder)
     table = store.table()
@@ -103,13 +102,12 @@ def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     if "scene" not in told:
         raise Refused(f"{folder} holds a sweep of no scene; give the folder that `teleop sweep` printed")
     rows = f"{grouped(told['rows'])} rows" if "rows" in told else "rows"
-    lines = [printable(f"sweep    {told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"),
-             *status_lines(table)]
+    said = [("sweep", f"{told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"), *status_rows(table)]
     if "engine" in told:
-        lines.append(printable(f"engine   {told['engine']}: {told.get('why')}"))
+        said.append(("engine", f"{told['engine']}: {told.get('why')}"))
     calls = len(told.get("runs", ()))
-    lines += [f"         {calls} calls ran rows; {SUMMARY} has each"] if calls > 1 else []
-    return told, "\n".join([*lines, str(table)]), table
+    said += [("", f"{calls} calls ran rows; {SUMMARY} has each")] if calls > 1 else []
+    return told, f"{facts(said)}\n{table}", table
 
 
 def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> Path:
@@ -143,21 +141,19 @@ def drawn(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, tr
         return f"no plot: {refused}"
 
 
-def report(folder: Path, wish: Wish, *, quiet: bool, trust: bool = False) -> tuple[dict[str, Any], str]:
-    """What `teleop report` says of a sweep, as JSON can hold it and as text; it is drawn if that can be.
+def report(folder: Path, wish: Wish, *, quiet: bool, trust: bool = False) -> Answer:
+    """What `teleop report` says of a sweep, which is drawn if that can be.
 
     A picture that is wished for must be (`Refused`); without a wish, and `quiet`, there is none. `trust`: see
     `picture`.
     """
-    from teleop.terminal.plotting import drawable, need_plot
-
     told, text, table = told_of(folder)
     if any(wish):
         need_plot()
-        return told, f"{text}\ndrawn in {picture(table, folder, told, wish, trust=trust)}"
+        return Answer(f"{text}\ndrawn in {picture(table, folder, told, wish, trust=trust)}", told)
     if not quiet and drawable() and len(table):
         text += "\n" + drawn(table, folder, told, wish, trust=trust)
-    return told, text
+    return Answer(text, told)
 
 
 def check_run(at: Path, wish: Wish) -> None:
@@ -170,7 +166,7 @@ def check_run(at: Path, wish: Wish) -> None:
             "the folder that `teleop run` or `teleop sweep` printed"
         raise Refused(f"{at} holds no run and no sweep; give {cure}")
     if any(wish):
-        raise Refused(f"{at} holds a run, which has one figure; leave --picture and --metric out")
+        raise Refused(f"{at} holds a run, which has one plot; leave --picture and --metric out")
 
 
 def limits_of(scene: str, knobs: Mapping[str, Any], turned: Sequence[str]) -> dict[str, float]:

@@ -40,9 +40,9 @@ class TestTheGrid:
 class TestWhatIsTold:
     def test_of_refused_rows_is_why(self, typed: Typed) -> None:
         answer = typed("sweep", "soft_tissue", "--grid", "k_e=1,-1,-2", "d_e=1,2", *SHORT)
-        assert "refused  2 rows: k_e must be at least 0, not -1" in answer.out
-        assert "         2 rows: k_e must be at least 0, not -2" in answer.out
-        assert "refused  2 rows: k_e" in typed("report", str(FOLDER)).out
+        assert "refused   2 rows: k_e must be at least 0, not -1" in answer.out
+        assert "          2 rows: k_e must be at least 0, not -2" in answer.out
+        assert "refused   2 rows: k_e" in typed("report", str(FOLDER)).out
 
     def test_while_it_runs_begins_at_once_with_what_is_there(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
@@ -82,7 +82,7 @@ class TestWhatIsTold:
 
 
     def test_of_one_that_was_stopped_before_its_first_row_is_that_it_goes_on(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         pytest.importorskip("matplotlib")
 
@@ -90,9 +90,9 @@ class TestWhatIsTold:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(teleop.sweeps.runner, "work", stop)
-        with pytest.raises(SystemExit, match="130"):
-            typed("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT, "--plot")
-        out = capsys.readouterr().out
+        answer = typed("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT, "--plot")
+        assert answer.code == 130
+        out = answer.out
         assert "engine   plain: about" in out
         assert "no plot: no row is there yet" in out
         assert "the same command goes on" in out
@@ -176,6 +176,6 @@ class TestReport:
         Path("empty").mkdir()
         swept("report", "empty").assert_refused("no run and no sweep")
 
-    def test_of_a_run_has_one_figure(self, typed: Typed) -> None:
+    def test_of_a_run_has_one_plot(self, typed: Typed) -> None:
         typed("run", "canonical", *SHORT, "--out", "here")
-        typed("report", "here", "--metric", "x_err_max").assert_refused("which has one figure")
+        typed("report", "here", "--metric", "x_err_max").assert_refused("which has one plot")

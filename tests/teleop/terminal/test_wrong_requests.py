@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 import pytest
 
 import teleop.simulation.result
-import teleop.simulation.virtual
 import teleop.terminal.plotting
+import teleop.terminal.run
 
 Typed = Callable[..., Any]
 SHORT = ("--set", "duration=0.2")
@@ -128,7 +128,7 @@ class TestAWrongRequest:
     def test_finds_the_folder_taken_before_it_runs(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.simulation.virtual, "run", lambda *_, **__: pytest.fail("it was computed"))
+        monkeypatch.setattr(teleop.terminal.run, "run", lambda *_, **__: pytest.fail("it was computed"))
         typed("run", "canonical", "--out", "taken").assert_refused("there already")
 
     def test_finds_the_folder_forbidden_before_it_runs(
@@ -139,7 +139,7 @@ class TestAWrongRequest:
         def forbidden(*_: object, **__: object) -> None:
             raise PermissionError(errno.EACCES, "Permission denied")
 
-        monkeypatch.setattr(teleop.simulation.virtual, "run", lambda *_, **__: pytest.fail("it was computed"))
+        monkeypatch.setattr(teleop.terminal.run, "run", lambda *_, **__: pytest.fail("it was computed"))
         monkeypatch.setattr(Path, "mkdir", forbidden)
         typed("run", "canonical", "--out", "new/run").assert_refused("Permission denied", "--out")
         assert left_in(tmp_path) == before
@@ -166,7 +166,7 @@ class TestAWrongRequest:
         def interrupted(*_: object, **__: object) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(teleop.simulation.virtual, "run", interrupted)
+        monkeypatch.setattr(teleop.terminal.run, "run", interrupted)
         answer = typed("run", "canonical")
         assert (answer.code, answer.out) == (130, "")
         assert answer.err.count("\n") == 1
@@ -200,6 +200,6 @@ class TestAWrongRequest:
     def test_that_is_a_bug_keeps_its_traceback(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(teleop.simulation.virtual, "run", lambda *_, **__: {}["a bug"])
+        monkeypatch.setattr(teleop.terminal.run, "run", lambda *_, **__: {}["a bug"])
         with pytest.raises(KeyError):
             typed("run", "canonical")

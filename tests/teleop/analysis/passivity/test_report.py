@@ -120,12 +120,12 @@ class TestCommand:
         (["passivity", "hard_wall", "--set", "law=pfra"], "law.alpha=1"),
         (["passivity", "jittery_wan"], "delay(0.05)"),
         (["passivity", "virtual_wall", "--range", "10"], "LOW:HIGH"),
-        (["passivity", "virtual_wall", "--range", "10:1"], "lower one first"),
+        (["passivity", "virtual_wall", "--range", "10:1"], "lower end first"),
         (["passivity", "virtual_wall", "--range", "1:501"], "half the rate"),
         (["passivity", "canonical", "--range", "1:499"], "not above 0.49 of the rate, 490 Hz"),
         (["passivity", "virtual_wall", "--set", "velocity=end_fit(noise=1e-5)", "--set", "law.B=0.3"],
          "take a linear one, --set 'velocity=backward_difference()'"),
-        (["passivity", "virtual_wall", "--range", "1:nan"], "lower one first"),
+        (["passivity", "virtual_wall", "--range", "1:nan"], "must be finite"),
     ])
     def test_wrong_requests_are_answered_in_one_sentence(
             self, typed: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,

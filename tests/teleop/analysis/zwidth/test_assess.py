@@ -6,7 +6,6 @@ import json
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +13,16 @@ from typing import Any
 import pytest
 
 import teleop.analysis.zwidth.assess
+import teleop.analysis.zwidth.command
 import teleop.analysis.zwidth.measured
-import teleop.analysis.zwidth.plot
-import teleop.analysis.zwidth.report
 from teleop.analysis.zwidth.assess import ZWidth, assess, span
 from teleop.analysis.zwidth.plane import Span
-from teleop.analysis.zwidth.report import numbers, ratios, said, summary, table, write
+from teleop.analysis.zwidth.plot import PLOTS
+from teleop.analysis.zwidth.report import numbers, ratios, said, summary, table
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.storage.strict_json import write_document
 
 Typed = Callable[..., Any]
 LEVERS = ["as it is", "damping x2", "encoder", "rate x2", "velocity filter", "virtual coupling",
@@ -203,9 +203,7 @@ class TestJson:
 
 def left_by(typed: Typed, folder: str) -> set[str]:
     """The files in the folder, and nothing beside it, after an interrupt of the command."""
-    with pytest.raises(SystemExit) as left:
-        typed("zwidth", "virtual_wall", "--out", folder)
-    assert left.value.code == 130
+    assert typed("zwidth", "virtual_wall", "--out", folder).code == 130
     assert [path.name for path in Path().iterdir()] == [folder]
     return {path.name for path in Path(folder).iterdir()}
 
@@ -222,68 +220,46 @@ class TestCommand:
     @pytest.fixture(autouse=True)
     def quick(self, monkeypatch: pytest.MonkeyPatch, found: ZWidth) -> None:
         """The command shows an answer that was found before."""
-        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", lambda *_, **__: found)
+        monkeypatch.setattr(teleop.analysis.zwidth.command, "assess", lambda *_, **__: found)
 
-    def test_it_leaves_a_new_folder_with_json_and_figures(self, typed: Typed) -> None:
+    def test_it_leaves_a_new_folder_with_json_and_plots(self, typed: Typed) -> None:
         pytest.importorskip("matplotlib")
         answer = typed("zwidth", "virtual_wall")
         assert (answer.code, answer.err) == (0, "")
         assert "253.8" in answer.out
         folder = Path("runs/virtual_wall-zwidth-1")
-        assert {file.name for file in folder.iterdir()} == {"zwidth.json", "plane.png", "impedance.png", "levers.png"}
-        assert json.loads((folder / "zwidth.json").read_text())["command"][:2] == ["teleop", "zwidth"]
+        assert {file.name for file in folder.iterdir()} == {"summary.json", "plane.png", "impedance.png", "levers.png"}
+        assert json.loads((folder / "summary.json").read_text())["command"][:2] == ["teleop", "zwidth"]
 
     def test_it_prints_one_object(self, typed: Typed) -> None:
         told = json.loads(typed("zwidth", "virtual_wall", "--json", "--out", "here").out)
         assert told["path"] == "here"
-        assert Path("here/zwidth.json").is_file()
+        assert Path("here/summary.json").is_file()
 
     def test_interrupted_it_leaves_what_is_done_and_says_so(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch, found: ZWidth
     ) -> None:
         part = replace(found, rows=found.rows[:1], stable=None, stable_free=None, measured=[], interrupted=True)
-        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", lambda *_, **__: part)
-        with pytest.raises(SystemExit) as left:
-            typed("zwidth", "virtual_wall", "--out", "part")
-        assert left.value.code == 130
-        assert json.loads(Path("part/zwidth.json").read_text())["status"] == "interrupted"
+        monkeypatch.setattr(teleop.analysis.zwidth.command, "assess", lambda *_, **__: part)
+        assert typed("zwidth", "virtual_wall", "--out", "part").code == 130
+        assert json.loads(Path("part/summary.json").read_text())["status"] == "interrupted"
 
-
-    def test_raised_while_it_draws_it_leaves_the_numbers_and_whole_figures(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    def test_interrupted_while_it_draws_it_leaves_the_numbers_and_whole_plots(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None
     ) -> None:
         pytest.importorskip("matplotlib")
 
-        def stop(_: ZWidth, folder: Path) -> None:
-            (folder / "plane.png").write_bytes(b"whole")
-            (folder / ".impedance.png.part").write_bytes(b"half")
-            raise KeyboardInterrupt
+        def draw(_: ZWidth, path: Path) -> None:
+            signal.raise_signal(signal.SIGINT)
+            path.write_bytes(b"whole")
 
-        monkeypatch.setattr(teleop.analysis.zwidth.plot, "draw", stop)
-        assert left_by(typed, "here") == {"plane.png", "zwidth.json"}
-        told = json.loads(Path("here/zwidth.json").read_text())
+        monkeypatch.setitem(PLOTS, "plane.png", draw)
+        assert left_by(typed, "here") == {"plane.png", "summary.json"}
+        told = json.loads(Path("here/summary.json").read_text())
         assert told["status"] == "interrupted"
         assert told["notes"][-1] == "interrupted before it was drawn: impedance.png, levers.png"
         assert told["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
-
-    @pytest.mark.parametrize("what", ["swallowed", "another error", "twice"])
-    def test_what_libraries_make_of_a_signal_is_an_interrupt_still(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, what: str
-    ) -> None:
-        pytest.importorskip("matplotlib")
-
-        def stop(*_: object) -> None:
-            try:
-                signal.raise_signal(signal.SIGINT)
-            except KeyboardInterrupt:
-                if what == "twice":
-                    signal.raise_signal(signal.SIGINT)
-                if what != "swallowed":
-                    raise ImportError("half of a library") from None
-
-        monkeypatch.setattr(teleop.analysis.zwidth.plot, "draw", stop)
-        assert left_by(typed, "here") == {"zwidth.json"}
-        assert json.loads(Path("here/zwidth.json").read_text())["status"] == "interrupted"
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     def test_an_error_without_an_interrupt_stays_one(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.importorskip("matplotlib")
@@ -291,59 +267,32 @@ class TestCommand:
         def fail(*_: object) -> None:
             raise ZeroDivisionError
 
-        monkeypatch.setattr(teleop.analysis.zwidth.plot, "draw", fail)
+        monkeypatch.setitem(PLOTS, "plane.png", fail)
         with pytest.raises(ZeroDivisionError):
             typed("zwidth", "virtual_wall", "--out", "here")
         assert not list(Path().iterdir())
 
-    @pytest.mark.parametrize("when", ["all is found", "it is written", "half is found, then again"])
-    def test_a_signal_between_the_parts_waits_until_the_numbers_are_written(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, found: ZWidth, when: str
+    def test_a_signal_while_the_numbers_are_written_waits(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None
     ) -> None:
-        def quick(*_: object, show: Callable[[float, str], None], **__: object) -> ZWidth:
-            if when == "half is found, then again":
-                with pytest.raises(KeyboardInterrupt):
-                    signal.raise_signal(signal.SIGINT)
-                signal.raise_signal(signal.SIGINT)
-                return replace(found, interrupted=True)
-            show(1.0, "done")
-            if when == "all is found":
-                signal.raise_signal(signal.SIGINT)
-            return found
+        def slow(path: Path, document: object) -> None:
+            signal.raise_signal(signal.SIGINT)
+            write_document(path, document)
 
-        def slow(*args: Any) -> None:
-            if when == "it is written":
-                signal.raise_signal(signal.SIGINT)
-            write(*args)
+        monkeypatch.setattr(teleop.analysis.zwidth.command, "write_document", slow)
+        assert left_by(typed, "here") == {"summary.json"}
+        assert json.loads(Path("here/summary.json").read_text())["status"] == "interrupted"
 
-        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", quick)
-        monkeypatch.setattr(teleop.analysis.zwidth.report, "write", slow)
-        assert left_by(typed, "here") == {"zwidth.json"}
-        assert json.loads(Path("here/zwidth.json").read_text())["status"] == "interrupted"
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-    def test_a_signal_that_got_lost_while_it_was_looked_for_is_raised_again(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None, found: ZWidth
+    def test_who_ignores_ctrl_c_or_has_a_handler_keeps_it(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None
     ) -> None:
-        def quick(*_: object, show: Callable[[float, str], None], **__: object) -> ZWidth:
-            with suppress(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGINT)
-            with pytest.raises(KeyboardInterrupt):
-                show(0.5, "further")
-            return replace(found, interrupted=True)
-
-        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", quick)
-        assert "zwidth.json" in left_by(typed, "here")
-
-    def test_who_ignores_ctrl_c_or_has_a_handler_keeps_it(self, typed: Typed, monkeypatch: pytest.MonkeyPatch,
-                                                          ctrl_c: None, found: ZWidth) -> None:
         seen: list[object] = []
 
-        def quick(*_: object, **__: object) -> ZWidth:
+        def look(path: Path, document: object) -> None:
             seen.append(signal.getsignal(signal.SIGINT))
-            return found
+            write_document(path, document)
 
-        monkeypatch.setattr(teleop.analysis.zwidth.assess, "assess", quick)
+        monkeypatch.setattr(teleop.analysis.zwidth.command, "write_document", look)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         typed("zwidth", "virtual_wall", "--json", "--out", "here")
         assert seen == [signal.SIG_IGN] == [signal.getsignal(signal.SIGINT)]
@@ -365,7 +314,7 @@ raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here"]))
 class TestSignal:
     """A real Ctrl-C at a process that draws: sent as soon as a file is seen."""
 
-    @pytest.mark.parametrize(("seen", "taps"), [("zwidth.json", 1), ("zwidth.json", 3), ("plane.png", 1),
+    @pytest.mark.parametrize(("seen", "taps"), [("summary.json", 1), ("summary.json", 3), ("plane.png", 1),
                                                 ("impedance.png", 2)])
     def test_it_keeps_what_is_whole_and_says_what_is_not(
         self, process: Typed, ended: Typed, tmp_path: Path, seen: str, taps: int
@@ -380,14 +329,15 @@ class TestSignal:
         assert answer.code == 130, answer.err
         assert "Traceback" not in answer.err
         assert [path.name for path in tmp_path.iterdir()] == ["here"]
-        told = json.loads((tmp_path / "here/zwidth.json").read_text())
+        told = json.loads((tmp_path / "here/summary.json").read_text())
         assert told["status"] == "interrupted"
         assert told["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
         names = {path.name for path in (tmp_path / "here").iterdir()}
-        drawn = names - {"zwidth.json"}
-        assert {seen, "zwidth.json"} <= names
-        assert told["notes"][-1] == "interrupted before it was drawn: " + ", ".join(
-            name for name in ("plane.png", "impedance.png", "levers.png") if name not in drawn)
+        drawn = names - {"summary.json"}
+        assert {seen, "summary.json"} <= names
+        missing = [name for name in ("plane.png", "impedance.png", "levers.png") if name not in drawn]
+        noted = [note for note in told["notes"] if note.startswith("interrupted")]
+        assert noted == [f"interrupted before it was drawn: {', '.join(missing)}"] * bool(missing)
         for name in drawn:
             picture = (tmp_path / "here" / name).read_bytes()
             assert picture.startswith(b"\x89PNG"), name
@@ -398,9 +348,9 @@ class TestSignal:
 class TestWrongRequests:
     @pytest.mark.parametrize(("typed_in", "words"), [
         (("hard_wall",), ("has a slave", "teleop zwidth virtual_wall")),
-        (("virtual_wall", "--range-k", "5:1"), ("--range-k 5:1 is empty", "lower value first")),
+        (("virtual_wall", "--range-k", "5:1"), ("--range-k 5:1 is empty", "lower end first")),
         (("virtual_wall", "--range-b", "1:1"), ("--range-b 1:1 is empty",)),
-        (("virtual_wall", "--range-b=-1:2"), ("below 0",)),
+        (("virtual_wall", "--range-b=-1:2"), ("must not go below 0",)),
         (("virtual_wall", "--range-k", "10"), ("not LOW:HIGH", "--range-k 0:2000")),
         (("virtual_wall", "--range-k", "a:b"), ("not LOW:HIGH",)),
         (("virtual_wall", "--range-k", "0:nan"), ("must be finite",)),

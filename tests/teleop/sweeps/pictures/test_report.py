@@ -18,7 +18,7 @@ from teleop.sweeps.pictures.report import (
     limits_of,
     picture,
     sentences,
-    status_lines,
+    status_rows,
     summary_of,
     told_of,
     units_of,
@@ -86,20 +86,21 @@ class TestRefusals:
         assert list(counts.items()) == [("why 1", 3), ("why 2", 2), ("why 0", 1)]
 
     def test_are_told_under_the_status(self) -> None:
-        assert status_lines(refused([1, 3])) == [
-            "status   5 done: 1 ok, 4 refused", "refused  3 rows: why 1", "         1 row: why 0"]
+        assert status_rows(refused([1, 3])) == [
+            ("status", "5 done: 1 ok, 4 refused"), ("refused", "3 rows: why 1"), ("", "1 row: why 0")]
 
     def test_of_many_kinds_are_told_in_part(self) -> None:
-        assert status_lines(refused([5, 4, 3, 2, 1]))[-2:] == [
-            "         3 rows: why 2", "         and 2 more sentences in 3 rows, which rows.jsonl has"]
+        assert status_rows(refused([5, 4, 3, 2, 1]))[-2:] == [
+            ("", "3 rows: why 2"), ("", "and 2 more sentences in 3 rows, which rows.jsonl has")]
 
     def test_stand_apart_from_what_was_said_of_rows_that_ran(self) -> None:
         made = [*refused([1]), {"row": 9, "seed": 0, "k": 0, "status": "ok", "ticks": 1, "sentence": "m stopped"}]
-        assert status_lines(Table(made, ("k",), ()))[1:] == ["refused  1 row: why 0", "metrics  1 row: m stopped"]
+        assert status_rows(Table(made, ("k",), ()))[1:] == [
+            ("refused", "1 row: why 0"), ("metrics", "1 row: m stopped")]
 
     def test_that_are_none_take_no_line(self) -> None:
-        assert status_lines(refused([])) == ["status   1 done: 1 ok"]
-        assert status_lines(Table([], ("k",), ())) == ["status   0 done: none"]
+        assert status_rows(refused([])) == [("status", "1 done: 1 ok")]
+        assert status_rows(Table([], ("k",), ())) == [("status", "0 done: none")]
 
 
 class TestUnits:
@@ -140,12 +141,12 @@ class TestAFolder:
         assert (told["scene"], told["done"], len(table)) == ("soft_tissue", 6, 6)
         assert told["counts"] == {"ok": 4, "refused": 2}
         assert "engine" not in text
-        assert "refused  2 rows: k_e must be at least 0, not -1" in text
+        assert "refused   2 rows: k_e must be at least 0, not -1" in text
 
     def test_with_one_tells_what_ran_it_and_counts_the_rows_as_they_are(self, folder: Path) -> None:
         write(joined(call(4, why="few rows", done=4, rows=6), joined(call(2), {})), folder)
         told, text, _ = told_of(folder)
-        assert "engine   vector: few rows" in text
+        assert "engine    vector: few rows" in text
         assert "2 calls ran rows" in text
         assert (told["done"], told["engine"], len(told["runs"]), told["path"]) == (6, "vector", 2, str(folder))
         json.dumps(told)

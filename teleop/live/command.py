@@ -1,0 +1,32 @@
+"""What `teleop demo` and `teleop keygen` do."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from teleop.terminal.answer import Answer
+from teleop.terminal.options import knobs_from
+from teleop.terminal.plotting import need_plot
+
+
+def demo(args: Namespace) -> Answer:
+    """Run the scene live, as three processes, leave its folder and draw it. Raises `Refused`."""
+    from teleop.live.demo import demo as run_live
+    from teleop.terminal.run import answer_of, stem, with_plot
+
+    if args.plot:
+        need_plot()
+    result = run_live(args.scene, knobs_from(args), seed=args.seed, out=args.out, stem=stem(args.scene),
+                      json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime)
+    answer = answer_of(result, args.typed)
+    return answer if result.path is None else with_plot(answer, result, result.path)
+
+
+def keygen(args: Namespace) -> Answer:
+    """Make a key with its certificate, and say what each end is started with. Raises `Refused`."""
+    from teleop.protocol.secure.keys import keygen as make
+
+    path, fingerprint = make(args.name)
+    text = (f"{path} written: it stays at this end, started with\n  --key {path}\n"
+            f"and the other end is told whom to expect with\n  --peer-fingerprint {fingerprint}")
+    return Answer(text, {"path": str(path), "fingerprint": fingerprint})

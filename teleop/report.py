@@ -1,0 +1,42 @@
+"""What `teleop report` does: show a stored run or sweep again, or put the two ends of a live run together."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+from teleop.live.records.merge import merge, scene_of
+from teleop.simulation.result import RUNNING, load_result, stored_summary
+from teleop.storage.folder import new_folder
+from teleop.sweeps.pictures.report import Wish, check_run, report
+from teleop.terminal.answer import Answer
+from teleop.terminal.run import answer_of, with_plot
+
+
+def command(args: Namespace) -> Answer:
+    """Show what the folder holds, and draw it where the extra `plot` is there. Raises `Refused`."""
+    folder = Path(args.run)
+    wish = Wish(args.picture, args.metric)
+    if args.slave is not None:
+        return _both_ends(args)
+    if (folder / "sweep.json").is_file():
+        return report(folder, wish, quiet=args.json, trust=args.trust)
+    check_run(folder, wish)
+    result = load_result(folder, trust=args.trust)
+    if result.status == RUNNING:
+        return answer_of(result, args.typed)
+    if args.json:  # as it is stored, and nothing is drawn
+        return Answer("", {**stored_summary(folder), "path": str(result.path)})
+    return with_plot(answer_of(result, args.typed), result, folder)
+
+
+def _both_ends(args: Namespace) -> Answer:
+    """The two ends of a live run that was started by hand, as one run in a new folder."""
+    result = merge(scene_of(Path(args.run), trust=args.trust), Path(args.run), Path(args.slave))
+    if result.status == RUNNING:
+        return answer_of(result, args.typed)
+    with new_folder(args.out, Path(result.scene).name.removesuffix(".py")) as new:
+        result.write(new.inside, args.typed)
+    result = replace(result, path=new.path)
+    return with_plot(answer_of(result, args.typed), result, new.path)

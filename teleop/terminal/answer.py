@@ -1,0 +1,66 @@
+"""The answer of a command: what a person reads, the same as a JSON document, and the exit code.
+
+Every document begins with the same keys, those of `teleop.simulation.result.head`. A number that does not exist, or has
+no bound, is null in it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.law import law_name
+from teleop.simulation.result import head, parameters
+from teleop.storage.strict_json import written
+from teleop.terminal.options import DONE
+from teleop.terminal.printable import printable
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from teleop.scene.scene import Scene
+
+
+class Answer(NamedTuple):
+    """What a command came to."""
+
+    text: str  # for a person; several lines
+    document: Mapping[str, Any]  # the same for a program, as JSON can hold it
+    code: int = DONE  # with which the process ends
+
+    def kept_in(self, folder: Path | str | None) -> Answer:
+        """The same answer, which says that its files are in `folder`."""
+        return self._replace(text=f"{self.text}\nwritten to {folder}", document={**self.document, "path": str(folder)})
+
+
+def say(answer: Answer, *, json: bool) -> None:
+    """Print the answer: its document as one JSON object, or its text.
+
+    What a terminal would obey, or its encoding does not know, is written out, and stops nothing.
+    """
+    text = written(answer.document) if json else answer.text
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    print(printable(text, lines=True).encode(encoding, "backslashreplace").decode(encoding))
+
+
+def titled(scene: Scene) -> str:
+    """Scene and law, as a table and a plot are headed."""
+    return f"{scene.name}, law {law_name(scene.law)}"
+
+
+def scene_head(scene: Scene, mode: str, *, sentence: str, seed: int, command: Sequence[str], status: str = "done",
+               also: Sequence[str] = ()) -> dict[str, Any]:
+    """The first keys of the document about a scene; `mode` is the command, `also` names further packages in use."""
+    return head(status=status, sentence=sentence, scene=scene.name, mode=mode, parameters=parameters(scene), seed=seed,
+                command=command, dt=scene.dt_ns / 1e9, also=also)
+
+
+def finite(value: float | None) -> float | None:
+    """The number, or None where it has no bound.
+
+    >>> finite(0.5), finite(float("inf")), finite(None)
+    (0.5, None, None)
+    """
+    return value if value is not None and isfinite(value) else None

@@ -1,0 +1,40 @@
+"""The answers of the commands: every document begins alike, and a number without a bound is null."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+HEAD = ["status", "sentence", "scene", "mode", "parameters", "seed", "versions", "command", "dt"]
+
+
+@pytest.mark.parametrize(("words", "mode"), [
+    (("run", "local", "--set", "duration=0.05"), "virtual"),
+    (("stability", "soft_tissue", "--set", "delay=0.005"), "stability"),
+    (("stability", "local", "--set", "duration=0.5", "--time"), "stability"),
+    (("passivity", "virtual_wall"), "passivity"),
+    (("precision", "hard_wall", "--set", "duration=0.02", "--rounds", "1"), "precision"),
+])
+def test_every_document_about_a_scene_begins_alike(typed: Callable[..., Any], words: tuple[str, ...], mode: str
+                                                   ) -> None:
+    told = json.loads(typed(*words, "--seed", "3", "--json").out)
+    assert [*told][:len(HEAD)] == HEAD
+    assert (told["scene"], told["mode"], told["seed"]) == (words[1], mode, 3)
+    assert {"bilateral-teleop", "python", "numpy"} <= {*told["versions"]}
+    assert told["command"][:2] == ["teleop", words[0]]
+    assert told["dt"] == 1e-3
+
+
+@pytest.mark.parametrize("words", [
+    ("run", "local", "--set", "duration=0.05"), ("stability", "soft_tissue", "--set", "delay=0.005"),
+    ("passivity", "virtual_wall"),
+])
+def test_the_file_in_the_folder_is_the_document_that_is_printed(typed: Callable[..., Any], words: tuple[str, ...]
+                                                                ) -> None:
+    told = json.loads(typed(*words, "--json", "--out", "here").out)
+    assert told.pop("path") == "here"
+    assert told == json.loads(Path("here/summary.json").read_text())
