@@ -84,7 +84,7 @@ def replacing_text(path: Path) -> Iterator[IO[str]]:
 
 
 def is_part(path: Path, name: str) -> bool:
-    """Is it what a killed process left of a file `name` that was written by `replacing`?"""
+    """True if it is what a killed process left of a file `name` that was written by `replacing`."""
     return path.name.startswith(f".{name}.") and path.name.endswith(".part")
 
 

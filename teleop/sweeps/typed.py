@@ -59,8 +59,8 @@ def parse_ranges(texts: Sequence[str]) -> dict[str, Range | list[Any]]:
         elif len(parts) == 1 and _is_number(more[0]) and more[1:] in ([], ["log"]):
             ranges[written] = _range(written, parts[0])
         else:
-            raise Refused(f"{written}={','.join(parts)} is no range to draw from; write for example {written}=0:0.5, "
-                          f"or {written}=1e2:1e6:log by equal ratios")
+            raise Refused(f"{written}={','.join(parts)} is not LOW:HIGH or LOW:HIGH:log; write for example "
+                          f"{written}=0:0.5, or {written}=1e2:1e6:log by equal ratios")
     return ranges
 
 
@@ -112,8 +112,8 @@ def _values(name: str, text: str) -> list[Any]:
     if not more or not _is_number(first):
         return [_value(name, text)]
     if len(more) not in (2, 3) or not _is_number(more[0]) or more[2:] not in ([], ["log"]):
-        raise Refused(f"{name}={text} is no range; write {name}=LOW:HIGH:N, for example {name}=0:0.5:51, or "
-                      f"{name}=1e2:1e6:9:log by equal ratios")
+        raise Refused(f"{name}={text} is not LOW:HIGH:N or LOW:HIGH:N:log; write for example {name}=0:0.5:51, "
+                      f"or {name}=1e2:1e6:9:log by equal ratios")
     count = more[1].strip()
     if not (count.isascii() and count.isdecimal() and len(count) < 10 and 2 <= int(count) <= MOST_VALUES):
         raise Refused(f"{name}={text} must have a whole number of values from 2 to {MOST_VALUES}, both ends included, "

@@ -66,7 +66,7 @@ def knobs_from(args: Namespace) -> dict[str, str]:
 
 
 def guarded(work: Callable[[], int]) -> int:
-    """Do `work` and return its exit code, or say in one sentence on stderr why it was not done.
+    """Carry out `work` and return its exit code, or say in one sentence on stderr why it was not done.
 
     A refusal is exit code 2, and so is what the operating system refuses; Ctrl-C is 130. A reader of the
     output that has seen enough (`| head`) is no error. What is a bug keeps its traceback.

@@ -111,7 +111,7 @@ class _StatusLine:
         self._width = 0  # of what stands on the terminal's line
 
     def is_due(self, now_s: float, last: bool) -> bool:
-        """Is it time to write: on a terminal at once, ten times a second and at the `last`, elsewhere every 5 s."""
+        """True if it is time to write: on a terminal at once, ten times a second and at the `last`; else every 5 s."""
         if self._due is None:
             self._due = now_s if self._terminal else now_s + 5.0
         if now_s < self._due and not (self._terminal and last):

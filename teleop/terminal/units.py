@@ -43,5 +43,5 @@ def grouped(count: int) -> str:
 
 
 def two_digits(value: float) -> str:
-    """To two digits, or to a whole number, without an exponent."""
+    """A value to two digits, or to a whole number, without an exponent."""
     return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}" if value >= 1e-3 else f"{value:.1e}"

@@ -43,7 +43,7 @@ class Parts(NamedTuple):
 
 
 def law_parts(scene: Scene) -> Parts:
-    """Refused where the force is not linear in reading, K and B."""
+    """The law of a scene without a slave, apart for K and B. Refused where its force is not linear in them."""
     import numpy as np
 
     bare = replace(linear_part(scene), electrical=None)
@@ -66,7 +66,7 @@ def law_parts(scene: Scene) -> Parts:
 
 
 def is_linear(estimator: Any, dt: float) -> bool:
-    """At all sizes, not only near some motion."""
+    """True if the estimator is linear at all sizes of motion, not only near rest."""
     start, c = estimator.start(0.0), estimator.coefficients(dt)
 
     def respond(given: Any) -> list[float]:

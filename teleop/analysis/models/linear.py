@@ -279,7 +279,7 @@ def not_linear(scene: Scene, e: str) -> Refused:
 
 
 def is_linear(estimator: Any, dt: float) -> bool:
-    """Is the velocity that an estimator makes a linear function of the positions."""
+    """True if the velocity that an estimator makes is a linear function of the positions."""
     start, c = estimator.start(0.0), estimator.coefficients(dt)
 
     def respond(given: Sequence[float]) -> list[float]:

@@ -63,7 +63,7 @@ class Loop:
 
     @cached_property
     def poles(self) -> Points:
-        """Of both ends by themselves."""
+        """The poles of both ends by themselves."""
         return open_poles(self.master, self.slave)
 
     @cached_property

@@ -179,7 +179,7 @@ def margins(scene: Scene) -> Margins:
 
 
 def settles(scene: Scene) -> bool:
-    """Is no root outside the unit circle? Quicker than `margins`."""
+    """True if no root lies outside the unit circle; quicker than `margins`."""
     delay = 0 if scene.device_m is None else scene.device_m.delay
     if delay > FEW:
         from teleop.analysis.models.loop import sampled_loop

@@ -3,5 +3,5 @@
 `sampled` is the damping that a force held between samples needs, `coupling` what a virtual coupling allows the
 environment behind it, `two_port` the hybrid matrix of a teleoperator and Llewellyn's criterion; `peak` finds the
 worst frequency for them. `one_port` asks them of a scene without a slave, `verdict` adds what is not linear in it,
-`report` and `figure` tell it.
+`report` and `plot` show it.
 """

@@ -42,7 +42,7 @@ class Judged(NamedTuple):
 
     @property
     def absolutely_stable(self) -> bool:
-        """Does Llewellyn's criterion hold all over the range?"""
+        """True if Llewellyn's criterion holds all over the range."""
         return not self.bands
 
 

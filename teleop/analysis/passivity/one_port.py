@@ -1,4 +1,4 @@
-"""Passivity of a scene without a slave: does its device take up what its sampled controller makes.
+"""Passivity of a scene without a slave: whether its device dissipates the energy that its sampled controller generates.
 
 The controller is read off the scene's own tick in contact (`teleop.analysis.models.one_port_loop`): law and velocity
 estimator. Of a virtual coupling on a backward difference the impedances of coupling and tool are known in closed form
@@ -65,7 +65,7 @@ class RenderedImpedance:
 
     @property
     def passive(self) -> bool | None:
-        """Is it, to any hand, with all that is in the scene? None: not known."""
+        """True if the port is passive with all that is in the scene, False if not; None: not known."""
         return self.verdict.passive
 
     @property

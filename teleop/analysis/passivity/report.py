@@ -52,7 +52,7 @@ class PassivityAnswer(NamedTuple):
 
 
 def ask(scene: Scene, *, seed: int = 0, span: str | None = None) -> PassivityAnswer:
-    """PassivityAnswer for a scene; `span` is a range LOW:HIGH in Hz as it was typed. Raises `Refused`."""
+    """Judge a scene; `span` is a range LOW:HIGH in Hz as it was typed. Raises `Refused`."""
     from teleop.analysis.passivity.surroundings import linear_parts
 
     low, high = _span(span)

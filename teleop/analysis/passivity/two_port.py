@@ -70,7 +70,7 @@ class TwoPort(NamedTuple):
 
     @property
     def absolutely_stable(self) -> NDArray[np.bool_]:
-        """Does Llewellyn's criterion hold, at each frequency? To 1e-9: ends without loss meet it with equality."""
+        """True at each frequency where Llewellyn's criterion holds, to 1e-9: lossless ends meet it with equality."""
         h = self.h
         found: NDArray[np.bool_] = (
             (h[:, 0, 0].real >= -_rounding(h[:, 0, 0])) & (h[:, 1, 1].real >= -_rounding(h[:, 1, 1]))

@@ -1,4 +1,4 @@
-"""Is a one-port passive: yes, no, or not known, with its encoder, friction, shunt, cap and passivity controller.
+"""The verdict on a one-port: passive, not passive or not known, with encoder, friction, shunt, cap and controller.
 
 Two leaks that do not mix (Abbott and Okamura 2005): what holding the force makes, damping takes up; what the encoder's
 steps make, Coulomb friction does.
@@ -66,7 +66,7 @@ def verdict(scene: Scene, E: Impedance, needed: Needed) -> Verdict:
 
 
 def is_spring(E: Impedance, T: float) -> bool:
-    """Is the force the stiffness times the reading, and nothing else?"""
+    """True if the force is the stiffness times the reading and nothing else."""
     import numpy as np
 
     z = np.exp(1j * np.array([1e-2, 0.1, 1.0, 2.0, 3.0]))
@@ -91,7 +91,7 @@ def _asked(scene: Scene) -> float | None:
 
 
 def _damped(scene: Scene, E: Impedance, needed: Needed, device: Device) -> bool | None:
-    """Is there damping enough for the held force? None: with the shunt of the motor that is not known."""
+    """True if there is damping enough for the held force; None: not known, with the shunt of the motor."""
     b = scene.master.damping
     enough = b >= needed.damping * (1.0 - 1e-9)
     if enough or scene.electrical is None or scene.electrical.b == 0.0 or not isfinite(needed.damping):
@@ -106,7 +106,7 @@ def _damped(scene: Scene, E: Impedance, needed: Needed, device: Device) -> bool 
 
 
 def _stepped(scene: Scene, device: Device, asked: float | None, spring: bool) -> bool | None:
-    """Is there friction enough for the encoder?"""
+    """True if there is friction enough for the encoder; None: not known."""
     fc = scene.master.friction
     if device.encoder is None or asked == 0.0:
         return True

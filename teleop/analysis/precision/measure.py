@@ -210,7 +210,7 @@ def verdicts(entries: Sequence[Entry], off: Mapping[str, float] | None = None, s
 
 
 def _quiet(part: float, text: str) -> None:
-    """Tell nobody."""
+    """No progress is shown."""
 
 
 def _check(scene: Scene, rounds: int | None) -> None:

@@ -1,4 +1,4 @@
-"""Is a scene stable, by how much, and where does it stop: the answers behind `teleop stability`.
+"""Stability of a scene: the verdict, its margins, and the critical value of a knob; the answers of `teleop stability`.
 
     stability(load_scene("soft_tissue", law="direct")).verdict
     critical(lambda k: load_scene("soft_tissue", k_e=k), "k_e", low=10.0, high=1e5)
@@ -43,7 +43,7 @@ class Stability:
 
     @property
     def verdict(self) -> str:
-        """Is every root but the integrators inside the unit circle?"""
+        """`stable` if every root but the integrators lies inside the unit circle, else `unstable`."""
         return "unstable" if self.unstable else "stable"
 
     @property
@@ -126,7 +126,7 @@ def is_stable(scene: Scene, *, seed: int = 0) -> bool:
 
 
 def rests(scene: Scene, *, seed: int = 0) -> bool:
-    """Does it come to rest in virtual time? A limit cycle is no rest, but a few steps of an encoder are (`rest`)."""
+    """True if the scene comes to rest in virtual time: a limit cycle is no rest, a few steps of an encoder are."""
     from teleop.analysis.stability.swing import swing
 
     return swing(scene, seed=seed).rests

@@ -91,7 +91,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
 
 
 def _whole(name: str, knob: str) -> bool:
-    """Does the scene take whole numbers alone for this knob? A law's own are read as any numbers."""
+    """True if the scene takes only whole numbers for this knob. A law's own knobs take any numbers."""
     from typing import get_args
 
     from teleop.scene.knobs import knobs_of

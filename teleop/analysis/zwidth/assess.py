@@ -95,7 +95,7 @@ def assess(scene: Scene, *, span_K: Span = ALL, span_B: Span = ALL, seed: int = 
 
 
 def _quiet(part: float, text: str) -> None:
-    """Tell nobody."""
+    """No progress is shown."""
 
 
 def _steps(found: ZWidth, show: Show) -> Iterator[ZWidth]:

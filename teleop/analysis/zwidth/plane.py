@@ -59,7 +59,7 @@ class LoopFamily(NamedTuple):
 
     @property
     def coarse(self) -> bool:
-        """Are its eigenvalues expensive?"""
+        """True if its eigenvalues take long to compute."""
         return self.first is None or (self.states > LARGE and self.opened is None)
 
 

@@ -142,7 +142,7 @@ def _impedance(got: ZWidth, path: Path) -> None:
 
 
 def _levers(got: ZWidth, path: Path) -> None:
-    """A bar for each lever and figure; the line is the scene as it is."""
+    """A bar for each lever and metric; the line is the scene as it is."""
     rows = got.rows
     told = [(title, [numbers(row)[key] for row in rows], key) for key, title in PANELS]
     tops = [max([value for value in values if value is not None and isfinite(value)], default=0.0)

@@ -1,1 +1,1 @@
-"""Figures and reports of sweeps."""
+"""Pictures and reports of sweeps."""

@@ -90,7 +90,7 @@ def pairs_of(a: PlottedKnob, b: PlottedKnob) -> NDArray[Any] | None:
 
 
 def _in_step(a: PlottedKnob, b: PlottedKnob) -> bool:
-    """Does one follow from the other? Numbers must also rise or fall together: those of a sample do not."""
+    """True if one follows from the other. Numbers must also rise or fall together: those of a sample do not."""
     import numpy as np
 
     pairs = pairs_of(a, b)

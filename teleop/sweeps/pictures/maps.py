@@ -31,7 +31,7 @@ CELLS = 4_000_000  # of a map; of more, which no picture has room for, the point
 
 
 def _edges(axis: Any, values: tuple[Any, ...]) -> NDArray[Any]:
-    """Between neighbours the middle, as the axis shows it; the outer cells are as wide as their inner half twice."""
+    """The edges of cells: midway between neighbours on the axis as drawn, the outer cells symmetric."""
     import numpy as np
 
     there = axis.get_transform()
@@ -136,7 +136,7 @@ def _norm(values: NDArray[Any]) -> Any:
 
 
 def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, found: _Found, paint: NDArray[Any], sampled: bool) -> bool:
-    """Colour the points: cells of a grid, with the boundary between them, or dots. Was there a boundary?"""
+    """Colour the points: cells of a grid, with the boundary between them, or dots; True if there is a boundary."""
     import numpy as np
     from matplotlib.collections import LineCollection
 

@@ -81,8 +81,9 @@ class TestTyped:
         ("", ("gives no knob values",)), ("delay,=1/2", ("gives no knob values",)),
         ("delay=", ("delay= has no values", "delay=1,2")), ("delay,k_e=", ("write for example delay,k_e=1/1,2/2",)),
         ("delay=1,,2", ("empty value",)), ("delay=1,", ("empty value",)),
-        ("delay=0:0.5", ("is no range", "delay=0:0.5:51")), ("delay=0:0.5:5:cubic", ("is no range", ":log")),
-        ("delay=0:0.5:5:log:1", ("is no range",)), ("delay=0:far:5", ("is no range",)), ("delay=0:", ("is no range",)),
+        ("delay=0:0.5", ("is not LOW:HIGH", "delay=0:0.5:51")), ("delay=0:0.5:5:cubic", ("is not LOW:HIGH", ":log")),
+        ("delay=0:0.5:5:log:1", ("is not LOW:HIGH",)), ("delay=0:far:5", ("is not LOW:HIGH",)),
+        ("delay=0:", ("is not LOW:HIGH",)),
         ("delay=0:0.5:0", ("whole number of values from 2", "delay=0:0.5:51")), ("delay=0:0.5:1", ("from 2",)),
         ("delay=0:0.5:2.5", ("from 2",)), ("delay=0:0.5:-3", ("from 2",)), ("delay=0:0.5:", ("from 2",)),
         ("delay=0:0.5:" + "9" * 5000, ("from 2",)),
@@ -118,7 +119,7 @@ class TestTyped:
                         "playout": ["fixed:0.1"], "n": [3]}
 
     @pytest.mark.parametrize(("text", "words"), [
-        ("delay=0:0.5:51", ("delay=0:0.5",)), ("delay=0:0.5,3", ("no range",)), ("delay=0:", ("no range",)),
+        ("delay=0:0.5:51", ("delay=0:0.5",)), ("delay=0:0.5,3", ("not LOW:HIGH",)), ("delay=0:", ("not LOW:HIGH",)),
         ("delay,k_e=1/2", ("by itself",)), ("delay=1:1", ("single value",)), ("k_e=0:1:log", ("above 0",)),
         ("delay=0:0.5 delay=1", ("twice",)), ("delay=0:nan", ("finite",)),
     ])

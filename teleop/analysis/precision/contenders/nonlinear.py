@@ -155,5 +155,5 @@ ADVANCE: dict[str, Advance] = {
 
 
 def goes(method: Method) -> bool:
-    """Is the method known on a body that is not piecewise linear?"""
+    """True if the method is known on a body that is not piecewise linear."""
     return method.name in ADVANCE

@@ -26,7 +26,7 @@ TOLERANCES = (1e-3, 1e-6, 1e-9)  # relative; absolute 1e-3 of it, in m and m/s
 
 
 def there() -> bool:
-    """Is scipy installed?"""
+    """True if scipy is installed."""
     return find_spec("scipy") is not None
 
 

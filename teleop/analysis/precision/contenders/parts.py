@@ -26,13 +26,13 @@ def slave_of(scene: Scene) -> MassDamper:
 
 
 def inner(scene: Scene) -> bool:
-    """Has any of the bodies an inner state?"""
+    """True if any of the bodies has an inner state."""
     return scene.master.friction > 0.0 or scene.electrical is not None or any(
         plant.start is not None for plant in exact_bodies(scene).slaves)
 
 
 def closed(scene: Scene) -> bool:
-    """Has every body a closed form, so that the run is exact?"""
+    """True if every body has a closed form, so that the run is exact."""
     return scene.master.friction == 0.0 and not any(core_of(still) for still, _ in stills(scene))
 
 
@@ -68,7 +68,7 @@ def _own(scene: Scene) -> list[tuple[Plant, Any]]:
 
 
 def is_carried(plant: Plant) -> bool:
-    """Does the plant's environment move, so that its inner state begins with the tick?"""
+    """True if the plant's environment moves, so that its inner state begins with the tick."""
     if plant.start is None:
         return False
     from teleop.physics import carried
