@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from channel.effect import Effect, probability
 from channel.rng import Ints, Rng
+from teleop.knob import Knob
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +18,7 @@ class Bernoulli(Effect):
     """
 
     reorders: ClassVar[bool] = False
-    p: float  # probability of loss
+    p: Annotated[float, Knob("", "probability that a packet is lost", low=0.0, high=1.0)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "p", probability("p", self.p))

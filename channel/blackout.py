@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from channel.effect import Effect
 from channel.rng import Ints, Rng
 from channel.rows import nanoseconds
 from teleop.errors import Refused, number
+from teleop.knob import Knob
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,10 +20,11 @@ class Blackout(Effect):
     """
 
     reorders: ClassVar[bool] = False
-    start: float  # s
-    duration: float  # s
+    start: Annotated[float, Knob("s", "time at which the link goes", low=0.0, high=1e6)]
+    duration: Annotated[float, Knob("s", "time for which it is gone", low=0.0, high=1e6)]
     _: KW_ONLY
-    every: float | None = None  # s from one start to the next; none: once
+    every: Annotated[float | None, Knob(
+        "s", "time from one start to the next; none: it goes once", above=0.0, high=1e6)] = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", number("start", self.start, low=0.0, high=1e6))

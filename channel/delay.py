@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng
 from channel.rows import nanoseconds
+from teleop.knob import Knob
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,7 @@ class Delay(Effect):
     """Every packet leaves `delay` s after it entered (to the nearest ns; 0 to 3600 s)."""
 
     reorders: ClassVar[bool] = False
-    delay: float  # s
+    delay: Annotated[float, Knob("s", "delay of every packet", low=0.0)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "delay", seconds("delay", self.delay))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from typing import Annotated
 
 import numpy as np
 
 from channel.effect import Effect, probability, seconds
 from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
+from teleop.knob import Knob
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,9 +20,9 @@ class Duplicate(Effect):
     Effects behind it meet both copies with the same random numbers: both are lost, or late by the same time.
     """
 
-    p: float  # probability of a copy
+    p: Annotated[float, Knob("", "probability that a packet is copied", low=0.0, high=1.0)]
     _: KW_ONLY
-    after: float = 0.0  # s by which the copy is later
+    after: Annotated[float, Knob("s", "time by which the copy is later", low=0.0)] = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "p", probability("p", self.p))

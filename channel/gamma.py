@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng, inside, normal
 from channel.rows import later
 from teleop.errors import number
+from teleop.knob import Knob
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +24,8 @@ class GammaJitter(Effect):
     packet, so packets overtake each other: add `| InOrder()` where they must not.
     """
 
-    mean: float  # s
-    shape: float  # 0.05 to 1e6; 1 is exponential
+    mean: Annotated[float, Knob("s", "mean delay", low=0.0)]
+    shape: Annotated[float, Knob("", "shape of the distribution; 1 is exponential", low=0.05, high=1e6)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", seconds("mean", self.mean))

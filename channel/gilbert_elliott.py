@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from channel.effect import Effect, probability
 from channel.rng import BLOCK, Ints, Rng
 from teleop.errors import Refused
+from teleop.knob import Knob
 
 Bools = NDArray[np.bool_]
 _KEPT = 64  # blocks of states
@@ -39,11 +40,11 @@ class GilbertElliott(Effect):
     """
 
     reorders: ClassVar[bool] = False
-    p_good_to_bad: float  # probability, from one packet to the next
-    p_bad_to_good: float  # the same back
+    p_good_to_bad: Annotated[float, Knob("", "probability of turning bad, for each packet", low=0.0, high=1.0)]
+    p_bad_to_good: Annotated[float, Knob("", "probability of turning good, for each packet", low=0.0, high=1.0)]
     _: KW_ONLY
-    loss_good: float = 0.0  # probability of loss while good
-    loss_bad: float = 1.0  # probability of loss while bad
+    loss_good: Annotated[float, Knob("", "probability of loss while good", low=0.0, high=1.0)] = 0.0
+    loss_bad: Annotated[float, Knob("", "probability of loss while bad", low=0.0, high=1.0)] = 1.0
 
     def __post_init__(self) -> None:
         for name in ("p_good_to_bad", "p_bad_to_good", "loss_good", "loss_bad"):

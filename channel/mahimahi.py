@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
 from channel.schedule import Order
 from teleop.errors import Refused, number
+from teleop.knob import Knob
 
 OPPORTUNITY = 1500  # bytes that one line of a trace delivers
 _MS = 1_000_000
@@ -33,10 +34,10 @@ class Mahimahi(Effect):
 
     order: ClassVar[Order] = "time"
     reorders: ClassVar[bool] = False
-    path: str  # file, a delivery trace
+    path: Annotated[str, Knob("", "file with a delivery trace")]
     _: KW_ONLY
-    queue: int = 2000  # packets that find room to wait
-    start: float = 0.0  # s of it to skip
+    queue: Annotated[int, Knob("packets", "room to wait", low=1, high=1e6)] = 2000
+    start: Annotated[float, Knob("s", "time of the recording to skip", low=0.0, high=1e6)] = 0.0
     crc: int = field(init=False, repr=False)
     """Checksum of the file: other contents under the same path are another effect."""
     _ms: Ints = field(init=False, repr=False, compare=False)

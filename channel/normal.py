@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng
 from channel.rows import later
+from teleop.knob import Knob
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +24,8 @@ class NormalJitter(Effect):
     `| InOrder()` where they must not.
     """
 
-    mean: float  # s
-    sigma: float  # s, standard deviation
+    mean: Annotated[float, Knob("s", "mean delay", low=0.0)]
+    sigma: Annotated[float, Knob("s", "standard deviation of the delay", low=0.0)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", seconds("mean", self.mean))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import KW_ONLY, dataclass, field
+from typing import Annotated
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from channel.effect import LONGEST, Effect
 from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
 from teleop.errors import Refused, number
+from teleop.knob import Knob
 
 _STAMP = re.compile(r"\[(\d{1,12})\.(\d{1,9})\] (.*)")
 _SEQ = re.compile(r"icmp_seq=(\d{1,5})\b")
@@ -33,9 +35,9 @@ class PingLog(Effect):
     Refused: a file that is missing, no text, empty, cut off in a line, out of order, or without time stamps.
     """
 
-    path: str  # file, what `ping -D` wrote
+    path: Annotated[str, Knob("", "file that `ping -D` wrote")]
     _: KW_ONLY
-    start: float = 0.0  # s of it to skip
+    start: Annotated[float, Knob("s", "time of the recording to skip", low=0.0, high=1e6)] = 0.0
     crc: int = field(init=False, repr=False)
     """Checksum of the file: other contents under the same path are another effect."""
     _sent: Ints = field(init=False, repr=False, compare=False)  # ns from the first probe

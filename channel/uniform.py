@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
+from teleop.knob import Knob
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +21,7 @@ class UniformJitter(Effect):
     `| InOrder()` where they must not.
     """
 
-    width: float  # s
+    width: Annotated[float, Knob("s", "most that a packet is late", low=0.0)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", seconds("width", self.width))

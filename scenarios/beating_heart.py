@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from channel import Delay
 from master import Grip, Reach, Sine
 from slave import Moving, Wall
-from teleop import Law, MassDamper, Scene, Wave
+from teleop import Knob, Law, MassDamper, Scene, Wave, knob
 
 
 def scene(
     *,
-    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
-    delay: float = 0.02,  # s, each way
-    k_e: float = 500.0,  # N/m, stiffness of the heart
-    d_e: float = 5.0,  # N s/m, damping of the heart
-    at: float = 0.03,  # m, where its surface is in the mean
-    beat: float = 0.005,  # m, amplitude of its motion
-    rate: float = 1.2,  # Hz, of its motion
-    to: float = 0.04,  # m, where the hand reaches
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 6.0,  # s
+    law: Law = Wave(),
+    delay: knob.LinkDelay = 0.02,
+    k_e: Annotated[float, Knob("N/m", "stiffness of the heart", low=0.0)] = 500.0,
+    d_e: Annotated[float, Knob("N s/m", "damping of the heart", low=0.0)] = 5.0,
+    at: Annotated[float, Knob("m", "position of the surface in the mean")] = 0.03,
+    beat: Annotated[float, Knob("m", "amplitude of its motion")] = 0.005,
+    rate: Annotated[float, Knob("Hz", "frequency of its motion", low=0.0)] = 1.2,
+    to: Annotated[float, Knob("m", "position that the hand reaches for")] = 0.04,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 6.0,
 ) -> Scene:
     """A hand rests the slave on a surface that moves to and fro, and feels it beat."""
     return Scene(

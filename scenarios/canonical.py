@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from channel import Delay
 from master import Grip, Sine
 from slave import Wall
-from teleop import Law, MassDamper, Scene, Wave
+from teleop import Knob, Law, MassDamper, Scene, Wave, knob
 
 
 def scene(
     *,
-    law: Law = Wave(b=2.0, K=500.0, B=20.0),  # control law: direct, pfra, wave or one of a plug-in
-    delay: float = 0.05,  # s, each way
-    k_e: float = 5000.0,  # N/m, stiffness of the wall
-    d_e: float = 5.0,  # N s/m, damping of the wall
-    wall: float = 0.03,  # m, where its surface is
-    amplitude: float = 0.05,  # m, of the hand's swing
-    frequency: float = 1.0,  # Hz, of the hand's swing
-    k_h: float = 200.0,  # N/m, stiffness of the hand's grip
-    d_h: float = 5.0,  # N s/m, damping of the hand's grip
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 10.0,  # s
+    law: Law = Wave(b=2.0, K=500.0, B=20.0),
+    delay: knob.LinkDelay = 0.05,
+    k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 5000.0,
+    d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 5.0,
+    wall: Annotated[float, Knob("m", "position of its surface")] = 0.03,
+    amplitude: Annotated[float, Knob("m", "amplitude of the hand's swing")] = 0.05,
+    frequency: Annotated[float, Knob("Hz", "frequency of the hand's swing", low=0.0)] = 1.0,
+    k_h: Annotated[float, Knob("N/m", "stiffness of the hand's grip", low=0.0)] = 200.0,
+    d_h: Annotated[float, Knob("N s/m", "damping of the hand's grip", low=0.0)] = 5.0,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 10.0,
 ) -> Scene:
     """A hand swings a master at 1 Hz; the slave meets a wall that it cannot pull on."""
     return Scene(

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from math import pi
+from typing import Annotated
 
 from master import Grip, Rest
-from teleop import BackwardDifference, Cap, Device, Encoder, MassDamper, Scene, VirtualWall
+from teleop import BackwardDifference, Cap, Device, Encoder, Knob, MassDamper, Scene, VirtualWall, knob
 
 
 def scene(
     *,
-    K: float = 400.0,  # N/m, stiffness of the wall; 2500 hums at 34 Hz
-    every: int = 1,  # ticks after which the wall's force is renewed; 5 shakes at 21 Hz
-    cap: float | None = None,  # N s/m, most damping of the passivity controller; none: no controller
-    v_min: float = 0.0,  # m/s, velocity that the passivity controller leaves alone
-    step: float | None = 2.0 * pi * 0.010 / 1024.0,  # m, of the encoder: 1024 lines on a 10 mm drum; none: no encoder
-    f_max: float = 2.0,  # N, most force of wall and controller together
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 1.5,  # s
+    K: Annotated[float, Knob("N/m", "stiffness of the wall; 2500 hums at 34 Hz", low=0.0)] = 400.0,
+    every: Annotated[int, Knob(
+        "ticks", "time after which the wall's force is renewed; 5 shakes at 21 Hz", low=1)] = 1,
+    cap: knob.ControllerDamping = None,
+    v_min: knob.ControllerRest = 0.0,
+    step: Annotated[float | None, Knob(
+        "m", "encoder step: 1024 lines on a 10 mm drum; none: no encoder", above=0.0)] = 2.0 * pi * 0.010 / 1024.0,
+    f_max: Annotated[float, Knob("N", "most force of wall and controller together", low=0.0)] = 2.0,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 1.5,
 ) -> Scene:
     """A finger pulls a handle from rest at 29 mm towards 33 mm; the virtual wall begins at 30 mm."""
     if cap is None:

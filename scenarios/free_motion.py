@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from channel import Delay
 from master import Grip, Sine
-from teleop import Law, MassDamper, Scene, Wave
+from teleop import Knob, Law, MassDamper, Scene, Wave, knob
 
 
 def scene(
     *,
-    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
-    delay: float = 0.05,  # s, each way
-    amplitude: float = 0.05,  # m, of the hand's swing
-    frequency: float = 0.5,  # Hz, of the hand's swing
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 10.0,  # s
+    law: Law = Wave(),
+    delay: knob.LinkDelay = 0.05,
+    amplitude: Annotated[float, Knob("m", "amplitude of the hand's swing")] = 0.05,
+    frequency: Annotated[float, Knob("Hz", "frequency of the hand's swing", low=0.0)] = 0.5,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 10.0,
 ) -> Scene:
     """A hand swings the master, the slave follows in free space."""
     return Scene(

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from master import Grip, Reach
 from slave import Wall
-from teleop import Law, MassDamper, Scene, Wave
+from teleop import Knob, Law, MassDamper, Scene, Wave, knob
 
 
 def scene(
     *,
-    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
-    k_e: float = 2e4,  # N/m, stiffness of the wall
-    d_e: float = 10.0,  # N s/m, damping of the wall
-    wall: float = 0.03,  # m, where its surface is
-    to: float = 0.06,  # m, where the hand reaches, beyond the wall
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 10.0,  # s
+    law: Law = Wave(),
+    k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 2e4,
+    d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 10.0,
+    wall: Annotated[float, Knob("m", "position of its surface")] = 0.03,
+    to: Annotated[float, Knob("m", "position that the hand reaches for, beyond the wall")] = 0.06,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 10.0,
 ) -> Scene:
     """A hand reaches for a hard wall with nothing in between but one tick."""
     return Scene(

@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from channel import Delay, Link, Mahimahi
 from master import Grip, Reach
 from slave import Wall
-from teleop import Cap, Fixed, Law, MassDamper, Playout, Scene, Watchdog, Wave
+from teleop import Cap, Fixed, Knob, Law, MassDamper, Playout, Scene, Watchdog, Wave, knob
 
 
 def scene(
     *,
-    up: Path,  # file, delivery trace from master to slave
-    down: Path,  # file, delivery trace from slave to master
-    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
-    delay: float = 0.02,  # s, each way
-    queue: int = 300,  # packets that find room to wait
-    start: float = 0.0,  # s of the recordings to skip
-    playout: Playout = Fixed(0.12),  # zero, hold, or fixed:SECONDS from sending to playing
-    k_e: float = 5e3,  # N/m, stiffness of the wall
-    d_e: float = 10.0,  # N s/m, damping of the wall
-    wall: float = 0.03,  # m, where its surface is
-    to: float = 0.06,  # m, where the hand reaches, beyond the wall
-    timeout: float = 0.5,  # s of silence after which the watchdogs let go
-    age: float | None = 2.5,  # s, from which on a message that is played is no sign of the other end; none: at any age
-    f_max: float = 20.0,  # N, most force of either end
-    slew: float = 2000.0,  # N/s, most change of either force
-    v_max: float | None = None,  # m/s, speed from which on an end only brakes; none: it drives at any
-    power: float | None = None,  # W, what either end may give out, and hold for a second; none: no budget
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 10.0,  # s
+    up: Annotated[Path, Knob("", "file with the delivery trace from master to slave")],
+    down: Annotated[Path, Knob("", "file with the delivery trace from slave to master")],
+    law: Law = Wave(),
+    delay: knob.LinkDelay = 0.02,
+    queue: Annotated[int, Knob("packets", "room to wait", low=1, link=True)] = 300,
+    start: Annotated[float, Knob("s", "time of the recordings to skip", low=0.0, link=True)] = 0.0,
+    playout: Playout = Fixed(0.12),
+    k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 5e3,
+    d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 10.0,
+    wall: Annotated[float, Knob("m", "position of its surface")] = 0.03,
+    to: Annotated[float, Knob("m", "position that the hand reaches for, beyond the wall")] = 0.06,
+    timeout: knob.Timeout = 0.5,
+    age: knob.MessageAge = 2.5,
+    f_max: knob.MostForce = 20.0,
+    slew: knob.MostSlew = 2000.0,
+    v_max: knob.MostSpeed = None,
+    power: knob.PowerBudget = None,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 10.0,
 ) -> Scene:
     """A hand reaches for a wall over recorded packet-delivery traces (mahimahi format)."""
     return Scene(

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from channel import Delay
 from master import Grip, Reach
 from slave import StandardLinearSolid
-from teleop import Law, MassDamper, Scene, Wave
+from teleop import Knob, Law, MassDamper, Scene, Wave, knob
 
 
 def scene(
     *,
-    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
-    delay: float = 0.02,  # s, each way
-    k_e: float = 150.0,  # N/m, stiffness in the long run
-    k1: float = 400.0,  # N/m, stiffness that relaxes
-    tau: float = 0.3,  # s, in this time
-    to: float = 0.03,  # m, where the hand reaches
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 4.0,  # s
+    law: Law = Wave(),
+    delay: knob.LinkDelay = 0.02,
+    k_e: Annotated[float, Knob("N/m", "stiffness in the long run", low=0.0)] = 150.0,
+    k1: Annotated[float, Knob("N/m", "stiffness that relaxes", low=0.0)] = 400.0,
+    tau: Annotated[float, Knob("s", "time in which it relaxes", above=0.0)] = 0.3,
+    to: Annotated[float, Knob("m", "position that the hand reaches for")] = 0.03,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 4.0,
 ) -> Scene:
     """A quick reach into tissue whose force falls while the hand stays."""
     return Scene(

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from channel import Delay
 from master import Grip, Reach
 from slave import HuntCrossley
-from teleop import Law, MassDamper, Scene, Wave
+from teleop import Knob, Law, MassDamper, Scene, Wave, knob
 
 
 def scene(
     *,
-    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
-    delay: float = 0.02,  # s, each way
-    k_e: float = 2e5,  # N/m^n, stiffness of the rubber
-    n: float = 1.5,  # exponent; 1.5 is Hertz's contact of two spheres
-    lam: float = 0.5,  # s/m, damping: of a blow at v comes back about 1 - (2/3) lam v
-    at: float = 0.03,  # m, where its surface is
-    to: float = 0.05,  # m, where the hand reaches, beyond the surface
-    tolerance: float = 1e-9,  # m, error per tick that the integrator keeps to
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 3.0,  # s
+    law: Law = Wave(),
+    delay: knob.LinkDelay = 0.02,
+    k_e: Annotated[float, Knob("N/m^n", "stiffness of the rubber", low=0.0)] = 2e5,
+    n: Annotated[float, Knob("", "exponent; 1.5 is Hertz's contact of two spheres", low=1.0, high=10.0)] = 1.5,
+    lam: Annotated[float, Knob("s/m", "damping: of a blow at v comes back about 1 - (2/3) lam v", low=0.0)] = 0.5,
+    at: Annotated[float, Knob("m", "position of the surface")] = 0.03,
+    to: Annotated[float, Knob("m", "position that the hand reaches for, beyond the surface")] = 0.05,
+    tolerance: knob.Tolerance = 1e-9,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 3.0,
 ) -> Scene:
     """A minimum-jerk reach presses the slave into a Hunt-Crossley body, which stiffens with depth."""
     return Scene(

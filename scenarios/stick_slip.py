@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from channel import Delay
 from master import Grip, Sine
 from slave import Tissue
-from teleop import Law, MassDamper, Scene, Wave
+from teleop import Knob, Law, MassDamper, Scene, Wave, knob
 
 
 def scene(
     *,
-    law: Law = Wave(),  # control law: direct, pfra, wave or one of a plug-in
-    delay: float = 0.02,  # s, each way
-    friction_m: float = 0.3,  # N, Coulomb friction of the master
-    friction_s: float = 0.6,  # N, Coulomb friction of the slave
-    k_e: float = 100.0,  # N/m, stiffness of the tissue that the slave holds
-    d_e: float = 1.0,  # N s/m, damping of the tissue
-    amplitude: float = 0.03,  # m, of the hand's swing
-    frequency: float = 0.5,  # Hz, of the hand's swing
-    tolerance: float = 1e-9,  # m, error per tick that the integrator keeps to
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledgers
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 4.0,  # s
+    law: Law = Wave(),
+    delay: knob.LinkDelay = 0.02,
+    friction_m: Annotated[float, Knob("N", "Coulomb friction of the master", low=0.0)] = 0.3,
+    friction_s: Annotated[float, Knob("N", "Coulomb friction of the slave", low=0.0)] = 0.6,
+    k_e: Annotated[float, Knob("N/m", "stiffness of the tissue that the slave holds", low=0.0)] = 100.0,
+    d_e: Annotated[float, Knob("N s/m", "damping of the tissue", low=0.0)] = 1.0,
+    amplitude: Annotated[float, Knob("m", "amplitude of the hand's swing")] = 0.03,
+    frequency: Annotated[float, Knob("Hz", "frequency of the hand's swing", low=0.0)] = 0.5,
+    tolerance: knob.Tolerance = 1e-9,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 4.0,
 ) -> Scene:
     """A slow swing against dry friction: both ends stick at every turn and let go with a jerk."""
     return Scene(

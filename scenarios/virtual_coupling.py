@@ -2,41 +2,45 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from master import Grip, Reach
 from teleop import (
     BackwardDifference,
     Device,
     Encoder,
+    Knob,
     MassDamper,
     OnePortLaw,
     Scene,
     VelocityEstimator,
     VirtualCoupling,
+    knob,
 )
 
 
 def scene(
     *,
-    law: OnePortLaw = VirtualCoupling(k_e=1e5, at=0.03),  # coupling, tool, its wall and its integrator; or another law
-    m: float = 0.04,  # kg, mass of the handle
-    b: float = 0.8,  # N s/m, damping of the handle; passive with at least K dt/2 + B of the coupling
-    friction: float = 0.0,  # N, Coulomb friction of the handle
-    k: float = 400.0,  # N/m, stiffness of the finger
-    d: float = 1.0,  # N s/m, damping of the finger
-    to: float = 0.04,  # m, where the finger reaches
-    step: float | None = None,  # m, step of an encoder that rounds down; none: the position as it is
-    velocity: VelocityEstimator = BackwardDifference(),  # low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1), ...
-    every: int = 1,  # ticks after which the force is renewed
-    delay: int = 0,  # ticks from reading to force
-    cap: float | None = None,  # N s/m, most damping of the passivity controller; none: no controller
-    v_min: float = 0.0,  # m/s, velocity that the passivity controller leaves alone
-    f_max: float | None = None,  # N, most force of the actuator; none: no saturation
-    b_e: float | None = None,  # N s/m, electrical damping of the motor, well above its cutoff; none: none
-    cutoff: float = 10.0,  # Hz, below which the electrical damping fades
-    observer: float | None = 200.0,  # 1/s, bandwidth of the observer of the hand's force; none: a force sensor
-    energy: bool = True,  # record the energy ledger
-    dt: float = 1e-3,  # s, the tick
-    duration: float = 2.0,  # s
+    law: OnePortLaw = VirtualCoupling(k_e=1e5, at=0.03),
+    m: Annotated[float, Knob("kg", "mass of the handle", above=0.0)] = 0.04,
+    b: Annotated[float, Knob("N s/m", "damping of the handle; passive with at least K dt/2 + B", low=0.0)] = 0.8,
+    friction: Annotated[float, Knob("N", "Coulomb friction of the handle", low=0.0)] = 0.0,
+    k: Annotated[float, Knob("N/m", "stiffness of the finger", low=0.0)] = 400.0,
+    d: Annotated[float, Knob("N s/m", "damping of the finger", low=0.0)] = 1.0,
+    to: Annotated[float, Knob("m", "position that the finger reaches for")] = 0.04,
+    step: knob.EncoderStep = None,
+    velocity: VelocityEstimator = BackwardDifference(),
+    every: Annotated[int, Knob("ticks", "time after which the force is renewed", low=1)] = 1,
+    delay: Annotated[int, Knob("ticks", "delay from reading to force", low=0)] = 0,
+    cap: knob.ControllerDamping = None,
+    v_min: knob.ControllerRest = 0.0,
+    f_max: Annotated[float | None, Knob("N", "most force of the actuator; none: no saturation", low=0.0)] = None,
+    b_e: knob.MotorDamping = None,
+    cutoff: knob.MotorCutoff = 10.0,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 2.0,
 ) -> Scene:
     """A reach of least jerk takes a tool on a virtual coupling into a stiff virtual wall."""
     passivity, saturation, electrical = None, None, None

@@ -17,6 +17,7 @@ from teleop.version import DISTRIBUTION, __version__
 if TYPE_CHECKING:
     from teleop.checks.two_port import check_law
     from teleop.errors import DeviceError, Refused, number, whole_number
+    from teleop.knob import Knob, check_knobs
     from teleop.law import At, Law, OnePortLaw, find_law, messages
     from teleop.laws.direct import Direct
     from teleop.laws.pfra import PFRA
@@ -48,14 +49,15 @@ if TYPE_CHECKING:
 __all__ = [
     "DISTRIBUTION", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError",
     "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Environment", "Fixed", "Hand", "Hold",
-    "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant", "Playout", "Reading",
-    "Reference", "Refused", "Resistance", "Result", "Scene", "Table", "Vector", "VelocityEstimator",
-    "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "check_law", "end_main",
-    "find_law", "load_result", "load_scene", "messages", "number", "run", "sweep", "whole_number",
+    "Knob", "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant", "Playout",
+    "Reading", "Reference", "Refused", "Resistance", "Result", "Scene", "Table", "Vector", "VelocityEstimator",
+    "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "check_knobs", "check_law",
+    "end_main", "find_law", "load_result", "load_scene", "messages", "number", "run", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
     "errors": ("DeviceError", "Refused", "number", "whole_number"),
+    "knob": ("Knob", "check_knobs"),
     "law": ("At", "Law", "OnePortLaw", "find_law", "messages"),
     "laws.direct": ("Direct",),
     "laws.pfra": ("PFRA",),

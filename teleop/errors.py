@@ -49,10 +49,11 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def number(name: str, value: object, *, low: float | None = None, above: float | None = None,
-           high: float | None = None) -> float:
+           high: float | None = None, unit: str = "") -> float:
     """`value` as a float, or `Refused` if it is no finite number in the range.
 
-    `low` and `high` are included in the range, `above` is not. A bool is not a number here, a numpy scalar is.
+    `low` and `high` are included in the range, `above` is not; the sentence gives them with the `unit`. A bool is not a
+    number here, a numpy scalar is.
 
     >>> number("delay", 3, low=0.0)
     3.0
@@ -69,11 +70,12 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
     if not isfinite(got):
         raise WrongNumber(name, got, "finite", None)
     if above is not None and got <= above:
-        raise WrongNumber(name, got, f"above {above:g}", above + 1.0 if high is None else min(above + 1.0, high))
+        example = above + 1.0 if high is None else min(above + 1.0, high)
+        raise WrongNumber(name, got, f"above {above:g} {unit}".rstrip(), example)
     if low is not None and got < low:
-        raise WrongNumber(name, got, f"at least {low:g}", low)
+        raise WrongNumber(name, got, f"at least {low:g} {unit}".rstrip(), low)
     if high is not None and got > high:
-        raise WrongNumber(name, got, f"at most {high:g}", high)
+        raise WrongNumber(name, got, f"at most {high:g} {unit}".rstrip(), high)
     return got
 
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from teleop.checks.trials import spread, try_claims
 from teleop.errors import Refused, nearest
+from teleop.knob import knobs_of_fields
 from teleop.law import At, reads
 
 LEDGERS = frozenset({"E_link", "E_port"})
@@ -72,14 +73,16 @@ def _class(law: Any, parts: tuple[str, ...]) -> None:
         raise Refused(f"{name}.claims is {claims!r}; write claims: ClassVar[frozenset[str]] = frozenset()")
     for claim in sorted(claims - LEDGERS, key=str):
         raise Refused(f"{name} claims {claim!r}, which is no ledger; {nearest(str(claim), LEDGERS)}")
+    kinds = {name: found.kind for name, found in knobs_of_fields(kind).items()}
     for knob in fields(law):
-        _knob(law, name, knob.name, knob.type, keyword=knob.kw_only is True)
+        _knob(law, name, knob.name, kinds.get(knob.name, knob.type), keyword=knob.kw_only is True)
 
 
 def _knob(law: Any, name: str, knob: str, kind: object, *, keyword: bool) -> None:
     value = getattr(law, knob)
     if kind not in (float, "float") or isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise Refused(f"{name}.{knob} is {value!r} of {kind}; every field of a law is a number: "
+        shown = getattr(kind, "__name__", kind)
+        raise Refused(f"{name}.{knob} is {value!r} of {shown}; every field of a law is a number: "
                       f"declare {knob}: float")
     if not keyword:
         raise Refused(f"{name}.{knob} may be given by position; add kw_only=True to the dataclass")
@@ -99,9 +102,9 @@ def _knob(law: Any, name: str, knob: str, kind: object, *, keyword: bool) -> Non
         return
     except Exception as error:
         raise Refused(f"{name} meets {knob}=nan with {type(error).__name__}; "
-                      f"let number({knob!r}, self.{knob}) of teleop.errors refuse it") from error
+                      f"let number({knob!r}, self.{knob}) of teleop refuse it") from error
     raise Refused(f"{name} accepts {knob}=nan; "
-                  f"call number({knob!r}, self.{knob}) of teleop.errors in __post_init__")
+                  f"call number({knob!r}, self.{knob}) of teleop in __post_init__")
 
 
 class Call(NamedTuple):

@@ -15,9 +15,9 @@ Claims: nothing. It sends no waves, and its two-port generates energy as soon as
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
-from teleop.errors import number
+from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
 
@@ -34,16 +34,14 @@ class Back(NamedTuple):
 class Direct:
     """Position forth, measured force back, nothing in between."""
 
-    K: float = 500.0  # coupling stiffness, N/m, >= 0
-    B: float = 20.0  # coupling damping, N s/m, >= 0
-    kf: float = 1.0  # reflection gain, >= 0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
+    kf: Annotated[float, Knob("", "gain of the reflected force", low=0.0)] = 1.0
 
     claims: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
-        number("K", self.K, low=0.0)
-        number("B", self.B, low=0.0)
-        number("kf", self.kf, low=0.0)
+        check_knobs(self)
 
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)

@@ -22,9 +22,9 @@ nobody holds is never moved by the reflection, at any gain and any delay.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
-from teleop.errors import number
+from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
 EPS = 1e-12  # N^2: below this |f_h|^2 the hand's direction means nothing
@@ -48,18 +48,15 @@ class Sums(NamedTuple):
 class PFRA:
     """Force reflection projected on the force of the hand."""
 
-    alpha: float = 0.0  # weight of the part the hand does not resist, 0..1
-    kf: float = 1.0  # reflection gain, >= 0
-    K: float = 500.0  # coupling stiffness, N/m, >= 0
-    B: float = 20.0  # coupling damping, N s/m, >= 0
+    alpha: Annotated[float, Knob("", "weight of the part that the hand does not resist", low=0.0, high=1.0)] = 0.0
+    kf: Annotated[float, Knob("", "gain of the reflected force", low=0.0)] = 1.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
 
     claims: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
-        number("alpha", self.alpha, low=0.0, high=1.0)
-        number("kf", self.kf, low=0.0)
-        number("K", self.K, low=0.0)
-        number("B", self.B, low=0.0)
+        check_knobs(self)
 
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)

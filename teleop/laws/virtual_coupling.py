@@ -52,9 +52,10 @@ Claims: nothing of the ledgers; E_port contains the hold's leak.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
-from teleop.errors import Refused, number
+from teleop.errors import Refused
+from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
 TINY = 1e-300  # under a denominator that may be zero
@@ -70,24 +71,20 @@ class Tool(NamedTuple):
 class VirtualCoupling:
     """Spring-damper to a simulated tool in front of a virtual wall."""
 
-    K: float = 1000.0  # coupling stiffness, N/m, >= 0
-    B: float = 0.2  # coupling damping, N s/m, >= 0
-    mass: float = 0.02  # of the tool, kg, >= 0
-    damping: float = 0.0  # of the tool, N s/m, >= 0
-    k_e: float = 1e5  # stiffness of the wall, N/m, >= 0
-    d_e: float = 0.0  # damping of the wall, N s/m, >= 0
-    at: float = 0.0  # where its surface is, m
-    theta_f: float = 1.0  # weight of the new state in the tool's forces, 0..1
-    theta_x: float = 1.0  # weight of the new velocity in the tool's position, 0..1
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 1000.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 0.2
+    mass: Annotated[float, Knob("kg", "mass of the tool", low=0.0)] = 0.02
+    damping: Annotated[float, Knob("N s/m", "damping of the tool", low=0.0)] = 0.0
+    k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 1e5
+    d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 0.0
+    at: Annotated[float, Knob("m", "position of the wall's surface")] = 0.0
+    theta_f: Annotated[float, Knob("", "weight of the new state in the tool's forces", low=0.0, high=1.0)] = 1.0
+    theta_x: Annotated[float, Knob("", "weight of the new velocity in the tool's position", low=0.0, high=1.0)] = 1.0
 
     claims: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
-        for name in ("K", "B", "mass", "damping", "k_e", "d_e"):
-            number(name, getattr(self, name), low=0.0)
-        number("at", self.at)
-        number("theta_f", self.theta_f, low=0.0, high=1.0)
-        number("theta_x", self.theta_x, low=0.0, high=1.0)
+        check_knobs(self)
         held = self.theta_f * (self.B + self.damping + self.K * self.theta_x)
         if self.mass == 0.0 and held == 0.0:
             raise Refused("mass=0 leaves the tool's velocity undetermined with theta_f=0, or without B, damping and "

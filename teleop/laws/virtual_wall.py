@@ -27,9 +27,9 @@ zero by the hold's leak at any K; what is passive is the device and the wall tog
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from teleop.errors import number
+from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
 
@@ -37,16 +37,14 @@ from teleop.law import At
 class VirtualWall:
     """Spring-damper wall felt by the device itself."""
 
-    K: float = 1000.0  # stiffness, N/m, >= 0
-    B: float = 0.0  # damping, N s/m, >= 0
-    at: float = 0.0  # where its surface is, m
+    K: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 1000.0
+    B: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 0.0
+    at: Annotated[float, Knob("m", "position of its surface")] = 0.0
 
     claims: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
-        number("K", self.K, low=0.0)
-        number("B", self.B, low=0.0)
-        number("at", self.at)
+        check_knobs(self)
 
     def start(self, at: At) -> tuple[()]:
         return ()

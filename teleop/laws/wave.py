@@ -23,9 +23,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
-from teleop.errors import number
+from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
 
@@ -45,16 +45,14 @@ class Slave(NamedTuple):
 class Wave:
     """Wave variables with a spring-damper slave solved in closed form."""
 
-    b: float = 2.0  # wave impedance, N s/m, > 0
-    K: float = 500.0  # coupling stiffness, N/m, >= 0
-    B: float = 20.0  # coupling damping, N s/m, >= 0
+    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0)] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
 
     claims: ClassVar[frozenset[str]] = frozenset({"E_link"})
 
     def __post_init__(self) -> None:
-        number("b", self.b, above=0.0)
-        number("K", self.K, low=0.0)
-        number("B", self.B, low=0.0)
+        check_knobs(self)
 
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)

@@ -1,23 +1,28 @@
-"""What there is to name on the command line: scenes, laws and effects, and the knobs of each."""
+"""Names for the command line: scenes, laws, effects and velocity estimators, with the knobs of each."""
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, fields
+from collections.abc import Mapping, Sequence
 from importlib import import_module
-from inspect import getsource
 from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused, nearest
+from teleop.knob import Declared, Knob, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
+from teleop.naming import known
+from teleop.scene.knobs import knobs_of
 from teleop.scene.library import ROOT, built_in_scenes, house, known_scenes, scene_function
+from teleop.stages.velocity.named import ESTIMATORS
 
-UNITS = ("N s/m", "N/m^n", "N/m", "N/s", "m/s", "s/m", "1/s", "kg", "Hz", "ticks", "m", "s", "N")
-_UNIT = re.compile(rf"(?:^|, )({'|'.join(map(re.escape, UNITS))})(?=[,;]|$| of | after | from )")
-Knob = tuple[str, str, str, str]  # name, type, default, remark
+MEANINGS = {  # of knobs that declare nothing, by their type
+    "Law": "control law: direct, pfra, wave or one of a plug-in",
+    "OnePortLaw": "law that renders by itself: virtual_coupling, virtual_wall or one of a plug-in",
+    "Zero | Hold | Fixed": "zero, hold, or fixed:SECONDS from sending to playing",
+    "VelocityEstimator": "backward_difference(), low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1) and others",
+}
 
 
 def overview() -> str:
@@ -41,17 +46,17 @@ def details(name: str) -> str:
     parts = []
     if name in scenes or name.endswith(".py"):
         function = scene_function(name)
-        parts.append(_part(f"scene {name}", function, _scene_knobs(function), "--set NAME=VALUE"))
+        parts.append(_part(f"scene {name}", function, knobs_of(function), "--set NAME=VALUE"))
     if name in laws:
         law = _load(laws[name])
-        parts.append(_part(f"law {name}", law, _field_knobs(law), f"--set law={name} --set law.NAME=VALUE"))
+        parts.append(_part(f"law {name}", law, knobs_of_fields(law), f"--set law={name} --set law.NAME=VALUE"))
     if name in effects:
         effect = _load(effects[name])
-        parts.append(_part(f"effect {name}", effect, _field_knobs(effect), f"--link '{name}(NAME=VALUE)'"))
+        parts.append(_part(f"effect {name}", effect, knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
     if name in (estimators := _estimators()):
         estimator = _load(estimators[name])
         how = f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"
-        parts.append(_part(f"velocity estimator {name}", estimator, _field_knobs(estimator), how))
+        parts.append(_part(f"velocity estimator {name}", estimator, knobs_of_fields(estimator), how))
     if not parts:
         known = {*scenes, *laws, *effects, *estimators}
         raise Refused(f"there is no scene, law, effect or estimator {name!r}; {nearest(name, known)}")
@@ -59,27 +64,25 @@ def details(name: str) -> str:
 
 
 def units_of(name: str, knobs: Sequence[str]) -> dict[str, str]:
-    """The units of a scene's knobs as `details` shows them, out of the remarks beside the knobs."""
+    """The units that the knobs of a scene declare; with those of the laws' knobs if `knobs` has any such."""
     try:
-        said = {key: remark for key, *_, remark in _scene_knobs(scene_function(name))}
+        found = dict(knobs_of(scene_function(name)))
     except Refused:  # the scene's file is gone, or is no scene any more
         return {}
     if any(knob.startswith("law.") for knob in knobs):
-        said |= {f"law.{key}": remark for law in BUILT_IN for key, *_, remark in _field_knobs(find_law(law))}
-    return {"x_limit": "m"} | {key: match[1] for key, remark in said.items() if (match := _UNIT.search(remark))}
+        found |= {f"law.{key}": each for law in BUILT_IN for key, each in knobs_of_fields(find_law(law)).items()}
+    return {"x_limit": "m"} | {key: each.knob.unit for key, each in found.items() if each.knob.unit}
 
 
 def _estimators() -> dict[str, str]:
-    from teleop.naming import known
-    from teleop.stages.velocity.named import ESTIMATORS
-
     return dict(sorted(known(ESTIMATORS.group, ESTIMATORS.places).items()))
 
 
-def _part(heading: str, thing: Any, knobs: list[Knob], how: str) -> str:
+def _part(heading: str, thing: Any, knobs: Mapping[str, Declared], how: str) -> str:
     lines = [f"{heading}: {_line(thing)}"]
     if knobs:
-        lines += [_columns([("knob", "type", "default", ""), *knobs]), f"  set with: {how}"]
+        rows = [(name, _kind(found.kind), _shown(found.default), _remark(found)) for name, found in knobs.items()]
+        lines += [_columns([("knob", "type", "default", ""), *rows]), f"  set with: {how}"]
     return "\n".join(lines)
 
 
@@ -87,24 +90,6 @@ def _columns(rows: list[Any]) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
     return "\n".join(f"  {line}".rstrip() for line in lines)
-
-
-def _scene_knobs(function: Callable[..., Any]) -> list[Knob]:
-    from teleop.scene.knobs import knobs_of
-
-    said = _remarks(function)
-    return [
-        (name, _kind(hint), _shown(default), said.get(name, ""))
-        for name, (hint, default) in knobs_of(function).items()
-    ]
-
-
-def _field_knobs(kind: Any) -> list[Knob]:
-    said = _remarks(kind)
-    return [
-        (f.name, _kind(f.type), _shown(... if f.default is MISSING else f.default), said.get(f.name, ""))
-        for f in fields(kind) if f.init
-    ]
 
 
 def _kind(hint: Any) -> str:
@@ -120,13 +105,17 @@ def _shown(default: Any) -> str:
     return "none" if default is None else str(default)
 
 
-def _remarks(thing: Any) -> dict[str, str]:
-    """The comments beside a function's parameters or a class's fields: there the units stand."""
-    try:
-        source = getsource(thing)
-    except OSError:
-        return {}
-    return dict(re.findall(r"^ +(\w+): [^#\n]*#[: ]*(.+)$", source, flags=re.MULTILINE))
+def _remark(found: Declared) -> str:
+    """Unit, meaning and bounds of a knob."""
+    knob = found.knob
+    meaning = knob.meaning or MEANINGS.get(_kind(found.kind), "")
+    return ", ".join(part for part in (knob.unit, meaning, *_bounds(knob)) if part)
+
+
+def _bounds(knob: Knob) -> list[str]:
+    ends = ((">", knob.above), (">=", knob.low), ("<=", knob.high))
+    one_of = [f"one of {', '.join(knob.choices)}"] if knob.choices else []
+    return [f"{sign} {end:g}" for sign, end in ends if end is not None] + one_of
 
 
 def _line(thing: Any) -> str:

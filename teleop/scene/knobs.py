@@ -1,4 +1,4 @@
-"""The keyword parameters of a scene, read from texts or from Python, each checked by name and type."""
+"""The keyword parameters of a scene, read from texts or from Python, each checked by name, type and bounds."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints
 
 from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
+from teleop.knob import UNDECLARED, Declared, declared
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, law_name
 from teleop.scene.library import house
 from teleop.scene.playout import Fixed, Hold, Zero
@@ -21,24 +22,25 @@ _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no"
 
 
 @lru_cache(maxsize=64)
-def knobs_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
-    """A scene function's knobs: `name -> (type, default)`; the default is `...` where one must be given.
+def knobs_of(function: Callable[..., Any]) -> dict[str, Declared]:
+    """A scene function's knobs by name.
 
     A knob without an annotation is of its default's type; one without a default too is a number.
     """
     try:
-        hints = get_type_hints(function)
+        hints = get_type_hints(function, include_extras=True)
     except Exception as error:
         raise Refused(f"the types of a scene's knobs cannot be read ({error}); import them at the top of its file, "
                       "outside of `if TYPE_CHECKING:`") from error
-    parameters = signature(function).parameters.values()
-    for p in parameters:
+    found = {}
+    for p in signature(function).parameters.values():
         if p.kind not in (Parameter.KEYWORD_ONLY, Parameter.POSITIONAL_OR_KEYWORD):
             raise Refused(f"a scene takes each knob by its name, so `{p}` cannot be one; "
                           "write for example `def scene(*, k_e: float = 1e3) -> Scene:`")
-    defaults = {p.name: ... if p.default is p.empty else p.default for p in parameters}
-    return {name: (hints[name] if name in hints else _kind(name, default), default)
-            for name, default in defaults.items()}
+        default = ... if p.default is p.empty else p.default
+        kind, knob = declared(hints[p.name]) if p.name in hints else (_kind(p.name, default), UNDECLARED)
+        found[p.name] = Declared(kind, default, knob)
+    return found
 
 
 def _kind(name: str, default: Any) -> Any:
@@ -65,13 +67,13 @@ def _kind(name: str, default: Any) -> Any:
 def settle(
     name: str, function: Callable[..., Any], given: Mapping[str, object]
 ) -> tuple[dict[str, object], dict[str, tuple[object, Any]]]:
-    """All knobs of a scene with their values; of what every scene has, what was given, to be shown and to be set.
+    """The values of all knobs of a scene; and of the knobs that every scene has those given, to be shown and to be set.
 
-    Raises `Refused` for what is not known, for what is no value, and for a knob that only the scene's own link would
-    have read where that link is replaced: it would be turned, shown, and change nothing.
+    Raises `Refused` for an unknown knob, for a value that is none or out of the knob's bounds, and for a knob that sets
+    the scene's own link where that link is replaced: it would be turned, shown, and change nothing.
     """
     known = knobs_of(function)
-    values: dict[str, Any] = {key: default for key, (_, default) in known.items() if default is not ...}
+    values: dict[str, Any] = {key: found.default for key, found in known.items() if found.default is not ...}
     of_scene: dict[str, tuple[object, Any]] = {}
     of_law: dict[str, object] = {}
     for key, value in given.items():
@@ -84,7 +86,8 @@ def settle(
         elif key not in known:
             raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, 'link', 'x_limit'])}")
         else:
-            values[key] = read(key, value, known[key][0])
+            values[key] = read(key, value, known[key].kind)
+            known[key].knob.check(key, values[key])
     missing = [key for key in known if key not in values]
     if missing:
         raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
@@ -92,41 +95,12 @@ def settle(
         values["law"] = _tuned(values["law"], of_law)
     if "link" in of_scene:
         for key in given:
-            if key in known and _only_in_link(function, key, values, known[key][1]):
+            if key in known and known[key].knob.link:
                 text = f"delay({values[key]})" if key == "delay" else "delay(0.04) | uniform(0.02) | bernoulli(0.02)"
                 raise Refused(f"{key} sets nothing but the link of scene {name}, and link={of_scene['link'][0]} takes "
                               f"that link's place; leave {key} out and write the whole link, for example "
                               f"link='{text}'")
     return values, of_scene
-
-
-@lru_cache(maxsize=64)
-def _found_in_link(_: Callable[..., Any]) -> dict[str, bool]:
-    """What is known of a scene function's knobs by now, for `_only_in_link`; to be added to."""
-    return {}
-
-
-def _only_in_link(function: Callable[..., Any], key: str, values: Mapping[str, Any], default: Any) -> bool:
-    """Does a knob change the link of a scene and nothing else of it? Found by turning it, once for each function."""
-    known = _found_in_link(function)
-    if key not in known:
-        known[key] = _turned(function, key, values, default)
-    return known[key]
-
-
-def _turned(function: Callable[..., Any], key: str, values: Mapping[str, Any], default: Any) -> bool:
-    now = values[key]
-    others = [default] if default is not ... else []
-    if type(now) in (int, float):
-        others += [now / 2.0, 2.0 * now, now + 1.0] if type(now) is float else [now + 1, now - 1]
-    for other in others:
-        with suppress(Exception):  # a value that the scene does not take; what is wrong with its own, it says itself
-            if other == now:
-                continue
-            one, two = (dict(vars(function(**{**values, key: value}))) for value in (now, other))
-            if one.pop("link") != two.pop("link"):  # and where both are equal, it may be by chance
-                return bool(one == two)
-    return False
 
 
 def read(key: str, value: object, hint: Any) -> object:

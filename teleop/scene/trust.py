@@ -50,8 +50,8 @@ def _check_no_file(name: str, knobs: Mapping[str, object]) -> None:
     from teleop.scene.knobs import knobs_of
     from teleop.scene.library import scene_function
 
-    kinds = {key: get_args(hint) if isinstance(hint, UnionType) else (hint,)
-             for key, (hint, _) in knobs_of(scene_function(name)).items()}
+    kinds = {key: get_args(found.kind) if isinstance(found.kind, UnionType) else (found.kind,)
+             for key, found in knobs_of(scene_function(name)).items()}
     for key, value in knobs.items():
         names_a_file = Path in kinds.get(key, ()) or (key == "link" and ("'" in str(value) or '"' in str(value)))
         if names_a_file:

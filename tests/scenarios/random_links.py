@@ -61,7 +61,7 @@ def scene(
 def bases() -> tuple[str, ...]:
     """The scenes that have a slave and need no file of the user's."""
     whole = [name for name in built_in_scenes()
-             if all(default is not ... for _, default in knobs_of(scene_function(name)).values())]
+             if all(default is not ... for _, default, _ in knobs_of(scene_function(name)).values())]
     return tuple(name for name in whole if load_scene(name).slave is not None)
 
 

@@ -97,8 +97,8 @@ def _whole(name: str, knob: str) -> bool:
     from teleop.scene.knobs import knobs_of
     from teleop.scene.library import scene_function
 
-    hint = knobs_of(scene_function(name)).get(knob, (float, ...))[0]
-    kinds = get_args(hint) or (hint,)
+    found = knobs_of(scene_function(name)).get(knob)
+    kinds = () if found is None else get_args(found.kind) or (found.kind,)
     return int in kinds and float not in kinds
 
 

@@ -30,8 +30,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, nan
+from typing import Annotated
 
 from teleop.errors import number, whole_number
+from teleop.knob import Knob
 
 TINY = 1e-300  # s: what a span of zero is divided by
 LONGEST = 1000  # readings: one second at 1 kHz
@@ -58,8 +60,8 @@ def _coefficients(fit: EndFit | BestFit, dt: float) -> tuple[float, float, float
 class EndFit:
     """Adaptive window with the line through its two ends."""
 
-    noise: float  # m, > 0: how far the line may miss a reading; one step of the encoder
-    most: int = 15  # the longest window, ticks, 1..1000
+    noise: Annotated[float, Knob("m", "most by which the line misses a reading: one encoder step", above=0.0)]
+    most: Annotated[int, Knob("ticks", "longest window", low=1, high=LONGEST)] = 15
 
     def __post_init__(self) -> None:
         _checked(self)
@@ -98,8 +100,8 @@ class EndFit:
 class BestFit:
     """Adaptive window with the least-squares slope."""
 
-    noise: float  # m, > 0: how far the line may miss a reading; one step of the encoder
-    most: int = 15  # the longest window, ticks, 1..1000
+    noise: Annotated[float, Knob("m", "most by which the line misses a reading: one encoder step", above=0.0)]
+    most: Annotated[int, Knob("ticks", "longest window", low=1, high=LONGEST)] = 15
 
     def __post_init__(self) -> None:
         _checked(self)

@@ -35,8 +35,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Annotated
 
 from teleop.errors import number
+from teleop.knob import Knob
 
 LAMBDA0, LAMBDA1 = 1.5, 1.1  # A. Levant, "Higher-order sliding modes, differentiation ...", Int. J. Control 76, 2003
 TINY = 1e-300  # s: what a span of zero is divided by
@@ -46,7 +48,7 @@ TINY = 1e-300  # s: what a span of zero is divided by
 class Levant:
     """Sliding-mode differentiator, exact for an acceleration below L and robust to noise."""
 
-    L: float  # bound of the acceleration, m/s^2, > 0
+    L: Annotated[float, Knob("m/s^2", "bound of the acceleration", above=0.0)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "L", number("L", self.L, above=0.0))

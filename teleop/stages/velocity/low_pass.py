@@ -18,8 +18,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import expm1, pi
+from typing import Annotated
 
 from teleop.errors import number
+from teleop.knob import Knob
 
 TINY = 1e-300  # s: what a span of zero is divided by
 
@@ -28,7 +30,7 @@ TINY = 1e-300  # s: what a span of zero is divided by
 class LowPass:
     """First-order low-pass of the backward difference."""
 
-    cutoff: float = 30.0  # Hz, > 0: gain 1/sqrt(2) there
+    cutoff: Annotated[float, Knob("Hz", "frequency at which the gain is 1/sqrt(2)", above=0.0)] = 30.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cutoff", number("cutoff", self.cutoff, above=0.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from channel.delay import Delay
-from teleop import Refused, load_scene
+from teleop import Knob, Refused, knob, load_scene
 from teleop.errors import number
 from teleop.law import Law, OnePortLaw
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.scene.knobs import _found_in_link, knobs_of, read, settle
+from teleop.scene.knobs import knobs_of, read, settle
+from teleop.scene.library import built_in_scenes, scene_function
 from teleop.scene.parts import Vector
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.stages.device import VelocityEstimator
@@ -40,7 +41,8 @@ def first(k_e: float = 1.0, /) -> None: ...
 
 class TestNames:
     def test_of_a_function_come_with_type_and_default(self) -> None:
-        assert knobs_of(scene) == {"up": (Path, ...), "k_e": (float, 1.0), "law": (Law, Wave()), "steps": (int, 3)}
+        assert {name: found[:2] for name, found in knobs_of(scene).items()} == {
+            "up": (Path, ...), "k_e": (float, 1.0), "law": (Law, Wave()), "steps": (int, 3)}
 
     def test_that_are_not_given_keep_their_defaults(self) -> None:
         values, of_every_scene = settle("s", scene, {"up": "a", "k_e": "2"})
@@ -77,7 +79,6 @@ class TestOfALinkThatIsReplaced:
     ])
     @pytest.mark.parametrize("link", ["delay(0.02)", "none", DELAY])
     def test_are_refused_beside_it_also_at_their_defaults(self, of: str, key: str, value: Any, link: Any) -> None:
-        _found_in_link.cache_clear()  # what an earlier test found
         with pytest.raises(Refused, match=rf"^{key} sets nothing but the link.*; leave {key} out and write"):
             load_scene(of, link=link, **{key: value})
 
@@ -88,16 +89,69 @@ class TestOfALinkThatIsReplaced:
         made = load_scene("jittery_wan", link="delay(0.1)", k_e=3.0, playout="fixed:0.1", law="wave", dt=2e-3)
         assert (made.link, made.playout, made.dt) == (DELAY, Fixed(0.1), 2e-3)
 
-    def test_that_feed_more_than_the_link_are_taken(self, tmp_path: Path) -> None:
+    def test_that_declare_nothing_are_taken(self, tmp_path: Path) -> None:
         (tmp_path / "mine.py").write_text(
-            "from teleop import load_scene\nfrom dataclasses import replace\nfrom channel.delay import Delay\n"
-            "from teleop.scene.playout import Fixed\n"
+            "from dataclasses import replace\nfrom channel import Delay\nfrom teleop import Fixed, load_scene\n"
             "def scene(*, delay: float = 0.1, other: float = 1.0):\n"
             "    made = load_scene('free_motion')\n"
             "    return replace(made, link=Delay(delay), playout=Fixed(2 * delay))\n")
         at = str(tmp_path / "mine.py")
         assert load_scene(at, delay=0.2, link="delay(0.1)").playout == Fixed(0.4)
-        assert load_scene(at, other=0.2, link="delay(0.1)").link == DELAY  # dead anyway: that is for its author to mend
+        assert load_scene(at, other=0.2, link="delay(0.1)").link == DELAY
+
+    def test_a_scene_is_made_once_whatever_its_knobs_set(self, tmp_path: Path) -> None:
+        """Nothing about a knob is found out by making the scene with other numbers."""
+        (tmp_path / "counted.py").write_text(
+            "from teleop import load_scene\nmade = []\n"
+            "def scene(*, delay: float = 0.1):\n    made.append(delay)\n    return load_scene('free_motion')\n")
+        load_scene(str(tmp_path / "counted.py"), delay=0.2, link="delay(0.1)")
+        function = scene_function(str(tmp_path / "counted.py"))
+        assert function.__globals__["made"] == [0.2]  # type: ignore[attr-defined]
+
+
+def declaring(
+    *,
+    k: Annotated[float, Knob("N/m", "stiffness", low=0.0, high=1e3)] = 1.0,
+    at: Annotated[Vector, Knob("m", "position", low=-1.0)] = 0.0,
+    age: Annotated[float | None, Knob("s", "age", above=0.0)] = None,
+    steps: Annotated[int, Knob("ticks", "steps", low=1)] = 1,
+    shape: Annotated[str, Knob("", "shape", choices=("ball", "cube"))] = "ball",
+) -> None: ...
+
+
+class TestDeclared:
+    """Unit, meaning and bounds stand in the annotation."""
+
+    @pytest.mark.parametrize(("name", "text", "sentence"), [
+        ("k", "-1", "k must be at least 0 N/m, not -1; write for example k=0"),
+        ("k", "2e3", "k must be at most 1000 N/m, not 2000; write for example k=1000"),
+        ("at", "0,-2,0", "at must be at least -1 m, not -2; write for example at=-1"),
+        ("age", "0", "age must be above 0 s, not 0; write for example age=1"),
+        ("steps", "0", "steps must be at least 1 ticks, not 0; write for example steps=1"),
+        ("shape", "bal", "shape is one of ball, cube, not 'bal'; did you mean ball?"),
+    ])
+    def test_what_is_out_of_bounds_is_refused_with_unit_and_cure(self, name: str, text: str, sentence: str) -> None:
+        with pytest.raises(Refused) as refused:
+            settle("s", declaring, {name: text})
+        assert str(refused.value) == sentence
+
+    def test_what_is_within_is_read_as_without(self) -> None:
+        given = {"k": "1e3", "at": "0,-1", "age": "none", "steps": "2", "shape": "cube"}
+        assert settle("s", declaring, given)[0] == {
+            "k": 1e3, "at": (0.0, -1.0), "age": None, "steps": 2, "shape": "cube"}
+
+    def test_a_type_may_declare_for_all_that_have_it(self) -> None:
+        def scene(*, dt: knob.Tick = 1e-3, age: knob.MessageAge = None) -> None: ...
+
+        found = {name: (each.kind, each.knob.unit) for name, each in knobs_of(scene).items()}
+        assert found == {"dt": (float, "s"), "age": (float | None, "s")}
+
+    @pytest.mark.parametrize("name", built_in_scenes())
+    def test_every_number_of_a_built_in_scene_declares_its_meaning(self, name: str) -> None:
+        plain = {"law", "playout", "velocity"}  # known by their types
+        missing = [key for key, found in knobs_of(scene_function(name)).items()
+                   if key not in plain and not found.knob.meaning]
+        assert missing == []
 
 
 def bare(law=WAVE, k=1000, m=0.5, energy=True, title="a", up=Path("x"), at=(0.1,), play=ZERO,  # type: ignore[no-untyped-def]
@@ -111,7 +165,7 @@ class TestWithoutAnnotation:
     """A user's scene need not say what its defaults show."""
 
     def test_a_knob_is_of_its_defaults_type_and_else_a_number(self) -> None:
-        kinds = {name: kind for name, (kind, _) in knobs_of(bare).items()}
+        kinds = {name: found.kind for name, found in knobs_of(bare).items()}
         assert kinds == {
             "law": Law | OnePortLaw, "k": float, "m": float, "energy": bool, "title": str, "up": Path, "at": Vector,
             "play": Playout, "left_out": float | None, "velocity": VelocityEstimator, "other": Delay, "given": float,

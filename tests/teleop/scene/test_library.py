@@ -57,7 +57,7 @@ class TestAtAPath:
             (tmp_path / folder).mkdir()
             (tmp_path / folder / "same.py").write_text(f"def scene(*, k: float = {k}.0): ...\n")
         for k, folder in enumerate("ab", start=1):
-            assert knobs_of(scene_function(str(tmp_path / folder / "same.py"))) == {"k": (float, float(k))}
+            assert knobs_of(scene_function(str(tmp_path / folder / "same.py")))["k"][:2] == (float, float(k))
 
     @pytest.mark.parametrize(("text", "words"), [
         ("def scene(:", "SyntaxError"), ("import nonsense_of_mine", "nonsense_of_mine"), ("1 / 0", "ZeroDivision"),
@@ -122,7 +122,7 @@ class TestBesideAScenesFile:
         return str(folder / f"{scene}.py")
 
     def test_a_module_is_imported(self, tmp_path: Path) -> None:
-        assert knobs_of(scene_function(self.written(tmp_path, 3.0))) == {"k": (float, 3.0)}
+        assert knobs_of(scene_function(self.written(tmp_path, 3.0)))["k"][:2] == (float, 3.0)
 
     def test_a_module_is_imported_when_the_scene_is_made(self, tmp_path: Path) -> None:
         (tmp_path / "late_one.py").write_text("K = 4.0\n")
@@ -141,7 +141,7 @@ class TestBesideAScenesFile:
             (tmp_path / folder).mkdir()
             (tmp_path / folder / "other.py").write_text("")  # in a's folder too, where nobody asks for it
             path = self.written(tmp_path / folder, float(k), module="other" if folder == "b" else "one")
-            assert knobs_of(scene_function(path)) == {"k": (float, float(k))}
+            assert knobs_of(scene_function(path))["k"][:2] == (float, float(k))
 
     def test_of_two_scenes_none_is_given_the_other_ones_module(self, tmp_path: Path) -> None:
         scene_function(self.written(tmp_path / "a", 1.0))

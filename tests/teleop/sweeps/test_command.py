@@ -40,8 +40,8 @@ class TestTheGrid:
 class TestWhatIsTold:
     def test_of_refused_rows_is_why(self, typed: Typed) -> None:
         answer = typed("sweep", "soft_tissue", "--grid", "k_e=1,-1,-2", "d_e=1,2", *SHORT)
-        assert "refused   2 rows: k_e must be at least 0, not -1" in answer.out
-        assert "          2 rows: k_e must be at least 0, not -2" in answer.out
+        assert "refused   2 rows: k_e must be at least 0 N/m, not -1" in answer.out
+        assert "          2 rows: k_e must be at least 0 N/m, not -2" in answer.out
         assert "refused   2 rows: k_e" in typed("report", str(FOLDER)).out
 
     def test_while_it_runs_begins_at_once_with_what_is_there(

@@ -104,7 +104,7 @@ class TestList:
 
     def test_of_a_scene_shows_its_knobs_with_type_and_default(self, typed: Typed) -> None:
         rows = [line.split() for line in typed("list", "canonical").out.splitlines()]
-        assert ["delay", "float", "0.05", "s,", "each", "way"] in rows
+        assert ["delay", "float", "0.05", "s,", "delay"] in [row[:5] for row in rows]
         assert ["energy", "bool", "True"] in [row[:3] for row in rows]
         assert ["observer", "float", "|", "None", "200.0"] in [row[:5] for row in rows]
 
@@ -118,7 +118,7 @@ class TestList:
     def test_of_a_law_shows_what_the_numbers_mean(self, typed: Typed) -> None:
         out = typed("list", "wave").out
         assert "Wave variables" in out
-        assert "wave impedance, N s/m" in out
+        assert "N s/m, wave impedance, > 0" in out
 
     def test_of_a_name_that_a_scene_and_an_effect_share_shows_both(self, typed: Typed) -> None:
         out = typed("list", "blackout").out

@@ -56,7 +56,7 @@ WRONG = {
     "a tool that nothing moves": (["virtual_coupling", "--set", "law.mass=0", "--set", "law.theta_f=0"],
                                   ["mass=0", "write theta_f=1"]),
     "darkness below zero, called duration inside": (
-        ["blackout", "--set", "dark_for=-1", "--set", "duration=1"], ["dark_for must be at least 0, not -1"]),
+        ["blackout", "--set", "dark_for=-1", "--set", "duration=1"], ["dark_for must be at least 0 s, not -1"]),
     "zero dt": (["canonical", "--set", "dt=0"], ["dt", "at least"]),
     "zero duration": (["canonical", "--set", "duration=0"], ["duration", "above 0"]),
     "zero rate": (["canonical", "--set", "law=pfra", "--set", "observer=0"], ["observer", "above 0"]),
@@ -67,7 +67,7 @@ WRONG = {
     "no link": (["canonical", "--link", ""], ["--link SPEC must not be empty", "none is no link"]),
     "another law's knob": (["canonical", "--set", "law.b=3", "--set", "law=pfra"],
                            ["law pfra has no knob 'b' (law wave has)"]),
-    "the law's own number": (["canonical", "--set", "law.b=-1"], ["law.b must be above 0, not -1", "law.b=1"]),
+    "the law's own number": (["canonical", "--set", "law.b=-1"], ["law.b must be above 0 N s/m, not -1", "law.b=1"]),
     "a playout delay that is no number": (["jittery_wan", "--set", "playout=fixed:abc"],
                                           ["'fixed:abc'", "write playout=fixed:0.1"]),
     "a playout delay below zero": (["jittery_wan", "--set", "playout=fixed:-1"], ["write playout=fixed:0.1"]),

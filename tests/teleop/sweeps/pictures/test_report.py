@@ -141,7 +141,7 @@ class TestAFolder:
         assert (told["scene"], told["done"], len(table)) == ("soft_tissue", 6, 6)
         assert told["counts"] == {"ok": 4, "refused": 2}
         assert "engine" not in text
-        assert "refused   2 rows: k_e must be at least 0, not -1" in text
+        assert "refused   2 rows: k_e must be at least 0 N/m, not -1" in text
 
     def test_with_one_tells_what_ran_it_and_counts_the_rows_as_they_are(self, folder: Path) -> None:
         write(joined(call(4, why="few rows", done=4, rows=6), joined(call(2), {})), folder)
