@@ -20,7 +20,7 @@ FLOORS: tuple[dict[str, str], ...] = (
     {"scenarios": "one scene, one file"},
     {"__main__": "the commands", "master": "hands, their device", "slave": "robots, environments",
      "channel": "effects, the relay"},
-    {"doctor": "what is installed", "bench": "what it costs", "": ""},
+    {"doctor": "what is installed", "bench": "what it costs", "report": "a stored run again"},
     {"analysis": "stability, passivity, Z-width", "sweeps": "many runs of one scene",
      "live": "sockets, timers, devices"},
     {"checks": "does a law keep its word", "terminal": "options, tables, figures",
@@ -28,7 +28,7 @@ FLOORS: tuple[dict[str, str], ...] = (
     {"simulation": "the tick, in virtual time"},
     {"laws": "one law, one file", "scene": "what a scene is, its knobs"},
     {"law": "what a law is", "stages": "between device, law, motor"},
-    {"physics": "bodies and contact, exact", "naming": "parts found by name", "written": "parts as text",
+    {"physics": "bodies and contact, exact", "naming": "parts found by name", "knob": "unit, meaning, bounds",
      "storage": "files of unknown origin"},
     {"errors": "one sentence each", "version": "which release"},
 )
