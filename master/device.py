@@ -9,7 +9,7 @@ from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import held_master, master_plant, reference_samples
-from teleop.simulation.tick import features
+from teleop.simulation.structure import structure_of
 
 
 class SimulatedMaster:
@@ -23,8 +23,8 @@ class SimulatedMaster:
     deadline = DEADLINE
 
     def __init__(self, scene: Scene) -> None:
-        has = features(scene)
-        self._held = held_master(scene) if "inner_m" in has else None
+        has = structure_of(scene).m.has
+        self._held = held_master(scene) if has.inner else None
         self._c: Any = master_plant(scene) if self._held is None else self._held.c
         self._z = [None if self._held is None else self._held.start] * scene.axes
         self._reference = reference_samples(scene)
@@ -32,7 +32,7 @@ class SimulatedMaster:
         self._v = [0.0] * scene.axes
         self._f = [0.0] * scene.axes
         self._dt = scene.dt_ns / 1e9
-        self._sensor = "felt_m" in has
+        self._sensor = has.felt
         self._k = self._renewed = 0
         self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # ticks
 

@@ -6,7 +6,7 @@ from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
-from teleop.simulation.tick import features
+from teleop.simulation.structure import structure_of
 
 
 class SimulatedSlave:
@@ -23,9 +23,9 @@ class SimulatedSlave:
         self._x = list(scene.vector("start_s", scene.start_s))
         self._v = [0.0] * scene.axes
         self._f = [0.0] * scene.axes
-        self._inner = "inner_s" in features(scene)
+        self._inner = structure_of(scene).s.has.inner
         self._z = [plant.start for plant in self._plants]
-        self._sensor = "felt_s" in features(scene)
+        self._sensor = structure_of(scene).s.has.felt
         self._k = self._renewed = 0
         self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # ticks
 

@@ -36,13 +36,15 @@ if TYPE_CHECKING:
     from teleop.scene.scene import Scene
     from teleop.simulation.result import Result, load_result
     from teleop.simulation.virtual import run
-    from teleop.stages.device import Device, Encoder, VelocityEstimator
+    from teleop.stages.device import Device, VelocityEstimator
+    from teleop.stages.encoder import Encoder
+    from teleop.stages.force_cap import Cap
     from teleop.stages.passivity_controller import PassivityController
-    from teleop.stages.safety import Cap, Watchdog
     from teleop.stages.velocity.adaptive_window import BestFit, EndFit
     from teleop.stages.velocity.backward_difference import BackwardDifference
     from teleop.stages.velocity.levant import Levant
     from teleop.stages.velocity.low_pass import LowPass
+    from teleop.stages.watchdog import Watchdog
     from teleop.sweeps.runner import sweep
     from teleop.sweeps.table import Table
 
@@ -76,9 +78,11 @@ _HOMES = {  # the module of each name, under this package
     "scene.scene": ("Scene",),
     "simulation.result": ("Result", "load_result"),
     "simulation.virtual": ("run",),
-    "stages.device": ("Device", "Encoder", "VelocityEstimator"),
+    "stages.device": ("Device", "VelocityEstimator"),
+    "stages.encoder": ("Encoder",),
     "stages.passivity_controller": ("PassivityController",),
-    "stages.safety": ("Cap", "Watchdog"),
+    "stages.force_cap": ("Cap",),
+    "stages.watchdog": ("Watchdog",),
     "stages.velocity.adaptive_window": ("BestFit", "EndFit"),
     "stages.velocity.backward_difference": ("BackwardDifference",),
     "stages.velocity.levant": ("Levant",),

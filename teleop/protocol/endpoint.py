@@ -38,9 +38,10 @@ from teleop.protocol.rates import Heard, Messages, Resampling
 from teleop.protocol.session import Session
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
+from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import Plan
-from teleop.simulation.source import beginnings, compiled, live_text
-from teleop.simulation.tick import ENDS, columns
+from teleop.simulation.source import live_of
+from teleop.simulation.structure import columns
 
 Axes = tuple[float, ...]
 SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
@@ -129,7 +130,7 @@ class Endpoint:
         self.held = HeldForce(scene, e, self.every, self.guard)
         self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
         self._shifted = 0  # ns that the grid was moved by
-        self._live = compiled(self.own, live_text(self.own, e), "live")  # now: at tick 0 there is no time for it
+        self._live = live_of(self.own, e)  # now: at tick 0 there is no time for it
         self._started: Any = None
         law: Any = scene.law
         self._axes = range(scene.axes)
@@ -148,7 +149,7 @@ class Endpoint:
         self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
         self._newest_wins = not self.stepped and not isinstance(scene.playout, Fixed)
         self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
-        wave = ENDS[e].rx_wave if scene.has_waves else None
+        wave = ("w" if e == "m" else "u") if scene.has_waves else None
         self._rates = Resampling(self._rx_type, wave, mine=self.every)
         self._dt = dt
 
@@ -282,8 +283,8 @@ class Endpoint:
         if self._index is not None:
             x = tuple([a - b for a, b in zip(x, self._index, strict=True)])
         self._rates.begin(self.session.peer_every)
-        begins = beginnings(self.own, {self.e: x})
-        self._started = self._live(self.own, begins, self.scene.law, self._dt, x, reading.v, reading.f)
+        begins = numbers_of(self.own, {self.e: x})
+        self._started = self._live(begins, self.scene.law, self._dt, x, reading.v, reading.f)
         self._started.send(None)
 
     def _gain(self, k: int, now: int, age: int | None, trouble: str | None) -> float:
@@ -306,7 +307,7 @@ class Endpoint:
         device: Any = getattr(self.scene, f"device_{self.e}")
         if device is None or device.encoder is None:
             return x
-        from teleop.stages.device import encode
+        from teleop.stages.encoder import encode
 
         return tuple([encode((device.encoder.step, 0.5), each) for each in x])
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from teleop.protocol.deadline import LAPSING
-from teleop.stages.safety import Watchdog, watch
+from teleop.stages.watchdog import Watchdog, watchdog_step
 
 UNNAMED = Watchdog(timeout=0.8)
 """What a live end has where the scene names no watchdog."""
@@ -109,7 +109,7 @@ class Guard:
             if self._is_well(unheard, age, (k - heard) // self._every):  # nearly always
                 self._heard, self._calm, self._waits, self.lapsed = heard, self._calm + 1.0, False, False
                 return 1.0
-        patience = self._c.patience
+        patience = self._c.timeout_ticks
         self.lapsed = passed > self._lapses
         if self.lapsed:
             self.gain = 0.0
@@ -129,7 +129,7 @@ class Guard:
         falling = silent > patience or self._calm + 1.0 - silent <= c.settle
         if falling and passed > 1:
             c = c._replace(step=min(1.0, c.step * passed))
-        self.gain, self._calm = watch(c, self.gain, self._calm, silent)
+        self.gain, self._calm = watchdog_step(c, self.gain, self._calm, silent)
         if self.safe and self._calm - silent > c.settle:
             self.safe, self.cause = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
@@ -149,7 +149,7 @@ class Guard:
             self.oldest = max(self.oldest, age / self._every * self._dt)
             return
         self._heard = max(self._heard, k if came is None else min(k, came))
-        self._waits = self._waits and (k - self._heard) // self._every > self._c.patience
+        self._waits = self._waits and (k - self._heard) // self._every > self._c.timeout_ticks
 
     def _cause_of(self, k: int, missed: int, silent: int, not_heard: bool, over: str | None) -> str | None:
         """Why this end has to be safe though its device does well; None if it need not.
@@ -159,7 +159,7 @@ class Guard:
         """
         assert self._c is not None
         assert self._dog is not None
-        patience = self._c.patience
+        patience = self._c.timeout_ticks
         if missed > patience or self.lapsed:
             return f"a stall: no tick for {missed * self._dt:.3f} s"
         if over is not None:

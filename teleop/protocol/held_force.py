@@ -11,7 +11,8 @@ from math import isfinite
 
 from teleop.protocol.guard import Guard
 from teleop.scene.scene import Scene
-from teleop.stages.safety import cap, fade
+from teleop.stages.force_cap import cap
+from teleop.stages.velocity_cap import limit_speed
 
 BLIND_NS = 100_000_000  # the longest that a force is held without a reading
 
@@ -82,7 +83,7 @@ class HeldForce:
             speed, c = limits.speed(), limits.limits(self._dt)
             if speed is not None and v is not None and all(map(isfinite, v)):
                 along = v if self._e == "s" else tuple([-each for each in v])
-                force = [fade(speed, *each) for each in zip(force, along, strict=True)]
+                force = [limit_speed(speed, *each) for each in zip(force, along, strict=True)]
             force = [cap(c, *each) for each in zip(force, self.force, strict=True)]
         self.force = tuple(force)
         return self.force

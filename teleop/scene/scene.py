@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from teleop.physics.plant import MassDamper
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.stages.device import Device
+    from teleop.stages.force_cap import Cap
     from teleop.stages.passivity_controller import PassivityController
-    from teleop.stages.safety import Cap, Watchdog
+    from teleop.stages.watchdog import Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
 

@@ -34,8 +34,8 @@ class Bodies(NamedTuple):
 
     def functions(self) -> dict[str, Any]:
         """What the text of a run names of the bodies, by those names."""
-        own = {f"move{i}": plant.move for i, plant in enumerate(self.slaves)}
-        return {**own, **{f"force{i}": plant.force for i, plant in enumerate(self.slaves)}, **self.instead}
+        own = {f"move_s{i}": plant.move for i, plant in enumerate(self.slaves)}
+        return {**own, **{f"force_s{i}": plant.force for i, plant in enumerate(self.slaves)}, **self.instead}
 
     def held(self) -> Held:
         """The numbers that it begins with."""

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples, slave_plants
-from teleop.simulation.source import beginnings, compiled, loop_text
-from teleop.simulation.tick import columns, features
+from teleop.simulation.given import numbers_of
+from teleop.simulation.source import loop_of
+from teleop.simulation.structure import Structure, columns, structure_of
 
 if TYPE_CHECKING:
     from teleop.physics.plant import Plant
@@ -32,9 +33,9 @@ class Prepared:
             self.bodies = bodies
 
     @cached_property
-    def has(self) -> frozenset[str]:
-        """The features of the tick that the scene has."""
-        return features(self.scene)
+    def structure(self) -> Structure:
+        """All that decides which lines of the tick it has."""
+        return structure_of(self.scene)
 
     @cached_property
     def slaves(self) -> list[Plant]:
@@ -58,13 +59,13 @@ class Prepared:
 
     @cached_property
     def given(self) -> Any:
-        """The coefficients of the stages between the bodies and the law, as a NamedTuple."""
-        return beginnings(self.scene, self.starts)
+        """The numbers of the stages between the bodies and the law, nested by end and stage."""
+        return numbers_of(self.scene, self.starts)
 
     @cached_property
     def loop(self) -> Callable[..., Any]:
         """The loop of a run in virtual time, specialised for this scene."""
-        return compiled(self.scene, loop_text(self.scene), "loop", self.bodies.functions())
+        return loop_of(self.scene, self.bodies)
 
     def columns(self, e: str) -> list[str]:
         """The names of the record of end `e` (m or s), in order; one with @ stands once for each axis."""

@@ -44,7 +44,8 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     reference, loop, starts = prepared.reference, prepared.loop, prepared.starts
     arguments = (
         prepared.given, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"],
-        bwd and bwd.play, fwd and fwd.play, size, reference, bodies.held(), rows["m"].extend, rows["s"].extend,
+        bwd and bwd.play, fwd and fwd.play, size, reference, bodies.held(),
+        (rows["m"].extend, rows["s"].extend),
     )
     began = clock() if clock else 0
     ran, capped, end, inner = loop(*arguments)

@@ -9,38 +9,12 @@ The plant moves in continuous time, so the tick is the sampling interval and not
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, isfinite
 from typing import Any, Protocol
 
-from teleop.errors import Refused, number, whole_number
+from teleop.errors import Refused, whole_number
+from teleop.stages.encoder import Encoder
 
-MOST_COUNTED = 2.0**53  # steps that compiled code and Python count alike
 MOST_DELAY = 100_000  # ticks: the line is kept as a tuple
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Encoder:
-    """Positions in whole steps: `step floor(x/step + phase)`, step in m; phase 0 floors, 0.5 rounds to the nearest."""
-
-    step: float
-    phase: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "step", number("step", self.step, above=0.0))
-        object.__setattr__(self, "phase", number("phase", self.phase, low=0.0, high=1.0))
-
-    def coefficients(self) -> tuple[float, float]:
-        """What `encode` computes with."""
-        return self.step, self.phase
-
-
-def encode(c: tuple[float, float], x: float) -> float:
-    """The encoder's reading of x; c is (step, phase). What is not finite, or beyond counting, stays as it is."""
-    step, phase = c
-    count = x / step + phase
-    if abs(count) < MOST_COUNTED:
-        return step * floor(count)
-    return step * count if isfinite(count) else x  # every float is whole from there on
 
 
 class VelocityEstimator(Protocol):

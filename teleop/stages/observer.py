@@ -16,7 +16,10 @@ f_h_hat += (1 - exp(-L dt)) (f_bar - f_h_hat). M_m and b_m are the device's own,
 from __future__ import annotations
 
 from math import exp, expm1
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
+
+from teleop.stages.end import Column, End, Places, Run, Stage, per_axis, zero
+from teleop.stages.record import Record
 
 
 class Coefficients(NamedTuple):
@@ -37,3 +40,52 @@ def observe(c: Coefficients, f_h_hat: float, v_before: float, v: float, f_held: 
     """`f_h_hat` after the tick over which the velocity went from `v_before` to `v` under `f_held`. N."""
     e, gain, rate = c
     return f_h_hat + rate * (gain * (v - e * v_before) + f_held - f_h_hat)
+
+
+class Observed(Record):
+    """The observer in one axis."""
+
+    v_before: float  # as it was read at the tick before, m/s
+
+
+class ObserverStage(Stage):
+    """What the law is told of the hand's force is the observer's. Recorded as `f_h_hat`."""
+
+    name: ClassVar[str] = "observer"
+    c_obs: Coefficients
+    c_tick: Coefficients  # over one tick
+    device: tuple[float, float, float]  # L, mass, damping
+
+    def __init__(self, e: str, axes: int) -> None:
+        super().__init__(e, axes)
+        self.axes = tuple([Observed(f"{e}{i}") for i in range(axes)])
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        device = scene.observer, scene.master.mass, scene.master.damping
+        return coefficients(*device, dt), device
+
+    def columns(self, e: End) -> tuple[Column, ...]:
+        return (per_axis("f_h_hat", e.axes, "f_read"),)
+
+    def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
+        return tuple([cell for a, own in zip(e.axes, self.axes, strict=True)
+                      for cell in ((own, "v_before"), (a, "f_read"))])
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        self.c_obs = given[0]
+        if e.has.live:
+            self.c_tick = given[0]
+            self.device = given[1]
+        for a, own in zip(e.axes, self.axes, strict=True):
+            own.v_before = a.v_read
+            a.f_read = zero(run)
+
+    def late(self, run: Run, e: End, ticks: int, since: int) -> None:
+        # After a stall the force was held over several ticks at once.
+        self.c_obs = self.c_tick if ticks == 1 else coefficients(*self.device, run.span)
+
+    def read(self, run: Run, e: End, k: int) -> None:
+        for a, own in zip(e.axes, self.axes, strict=True):
+            a.f_read = observe(self.c_obs, a.f_read, own.v_before, a.v_read, a.f)
+            own.v_before = a.v_read

@@ -22,9 +22,11 @@ for each axis: ports that are passive one by one are so together.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import number
+from teleop.stages.end import Column, End, Places, Run, Stage, per_axis
+from teleop.stages.record import Record
 
 
 class Limits(NamedTuple):
@@ -56,3 +58,38 @@ def damp(c: Limits, E: float, v: float) -> float:
         power = dt * v * v
         return min(-E / power, most) * v if power > 0.0 else most * v
     return 0.0 * E  # NaN stays NaN: it must be seen
+
+
+class Port(Record):
+    """The port of one axis."""
+
+    E_po: float  # what it took in, as it was observed, J
+
+
+class PassivityControllerStage(Stage):
+    """Observer and controller of the master's port, axis by axis. Recorded as `E_po`."""
+
+    name: ClassVar[str] = "passivity_controller"
+    wants_dx: ClassVar[bool] = True
+    c_pc: Limits
+
+    def __init__(self, e: str, axes: int) -> None:
+        super().__init__(e, axes)
+        self.axes = tuple([Port(f"{e}{i}") for i in range(axes)])
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return scene.passivity.limits(dt)
+
+    def columns(self, e: End) -> tuple[Column, ...]:
+        return (per_axis("E_po", self.axes, "E_po"),)
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        self.c_pc = given
+        for own in self.axes:
+            own.E_po = 0.0
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for a, own in zip(e.axes, self.axes, strict=True):
+            own.E_po = own.E_po + a.f * a.dx
+            a.f_cmd = a.f_cmd + damp(self.c_pc, own.E_po, a.v_read)

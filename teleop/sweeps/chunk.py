@@ -19,7 +19,7 @@ from teleop.scene.loading import made_by
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.metrics import of_plan
-from teleop.simulation.tick import features
+from teleop.simulation.structure import structure_of
 from teleop.simulation.virtual import run
 from teleop.sweeps.kernels.digest import constants
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, available, figures, names_of, tree_of
@@ -242,7 +242,7 @@ def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
 
 def whole_runs(measures: Sequence[Measure], scene: Scene) -> bool:
     """Do these figures need a whole record, so that no kernel gives them."""
-    return _whole_runs(tuple(measures), "waves" in features(scene))
+    return _whole_runs(tuple(measures), structure_of(scene).has.waves)
 
 
 @lru_cache(maxsize=256)

@@ -13,7 +13,7 @@ from teleop.law import functions_of
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
 from teleop.simulation.plan import link_plans
-from teleop.simulation.tick import features
+from teleop.simulation.structure import structure_of
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, Water, figures, plain, tree_of
 from teleop.sweeps.kernels.leaves import Leaves, leaves
 
@@ -103,7 +103,7 @@ def kernel_of(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: s
             engine, why = "plain", str(reason)
     velocities = [type(device.velocity) for device in (scene.device_m, scene.device_s) if device is not None]
     # What the text depends on, and the functions that it names.
-    key = (engine, why, measures, features(scene), scene.axes, functions_of(scene.law), stamp, *velocities,
+    key = (engine, why, measures, structure_of(scene), functions_of(scene.law), stamp, *velocities,
            flat and flat.shape, *bodies.functions().values())
     kernel = _KERNELS.get(key)
     if kernel is None:

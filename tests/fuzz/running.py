@@ -25,7 +25,8 @@ from teleop.protocol.packet import DATA, Kind, Packet, Rejection, decode
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 from tests.fuzz.datagrams import Hostile, View, is_lost, keep
 
 MS = 1_000_000

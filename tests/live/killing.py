@@ -24,7 +24,8 @@ from master.hand import Grip, Sine
 from teleop.law import Law
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 from teleop.scene import Scene
 
 

@@ -21,7 +21,8 @@ from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Reading
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 
 pytestmark = pytest.mark.live
 Make = Callable[..., Any]

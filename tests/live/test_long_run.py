@@ -13,7 +13,7 @@ import pytest
 from teleop.live.records.record import Recorder
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
-from teleop.simulation.tick import columns
+from teleop.simulation.structure import columns
 
 TICKS = 1_800_000
 SCENE = load_scene("hard_wall", duration=TICKS * 1e-3)

@@ -26,7 +26,7 @@ from teleop.live.records.summary import NAMES, WAYS
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.tick import columns
+from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord
 from teleop.terminal.run_table import table
 

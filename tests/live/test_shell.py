@@ -23,7 +23,7 @@ from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS, FILE, read_record
 from teleop.protocol.packet import DATA, Kind, peek
 from teleop.scene.loading import load_scene
-from teleop.stages.safety import Watchdog
+from teleop.stages.watchdog import Watchdog
 
 pytestmark = pytest.mark.live
 Make = Callable[..., Any]

@@ -33,12 +33,14 @@ from teleop.scene.playout import Fixed
 from teleop.scene.playout import Hold as HoldLast
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
 from teleop.stages.passivity_controller import PassivityController
-from teleop.stages.safety import Cap, Watchdog
 from teleop.stages.velocity.adaptive_window import EndFit
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.velocity.low_pass import LowPass
+from teleop.stages.watchdog import Watchdog
 
 pytestmark = pytest.mark.live
 

@@ -22,7 +22,7 @@ from teleop.live.records.summary import NAMES
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING
-from teleop.simulation.tick import columns
+from teleop.simulation.structure import columns
 from teleop.storage.folder import is_being_written
 
 SCENE = load_scene("hard_wall", duration=60.0)
@@ -37,7 +37,7 @@ from teleop.storage.folder import claim
 from teleop.protocol.guard import Event
 from teleop.live.records.record import Recorder
 from teleop.scene import load_scene
-from teleop.simulation.tick import columns
+from teleop.simulation.structure import columns
 
 e, out = sys.argv[1:]
 claimed, scene, done = claim(out), load_scene("hard_wall", duration=60.0), 0

@@ -15,9 +15,9 @@ from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.relaxing import ElectricalDamping
 from teleop.simulation.bodies import exact_bodies
-from teleop.stages.device import Encoder
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
 from teleop.stages.passivity_controller import PassivityController
-from teleop.stages.safety import Cap
 
 
 def work_of_the_hand(scene: Scene) -> np.ndarray:

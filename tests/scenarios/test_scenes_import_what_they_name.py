@@ -80,7 +80,8 @@ def named_by(scene: Scene) -> set[str]:
         | effects(scene.link)
         | ({"channel"} if scene.link is not None else set())
         | ({"numpy.random"} if thrown else set())
-        | ({"teleop.stages.safety"} if scene.watchdog or scene.cap else set())
+        | ({"teleop.stages.watchdog"} if scene.watchdog else set())
+        | ({"teleop.stages.force_cap"} if scene.cap else set())
         # only a law that reads the hand's force has use for the observer
         | ({"teleop.stages.observer"} if scene.observer and type(scene.law).__name__ == "PFRA" else set())
     )
@@ -98,7 +99,7 @@ def bodies(scene: Scene, modules: set[str]) -> set[str]:
 
 
 OPTIONAL = homes(EFFECTS) | homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | ESTIMATORS | DEVICES | BODIES | {
-    "channel", "slave", "numpy.random", "teleop.stages.safety", "teleop.stages.observer",
+    "channel", "slave", "numpy.random", "teleop.stages.watchdog", "teleop.stages.force_cap", "teleop.stages.observer",
 }
 
 
@@ -114,7 +115,7 @@ def test_a_built_in_scene(name: str, tmp_path: Path) -> None:
 def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: Path) -> None:
     knobs = {"duration": "0.02", "cap": "0.8", "f_max": "3", "b_e": "0.8"}
     loaded = loaded_by(name, knobs, tmp_path)
-    assert {"teleop.stages.passivity_controller", "teleop.stages.safety", "teleop.physics.relaxing"} <= loaded
+    assert {"teleop.stages.passivity_controller", "teleop.stages.force_cap", "teleop.physics.relaxing"} <= loaded
     assert loaded & OPTIONAL == named_by(load_scene(name, **knobs))
 
 

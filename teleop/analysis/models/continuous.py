@@ -58,13 +58,13 @@ def continuous(scene: Scene) -> Continuous:
 
 def refuse_ticks(scene: Scene) -> None:
     """Refuse what is made of ticks, or has more states than the ends here are built with."""
-    from teleop.simulation.tick import features
+    from teleop.simulation.structure import structure_of
 
-    has = features(scene)
+    structure = structure_of(scene)
     if scene.device_m is not None or scene.device_s is not None:
         raise Refused("a device's estimator and delays are counted in ticks, which continuous time has not; ask "
                       "without --continuous, or leave device_m and device_s out")
-    if has & {"inner_m", "inner_s"}:
+    if structure.m.has.inner or structure.s.has.inner:
         raise Refused("a body with a state of its own (electrical damping, a standard linear solid) is not known in "
                       "continuous time here; ask without --continuous")
     if scene.slave is None:
@@ -110,16 +110,15 @@ def _events(crossing: Crossing) -> Iterator[tuple[float, Crossing]]:
 def continuous_ends(scene: Scene) -> tuple[StateSpace, StateSpace]:
     """Both ends of a scene of one axis as `X' = A X + B rx`, `tx = C X + D rx`."""
     from teleop.simulation.bodies import exact_bodies
-    from teleop.simulation.tick import features
+    from teleop.simulation.structure import structure_of
 
     refuse_ticks(scene)
     assert scene.slave is not None  # refused above
     body, hand = scene.master, scene.hand
     mass, k, d = (hand.mass, hand.k, hand.d) if hand is not None else (0.0, 0.0, 0.0)
-    has = features(scene)
     master = _end(scene, "m", mass=body.mass + mass, damping=body.damping + d, k=k, push=-1.0,
                   sensor=(-k, -d, mass / (body.mass + mass)),
-                  bandwidth=scene.observer if "observe_m" in has else None)
+                  bandwidth=scene.observer if structure_of(scene).m.has.observed else None)
     _, force, c, *_ = exact_bodies(scene).slaves[0]
     rest = force(c, 0.0, 0.0)
     k_e, d_e = force(c, 1.0, 0.0) - rest, force(c, 0.0, 1.0) - rest

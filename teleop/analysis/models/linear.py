@@ -23,8 +23,12 @@ from teleop.law import law_name
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
-from teleop.simulation.source import beginnings, compiled, specialise
-from teleop.simulation.tick import ENDS
+from teleop.simulation.given import numbers_of
+from teleop.simulation.source import functions, lines
+from teleop.simulation.structure import NAMES, structure_of
+from teleop.simulation.tick import begin as begin_end
+from teleop.simulation.tick import move_master, move_slave, place_master, place_slave, sense_master, sense_slave, tick
+from teleop.stages.end import End, Run
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,66 +36,6 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-BEGIN = """
-def begin(given, law, dt, bodies, x0):
-    x_{e}@ = x0; v_{e}@ = {sensor}@ = 0.0
-    [START {e}]
-    BODIES
-    STATE
-    return state
-"""
-STEP = """
-def step(given, law, dt, k, bodies, like, numbers):
-    span = dt                                                  #? estimates
-    x_{e}@ = v_{e}@ = {sensor}@ = 0.0
-    [START {e}]
-    BODIES
-    take = iter(numbers)
-    newest_{e} = 0                                             #? age_{e}
-    got_{e} = True                                             #? !alone
-    x_{e}@ = next(take); v_{e}@ = next(take); f_{e}@ = next(take)
-    z_{e}@ = like(z_{e}@, take)                                #? inner_{e}
-    x_before_{e}@ = next(take)                                 #? dx_{e}
-    est_{e}@ = like(est_{e}@, take)                            #? velocity_{e}
-    v_before_{e}@ = next(take); f_h_hat@ = next(take)          #? observe_{e}
-    line_{e}@ = like(line_{e}@, take)                          #? late_{e}
-    slow_{e}@ = next(take)                                     #? slow_{e}
-    s_{e}@ = like(s_{e}@, take)
-    rx_{e}@ = like(rx_{e}@, take)                              #? !alone
-    SENSE
-    [END {e}]
-    MOVE
-    STATE
-    sent = []
-    sent += tx_{e}@                                            #? !alone
-    return state, sent
-"""
-STATE = """state = []
-    state += (x_{e}@, v_{e}@, f_{e}@)
-    state += z_{e}@                                            #? inner_{e}
-    state += (x_before_{e}@,)                                  #? dx_{e}
-    state += est_{e}@                                          #? velocity_{e}
-    state += (v_before_{e}@, f_h_hat@)                         #? observe_{e}
-    state += line_{e}@                                         #? late_{e}
-    state += (slow_{e}@,)                                      #? slow_{e}
-    state += s_{e}@"""
-BODIES = {
-    "m": "grip = bodies.master\n    z_m@ = bodies.inner_m      #? inner_m",
-    "s": "(move@, force@, c@, z_s@, _) = bodies.slaves[{i}]",
-}
-SENSE = {
-    "m": "f_h@ = grip_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? sense_m hand !inner_m\n"
-         "    f_h@ = held_force(grip, x_m@, v_m@, f_m@, 0.0, 0.0, z_m@)  #? sense_m hand inner_m",
-    "s": "f_env@ = force@(c@, x_s@, v_s@)                      #? sense_s !inner_s\n"
-         "    f_env@ = force@(c@, x_s@, v_s@, z_s@)            #? sense_s inner_s",
-}
-MOVE = {
-    "m": "x_m@, v_m@ = move_gripped(grip, x_m@, v_m@, f_m@, 0.0, 0.0)  #? hand !inner_m\n"
-         "    x_m@, v_m@, _ = move_free(grip, x_m@, v_m@, -f_m@)       #? !hand !inner_m\n"
-         "    x_m@, v_m@, z_m@ = move_held(grip, x_m@, v_m@, f_m@, 0.0, 0.0, z_m@)  #? inner_m",
-    "s": "x_s@, v_s@, _ = move@(c@, x_s@, v_s@, f_s@)          #? !inner_s\n"
-         "    x_s@, v_s@, _, z_s@ = move@(c@, x_s@, v_s@, f_s@, z_s@)  #? inner_s",
-}
 INSTEAD = "ask with --time, which runs it in virtual time"
 
 
@@ -223,33 +167,87 @@ def end_function(scene: Scene, e: str, age: int) -> Callable[[Any], tuple[list[f
     """One tick of an end (m or s) as a function: what it is given -> (its next state, the message it sends).
 
     Given are the state and then the message, as one run of floats: for each axis x, v and the held force; the body's
-    inner state; x of the tick before; the estimator's state; v of the tick before and the observer's force; the
-    forces that are late; the one that is renewed slowly; the law's state; the message's fields; of these only what
+    inner state; x of the tick before; what the stages keep; the law's state; the message's fields; of these only what
     the end has. `age` is that of the message, in ticks; without a slave it is the number of the tick.
     """
-    bare, bodies, step = _made(scene, e, STEP, "step")
-    begins = beginnings(bare, {e: [0.0] * bare.axes})
-    return lambda numbers: step(begins, bare.law, bare.dt_ns / 1e9, age, bodies, like, numbers)
+    function, numbers = _made(scene, e, step, [0.0] * scene.axes)
+    return lambda state: function(*numbers, age, state)
 
 
 def begin(scene: Scene, e: str, x0: float = 0.0) -> list[float]:
     """The state of `end_function` in which an end starts at `x0` (m)."""
-    bare, bodies, start = _made(scene, e, BEGIN, "begin")
-    state: list[float] = start(beginnings(bare, {e: [x0] * bare.axes}), bare.law, bare.dt_ns / 1e9, bodies, x0)
+    function, numbers = _made(scene, e, start, [x0] * scene.axes)
+    state: list[float] = function(*numbers)
     return state
 
 
-def _made(scene: Scene, e: str, text: str, name: str) -> tuple[Scene, Any, Callable[..., Any]]:
+def _made(scene: Scene, e: str, entry: Callable[..., Any], places: list[float]) -> tuple[Callable[..., Any], Any]:
     bare = replace(scene, energy=False, watchdog=None)  # a watchdog leaves a link that always delivers alone
-    for word, lines in (("BODIES", BODIES[e]), ("SENSE", SENSE[e]), ("MOVE", MOVE[e]), ("STATE", STATE)):
-        text = text.replace(word, lines)
     bodies = exact_bodies(bare)
-    return bare, bodies, compiled(bare, specialise(text, bare, ENDS[e]), name, bodies.instead)
+    made = lines(structure_of(bare), entry, ends=(e,)).function({**functions(bare), **bodies.functions()})
+    return made, (numbers_of(bare, {e: places}), bare.law, bare.dt_ns / 1e9, places, [STILL] * bare.axes, bodies.held())
+
+
+def start(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: Any, held: Any) -> list[float]:
+    """The state in which an end starts at `places`, m per axis."""
+    run.law = law
+    run.dt = dt
+    run.span = dt
+    if e.name == "m":
+        place_master(run, places, ref, held)
+    else:
+        place_slave(run, places, held)
+    for a in e.axes:
+        if e.has.felt:
+            a.f_ext = 0.0
+    begin_end(run, e, getattr(given, e.name))
+    return flat([getattr(record, field) for record, field in e.memory])
+
+
+def step(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: Any, held: Any, k: int, numbers: Any
+         ) -> tuple[list[float], list[float]]:
+    """One tick of an end, whose state and message are these numbers: its next state, and the message it sends."""
+    start(run, e, given, law, dt, places, ref, held)
+    if run.has.slave:
+        e.got = True
+    if e.has.newest:
+        e.newest = 0
+    take = iter(numbers)
+    for record, field in e.memory:
+        setattr(record, field, like(getattr(record, field), take))
+    if run.has.slave:
+        for a in e.axes:
+            a.rx = like(a.rx, take)
+    if e.name == "m":
+        sense_master(run, k)
+        tick(run, e, k)
+        move_master(run, k)
+    else:
+        sense_slave(run)
+        tick(run, e, k)
+        move_slave(run)
+    state = flat([getattr(record, field) for record, field in e.memory])
+    return state, flat([a.tx for a in e.axes]) if run.has.slave else []
+
+
+class Still:
+    """A hand's reference that stays at zero."""
+
+    def __getitem__(self, k: int) -> float:
+        return 0.0
+
+
+STILL = Still()
+
+
+def flat(values: Sequence[Any]) -> list[float]:
+    """The numbers of these values, numbers and tuples of numbers, as one list."""
+    return [number for each in values for number in (each if isinstance(each, tuple) else (each,))]
 
 
 def like(sample: Any, take: Iterator[float]) -> Any:
-    """A tuple of the sample's own type with the next numbers in it."""
-    return tuple.__new__(type(sample), [next(take) for _ in sample])
+    """The next number, or of a tuple one of the same type with the next numbers in it."""
+    return tuple.__new__(type(sample), [next(take) for _ in sample]) if isinstance(sample, tuple) else next(take)
 
 
 def _end(scene: Scene, e: str, age: int) -> StateSpace:
@@ -274,7 +272,7 @@ def not_linear(scene: Scene, e: str) -> Refused:
                        f"eigenvalues; {INSTEAD}, or take BackwardDifference or LowPass")
     name = law_name(scene.law)
     hint = " or set law.alpha=1" if name == "pfra" else ""
-    where = "where it is in contact" if scene.slave is None else f"at the {ENDS[e].end}"
+    where = "where it is in contact" if scene.slave is None else f"at the {NAMES[e]}"
     return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
 
 

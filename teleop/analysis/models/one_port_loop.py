@@ -117,7 +117,7 @@ def opened(scene: Scene) -> LinearScene | None:
     import numpy as np
 
     from teleop.stages.device import Device
-    from teleop.stages.safety import Cap
+    from teleop.stages.force_cap import Cap
 
     scene = one_axis(scene)
     device = scene.device_m or Device()
@@ -141,9 +141,9 @@ def opened(scene: Scene) -> LinearScene | None:
 
 def _inner_states(scene: Scene) -> int:
     """States of the device beside position, velocity and held force."""
-    from teleop.simulation.tick import features
+    from teleop.simulation.structure import structure_of
 
-    if "inner_m" not in features(scene):
+    if not structure_of(scene).m.has.inner:
         return 0
     return len(begin(scene, "m")) - len(begin(replace(scene, electrical=None), "m"))
 
@@ -216,7 +216,7 @@ def _gain_margin(scene: Scene) -> float | None:
 
     A tick's map is affine in that factor: it is known from the map as it is and that of a force held at zero.
     """
-    from teleop.stages.safety import Cap
+    from teleop.stages.force_cap import Cap
 
     whole = one_port(scene)
     dead = _ticks(replace(one_axis(scene), cap=Cap(f_max=0.0)), len(whole.ticks))

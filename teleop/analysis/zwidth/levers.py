@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.errors import Refused
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

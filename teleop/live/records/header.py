@@ -8,8 +8,8 @@ from typing import Any, BinaryIO
 from teleop.errors import Refused
 from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.scene import MOST_TICKS, Scene
+from teleop.simulation.structure import columns
 from teleop.simulation.summary_shape import MOST_SEED
-from teleop.simulation.tick import columns
 from teleop.storage.strict_json import Misshapen, each, named, one_of, parse, record, text, whole
 
 OWN = ("k", "late_ns", "seq")  # columns before the end's

@@ -28,7 +28,7 @@ class BackwardDifference:
 
     @staticmethod
     def step(
-        c: tuple[()], s: tuple[float], x: float, span: float  # noqa: ARG004 - every estimator's arguments
+        c: tuple[()], s: tuple[float], x: float, span: float
     ) -> tuple[float, tuple[float]]:
         """Velocity (m/s) at the reading `x` (m), `span` seconds after the one before, and the next state."""
         return (x - s[0]) / max(span, TINY), (x,)

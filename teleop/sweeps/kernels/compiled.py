@@ -23,26 +23,31 @@ from typing import Any, Protocol, cast
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.source import record
+from teleop.simulation.given import record
+from teleop.simulation.source import located
+from teleop.simulation.tick import loop
+from teleop.stages import lanes
 from teleop.storage.files import replacing
 from teleop.sweeps.kernels.bytecode import unlike_python
 from teleop.sweeps.kernels.cache_folder import made_private, open_to_others, tell_once
 from teleop.sweeps.kernels.digest import constants, digest, named_in, sources
-from teleop.sweeps.kernels.kernel import NotCompiled, kernel_text, names_of, tree_of
+from teleop.sweeps.kernels.kernel import NotCompiled, functions_of_kernel, kernel_lines, tree_of
 from teleop.sweeps.kernels.leaves import expression, leaves
 
 TEXT = '''"""Generated: the {engine} kernel of one structure of scene. Delete it whenever you like."""
 from math import inf, nan
 from numba import njit
-from teleop.sweeps.kernels.compiled import compiled_part
+from teleop.simulation.given import record
+from teleop.sweeps.kernels.compiled import compiled_part, jit_at
 from teleop.sweeps.kernels.{engine} import *
-from teleop.simulation.source import record
 
 {parts}
 
-
-@njit(error_model="numpy", nogil=True)
+LOOP = """
 {loop}
+"""
+LINES = {lines}
+loop = jit_at(LOOP, LINES, globals())  # the number of each line in the file of the tick
 
 {kernels}'''
 KERNEL = '''
@@ -68,7 +73,7 @@ class Engine(Protocol):
     """What a compiled engine puts into a module of its own: the module `teleop.sweeps.NAME`."""
 
     SOURCES: tuple[str, ...]  # the modules of its own that a kernel is made with
-    FEATURES: frozenset[str]  # of the tick's text
+    LANES: bool  # eight scenes side by side
     REAL: str  # how a float is taken from `reals` at `base`; {} is its number
     WIDTH: int  # scenes side by side
     CALLS: Mapping[str, str]  # the kernels of a module by name: how each calls `loop` for tile t
@@ -96,9 +101,10 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     own = cast("Engine", import_module(f"teleop.sweeps.kernels.{engine}"))
     lines: list[str] = []
     pieces: list[Any] = []
-    for word, part in sorted(names_of(scene, bodies).items()):
-        if isinstance(part, float):
-            continue  # inf and nan
+    made = kernel_lines(scene, measures, compiled=True, lanes=own.LANES)
+    for word, part in sorted(made.names(functions_of_kernel(scene, bodies)).items()):
+        if isinstance(part, float) or part.__module__ == lanes.__name__:
+            continue  # inf and nan, and what an engine has instructions for
         for each in _pieces(part):
             if isinstance(each, FunctionType) and (odd := unlike_python(each)):
                 raise NotCompiled(f"{each.__qualname__} has {odd}")
@@ -127,8 +133,8 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     }
     kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
                       for name, call in own.CALLS.items())
-    text = TEXT.format(engine=engine, kernels=kernels, parts=os.linesep.join(lines),
-                       loop=kernel_text(scene, measures, own.FEATURES))
+    text = TEXT.format(engine=engine, kernels=kernels, parts=os.linesep.join(lines), loop=made.text(),
+                       lines=made.lines())
     stack = [_text_of(name) for name in own.SOURCES]
     versions = [sys.version, numba.__version__, numpy.__version__]
     return text, digest([text, *sources(pieces), *stack, *versions])
@@ -145,6 +151,12 @@ def jit(function: Callable[..., Any]) -> Any:
 
     compiled: Any = njit(error_model="numpy", nogil=True)
     return compiled(function)
+
+
+def jit_at(text: str, lines: Sequence[int], names: dict[str, Any]) -> Any:
+    """The loop of this text, compiled, with the line of the tick that each of its lines comes from."""
+    exec(located(text, lines), names)
+    return jit(names[loop.__name__])
 
 
 def part_at(place: str) -> Any:

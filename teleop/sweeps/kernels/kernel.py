@@ -1,7 +1,7 @@
 """A scene's loop with running figures in place of a record: run as it is, or compiled.
 
-It is the text of `teleop.simulation.tick` and the functions that text names, so a sweep runs the very lines that a
-single run and a live end run, in the same order, and gives the same bits. What is compiled is each of these functions
+It is `teleop.simulation.tick` and the functions that it names, so a sweep runs the very lines that a single run and a
+live end run, in the same order, and gives the same bits. What is compiled is each of these functions
 as it stands; fast-math is off, so every engine agrees with plain Python to the last bit.
 """
 
@@ -16,11 +16,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.law import law_name
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.source import beginnings, parts, record, specialise
-from teleop.simulation.tick import BLOCKS, LOOP, MASTER, features
+from teleop.simulation.given import numbers_of, record
+from teleop.simulation.source import Lines, functions, lines
+from teleop.simulation.structure import Structure, structure_of
+from teleop.simulation.tick import loop
+from teleop.stages.end import RunHas
+from teleop.sweeps.kernels.figures import Figures
 from teleop.sweeps.kernels.leaves import Leaves
-from teleop.sweeps.kernels.measures import MAGNITUDES, SUMS, known, least, most, root_mean, sound
-from teleop.sweeps.kernels.text import COMPILED, PLAIN
+from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Plan
@@ -64,58 +67,49 @@ class Kernel(NamedTuple):
 
 def available(scene: Scene) -> frozenset[str]:
     """The figures that a kernel of this scene can give."""
-    return _available(features(scene))
+    structure = structure_of(scene)
+    return _available(structure.has, structure.m.has.watchdog)
 
 
 @lru_cache(maxsize=256)
-def _available(has: frozenset[str]) -> frozenset[str]:
-    named = {name for name, (feature, _) in SUMS.items()
-             if feature in has or feature not in ("waves", "energy", "watchdog")}
+def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
+    kept = {"waves": has.waves, "energy": has.energy, "watchdog": watchdog}
+    named = {name for name, what in KEPT.items() if kept.get(what, True)}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
-    return frozenset(named - of_slave if "alone" in has else named)
+    return frozenset(named if has.slave else named - of_slave)
 
 
-def kernel_text(scene: Scene, measures: Sequence[str], engine: frozenset[str] = frozenset()) -> str:
-    """The source of a scene's loop that works out `measures` as it goes, and at its end whether all is finite.
-
-    `engine`: the features of the text that an engine adds.
-    """
-    has = features(scene)
-    last = ["<<x_m@>>", "<<v_m@>>", "<<f_m@>>"]
-    last += ["<<x_s@>>", "<<v_s@>>", "<<f_s@>>"] * (scene.slave is not None)
-    last += ["E_link"] * ("waves" in has) + ["E_port"] * ("energy" in has)
-    measured = "".join(f"{SUMS[name][1]}, " for name in measures)
-    own = COMPILED if "compiled" in engine else PLAIN
-    told = f"({measured}sound(({', '.join(last)})),)"
-    loop, *texts = [text.replace("{measured}", told) for text in (LOOP, *own.values())]
-    blocks = {**BLOCKS, **dict(zip(own, texts, strict=True))}
-    more = {"kernel", *engine, *(SUMS[name][0] for name in measures)}
-    more |= {"felt_s"} if more & {"f_err", "f_env_max"} else set()
-    more |= {"felt_m"} if "f_h_max" in more else set()
-    return specialise(loop, scene, MASTER, frozenset(more), blocks)
+def kernel_lines(scene: Scene, measures: Sequence[str], *, compiled: bool = False, lanes: bool = False) -> Lines:
+    """The lines of a scene's loop that work out `measures` as they go, and at the end whether all is finite."""
+    structure = structure_of(scene)
+    has = structure.has._replace(compiled=compiled, lanes=lanes)
+    kept = {KEPT[name] for name in measures}
+    m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kept & felt))) for own, felt in (
+        (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max"}))]
+    return lines(Structure(structure.axes, has, m, s), loop, Figures, (structure.axes, has, tuple(measures)))
 
 
-def names_of(scene: Scene, bodies: Bodies) -> dict[str, Any]:
-    """What the kernel's text names."""
-    return {
-        **parts(scene), **bodies.functions(), "most": most, "least": least, "root_mean": root_mean, "known": known,
-        "sound": sound, "magnitude": MAGNITUDES[scene.axes],
-    }
+def functions_of_kernel(scene: Scene, bodies: Bodies) -> dict[str, Any]:
+    """The functions of a scene's law, devices and bodies that the lines of its kernel find by name."""
+    return {**functions(scene), **bodies.functions(), "magnitude": MAGNITUDES[scene.axes]}
+
+
+def names_of(scene: Scene, bodies: Bodies, made: Lines | None = None) -> dict[str, Any]:
+    """All that the lines of a kernel find by name."""
+    return (made or kernel_lines(scene, ())).names(functions_of_kernel(scene, bodies))
 
 
 def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
     """The kernel in plain Python."""
-    names = names_of(scene, bodies)
-    exec(compile(kernel_text(scene, measures), f"<kernel of scene {scene.name}>", "exec"), names)
-    loop = names["loop"]
+    own_loop = kernel_lines(scene, measures).function(functions_of_kernel(scene, bodies))
 
     def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
         told = []
         for row, lag in zip(rows, lags, strict=True):
-            given, law, dt, x_limit, start_m, start_s, held = row.tree
+            numbers, law, dt, x_limit, start_m, start_s, held = row.tree
             forth, back = [None if plan is None else plan.play for plan in row.water.plans]
-            told.append(Told(*loop(given, law, dt, row.ticks, x_limit, start_m, start_s, back, forth, row.water.size,
-                                   row.path, held, *lag)))
+            told.append(Told(*own_loop(numbers, law, dt, row.ticks, x_limit, start_m, start_s, back, forth,
+                                       row.water.size, row.path, held, lag)))
         return told
 
     return Kernel("plain", tuple(measures), run)
@@ -149,7 +143,7 @@ class Water(NamedTuple):
 
 
 def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any, ...]:
-    """The numbers of a row, as the text names them."""
+    """The numbers of a row, as the loop is given them."""
     starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
     law = scene.law
     if compiled:
@@ -159,7 +153,7 @@ def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any
         except (TypeError, ValueError):
             odd = next(name for name in names if type(getattr(law, name)) not in (float, int, bool))
             raise NotCompiled(f"law {law_name(law)} has {odd}={getattr(law, odd)!r}, which is no number") from None
-    return (beginnings(scene, starts), law, scene.dt_ns / 1e9, scene.x_limit, starts["m"], starts["s"],
+    return (numbers_of(scene, starts), law, scene.dt_ns / 1e9, scene.x_limit, starts["m"], starts["s"],
             bodies.held())
 
 

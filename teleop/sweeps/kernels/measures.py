@@ -1,4 +1,4 @@
-"""The figures that a kernel works out as it goes, in tick order, and what they ask of the tick's text."""
+"""The figures that a kernel works out as it goes, and the functions that they are worked out with."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ from math import isfinite, sqrt
 
 from teleop.simulation.metrics import TINY
 
-SUMS = {  # metric -> the feature of the text, and the expression of it at the end
-    "x_err_rms": ("x_err", "root_mean(x_err_sq, n_x)"), "x_err_max": ("x_err", "known(x_err_max, n_x)"),
-    "f_err_rms": ("f_err", "root_mean(f_err_sq, n_f)"), "f_err_max": ("f_err", "known(f_err_max, n_f)"),
-    "f_m_max": ("f_m_max", "f_m_max"), "f_s_max": ("f_s_max", "f_s_max"), "f_h_max": ("f_h_max", "f_h_max"),
-    "f_env_max": ("f_env_max", "f_env_max"), "E_link_min": ("waves", "E_link_min"), "E_link_end": ("waves", "E_link"),
-    "E_port_min": ("energy", "E_port_min"), "E_port_end": ("energy", "E_port"), "g_m_min": ("watchdog", "g_m_min"),
-    "g_s_min": ("watchdog", "g_s_min"),
+KEPT = {  # metric -> what is kept for it along the run
+    "x_err_rms": "x_err", "x_err_max": "x_err", "f_err_rms": "f_err", "f_err_max": "f_err", "f_m_max": "f_m_max",
+    "f_s_max": "f_s_max", "f_h_max": "f_h_max", "f_env_max": "f_env_max", "E_link_min": "waves", "E_link_end": "waves",
+    "E_port_min": "energy", "E_port_end": "energy", "g_m_min": "watchdog", "g_s_min": "watchdog",
 }
 
 

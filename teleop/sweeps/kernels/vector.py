@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.tick import features
+from teleop.simulation.structure import structure_of
 from teleop.sweeps.kernels.calls import Tile, called
 from teleop.sweeps.kernels.compiled import cause, module
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotVectorised, Told, tree_of
@@ -24,21 +24,21 @@ from teleop.sweeps.kernels.rings import ago, each, packet, received, ring, sampl
 __all__ = ["WIDTH", "ago", "came", "each", "lane_end", "lane_part", "load", "packet", "received", "ring", "sample",
            "sent", "some", "spread", "tell", "where", "whole", "within"]
 
-FEATURES = frozenset({"compiled", "lanes"})
+LANES = True
 REAL = f"load(reals, base + {{}} * {WIDTH})"
 CALLS = {
     "alike": """\
         loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[t * 2 * {width}], plays[(2 * t + 1) * {width}],
-             sizes[t], {one_path}, held, lags[t * 2 * {width}], lags[(2 * t + 1) * {width}],
-             out[t * {row}:(t + 1) * {row}], spread(0.0))""",
+             sizes[t], {one_path}, held, (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}],
+             out[t * {row}:(t + 1) * {row}], spread(0.0)))""",
     "apart": """\
         loop(given, law, dt, ticks, x_limit, start_m, start_s, each(plays, 2 * t), each(plays, 2 * t + 1),
-             sizes[t], {own_paths}, held, each(lags, 2 * t), each(lags, 2 * t + 1),
-             out[t * {row}:(t + 1) * {row}], spread(0.0))""",
+             sizes[t], {own_paths}, held, (each(lags, 2 * t), each(lags, 2 * t + 1),
+             out[t * {row}:(t + 1) * {row}], spread(0.0)))""",
 }
 SOURCES = tuple(f"teleop.sweeps.kernels.{name}"
                 for name in ("lanes", "lanewise", "rings", "lane_parts", "bytecode", "vector"))
-OF_THE_LAW = ("begin_", "law_", "sums_")
+OF_THE_LAW = ("begin_", "law_", "total_")
 
 
 def maker(word: str) -> str:
@@ -50,7 +50,7 @@ def vector(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool 
     """The kernel of a scene's structure. Raises `NotVectorised` where that has no lanes, `NotCompiled` as `scalar`."""
     from numba.core.errors import NumbaError
 
-    if features(scene) & {"inner_m", "inner_s"}:
+    if structure_of(scene).m.has.inner or structure_of(scene).s.has.inner:
         raise NotVectorised("a body with an inner state is moved one scene at a time")
     if leaves(tree_of(scene, bodies)).arrays:
         raise NotVectorised("a part with a list among its numbers runs one scene at a time")

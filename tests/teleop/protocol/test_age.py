@@ -14,8 +14,8 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.scene.scene import Scene
-from teleop.simulation.source import loop_text
-from teleop.stages.safety import Watchdog
+from teleop.simulation.source import rendered
+from teleop.stages.watchdog import Watchdog
 from tests.teleop.protocol.virtual_clock import MS, S, World, healing
 
 LAWS: dict[str, Any] = {"wave": Wave(), "direct": Direct(), "pfra": PFRA(alpha=0.2)}
@@ -75,9 +75,9 @@ def test_the_law_gets_an_old_message_all_the_same() -> None:
 
 
 def test_a_scene_pays_for_an_age_only_if_it_has_one() -> None:
-    assert "c_dog.age" in loop_text(growing())
-    assert "c_dog.age" not in loop_text(growing(dog=replace(DOG, age=None)))
-    assert "newest" not in loop_text(growing(dog=replace(DOG, age=None)))
+    assert "c_dog_m.age" in rendered(growing())
+    assert "c_dog_m.age" not in rendered(growing(dog=replace(DOG, age=None)))
+    assert "newest" not in rendered(growing(dog=replace(DOG, age=None)))
 
 
 def test_a_fixed_playout_longer_than_the_age_holds_no_force_and_says_so() -> None:
@@ -92,7 +92,7 @@ from channel.delay import Delay
 from scenarios.canonical import scene as canonical
 from teleop.law import Law
 from teleop.laws.wave import Wave
-from teleop.stages.safety import Watchdog
+from teleop.stages.watchdog import Watchdog
 from teleop.scene import Scene
 
 

@@ -32,7 +32,8 @@ from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, assemble
 from teleop.simulation.virtual import run
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 
 MS = 1_000_000

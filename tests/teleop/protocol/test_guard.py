@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.guard import MOST_EVENTS, UNNAMED, Event, Guard
 from teleop.protocol.session import Session
-from teleop.stages.safety import Watchdog, watch
+from teleop.stages.watchdog import Watchdog, watchdog_step
 from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import scene
 
@@ -110,7 +110,7 @@ def test_by_silence_alone_it_is_the_watchdog_of_virtual_time(came: list[bool], r
     gain, quiet, heard = 1.0, float("inf"), -1
     for k, got in enumerate(came):
         heard = k if got else heard
-        gain, quiet = watch(limits, gain, quiet, k - heard)
+        gain, quiet = watchdog_step(limits, gain, quiet, k - heard)
         assert one.step(k, got) == gain
 
 

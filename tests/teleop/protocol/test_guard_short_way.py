@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.protocol.guard import Guard
-from teleop.stages.safety import Watchdog
+from teleop.stages.watchdog import Watchdog
 
 
 @settings(deadline=None)

@@ -17,9 +17,11 @@ from teleop.protocol.deadline import DEADLINE, LAPSING
 from teleop.protocol.guard import Event
 from teleop.protocol.packet import Echo, Kind, Packet, encode
 from teleop.scene.playout import Fixed
-from teleop.simulation.tick import columns
-from teleop.stages.device import Device, Encoder
-from teleop.stages.safety import Cap, Watchdog
+from teleop.simulation.structure import columns
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 from tests.teleop.protocol.virtual_clock import DOG, MS, Done, World, healing
 
 SCENE = healing()

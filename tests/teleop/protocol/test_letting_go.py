@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from teleop.laws.direct import Direct
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.session import Session
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import MS, START, met, reading, scene
 

@@ -11,7 +11,7 @@ import pytest
 from teleop.protocol.packet import Kind, peek
 from teleop.scene.playout import Fixed, Zero
 from teleop.scene.scene import Scene
-from teleop.stages.safety import Watchdog
+from teleop.stages.watchdog import Watchdog
 from tests.teleop.protocol.test_healing import LAWS, PATIENT, alike, check, running
 from tests.teleop.protocol.virtual_clock import MS, Done, S, World, healing
 

@@ -17,7 +17,7 @@ from teleop.protocol.inbox import Inbox
 from teleop.protocol.rates import Heard, Resampling
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
-from teleop.simulation.tick import columns
+from teleop.simulation.structure import columns
 from teleop.simulation.virtual import run
 from tests.teleop.protocol.virtual_clock import MS, World, healing
 

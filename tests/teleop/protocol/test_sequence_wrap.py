@@ -14,7 +14,7 @@ from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import Echo, Packet, decode, encode
 from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
-from teleop.stages.safety import Watchdog
+from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import MS, START, met, scene
 

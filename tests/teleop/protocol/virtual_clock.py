@@ -22,7 +22,8 @@ from teleop.protocol.packet import Kind, peek
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 
 S, MS = 1_000_000_000, 1_000_000
 DRAIN = 16

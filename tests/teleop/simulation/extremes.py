@@ -37,7 +37,8 @@ from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 from teleop.terminal.run_table import table
 
 TICKS, SPREAD, SEED = 240, 320, 5

@@ -33,9 +33,10 @@ from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
 from teleop.scene.playout import Hold, Zero
 from teleop.scene.scene import Scene
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
 from teleop.stages.passivity_controller import PassivityController
-from teleop.stages.safety import Cap
 from teleop.stages.velocity.adaptive_window import BestFit, EndFit
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.velocity.levant import Levant

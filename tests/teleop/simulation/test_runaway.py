@@ -19,7 +19,8 @@ from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
 from teleop.scene.scene import Scene
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
 from teleop.stages.passivity_controller import PassivityController
 from teleop.stages.velocity.adaptive_window import BestFit
 from teleop.stages.velocity.backward_difference import BackwardDifference

@@ -1,4 +1,4 @@
-"""The tick's text: it holds what the scene names and no more, and live and virtual runs are made of it alike."""
+"""The tick: a scene's loop holds what the scene names and no more, and live and virtual runs are made of it alike."""
 
 from __future__ import annotations
 
@@ -26,15 +26,18 @@ from teleop.physics.plant import MassDamper, grip_force, move_free, move_gripped
 from teleop.scene.playout import Fixed, Hold
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import master_plant, reference_samples, slave_plants
+from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
-from teleop.simulation.source import beginnings, compiled, live_text, loop_text
-from teleop.simulation.tick import columns, features
+from teleop.simulation.source import live_of, rendered
+from teleop.simulation.structure import columns, structure_of
 from teleop.simulation.trace import EndRecord, assemble
 from teleop.simulation.virtual import run
-from teleop.stages.device import Device, Encoder
-from teleop.stages.safety import Cap, Watchdog, watch
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
 from teleop.stages.velocity.low_pass import LowPass
+from teleop.stages.watchdog import Watchdog, watchdog_step
 
 
 class Note(NamedTuple):
@@ -103,27 +106,27 @@ def make(law: Any, axes: int = 1, *, hand: bool = True, **other: Any) -> Scene:
 
 
 def words(scene: Scene) -> set[str]:
-    """Every name in the three texts of a scene."""
-    return set(re.findall(r"[A-Za-z_]\w*", loop_text(scene) + live_text(scene, "m") + live_text(scene, "s")))
+    """Every name in the loop of a scene and in its two live ends."""
+    return set(re.findall(r"[A-Za-z_]\w*", rendered(scene) + rendered(scene, "m") + rendered(scene, "s")))
 
 
 BARE = make(Direct(), hand=False)
 NAMES = [
-    (make(Wave(), link=JITTERY), BARE, {"ring_m", "ring_s", "seq"}),
-    (make(Wave(), energy=True), make(Wave()), {"E_in_fwd", "E_out_fwd", "E_in_bwd", "E_out_bwd", "E_port_m",
-                                               "E_port_s", "dx_m0", "x_before_m0", "wave"}),
+    (make(Wave(), link=JITTERY), BARE, {"ring_m0", "ring_s0", "seq_m"}),
+    (make(Wave(), energy=True), make(Wave()), {"E_in_m", "E_out_s", "E_in_s", "E_out_m", "E_port_m",
+                                               "E_port_s", "dx_m0", "x_before_m0", "wave_m"}),
     (make(Direct(), energy=True), make(Wave()), {"E_port_m", "E_port_s"}),
-    (make(PFRA()), make(PFRA(), observer=None), {"c_obs", "f_h_hat0", "observe", "v_before_m0"}),
-    (make(PFRA(), observer=None), make(PFRA()), {"f_h0"}),
-    (make(Direct()), make(Wave()), {"f_env0"}),
-    (make(Direct(), watchdog=Watchdog()), make(Direct()), {"c_dog", "calm_m", "watch", "heard_m"}),
-    (make(Direct(), cap=Cap(f_max=1.0)), make(Direct()), {"c_cap", "cap"}),
-    (make(Direct(), cap=Cap(f_max=1.0, v_max=1.0)), make(Direct(), cap=Cap(f_max=1.0)), {"c_speed", "fade"}),
+    (make(PFRA()), make(PFRA(), observer=None), {"c_obs_m", "observe", "v_before_m0"}),
+    (make(PFRA(), observer=None), make(PFRA()), {"f_ext_m0"}),
+    (make(Direct()), make(Wave()), {"f_ext_s0"}),
+    (make(Direct(), watchdog=Watchdog()), make(Direct()), {"c_dog_m", "quiet_ticks_m", "watchdog_step", "heard_m"}),
+    (make(Direct(), cap=Cap(f_max=1.0)), make(Direct()), {"c_cap_m", "cap"}),
+    (make(Direct(), cap=Cap(f_max=1.0, v_max=1.0)), make(Direct(), cap=Cap(f_max=1.0)), {"c_speed_m", "limit_speed"}),
     (make(Direct(), cap=Cap(f_max=1.0, power=1.0)), make(Direct(), cap=Cap(f_max=1.0, v_max=1.0)),
-     {"c_power", "E_left_m", "E_left_s", "pay", "refill", "ration", "dx_m0", "dx_s0"}),
-    (make(Direct()), BARE, {"move_gripped", "r0"}),
+     {"c_power_m", "E_left_m", "E_left_s", "spend", "refill", "limit_power", "dx_m0", "dx_s0"}),
+    (make(Direct()), BARE, {"move_gripped", "r_m0"}),
     (BARE, make(Direct()), {"move_free"}),
-    (make(Curious()), make(Direct()), {"age_m", "age_s", "newest_m", "sums_m", "sums_s", "sum0", "over"}),
+    (make(Curious()), make(Direct()), {"age_m", "age_s", "newest_m", "total_m", "total_s", "sums_m0", "over_m"}),
     (make(Direct(), axes=3), make(Direct()), {"x_m1", "x_s2", "f_m1"}),
 ]
 
@@ -153,13 +156,6 @@ def every_kind() -> Iterator[Scene]:
         )
 
 
-def test_nothing_of_the_markup_is_left_whatever_the_scene() -> None:
-    for scene in every_kind():
-        for text in (loop_text(scene), live_text(scene, "m"), live_text(scene, "s")):
-            assert not re.search(r"#\?|[@{}]|<<|>>|\[START|\[END", text)
-            compile(text, "text", "exec")
-
-
 def test_every_structure_records_the_columns_that_it_says() -> None:
     for scene in every_kind():
         trace = run(scene, seed=1).trace
@@ -171,8 +167,9 @@ def test_every_structure_records_the_columns_that_it_says() -> None:
 
 
 def test_a_law_that_reads_no_force_needs_neither_sensor_nor_observer() -> None:
-    assert not features(make(Wave())) & {"sense_m", "observe_m", "sense_s"}
-    assert features(make(Direct())) & {"sense_m", "observe_m", "sense_s"} == {"sense_s"}
+    wave, direct = structure_of(make(Wave())), structure_of(make(Direct()))
+    assert [has.sensed or has.observed for has in (wave.m.has, wave.s.has)] == [False, False]
+    assert [has.sensed or has.observed for has in (direct.m.has, direct.s.has)] == [False, True]
 
 
 # Axes
@@ -195,8 +192,9 @@ def test_three_axes_are_three_runs_of_one_axis_for_a_law_that_does_not_couple_th
 
 def test_sums_go_over_the_axes_from_left_to_right() -> None:
     """Not with `sum`, which compensates from Python 3.12 on: the bits would depend on the version."""
-    assert "over = Sums_m(sum0.eh + sum1.eh + sum2.eh, sum0.hh + sum1.hh + sum2.hh)" in loop_text(make(PFRA(), axes=3))
-    assert "over = sum0\n" in loop_text(make(PFRA(), axes=1))
+    three = "Sums_m(sums_m0.eh + sums_m1.eh + sums_m2.eh, sums_m0.hh + sums_m1.hh + sums_m2.hh)"
+    assert f"over_m = {three}" in rendered(make(PFRA(), axes=3))
+    assert "over_m = sums_m0\n" in rendered(make(PFRA(), axes=1))
 
 
 # What an end is told
@@ -235,7 +233,8 @@ def test_no_link_is_a_delay_of_nothing_for_a_law_that_reads_all_there_is() -> No
 def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
     """The trace of two live ends, fed tick by tick with what plants and link make of their answers."""
     dt, axes = scene.dt_ns / 1e9, range(scene.axes)
-    has, plants, grip, ref = features(scene), slave_plants(scene), master_plant(scene), reference_samples(scene)
+    structure, plants = structure_of(scene), slave_plants(scene)
+    grip, ref = master_plant(scene), reference_samples(scene)
     forth, back = link_plans(scene, seed)
     place = {"m": list(scene.vector("", scene.start_m)), "s": list(scene.vector("", scene.start_s))}
     speed = {e: [0.0] * scene.axes for e in "ms"}
@@ -245,7 +244,7 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
     gain, calm, last = dict.fromkeys("ms", 1.0), dict.fromkeys("ms", inf), dict.fromkeys("ms", -1)
 
     def touch(e: str, k: int) -> tuple[float, ...] | None:
-        if f"sense_{e}" not in has:
+        if not getattr(structure, e).has.sensed:
             return None
         if e == "s":
             return tuple(plants[i].force(plants[i].c, place[e][i], speed[e][i]) for i in axes)
@@ -256,9 +255,9 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
 
     ends = {}
     for e in "ms":
-        end = compiled(scene, live_text(scene, e), "live")
-        begins = beginnings(scene, {e: place[e]})
-        ends[e] = end(scene, begins, scene.law, dt, tuple(place[e]), tuple(speed[e]), touch(e, 0))
+        end = live_of(scene, e)
+        begins = numbers_of(scene, {e: place[e]})
+        ends[e] = end(begins, scene.law, dt, tuple(place[e]), tuple(speed[e]), touch(e, 0))
         next(ends[e])
     for k in range(scene.ticks):
         read = {e: (tuple(place[e]), tuple(speed[e]), touch(e, k)) for e in "ms"}
@@ -268,7 +267,7 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
             heard = (True, seq, sent[other][seq]) if seq >= 0 else (False, -1, None)
             if scene.watchdog is not None:
                 last[e] = k if heard[0] else last[e]
-                gain[e], calm[e] = watch(scene.watchdog.limits(dt), gain[e], calm[e], k - last[e])
+                gain[e], calm[e] = watchdog_step(scene.watchdog.limits(dt), gain[e], calm[e], k - last[e])
             held[e], said[e], row = ends[e].send((k, *read[e], *heard, gain[e], held[e], 1))
             rows[e].extend(row)
         for e in "ms":

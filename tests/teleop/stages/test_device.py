@@ -20,10 +20,12 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
-from teleop.simulation.source import beginnings, compiled, live_text, loop_text
-from teleop.simulation.tick import columns
+from teleop.simulation.given import numbers_of
+from teleop.simulation.source import live_of, rendered
+from teleop.simulation.structure import columns
 from teleop.simulation.virtual import run
-from teleop.stages.device import Device, Encoder, encode
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder, encode
 from teleop.stages.velocity.backward_difference import BackwardDifference
 
 STEP = 6.1e-5
@@ -80,8 +82,8 @@ class TestAnEstimator:
 
     def test_knows_over_how_many_ticks_a_stall_went(self) -> None:
         of = scene(device_m=Device(velocity=BackwardDifference()))
-        begins = beginnings(of, {"m": (0.0,)})
-        live = compiled(of, live_text(of, "m"), "live")(of, begins, of.law, 1e-3, (0.0,), (0.0,), None)
+        begins = numbers_of(of, {"m": (0.0,)})
+        live = live_of(of, "m")(begins, of.law, 1e-3, (0.0,), (0.0,), None)
         live.send(None)
         seen, force = [], (0.0,)
         for k, x in ((0, 0.0), (1, 0.001), (5, 0.009), (6, 0.009)):  # the ticks 2 to 4 were missed
@@ -122,7 +124,7 @@ class TestADevice:
     def test_that_adds_nothing_changes_no_bit(self) -> None:
         plain, with_device = run(scene()).trace, run(scene(device_m=Device(), device_s=Device())).trace
         assert all((plain[name] == with_device[name]).all() for name in plain)
-        assert loop_text(scene()) == loop_text(scene(device_m=Device()))
+        assert rendered(scene()) == rendered(scene(device_m=Device()))
 
     def test_in_three_axes_is_three(self) -> None:
         device = Device(encoder=Encoder(step=STEP), velocity=BackwardDifference(), delay=2, every=3)

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
 from teleop.scene.loading import load_scene
-from teleop.simulation.source import beginnings, compiled, live_text
-from teleop.simulation.tick import columns
+from teleop.simulation.given import numbers_of
+from teleop.simulation.source import live_of
+from teleop.simulation.structure import columns
 from teleop.stages.observer import coefficients, observe
 
 INSTANT = 1e9  # 1/s: a filter so fast that f_h_hat is f_bar itself
@@ -100,8 +101,8 @@ def test_a_stall_of_many_ticks_does_not_throw_the_live_estimate_off() -> None:
     """A held force and a constant hand, seen again after 70 ticks: the estimate is the hand's force still."""
     scene = load_scene("canonical", law="pfra", observer=INSTANT)
     M, b, dt = scene.master.mass, scene.master.damping, 1e-3
-    begins = beginnings(scene, {"m": (0.0,)})
-    live = compiled(scene, live_text(scene, "m"), "live")(scene, begins, scene.law, dt, (0.0,), (0.0,), None)
+    begins = numbers_of(scene, {"m": (0.0,)})
+    live = live_of(scene, "m")(begins, scene.law, dt, (0.0,), (0.0,), None)
     live.send(None)
     at = [name.removesuffix("@") for name in columns(scene, "m")].index("f_h_hat")
     v, before, f_m = 0.0, 0, 0.0

@@ -17,7 +17,8 @@ from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
-from teleop.stages.safety import Cap, Watchdog, cap, watch
+from teleop.stages.force_cap import Cap, cap
+from teleop.stages.watchdog import Watchdog, watchdog_step
 
 DTS = (1e-4, 1e-3, 0.003, 0.01)
 
@@ -26,7 +27,7 @@ def gains(dog: Watchdog, dt: float, silences: list[int]) -> list[float]:
     """The watchdog's gain at each of the ticks, from 1."""
     c, g, calm, out = dog.limits(dt), 1.0, inf, []
     for silent in silences:
-        g, calm = watch(c, g, calm, silent)
+        g, calm = watchdog_step(c, g, calm, silent)
         out.append(g)
     return out
 

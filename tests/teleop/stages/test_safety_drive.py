@@ -18,10 +18,14 @@ from teleop.law import At
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
-from teleop.stages.device import Device, Encoder
-from teleop.stages.safety import BudgetLimits, Cap, SpeedLimits, Watchdog, cap, fade, pay, ration, refill
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.energy_budget import BudgetLimits, limit_power, refill, spend
+from teleop.stages.force_cap import Cap, cap
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.velocity.low_pass import LowPass
+from teleop.stages.velocity_cap import SpeedLimits, limit_speed
+from teleop.stages.watchdog import Watchdog
 
 DT = 1e-3
 forces = st.floats(-1e3, 1e3)
@@ -47,7 +51,7 @@ def drives(f: float, along: float) -> bool:
 @settings(max_examples=500)
 def test_what_drives_fades_linearly_up_to_the_cap_and_what_brakes_stays(f: float, part: float, v_max: float) -> None:
     along = part * v_max
-    got = fade(speed_of(v_max), f, along)
+    got = limit_speed(speed_of(v_max), f, along)
     share = float(np.interp(abs(along), [0.9 * v_max, v_max], [1.0, 0.0]))
     assert got == (pytest.approx(share * f, rel=1e-9, abs=1e-9 * abs(f)) if drives(f, along) else f)
     if abs(along) <= 0.89 * v_max:
@@ -65,7 +69,7 @@ def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_
 ) -> None:
     limits, bound, v = speed_of(v_max, f_max), max(v_max, 0.9 * v_max + f_max * DT / mass), start * v_max
     for f in asked:
-        v += cap(Cap(f_max=f_max).limits(DT), fade(limits, f, v), 0.0) * DT / mass
+        v += cap(Cap(f_max=f_max).limits(DT), limit_speed(limits, f, v), 0.0) * DT / mass
         assert abs(v) <= bound * (1.0 + 1e-12)
 
 
@@ -77,7 +81,7 @@ def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_
 def test_an_empty_budget_lets_through_what_brakes_and_one_that_owes_a_second_nothing(
     left: float, f: float, along: float
 ) -> None:
-    got = ration(budget_of(1.0), left, f, along)
+    got = limit_power(budget_of(1.0), left, f, along)
     assert got == (f if left > 0.0 or (left > -1.0 and drives(f, -along)) else 0.0)
 
 
@@ -85,7 +89,7 @@ def test_an_empty_budget_lets_through_what_brakes_and_one_that_owes_a_second_not
 def test_work_is_paid_for_and_what_is_taken_from_the_device_fills_nothing(
     power: float, left: float, work: float
 ) -> None:
-    assert pay(left, work) == (left - work if work > 0.0 else left)
+    assert spend(left, work) == (left - work if work > 0.0 else left)
     assert refill(budget_of(power), left) == min(left + power * DT, power)
 
 
@@ -99,8 +103,8 @@ def drawn(ticks: list[tuple[float, float, float]], power: float) -> np.ndarray[A
     """The work in each tick, of (force asked for, velocity read, motion until the next tick)."""
     c, left, held, moved, work = budget_of(power), power, 0.0, 0.0, []
     for f, along, dx in ticks:
-        left = refill(c, pay(left, held * moved))
-        held, moved = ration(c, left, f, along), dx
+        left = refill(c, spend(left, held * moved))
+        held, moved = limit_power(c, left, f, along), dx
         work.append(max(held * moved, 0.0))
     return np.array(work)
 
@@ -142,9 +146,10 @@ def test_the_budgets_bound_is_reached() -> None:
 def test_not_a_number_stays_to_be_seen(along: float, left: float) -> None:
     speed, budget, limits = speed_of(1.0), budget_of(1.0), Cap(f_max=1.0, slew=10.0).limits(DT)
     for seen in (
-        fade(speed, nan, along), fade(speed, 1.0, nan), fade(speed, 0.0, nan), refill(budget, nan), pay(left, nan),
-        pay(nan, 1.0), ration(budget, nan, 1.0, along), ration(budget, left, nan, along),
-        ration(budget, left, 1.0, nan), ration(budget, -inf, 1.0, along),
+        limit_speed(speed, nan, along), limit_speed(speed, 1.0, nan), limit_speed(speed, 0.0, nan),
+        refill(budget, nan), spend(left, nan), spend(nan, 1.0), limit_power(budget, nan, 1.0, along),
+        limit_power(budget, left, nan, along),
+        limit_power(budget, left, 1.0, nan), limit_power(budget, -inf, 1.0, along),
     ):
         assert isnan(seen)
         assert isnan(cap(limits, seen, 0.5))
@@ -153,13 +158,14 @@ def test_not_a_number_stays_to_be_seen(along: float, left: float) -> None:
 @pytest.mark.parametrize("v_max", [1e-9, 1e-3, 1e300])
 @pytest.mark.parametrize("along", [0.0, 1e-12, 1.0, 1e308])
 def test_extreme_caps_give_something_finite(v_max: float, along: float) -> None:
-    got = fade(speed_of(v_max), 5.0, along)
+    got = limit_speed(speed_of(v_max), 5.0, along)
     assert got == (5.0 if along < 0.9 * v_max else 0.0)
 
 
 def test_a_force_beyond_the_force_cap_fades_as_the_cap_does() -> None:
-    assert fade(speed_of(1.0, 5.0), 1e6, 0.95) == fade(speed_of(1.0, 5.0), inf, 0.95) == pytest.approx(2.5)
-    assert fade(speed_of(1.0, 5.0), -inf, 0.95) == -5.0
+    speed = speed_of(1.0, 5.0)
+    assert limit_speed(speed, 1e6, 0.95) == limit_speed(speed, inf, 0.95) == pytest.approx(2.5)
+    assert limit_speed(speed_of(1.0, 5.0), -inf, 0.95) == -5.0
 
 
 def test_a_tick_longer_than_a_second_gains_a_seconds_energy() -> None:

@@ -22,7 +22,8 @@ from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
 from teleop.scene.playout import Fixed
 from teleop.scene.playout import Hold as Repeat
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.force_cap import Cap
+from teleop.stages.watchdog import Watchdog
 
 
 class Everything(NamedTuple):

@@ -20,7 +20,8 @@ from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.velocity.levant import Levant
 from teleop.stages.velocity.low_pass import LowPass

@@ -15,7 +15,8 @@ from teleop.analysis.models.rest import QUIET, frequency, settled
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
 from teleop.stages.velocity.backward_difference import BackwardDifference
 
 

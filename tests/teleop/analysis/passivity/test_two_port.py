@@ -27,9 +27,10 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
 from teleop.stages.observer import coefficients, observe
-from teleop.stages.safety import Cap
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.velocity.levant import Levant
 

@@ -15,7 +15,7 @@ from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.report import ask, summary, table
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.scene.scene import Scene
-from teleop.stages.safety import Cap
+from teleop.stages.force_cap import Cap
 
 T = 1e-3
 D = 6e-5

@@ -28,7 +28,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.stages.safety import Cap
+from teleop.stages.force_cap import Cap
 
 Typed = Callable[..., Any]
 

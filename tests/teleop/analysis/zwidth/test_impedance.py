@@ -17,7 +17,8 @@ from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
 from teleop.scene.scene import Scene
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.velocity.low_pass import LowPass
 

@@ -13,8 +13,8 @@ from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, Payload, encode
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.scene.scene import Scene
-from teleop.simulation.tick import columns
-from teleop.stages.safety import Watchdog
+from teleop.simulation.structure import columns
+from teleop.stages.watchdog import Watchdog
 from tests.teleop.protocol.test_endpoint import MS, START, Both, scene
 
 OURS, OTHER = 7, 700  # session numbers

@@ -19,7 +19,7 @@ from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.packet import Echo, Kind, Packet, Payload, decode, encode
 from teleop.protocol.session import Session
 from teleop.scene.playout import Fixed
-from teleop.stages.safety import Cap
+from teleop.stages.force_cap import Cap
 from tests.teleop.protocol.test_endpoint import MS, START, Both, met, scene
 from tests.teleop.protocol.threats.hands import (
     LINK,

@@ -19,7 +19,7 @@ from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import VERSION, Echo, Kind, Packet, Payload, Rejection, decode, encode, unwrapped
 from teleop.protocol.session import Session
 from teleop.scene.playout import Fixed, Hold
-from teleop.stages.safety import Cap
+from teleop.stages.force_cap import Cap
 from tests.teleop.protocol.test_endpoint import MS, START, met, scene, sealed
 from tests.teleop.protocol.threats.hands import LINK, MANIFEST, OTHER, OURS, STILL, WATCHED, at, control
 

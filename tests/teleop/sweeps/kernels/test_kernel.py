@@ -22,12 +22,14 @@ from teleop.laws.pfra import PFRA
 from teleop.scene.library import ROOT, built_in_scenes
 from teleop.simulation.bodies import exact_bodies, reference_samples
 from teleop.simulation.plan import link_plans
-from teleop.stages.device import Device, Encoder
-from teleop.stages.safety import Cap, Watchdog
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
 from teleop.stages.velocity.low_pass import LowPass
+from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.kernels import compiled
 from teleop.sweeps.kernels.compiled import NotCompiled, module_text
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, Water, available, figures, kernel_text, plain, tree_of
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, Water, available, figures, kernel_lines, plain, tree_of
 from teleop.sweeps.kernels.leaves import leaves
 from teleop.sweeps.kernels.scalar import scalar
 
@@ -98,9 +100,9 @@ class TestInPlainPython:
 
     def test_figures_that_are_not_asked_for_have_no_lines(self) -> None:
         of = load_scene("canonical", energy=True)
-        assert "f_env" not in kernel_text(of, ("x_err_max",))
-        assert "f_env" in kernel_text(of, ("f_env_max",))
-        assert "old_x" not in kernel_text(of, ("f_m_max",))
+        assert "force_s0" not in kernel_lines(of, ("x_err_max",)).text()
+        assert "force_s0" in kernel_lines(of, ("f_env_max",)).text()
+        assert "old_x" not in kernel_lines(of, ("f_m_max",)).text()
 
 
 class TestCompiled:
@@ -126,7 +128,7 @@ class TestCompiled:
     def test_what_another_process_cannot_find_is_not_compiled(self) -> None:
         of = replace(load_scene("canonical"), law=Local(), duration=SHORT)
         with pytest.raises(NotCompiled, match="made during the run"):
-            scalar(of, exact_bodies(of)._replace(instead={"move0": lambda *rest: (*rest[1:3], 0)}), ("x_err_max",))
+            scalar(of, exact_bodies(of)._replace(instead={"move_s0": lambda *rest: (*rest[1:3], 0)}), ("x_err_max",))
 
 
 class Nothing(NamedTuple):

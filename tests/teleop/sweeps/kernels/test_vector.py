@@ -19,10 +19,12 @@ from teleop.laws.direct import Back, Direct, Forth
 from teleop.laws.pfra import PFRA
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.simulation.bodies import exact_bodies
-from teleop.stages.device import Device, Encoder
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.force_cap import Cap
 from teleop.stages.passivity_controller import PassivityController
-from teleop.stages.safety import Cap, Watchdog
 from teleop.stages.velocity.backward_difference import BackwardDifference
+from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.chunk import Job, work
 from teleop.sweeps.kernels.bytecode import branches
 from teleop.sweeps.kernels.kernel import Kernel, NotVectorised, available, figures, plain

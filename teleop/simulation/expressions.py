@@ -1,0 +1,329 @@
+"""Expressions of the tick, of which a part is known when the loop of one structure is made; see `specialise`."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import sys
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from operator import eq, gt, is_, is_not, lt, ne
+from types import FunctionType, MethodType, ModuleType
+from typing import Any, NamedTuple, TypeVar
+
+from teleop.stages.record import Record, declared
+
+Location = tuple[int, int, int, int]
+STRUCTURAL = (bool, int, str, tuple, frozenset, type(None))  # what a decision may compare
+DECIDED: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Eq: eq, ast.NotEq: ne, ast.Lt: lt, ast.Gt: gt, ast.Is: is_, ast.IsNot: is_not,
+    ast.In: lambda one, all_of: one in all_of, ast.NotIn: lambda one, all_of: one not in all_of,
+}
+
+
+class NotSpecialised(Exception):
+    """Why a function cannot be written out, with its file and line."""
+
+
+class Known(NamedTuple):
+    """A value that is known when the loop is made."""
+
+    value: Any
+
+
+Value = Known | ast.expr
+Node = TypeVar("Node", bound=ast.AST)
+
+
+class Frame:
+    """A function that is being written out: what its names stand for."""
+
+    def __init__(self, function: FunctionType, suffix: str = "", place: Location | None = None) -> None:
+        code = function.__code__
+        self.function, self.suffix, self.place = function, suffix, place
+        self.arguments = code.co_varnames[:code.co_argcount]
+        self.known: dict[str, Known] = {}
+        self.names: dict[str, ast.expr] = {}  # an argument's expression, a variable's name
+        self.unrolled: list[bool] = []  # of the loops around a line: is it unrolled
+        self.branches = 0  # conditions of numbers and loops around a line
+
+
+@lru_cache(maxsize=64)
+def functions_in(module: str) -> dict[tuple[str, int], ast.FunctionDef]:
+    """The functions and methods of a module by name and first line."""
+    loader: Any = sys.modules[module].__loader__
+    source = loader.get_source(module) if hasattr(loader, "get_source") else None
+    if source is None:
+        raise NotSpecialised(f"{module} has no source, so what it does cannot be written out")
+    tree = ast.parse(source)
+    bodies = [tree.body, *(each.body for each in tree.body if isinstance(each, ast.ClassDef))]
+    return {(each.name, min([each.lineno, *(mark.lineno for mark in each.decorator_list)])): each
+            for body in bodies for each in body if isinstance(each, ast.FunctionDef)}
+
+
+class Expressions:
+    """The expressions of one function that is being made, and the functions that they call."""
+
+    def __init__(self, entry: FunctionType) -> None:
+        self.entry = Frame(entry)
+        self.file = entry.__code__.co_filename
+        self.frames = [self.entry]
+        self.out: list[ast.stmt] = []
+        self.names: dict[str, Any] = {}  # around the function
+        self.fields: dict[str, tuple[int, str]] = {}  # variable -> the record's field that it is
+        self.taken = set(entry.__code__.co_varnames)
+        self.line = entry.__code__.co_firstlineno
+        self.whole: ast.expr | None = None  # the expression that is all of a statement's value
+
+    @property
+    def frame(self) -> Frame:
+        """The function whose lines are being written."""
+        return self.frames[-1]
+
+
+    def definition(self, function: FunctionType) -> ast.FunctionDef:
+        """The lines of a function."""
+        code = function.__code__
+        found = functions_in(function.__module__).get((code.co_name, code.co_firstlineno))
+        if found is None:
+            raise self.refused(f"{function.__qualname__} is not written in a module or a class")
+        return found
+
+    def refused(self, why: str) -> NotSpecialised:
+        """The refusal of the line that is being written."""
+        return NotSpecialised(f"{self.frame.function.__code__.co_filename}:{self.line}: {why}")
+
+    def put(self, made: Node, old: ast.AST) -> Node:
+        """A new node in the place of an old one."""
+        spot: Any = made
+        spot.lineno, spot.col_offset, spot.end_lineno, spot.end_col_offset = self.frame.place or location(old)
+        return made
+
+    def named(self, word: str, old: ast.AST, context: ast.expr_context | None = None) -> ast.Name:
+        """A name in the place of an old node."""
+        return self.put(ast.Name(word, context or ast.Load()), old)
+
+    # Names
+
+    def variable(self, record: Record, field: str) -> str:
+        """The variable of a record's field."""
+        word = record.word(field)
+        if self.fields.setdefault(word, (id(record), field)) != (id(record), field):
+            raise self.refused(f"two records have a field {field} whose variable would be {word}; rename one")
+        if word in self.taken and word not in self.entry.arguments:
+            raise self.refused(f"{word} is a field's variable and another's too; rename one")
+        return word
+
+    def fresh(self, word: str) -> str:
+        """A name for a variable of a function that is written out: no other has it."""
+        base = f"{word}_{self.frame.suffix}" if self.frame.suffix else word
+        found, n = base, 2
+        while found in self.taken or found in self.fields or found in self.names:
+            found, n = f"{base}_{n}", n + 1
+        self.taken.add(found)
+        return found
+
+    def outer(self, word: str, thing: Any, old: ast.AST) -> ast.expr:
+        """A name for something around the function."""
+        base, n = word, 2
+        while word in self.taken or self.names.get(word, thing) is not thing:
+            word, n = f"{base}_{n}", n + 1
+        self.names[word] = thing
+        return self.named(word, old)
+
+    def residual(self, value: Value, old: ast.AST, word: str = "") -> ast.expr:
+        """The expression of a value in the function that is made; `word` is what it is called, if it has a name."""
+        if isinstance(value, ast.expr):
+            return value
+        thing = value.value
+        if isinstance(thing, Record):
+            raise self.refused(f"{type(thing).__name__} {thing.suffix} escapes: it can be asked for its fields and "
+                               "handed to functions that are written out, and nothing else")
+        made: ast.expr
+        if type(thing) in (tuple, list):
+            made = ast.Tuple([self.residual(Known(each), old) for each in thing], ast.Load())
+        elif isinstance(thing, bool | int | str | None) or (isinstance(thing, float) and thing - thing == 0.0):
+            made = ast.Constant(thing)
+        elif isinstance(thing, float):
+            return self.outer(word or repr(thing).replace("-", "minus_"), thing, old)
+        elif callable(thing):
+            return self.outer(word or getattr(thing, "__name__", type(thing).__name__), thing, old)
+        else:
+            raise self.refused(f"{word or thing!r} is neither a number nor a function")
+        return self.put(made, old)
+
+    # What expressions come to
+
+    def ev(self, node: ast.expr) -> Value:
+        """What is known of an expression, or the expression itself with what is known written in."""
+        make: Callable[[Any], Value] | None = getattr(self, f"_{type(node).__name__}", None)
+        if make is None:
+            raise self.refused(f"{type(node).__name__} is not for the tick: {ast.unparse(node)}")
+        return make(node)
+
+    def re(self, node: ast.expr) -> ast.expr:
+        """The expression itself."""
+        return self.residual(self.ev(node), node, getattr(node, "id", getattr(node, "attr", "")))
+
+    def _Constant(self, node: ast.Constant) -> Value:
+        return Known(node.value)
+
+    def _Name(self, node: ast.Name) -> Value:
+        word, frame = node.id, self.frame
+        if word in frame.known:
+            return frame.known[word]
+        if word in frame.names:
+            found = frame.names[word]
+            return self.named(found.id, node) if isinstance(found, ast.Name) else found
+        if word in frame.function.__code__.co_varnames:
+            if frame is not self.entry:
+                raise self.refused(f"{word} is read before it is set")
+            return self.named(word, node)
+        around = frame.function.__globals__
+        if word in around:
+            return Known(around[word])
+        if hasattr(builtins, word):
+            return Known(getattr(builtins, word))
+        raise self.refused(f"{word} is not known")
+
+    def _Attribute(self, node: ast.Attribute) -> Value:
+        inner = self.ev(node.value)
+        if not isinstance(inner, Known):
+            return self.put(ast.Attribute(inner, node.attr, ast.Load()), node)
+        thing, word = inner.value, node.attr
+        if isinstance(thing, Record) and word not in vars(thing) and word in declared(type(thing)):
+            return self.named(self.variable(thing, word), node)
+        try:
+            found = getattr(thing, word)
+        except AttributeError:
+            raise self.refused(f"{type(thing).__name__} has no {word}") from None
+        if isinstance(thing, Record) and callable(found) and not isinstance(found, MethodType):
+            return self.outer(thing.word(word), found, node)
+        return Known(found)
+
+    def _Subscript(self, node: ast.Subscript) -> Value:
+        inner, at = self.ev(node.value), self.ev(node.slice)
+        if isinstance(inner, Known) and isinstance(at, Known):
+            return Known(inner.value[at.value])
+        made = ast.Subscript(self.residual(inner, node), self.residual(at, node), ast.Load())
+        return self.put(made, node)
+
+    def _Slice(self, node: ast.Slice) -> Value:
+        parts = [None if each is None else self.re(each) for each in (node.lower, node.upper, node.step)]
+        return self.put(ast.Slice(*parts), node)
+
+    def _UnaryOp(self, node: ast.UnaryOp) -> Value:
+        inner = self.ev(node.operand)
+        if isinstance(inner, Known) and isinstance(node.op, ast.Not):
+            return Known(not inner.value)
+        return self.put(ast.UnaryOp(node.op, self.residual(inner, node)), node)
+
+    def _BinOp(self, node: ast.BinOp) -> Value:
+        return self.put(ast.BinOp(self.re(node.left), node.op, self.re(node.right)), node)
+
+    def _Compare(self, node: ast.Compare) -> Value:
+        left, rights = self.ev(node.left), [self.ev(each) for each in node.comparators]
+        decide = DECIDED.get(type(node.ops[0])) if len(rights) == 1 else None
+        if decide is not None and isinstance(left, Known) and isinstance(left.value, STRUCTURAL) and isinstance(
+                rights[0], Known) and isinstance(rights[0].value, STRUCTURAL):
+            return Known(decide(left.value, rights[0].value))
+        compare = ast.Compare(self.residual(left, node), node.ops, [self.residual(each, node) for each in rights])
+        return self.put(compare, node)
+
+    def _BoolOp(self, node: ast.BoolOp) -> Value:
+        decides = isinstance(node.op, ast.Or)
+        kept: list[ast.expr] = []
+        for each in node.values:
+            value = self.ev(each)
+            if not isinstance(value, Known):
+                kept.append(value)
+            elif bool(value.value) is decides and not kept:
+                return Known(decides)
+            elif bool(value.value) is decides:
+                kept.append(self.residual(value, each))
+                break
+        if len(kept) < 2:
+            return kept[0] if kept else Known(not decides)
+        return self.put(ast.BoolOp(node.op, kept), node)
+
+    def _IfExp(self, node: ast.IfExp) -> Value:
+        test = self.ev(node.test)
+        if isinstance(test, Known):
+            return self.ev(node.body if test.value else node.orelse)
+        return self.put(ast.IfExp(test, self.re(node.body), self.re(node.orelse)), node)
+
+    def _Yield(self, node: ast.Yield) -> Value:
+        return self.put(ast.Yield(None if node.value is None else self.re(node.value)), node)
+
+    def _display(self, node: ast.Tuple | ast.List) -> Value:
+        return self.together([one for each in node.elts for one in self.several(each)], node)
+
+    def together(self, values: list[Value], node: ast.expr) -> Value:
+        """Values side by side: known where all are, except for a list of numbers, which may change."""
+        known = [each.value for each in values if isinstance(each, Known)]
+        if known and len(known) == len(values) and (isinstance(node, ast.Tuple) or of_structure(known)):
+            return Known(tuple(known))
+        kind = ast.Tuple if isinstance(node, ast.Tuple) else ast.List
+        return self.put(kind([self.residual(each, node) for each in values], ast.Load()), node)
+
+    _Tuple = _List = _display
+
+    def several(self, node: ast.expr) -> list[Value]:
+        """The values of an entry of a display or of a call: of one with a star as many as there are."""
+        if not isinstance(node, ast.Starred):
+            return [self.ev(node)]
+        inner = self.ev(node.value)
+        if isinstance(inner, Known):
+            return [Known(each) for each in inner.value]
+        if isinstance(inner, ast.Tuple | ast.List):
+            return [*inner.elts]
+        return [self.put(ast.Starred(inner, ast.Load()), node)]
+
+    def _ListComp(self, node: ast.ListComp | ast.GeneratorExp) -> Value:
+        return self.together(list(self.turns(node.elt, node.generators)), node)
+
+    _GeneratorExp = _ListComp
+
+    def turns(self, entry: ast.expr, loops: list[ast.comprehension]) -> Iterator[Value]:
+        """The entries of a comprehension over what is known."""
+        if not loops:
+            yield self.ev(entry)
+            return
+        over = self.ev(loops[0].iter)
+        if not isinstance(over, Known):
+            raise self.refused(f"a comprehension goes over what is known, not {ast.unparse(loops[0].iter)}")
+        around = self.frame.known
+        for each in over.value:
+            self.frame.known = {**around}
+            self.bind(loops[0].target, each)
+            tests = [self.ev(test) for test in loops[0].ifs]
+            if not all(isinstance(test, Known) for test in tests):
+                raise self.refused("the condition of a comprehension is known beforehand")
+            if all(test.value for test in tests):  # type: ignore[union-attr]
+                yield from self.turns(entry, loops[1:])
+        self.frame.known = around
+
+    def bind(self, target: ast.expr, value: Any) -> None:
+        """Let names stand for what is known."""
+        if isinstance(target, ast.Name):
+            if target.id in self.frame.names or target.id in self.frame.known:
+                raise self.refused(f"{target.id} stands for what is known when the loop is made, so it is set once")
+            self.frame.known[target.id] = Known(value)
+            return
+        if not isinstance(target, ast.Tuple):
+            raise self.refused(f"{ast.unparse(target)} cannot stand for what is known when the loop is made")
+        for each, one in zip(target.elts, value, strict=True):
+            self.bind(each, one)
+
+
+def of_structure(thing: object) -> bool:
+    """Is it something that a name can stand for, not a number that a variable holds."""
+    if isinstance(thing, tuple | list):
+        return any(map(of_structure, thing))
+    return isinstance(thing, Record | ModuleType | FunctionType | MethodType | type)
+
+
+def location(node: Any) -> Location:
+    """Where a node stands in its file."""
+    return node.lineno, node.col_offset, node.end_lineno, node.end_col_offset
+

@@ -1,0 +1,310 @@
+"""Partial evaluator: ordinary functions over records, written out as the one function of one structure.
+
+A *record* is an object that the tick is written over: a run, an end, an axis, a stage. What a record is made with
+(`has`, `axes`, a law's function) is known when the loop is made; what its class only declares (`x: float`) is a
+variable of the loop. Of the entry function, and of each function that it hands a record to,
+
+    if e.has.encoder:           is decided, and the branch that is not taken is not there to be paid for,
+    for a in e.axes:            is unrolled, and so are comprehensions over what is known,
+    stage.read(run, e, k)       is written out where it is called,
+    a.x = ...                   sets a local variable, x_m0.
+
+getattr and setattr of known names are fields, all([...]) and reduce(add, [...]) become `and` and `+`. Everything else
+stays as it is, in the order that it has: arithmetic is neither worked out nor rearranged. What cannot be kept so is
+refused with a sentence, `NotSpecialised`: a record that escapes (into a list, or to a function without source), `break`
+in a loop that is unrolled, a `return` that depends on a number, a name that a class does not have.
+
+Lines keep their numbers in the file of the entry function. A line from another file has the number of the call there,
+since the code of a function names one file.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Callable, Sequence
+from functools import reduce
+from inspect import CO_GENERATOR
+from operator import add
+from types import FunctionType, MethodType
+from typing import Any, NamedTuple
+
+from teleop.simulation.expressions import Expressions, Frame, Known, NotSpecialised, Value, location, of_structure
+from teleop.stages.record import Record, declared
+
+__all__ = ["NotSpecialised", "Specialised", "specialise"]
+
+
+class Specialised(NamedTuple):
+    """A function of one structure."""
+
+    tree: ast.FunctionDef
+    file: str
+    names: dict[str, Any]  # what it finds by name around it
+
+
+def specialise(function: Callable[..., Any], *records: Record) -> Specialised:
+    """`function` with these for its first arguments; the others stay its arguments. Raises `NotSpecialised`."""
+    assert isinstance(function, FunctionType)
+    made = _Writer(function)
+    return made.written(records)
+
+
+class _Writer(Expressions):
+    """One function being made."""
+
+    def written(self, records: Sequence[Record]) -> Specialised:
+        """The whole of it."""
+        node = self.definition(self.entry.function)
+        self.entry.known = {name: Known(one) for name, one in zip(self.entry.arguments, records, strict=False)}
+        self.body(node.body)
+        rest = [ast.arg(name) for name in self.entry.arguments[len(records):]]
+        made = ast.FunctionDef(node.name, ast.arguments([], rest, None, [], [], None, []), self.out, [], None)
+        if sys.version_info >= (3, 12):
+            made.type_params = []
+        for each in (made, *rest):
+            self.put(each, node)
+        return Specialised(made, self.file, self.names)
+
+    # Statements
+
+    def body(self, lines: Sequence[ast.stmt]) -> Value | None:
+        """Write these lines; what they return, or None if they go on."""
+        for line in lines:
+            self.line = line.lineno
+            make: Callable[[Any], Value | None] | None = getattr(self, f"_{type(line).__name__}", None)
+            if make is None or not isinstance(line, ast.stmt):
+                raise self.refused(f"{type(line).__name__} is not for the tick")
+            if (told := make(line)) is not None:
+                return told
+        return None
+
+    def block(self, lines: Sequence[ast.stmt]) -> list[ast.stmt]:
+        """Lines that depend on numbers: of a branch, or of a loop."""
+        around, self.out = self.out, []
+        self.frame.branches += 1
+        if self.body(lines) is not None and self.frame is not self.entry:
+            raise self.refused("a function that is written out may not return from a loop, or from an `if` of "
+                               "numbers; return at its end")
+        self.frame.branches -= 1
+        made, self.out = self.out, around
+        return made
+
+    def emit(self, made: ast.stmt, old: ast.AST) -> None:
+        """One line more."""
+        self.out.append(self.put(made, old))
+
+    def right_side(self, node: ast.expr) -> Value:
+        """All of a line's value: a call in its place may have lines of its own."""
+        self.whole = node
+        value = self.ev(node)
+        self.whole = None
+        return value
+
+    def _Pass(self, line: ast.Pass) -> None:
+        """Nothing."""
+
+    def _Expr(self, line: ast.Expr) -> None:
+        call = line.value
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "setattr":
+            field = self.ev(call.args[1])
+            assert isinstance(field, Known)
+            target = ast.copy_location(ast.Attribute(call.args[0], field.value, ast.Store()), call)
+            self.assign(target, self.right_side(call.args[2]), line)
+        elif not isinstance(value := self.right_side(call), Known):
+            self.emit(ast.Expr(value), line)
+
+    def _Assign(self, line: ast.Assign) -> None:
+        value = self.right_side(line.value)
+        if len(line.targets) == 1:
+            self.assign(line.targets[0], value, line)
+        else:
+            self.emit(ast.Assign([self.target(each) for each in line.targets], self.residual(value, line)), line)
+
+    def _AnnAssign(self, line: ast.AnnAssign) -> None:
+        if line.value is not None:
+            self.assign(line.target, self.right_side(line.value), line)
+
+    def _AugAssign(self, line: ast.AugAssign) -> None:
+        value = self.residual(self.right_side(line.value), line)
+        target: Any = self.target(line.target)
+        self.emit(ast.AugAssign(target, line.op, value), line)
+
+    def assign(self, target: ast.expr, value: Value, line: ast.stmt) -> None:
+        """One target and its value."""
+        if isinstance(value, Known) and of_structure(value.value):
+            if self.frame.branches:
+                raise self.refused(f"{ast.unparse(target)} stands for what is known when the loop is made, so it "
+                                   "cannot be set under a condition of numbers, or in a loop that stays one")
+            self.bind(target, value.value)
+            return
+        made, right = self.target(target), self.residual(value, line)
+        if isinstance(made, ast.Name) and made.id in self.fields and made.id in self.entry.arguments:
+            if not isinstance(right, ast.Name) or right.id != made.id:
+                raise self.refused(f"{made.id} is an argument and a field of the same name, so it cannot be set")
+            return  # one variable is both
+        self.emit(ast.Assign([made], right), line)
+
+    def target(self, node: ast.expr) -> ast.expr:
+        """What is assigned to, as an expression of the function that is made."""
+        made: ast.expr
+        if isinstance(node, ast.Name):
+            frame, word = self.frame, node.id
+            if word in frame.known or (frame is not self.entry and word in frame.arguments):
+                raise self.refused(f"{word} is an argument, or stands for what is known when the loop is made; set a "
+                                   "name of its own")
+            if frame is not self.entry and word not in frame.names:
+                frame.names[word] = self.named(self.fresh(word), node)
+            made = self.named(word if frame is self.entry else ast.unparse(frame.names[word]), node, ast.Store())
+        elif isinstance(node, ast.Attribute):
+            record = self.ev(node.value)
+            if not isinstance(record, Known) or not isinstance(record.value, Record):
+                raise self.refused(f"{ast.unparse(node)} is no field of a record, so it cannot be set")
+            if node.attr in vars(record.value) or node.attr not in declared(type(record.value)):
+                raise self.refused(f"{type(record.value).__name__} declares no variable {node.attr}")
+            made = self.named(self.variable(record.value, node.attr), node, ast.Store())
+        elif isinstance(node, ast.Tuple):
+            made = ast.Tuple([self.target(each) for each in node.elts], ast.Store())
+        elif isinstance(node, ast.Subscript):
+            made = ast.Subscript(self.re(node.value), self.re(node.slice), ast.Store())
+        else:
+            raise self.refused(f"{ast.unparse(node)} cannot be set")
+        return self.put(made, node)
+
+    def _If(self, line: ast.If) -> Value | None:
+        test = self.ev(line.test)
+        if isinstance(test, Known):
+            return self.body(line.body if test.value else line.orelse)
+        self.emit(ast.If(test, self.block(line.body) or [self.put(ast.Pass(), line)], self.block(line.orelse)), line)
+        return None
+
+    def _For(self, line: ast.For) -> None:
+        over = self.ev(line.iter)
+        if isinstance(over, Known):
+            self.unroll(line, over.value)
+        else:
+            target = self.target(line.target)
+            self.emit(ast.For(target, over, self.turn(line.body), self.block(line.orelse)), line)
+
+    def _While(self, line: ast.While) -> None:
+        test = self.residual(self.ev(line.test), line)
+        self.emit(ast.While(test, self.turn(line.body), self.block(line.orelse)), line)
+
+    def turn(self, lines: Sequence[ast.stmt]) -> list[ast.stmt]:
+        """The lines of a loop that stays one."""
+        self.frame.unrolled.append(False)
+        made = self.block(lines)
+        self.frame.unrolled.pop()
+        return made
+
+    def unroll(self, line: ast.For, over: Any) -> None:
+        """The lines of a loop once for each of what it goes over."""
+        if line.orelse:
+            raise self.refused("a loop that is unrolled has no else")
+        self.frame.unrolled.append(True)
+        around, branches = self.frame.known, self.frame.branches
+        self.frame.branches = 0
+        for each in over:
+            self.frame.known = {**around}
+            self.bind(line.target, each)
+            if self.body(line.body) is not None:
+                raise self.refused("a loop that is unrolled cannot be returned from")
+        self.frame.known, self.frame.branches = around, branches
+        self.frame.unrolled.pop()
+
+    def leave(self, line: ast.Break | ast.Continue) -> None:
+        """`break` or `continue`."""
+        if not self.frame.unrolled or self.frame.unrolled[-1]:
+            raise self.refused(f"`{type(line).__name__.lower()}` stands in a loop that is unrolled, where it would "
+                               "leave the loop around it; write a condition instead")
+        self.emit(type(line)(), line)
+
+    _Break = _Continue = leave
+
+    def _Return(self, line: ast.Return) -> Value:
+        value = Known(None) if line.value is None else self.right_side(line.value)
+        if self.frame is self.entry:
+            self.emit(ast.Return(self.residual(value, line)), line)
+        return value
+
+    # Calls
+
+    def _Call(self, node: ast.Call) -> Value:
+        whole, self.whole = self.whole is node, None
+        function = self.ev(node.func)
+        values = [one for each in node.args for one in self.several(each)]
+        if isinstance(function, Known):
+            if (found := self.worked_out(function.value, values, node)) is not None:
+                return found
+            method = isinstance(function.value, MethodType) and isinstance(function.value.__self__, Record)
+            if method or any(isinstance(each, Known) and isinstance(each.value, Record) for each in values):
+                return self.written_out(function.value, values, node, whole)
+        keywords = [self.put(ast.keyword(each.arg, self.re(each.value)), each) for each in node.keywords]
+        named = self.residual(function, node, getattr(node.func, "attr", getattr(node.func, "id", "")))
+        return self.put(ast.Call(named, [self.residual(each, node) for each in values], keywords), node)
+
+    def worked_out(self, function: Any, values: list[Value], node: ast.Call) -> Value | None:
+        """What some of Python's own functions come to, of what is known."""
+        first = values[0] if values else None
+        if (function in (getattr, len, zip, enumerate, reversed) and not node.keywords) or function is zip:
+            if function is getattr and len(values) == 2 and isinstance(values[1], Known):
+                attribute = ast.Attribute(node.args[0], values[1].value, ast.Load())
+                return self._Attribute(ast.copy_location(attribute, node))
+            if all(isinstance(each, Known) for each in values):
+                told = function(*[each.value for each in values])  # type: ignore[union-attr]
+                return Known(told if function is len else tuple(told))
+        if function in (tuple, list) and isinstance(first, Known | ast.List | ast.Tuple):
+            kind = ast.Tuple if function is tuple else ast.List
+            return first if isinstance(first, Known) else self.put(kind(first.elts, ast.Load()), node)
+        if function in (all, any) and isinstance(first, ast.List | ast.Tuple):
+            operator = ast.And() if function is all else ast.Or()
+            return first.elts[0] if len(first.elts) == 1 else self.put(ast.BoolOp(operator, first.elts), node)
+        if function is reduce and isinstance(values[0], Known) and values[0].value is add and isinstance(
+                values[1], ast.List | ast.Tuple):
+            sums: ast.expr = reduce(
+                lambda left, right: self.put(ast.BinOp(left, ast.Add(), right), node), values[1].elts)
+            return sums
+        return None
+
+    def written_out(self, function: Any, values: list[Value], node: ast.Call, whole: bool) -> Value:
+        """A call in the place of which the function's own lines stand."""
+        own = getattr(function, "__func__", function)
+        if isinstance(function, MethodType):
+            values = [Known(function.__self__), *values]
+        if not isinstance(own, FunctionType) or own.__code__.co_flags & CO_GENERATOR or node.keywords:
+            raise self.refused(f"{ast.unparse(node.func)} is no plain function of arguments in their order, so a "
+                               "record that is handed to it escapes")
+        if any(each.function.__code__ is own.__code__ for each in self.frames):
+            raise self.refused(f"{own.__qualname__} calls itself, so it cannot be written out")
+        records = [each.value for each in values if isinstance(each, Known) and isinstance(each.value, Record)]
+        place = self.frame.place or (location(node) if own.__code__.co_filename != self.file else None)
+        frame = Frame(own, next((each.suffix for each in records if each.suffix), ""), place)
+        if len(values) != len(frame.arguments):
+            raise self.refused(f"{own.__qualname__} takes {len(frame.arguments)} arguments, not {len(values)}")
+        lines, before, line = self.definition(own), len(self.out), self.line
+        self.frames.append(frame)
+        for name, value in zip(frame.arguments, values, strict=True):
+            if isinstance(value, Known):
+                frame.known[name] = value
+            elif self.lasting(value):
+                frame.names[name] = value
+            else:
+                kept = self.fresh(name)
+                frame.names[name] = self.named(kept, node)
+                self.emit(ast.Assign([self.named(kept, node, ast.Store())], value), node)
+        told = self.body(lines.body)
+        self.frames.pop()
+        self.line = line
+        if len(self.out) > before and not whole:
+            raise self.refused(f"{own.__qualname__} has lines of its own and stands in the midst of an expression, "
+                               "before which they would be worked out; let its call be all of the right side")
+        return Known(None) if told is None else told
+
+    def lasting(self, value: ast.expr) -> bool:
+        """Is it of what no function that is handed it can set: names of the one that hands it over, and numbers."""
+        if isinstance(value, ast.BinOp):
+            return self.lasting(value.left) and self.lasting(value.right)
+        while isinstance(value, ast.Attribute):
+            value = value.value
+        return isinstance(value, ast.Constant) or (
+            isinstance(value, ast.Name) and (value.id not in self.fields or value.id in self.entry.arguments))

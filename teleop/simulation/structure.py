@@ -1,0 +1,117 @@
+"""The structure of a scene: all that decides which lines of the tick it has, and none of its numbers."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from teleop.law import functions_of, reads, start_at
+from teleop.scene.playout import repeats
+from teleop.scene.scene import Scene
+from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Stage, per_axis
+from teleop.stages.order import STAGES, Asked
+
+NAMES = {"m": "master", "s": "slave"}
+SENSED = {"m": "f_h", "s": "f_env"}  # the external force at each end
+
+
+class EndStructure(NamedTuple):
+    """That of one end: what it has, its stages in order, and the fields that its law sums over the axes."""
+
+    has: EndHas
+    stages: tuple[type[Stage], ...]
+    fields: tuple[str, ...] = ()
+
+
+class Structure(NamedTuple):
+    """That of a scene. Scenes of one structure differ in numbers, and in the functions of their laws and bodies."""
+
+    axes: int
+    has: RunHas
+    m: EndStructure
+    s: EndStructure
+
+
+def structure_of(scene: Scene) -> Structure:
+    """The structure of a scene; kept with the scene, which does not change."""
+    kept: Structure | None = vars(scene).get("_structure")
+    if kept is None:
+        has = RunHas(
+            slave=scene.slave is not None, hand=scene.hand is not None, link=scene.link is not None,
+            repeats=repeats(scene.playout), energy=scene.energy, waves=scene.energy and scene.has_waves)
+        slave = _end(scene, "s", has) if has.slave else EndStructure(EndHas(), ())
+        kept = vars(scene)["_structure"] = Structure(scene.axes, has, _end(scene, "m", has), slave)
+    return kept
+
+
+def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
+    law = functions_of(scene.law)
+    sums = getattr(law, f"{NAMES[e]}_sums", None)
+    reading = reads(getattr(law, NAMES[e]) if run.slave else law.force) | (reads(sums) if sums else frozenset())
+    asked = Asked(scene, e, scene.device_m if e == "m" else scene.device_s, reading)
+    places = [place for place in STAGES if place.wanted(asked)]
+    stages, names = tuple([place.stage() for place in places]), {place.name for place in places}
+    touch, observed = "f" in reading, "observer" in names
+    inner = (scene.master.friction > 0.0 or scene.electrical is not None) if e == "m" else (
+        scene.slave is not None and (scene.slave.friction > 0.0 or any(
+            getattr(one, "inner", False) for one in scene.environments)))
+    age, aged = "age" in reading and run.slave, getattr(scene.watchdog, "age", None) is not None
+    has = EndHas(
+        inner=inner, touch=touch, observed=observed, sensed=touch and not observed,
+        # A body with an inner state cannot tell its external force afterwards, so it is recorded.
+        felt=(touch and not observed) or inner,
+        age=age, aged=aged, newest=age or aged, sums=sums is not None,
+        dx="dx" in reading or (run.energy and "encoder" not in names) or any(stage.wants_dx for stage in stages),
+        encoder="encoder" in names, watchdog="watchdog" in names)
+    return EndStructure(has, stages, sums_type(scene.law, e, scene.dt_ns / 1e9)._fields if sums else ())
+
+
+def sums_type(law: Any, e: str, dt: float) -> Any:
+    """The NamedTuple that an end of a law sums over the axes, as a call at rest shows it."""
+    still = start_at(0.0, 0.0, 0.0, dt)
+    state, rx = getattr(law, f"{NAMES[e]}_start")(still)
+    return type(getattr(law, f"{NAMES[e]}_sums")(state, still, rx))
+
+
+def live_structure(structure: Structure, e: str) -> Structure:
+    """That of a live end, whose force is multiplied by its guard's gain whether there is a watchdog or not."""
+    own: EndStructure = getattr(structure, e)
+    names = {"watchdog", *[stage.name for stage in own.stages]}
+    stages = tuple([place.stage() for place in STAGES if place.name in names])
+    alone = own._replace(has=own.has._replace(live=True), stages=stages)
+    return structure._replace(m=alone) if e == "m" else structure._replace(s=alone)
+
+
+def run_of(structure: Structure, recorder: Recorder) -> Run:
+    """The records that the tick of this structure is written over."""
+    run = Run()
+    run.has, run.recorder = structure.has, recorder
+    run.m, run.s = _end_of("m", structure), _end_of("s", structure)
+    run.ends = (run.m, run.s) if run.has.slave else (run.m,)
+    return run
+
+
+def _end_of(name: str, structure: Structure) -> End:
+    own: EndStructure = getattr(structure, name)
+    e = End(name, structure.axes, own.has)
+    e.stages = tuple([stage(name, structure.axes) for stage in own.stages])
+    e.fields = own.fields
+    e.cells = tuple([cell for column in end_columns(e) for cell in column.cells])
+    e.memory = (
+        *[(a, field) for a in e.axes for field in ("x", "v", "f")], *[(a, "z") for a in e.axes if own.has.inner],
+        *[(a, "x_before") for a in e.axes if own.has.dx], *[cell for stage in e.stages for cell in stage.memory(e)],
+        *[(a, "s") for a in e.axes])
+    return e
+
+
+def end_columns(e: End) -> list[Column]:
+    """The columns of an end's record, in order: motion, readings, forces, and what the stages keep."""
+    before = [column for stage in e.stages if stage.reading for column in stage.columns(e)]
+    after = [column for stage in e.stages if not stage.reading for column in stage.columns(e)]
+    felt = [per_axis(SENSED[e.name], e.axes, "f_ext")] * e.has.felt
+    x, v, f = [per_axis(f"{field}_{e.name}", e.axes, field) for field in ("x", "v", "f")]
+    return [x, v, *before, *felt, f, *after]
+
+
+def columns(scene: Scene, e: str) -> list[str]:
+    """The names of one end's record, in order; one with @ stands once for each axis."""
+    return [column.name for column in end_columns(getattr(run_of(structure_of(scene), Recorder()), e))]

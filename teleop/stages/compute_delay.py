@@ -1,0 +1,41 @@
+"""The computation's delay: the force acts some ticks after the reading that it was computed from."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from teleop.stages.end import End, Places, Run, Stage
+from teleop.stages.record import Record
+
+
+class Delayed(Record):
+    """The forces of one axis that do not act yet."""
+
+    delay_line: tuple[float, ...]
+
+
+class ComputeDelayStage(Stage):
+    """`Device(delay=...)`, in ticks."""
+
+    name: ClassVar[str] = "compute_delay"
+
+    def __init__(self, e: str, axes: int) -> None:
+        super().__init__(e, axes)
+        self.axes = tuple([Delayed(f"{e}{i}") for i in range(axes)])
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return (0.0,) * (scene.device_m if e == "m" else scene.device_s).delay
+
+    def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
+        return tuple([(own, "delay_line") for own in self.axes])
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        for own in self.axes:
+            own.delay_line = given
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for a, own in zip(e.axes, self.axes, strict=True):
+            own.delay_line = own.delay_line + (a.f_cmd,)  # noqa: RUF005 - compiled code knows no star
+            a.f_cmd = own.delay_line[0]
+            own.delay_line = own.delay_line[1:]

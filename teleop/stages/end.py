@@ -1,0 +1,212 @@
+"""What the tick is written over: a run, its ends, their axes, and the stages between a device and its law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+from teleop.law import At
+from teleop.stages.record import Record
+
+Places = list[float]
+
+
+class RunHas(NamedTuple):
+    """What a run has; decided when its loop is made."""
+
+    slave: bool = True  # no slave: a one-port law, which renders by itself
+    hand: bool = False
+    link: bool = False
+    repeats: bool = False  # playout: the last message is played again in the gaps
+    energy: bool = False  # the ledgers of the ports are kept,
+    waves: bool = False  # ... and that of the link, whose messages carry waves
+    compiled: bool = False  # written without branches, for compiled code
+    lanes: bool = False  # eight scenes side by side
+
+
+class EndHas(NamedTuple):
+    """What one end has; decided when the loop is made."""
+
+    live: bool = False  # runs by itself, without the other end
+    inner: bool = False  # its body has an inner state beside position and velocity
+    touch: bool = False  # its law reads the external force,
+    sensed: bool = False  # ... from a force sensor
+    felt: bool = False  # the external force is worked out, for the law or for the record
+    age: bool = False  # its law reads the age of the newest message
+    newest: bool = False  # the number of the newest message is kept
+    dx: bool = False  # the motion of a tick is worked out
+    sums: bool = False  # its law sums over the axes
+    encoder: bool = False
+    watchdog: bool = False
+    observed: bool = False  # its law reads the observer's force
+    aged: bool = False  # the watchdog counts messages beyond an age as none
+
+
+class Axis(Record):
+    """One axis of an end. SI units."""
+
+    i: int
+    # the body
+    x: float  # position
+    v: float
+    f: float  # the held force, N
+    f_ext: float  # external force: f_h at the master, f_env at the slave
+    c: Any  # its coefficients
+    z: Any  # its inner state
+    slope: float  # of the hand's reference over the last tick, m/s
+    r: Any  # the hand's reference at the ticks
+    more: int  # 1 if the last tick had more contact events than are followed
+    # what the device reads
+    x_read: float
+    v_read: float
+    f_read: float
+    x_before: float  # as it was read at the tick before
+    dx: float
+    # the law
+    at: At
+    s: Any  # its state
+    rx: Any  # the message that it received
+    tx: Any  # the message that it sends
+    sums: Any
+    f_cmd: float  # the force that it commands, and what the stages make of it
+    ring: Any  # messages on their way
+
+    move: Callable[..., Any]  # the functions of its body
+    force: Callable[..., Any]
+
+    def __init__(self, suffix: str, i: int) -> None:
+        super().__init__(suffix)
+        self.i = i
+
+
+class End(Record):
+    """The master's end or the slave's."""
+
+    name: str  # m or s
+    has: EndHas
+    axes: tuple[Axis, ...]
+    stages: tuple[Stage, ...]
+    cells: tuple[tuple[Record, str], ...]  # of a row of its record
+    memory: tuple[tuple[Record, str], ...]  # what it keeps from tick to tick
+    fields: tuple[str, ...]  # of its law's sums
+    tx_wave: str
+    rx_wave: str
+    got: Any  # is there a message to play at this tick
+    newest: Any  # number of the newest message that was played, -1 before the first
+    age: float  # of the newest message, s
+    g: float  # the watchdog's gain
+    E_port: float  # the ledgers, J
+    E_in: float
+    E_out: float
+
+    begin: Callable[..., Any]  # the functions of its law
+    law: Callable[..., Any]
+    total: Callable[..., Any]
+    Sums: Callable[..., Any]
+
+    def __init__(self, name: str, axes: int, has: EndHas) -> None:
+        super().__init__(name)
+        self.name, self.has = name, has
+        self.axes = tuple([Axis(f"{name}{i}", i) for i in range(axes)])
+        self.tx_wave, self.rx_wave = ("u", "w") if name == "m" else ("w", "u")
+
+
+class Run(Record):
+    """Both ends, or one of a live run."""
+
+    has: RunHas
+    m: End
+    s: End
+    ends: tuple[End, ...]
+    recorder: Recorder
+    dt: float
+    half_dt: float
+    span: float  # since the last tick, s
+    law: Any
+    zero: Any  # 0.0 in every lane
+    alive: Any  # the lanes that are within bounds
+    capped: int  # ticks with more contact events than are followed
+    grip: Any  # coefficients of the master's motion
+
+    grip_force: Callable[..., Any]
+    held_force: Callable[..., Any]
+    move_gripped: Callable[..., Any]
+    move_free: Callable[..., Any]
+    move_held: Callable[..., Any]
+
+
+class Recorder(Record):
+    """What a run leaves behind."""
+
+    def begin(self, run: Run, asked: Any, size: int) -> None:
+        """Before the first tick. `asked`: where to put it; `size`: how many ticks messages are on their way."""
+
+    def step(self, run: Run, k: int) -> None:
+        """After both ends' tick k."""
+
+    def lost(self, run: Run, which: Any, k: int) -> None:
+        """Some of eight scenes left the bounds in tick k."""
+
+    def told(self, run: Run, ticks: int, complete: bool) -> Any:
+        """What the run returns after so many ticks; `complete`: it came to its end."""
+
+
+class Column(NamedTuple):
+    """A column of an end's record: its name, with @ where it stands once for each axis, and where its numbers are."""
+
+    name: str
+    cells: tuple[tuple[Record, str], ...]
+
+
+class Stage(Record):
+    """One of what stands between a device and its law, or between the law and the motor.
+
+    A subclass says in one file which numbers it is given, what it keeps in variables of its own, what it does in a
+    tick, and what of it is recorded. At a tick the stages `read` in their order, then the law answers, then they `act`
+    in the same order. `teleop.stages.order` says which ends have it.
+    """
+
+    name: ClassVar[str]
+    reading: ClassVar[bool] = False  # its columns stand before those of the forces
+    wants_dx: ClassVar[bool] = False
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        """Its numbers; `places` are those where the end starts, as the stages before read them (m, per axis)."""
+        return ()
+
+    def __init__(self, e: str, axes: int) -> None:
+        super().__init__(e)
+
+    def columns(self, e: End) -> tuple[Column, ...]:
+        """What of it is recorded."""
+        return ()
+
+    def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
+        """What of it is a state of the loop, where that is linear."""
+        return ()
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        """Before the first tick."""
+
+    def late(self, run: Run, e: End, ticks: int, since: int) -> None:
+        """At a live end `ticks` have passed since it last ran, and `since` since its force was set."""
+
+    def read(self, run: Run, e: End, k: int) -> None:
+        """Change what the device reads."""
+
+    def situate(self, run: Run, e: End) -> None:
+        """Change what the law is told."""
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        """Change the force that the law commands."""
+
+
+def per_axis(name: str, records: tuple[Record, ...], field: str) -> Column:
+    """A column that stands once for each axis."""
+    return Column(f"{name}@", tuple([(each, field) for each in records]))
+
+
+def zero(run: Run) -> Any:
+    """0.0, in every lane where eight scenes stand side by side."""
+    return run.zero if run.has.lanes else 0.0

@@ -1,0 +1,100 @@
+"""The force cap and its slew limit, which come last, so that nothing makes the force jump.
+
+What stands before them acts on the force that the law asks for in this order: the watchdog's gain, the velocity cap,
+the energy budget. What is left is the force that is held, and what the law is told of as `f_held`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+from teleop.errors import number
+from teleop.stages.end import End, Places, Run, Stage
+from teleop.stages.energy_budget import BURST, BudgetLimits
+from teleop.stages.velocity_cap import FADES_FROM, SpeedLimits
+
+
+class CapLimits(NamedTuple):
+    f_max: float  # N
+    step: float  # N a tick
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cap:
+    """|f| <= f_max (N) and |df/dt| <= slew (N/s), per axis; drive at less than v_max (m/s) and with `power` (W) alone.
+
+    At the end of a live run the force goes to zero within `slew` and `v_max`. The work that it does on that way, at
+    most |f| ramp/2 + f^2/(2 slew) times the speed, is not counted against `power`.
+
+    `slew`, `v_max` and `power` are left out with None. For the last two see `limit_speed` and `limit_power`, which
+    say what they promise and when.
+    """
+
+    f_max: float
+    slew: float | None = None
+    v_max: float | None = None
+    power: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "f_max", number("f_max", self.f_max, low=0.0))
+        for name, value, low, above in (
+                ("slew", self.slew, None, 0.0), ("v_max", self.v_max, 1e-9, None), ("power", self.power, None, 0.0)):
+            if value is not None:
+                object.__setattr__(self, name, number(name, value, low=low, above=above))
+
+    def limits(self, dt: float) -> CapLimits:
+        """What `cap` computes with."""
+        return CapLimits(self.f_max, float("inf") if self.slew is None else self.slew * dt)
+
+    def speed(self) -> SpeedLimits | None:
+        """What `limit_speed` computes with."""
+        return None if self.v_max is None else SpeedLimits(
+            self.v_max, 1.0 / ((1.0 - FADES_FROM) * self.v_max), self.f_max)
+
+    def budget(self, dt: float) -> BudgetLimits | None:
+        """What `spend`, `refill` and `limit_power` compute with."""
+        return None if self.power is None else BudgetLimits(self.power * BURST, self.power * dt)
+
+
+def cap(c: CapLimits, f: float, f_held: float) -> float:
+    """`f` within the cap, and within one tick's slew of `f_held`. NaN stays NaN: it must be seen."""
+    f_max, step = c
+    # min and max keep their first argument when the comparison with NaN fails.
+    return max(min(max(min(f, f_max), -f_max), f_held + step), f_held - step)
+
+
+class OverflowStage(Stage):
+    """A force that is infinite becomes NaN before the cap, which would make a plausible one of it: it must be seen."""
+
+    name: ClassVar[str] = "overflow"
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for a in e.axes:
+            a.f_cmd = a.f_cmd + 0.0 * a.f_cmd
+
+
+class ForceCapStage(Stage):
+    """`Cap(f_max=..., slew=...)`."""
+
+    name: ClassVar[str] = "force_cap"
+    c_cap: CapLimits
+    c_once: CapLimits  # of one tick
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return scene.cap.limits(dt)
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        self.c_cap = given
+        if e.has.live:
+            self.c_once = given
+
+    def late(self, run: Run, e: End, ticks: int, since: int) -> None:
+        # Let go after a stall: what it could have slewed in the meantime it slews now.
+        late = since if e.g <= 0.0 else 1
+        self.c_cap = self.c_once if late == 1 else self.c_once._replace(step=self.c_once.step * late)
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for a in e.axes:
+            a.f_cmd = cap(self.c_cap, a.f_cmd, a.f)

@@ -1,0 +1,41 @@
+"""The renewal of the force: at every n-th tick, and held in between."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from teleop.stages.end import End, Places, Run, Stage, zero
+from teleop.stages.record import Record
+
+
+class Renewed(Record):
+    """The force of one axis that was renewed last."""
+
+    f_renewed: float
+
+
+class RenewalStage(Stage):
+    """`Device(every=...)`, in ticks."""
+
+    name: ClassVar[str] = "renewal"
+    every: int
+
+    def __init__(self, e: str, axes: int) -> None:
+        super().__init__(e, axes)
+        self.axes = tuple([Renewed(f"{e}{i}") for i in range(axes)])
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return (scene.device_m if e == "m" else scene.device_s).every
+
+    def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
+        return tuple([(own, "f_renewed") for own in self.axes])
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        self.every = given
+        for own in self.axes:
+            own.f_renewed = zero(run)
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for a, own in zip(e.axes, self.axes, strict=True):
+            a.f_cmd = own.f_renewed = own.f_renewed if k % self.every else a.f_cmd

@@ -1,0 +1,179 @@
+"""What a kernel keeps in place of a record: running figures of its run, worked out tick by tick in order.
+
+Plain Python keeps positions of some ticks ago in lists, compiled code in the rings of `teleop.sweeps.kernels.rings`.
+Where eight scenes run side by side, each leaves the run at a tick of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+from typing import Any
+
+from teleop.stages.end import Recorder, Run, RunHas
+from teleop.stages.lanes import ago, came, received, ring, sent, tell, where, whole
+from teleop.stages.record import Record
+from teleop.sweeps.kernels.measures import KEPT, known, least, most, root_mean, sound
+
+
+class Past(Record):
+    """What one axis was some ticks ago, and how far the other end is from it."""
+
+    old_x: Any  # places of the master, m
+    old_f: Any  # forces on what the slave touches, N
+    d_x: float
+    d_f: float
+
+
+class Figures(Recorder):
+    """The figures of these names, and whether all is finite at the end."""
+
+    measures: tuple[str, ...]
+    keeps: frozenset[str]
+    axes: tuple[Past, ...]
+    magnitude: Callable[..., Any]
+    lag_x: Any  # ticks by which the master's place is compared
+    lag_f: Any
+    n_x: Any  # how many ticks were compared
+    n_f: Any
+    x_err_sq: float
+    x_err_max: float
+    f_err_sq: float
+    f_err_max: float
+    f_m_max: float
+    f_s_max: float
+    f_h_max: float
+    f_env_max: float
+    E_link: float
+    E_link_min: float
+    E_port: float
+    E_port_min: float
+    g_m_min: float
+    g_s_min: float
+    out: Any
+
+    def __init__(self, axes: int, has: RunHas, measures: tuple[str, ...]) -> None:
+        super().__init__()
+        self.measures = measures
+        self.ledgers = ("E_link",) * has.waves + ("E_port",) * has.energy
+        self.keeps = frozenset([KEPT[name] for name in measures])
+        self.axes = tuple([Past(f"{i}") for i in range(axes)])
+
+    def begin(self, run: Run, asked: Any, size: int) -> None:
+        """Before the first tick."""
+        self.lag_x = asked[0]
+        self.lag_f = asked[1]
+        if run.has.lanes:
+            self.out = asked[2]
+        if "x_err" in self.keeps:
+            self.x_err_sq = self.x_err_max = 0.0
+            for m, own in zip(run.m.axes, self.axes, strict=True):
+                own.old_x = ring(m.x, size) if run.has.compiled else [0.0] * (self.lag_x + 1)
+        if "f_err" in self.keeps:
+            self.f_err_sq = self.f_err_max = 0.0
+            for m, own in zip(run.m.axes, self.axes, strict=True):
+                own.old_f = ring(m.x, size) if run.has.compiled else [0.0] * (self.lag_f + 1)
+        for name in ("f_m_max", "f_s_max", "f_h_max", "f_env_max"):
+            if name in self.keeps:
+                setattr(self, name, 0.0)
+        if run.has.waves:
+            self.E_link = 0.0
+            self.E_link_min = inf
+        if run.has.energy:
+            self.E_port = 0.0
+            self.E_port_min = inf
+        if run.m.has.watchdog:
+            self.g_m_min = 1.0
+            self.g_s_min = 1.0
+
+    def step(self, run: Run, k: int) -> None:
+        """After both ends' tick k."""
+        if "x_err" in self.keeps:
+            self.track_x(run, k)
+        if "f_err" in self.keeps:
+            self.track_f(run, k)
+        if "f_m_max" in self.keeps:
+            self.f_m_max = most(self.f_m_max, self.magnitude(*[a.f for a in run.m.axes]))
+        if "f_s_max" in self.keeps:
+            self.f_s_max = most(self.f_s_max, self.magnitude(*[a.f for a in run.s.axes]))
+        if "f_h_max" in self.keeps:
+            self.f_h_max = most(self.f_h_max, self.magnitude(*[a.f_ext for a in run.m.axes]))
+        if "f_env_max" in self.keeps:
+            self.f_env_max = most(self.f_env_max, self.magnitude(*[a.f_ext for a in run.s.axes]))
+        if run.has.waves:
+            self.E_link = (run.m.E_in - run.s.E_out) + (run.s.E_in - run.m.E_out)
+            self.E_link_min = least(self.E_link_min, self.E_link)
+        if run.has.energy:
+            self.E_port = run.m.E_port - run.s.E_port if run.has.slave else run.m.E_port
+            self.E_port_min = least(self.E_port_min, self.E_port)
+        if run.m.has.watchdog:
+            self.g_m_min = least(self.g_m_min, run.m.g)
+            self.g_s_min = least(self.g_s_min, run.s.g)
+
+    def track_x(self, run: Run, k: int) -> None:
+        """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
+        for m, own in zip(run.m.axes, self.axes, strict=True):
+            if run.has.compiled:
+                sent(own.old_x, k, m.x)
+            else:
+                own.old_x[k % (self.lag_x + 1)] = m.x
+        self.n_x = whole(ago(k + 1, self.lag_x)) if run.has.compiled else k + 1 - self.lag_x
+        for s, own in zip(run.s.axes, self.axes, strict=True):
+            if run.has.compiled:
+                then = ago(k, self.lag_x)
+                own.d_x = where(came(then), s.x - received(own.old_x, then, s.x), 0.0)
+            else:
+                own.d_x = s.x - own.old_x[(k - self.lag_x) % (self.lag_x + 1)] if k >= self.lag_x else 0.0
+        err = self.magnitude(*[own.d_x for own in self.axes])
+        self.x_err_sq = self.x_err_sq + err * err
+        self.x_err_max = most(self.x_err_max, err)
+
+    def track_f(self, run: Run, k: int) -> None:
+        """The master's force against that on what the slave touches of `lag_f` ticks ago, 0 before there is one."""
+        for s, own in zip(run.s.axes, self.axes, strict=True):
+            if run.has.compiled:
+                sent(own.old_f, k, s.f_ext)
+            else:
+                own.old_f[k % (self.lag_f + 1)] = s.f_ext
+        self.n_f = whole(ago(k + 1, self.lag_f)) if run.has.compiled else k + 1 - self.lag_f
+        for m, own in zip(run.m.axes, self.axes, strict=True):
+            if run.has.compiled:
+                then = ago(k, self.lag_f)
+                own.d_f = where(came(then), m.f - received(own.old_f, then, m.f), 0.0)
+            else:
+                own.d_f = m.f - own.old_f[(k - self.lag_f) % (self.lag_f + 1)] if k >= self.lag_f else 0.0
+        err = self.magnitude(*[own.d_f for own in self.axes])
+        self.f_err_sq = self.f_err_sq + err * err
+        self.f_err_max = most(self.f_err_max, err)
+
+    def lost(self, run: Run, which: Any, k: int) -> None:
+        """Some of eight scenes left the bounds in tick k: their figures are as they are now."""
+        tell(self.out, which, -(k + 1), self.all(run))
+
+    def told(self, run: Run, ticks: int, complete: bool) -> Any:
+        """The ticks that ran, below zero if the run left its bounds in the last of them, and the figures."""
+        if run.has.lanes:
+            if complete:
+                tell(self.out, run.alive, ticks, self.all(run))
+            return None
+        return ticks if complete else -ticks, self.all(run)
+
+    def all(self, run: Run) -> tuple[Any, ...]:
+        """The figures in order, and 1.0 if all is finite."""
+        return (*[self.figure(run, name) for name in self.measures], sound((
+            *[getattr(a, field) for e in run.ends for field in ("x", "v", "f") for a in e.axes],
+            *[getattr(self, name) for name in self.ledgers])))
+
+    def figure(self, run: Run, name: str) -> Any:
+        """One figure."""
+        if name == "x_err_rms":
+            return root_mean(self.x_err_sq, self.n_x)
+        if name == "x_err_max":
+            return known(self.x_err_max, self.n_x)
+        if name == "f_err_rms":
+            return root_mean(self.f_err_sq, self.n_f)
+        if name == "f_err_max":
+            return known(self.f_err_max, self.n_f)
+        if name in ("E_link_end", "E_port_end"):
+            return self.E_link if name == "E_link_end" else self.E_port
+        return getattr(self, name)
