@@ -14,6 +14,7 @@ from types import CodeType, FrameType
 from typing import Any
 
 from teleop.errors import Refused
+from teleop.law.contract import Method, refusal
 from teleop.live.devices.guarded_device import Stand
 from teleop.live.meeting import meet
 from teleop.live.records.record import Recorder
@@ -37,11 +38,18 @@ def part_of(frames: Iterable[FrameType]) -> str | None:
     return found[-1] if found else None
 
 
-def sentence(error: BaseException) -> str:
-    """Which part raised `error`, and what it said."""
+def sentence(error: BaseException, law: Any = None, method: str = "") -> str:
+    """The part that raised `error`, and its text; a method of `law` with the line in its file.
+
+    `method`: the law's method at this end; an error that comes of using its answer names it.
+    """
     if isinstance(error, Refused):
         return str(error)
+    if law is not None and (refused := refusal(law, error)) is not None:
+        return str(refused)
     part = part_of(frame for frame, _ in traceback.walk_tb(error.__traceback__))
+    if law is not None and part == PARTS[Endpoint.tick.__code__]:
+        part = f"the answer of {Method(law, method).label}{Method(law, method).first_line()}"
     said = f": {text}" if (text := one_line(_text(error))) else ""
     return f"{part or 'the live loop'} raised {type(error).__name__}{said}"
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from teleop.law.contract import not_finite
 from teleop.live import fault
 from teleop.live.devices.guarded_device import Device, Stand, deadline_of
 from teleop.live.hearing import Hearing
@@ -160,7 +161,7 @@ class Shell:
         self.stand.let_go()
         if self.fault is None:
             self.fault = error
-            why = fault.sentence(error)
+            why = fault.sentence(error, self.scene.law, "master" if self.endpoint.e == "m" else "slave")
             if self.status != UNRELEASED:  # which weighs more
                 self.status, self.sentence = "stopped", f"stopped at t = {self.so_far():.3f} s: {why}"
         self.over.set()
@@ -282,7 +283,7 @@ class Shell:
             self.shown = reading, out.force
         else:
             self.endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
-            self.end("diverged", divergence(self.scene, k, f"{failed} is not finite"))
+            self.end("diverged", divergence(self.scene, k, not_finite(self.scene.law, failed)))
         self.note()
 
     def _hold(self, force: Axes) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from teleop.errors import Refused, WrongNumber
+from teleop.law.contract import LawMistake
 from teleop.scene.scene import Scene
 
 
@@ -60,6 +61,8 @@ def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refus
         same = [key for key, value in given.items() if type(value) in (int, float) and value == refused.value]
         if len(same) == 1:
             return refused.called(same[0])
+    if isinstance(refused, LawMistake):
+        return refused
     said = str(refused).replace("=", " ").split()
     if not given or any(key in said for key in given):
         return refused

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number, whole_number
 from teleop.law import law_name, messages
+from teleop.law.contract import check_contract
 from teleop.scene.parts import SHAPES, Environment, Hand, LinkLike, Vector, check_shape
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
 
@@ -58,6 +59,7 @@ class Scene:
     def __post_init__(self) -> None:
         check_shape("master", self.master)
         self._check_ends()
+        check_contract(self.law)
         for name in ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical"):
             if getattr(self, name) is not None:
                 check_shape(name, getattr(self, name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from teleop.law.contract import not_finite
 from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
@@ -23,7 +24,7 @@ def verdict(scene: Scene, trace: dict[str, Any], ran: int, end: Any) -> tuple[st
     }
     if lost:
         name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
-        return "diverged", divergence(scene, lost[name], f"{name} is not finite")
+        return "diverged", divergence(scene, lost[name], not_finite(scene.law, name))
     if end is None:
         return "ok", f"ran to its end, {ran} ticks of {scene.dt:g} s"
     far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from teleop.errors import Refused
+from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.outcome import integration, over_tolerance, standing_notes, too_old, verdict
@@ -48,7 +49,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
         (rows["m"].extend, rows["s"].extend),
     )
     began = clock() if clock else 0
-    ran, capped, end, inner = loop(*arguments)
+    ran, capped, end, inner = attempt(scene.law, loop, *arguments)
     took = clock() - began if clock else None
 
     records = {

@@ -213,8 +213,8 @@ def _run(batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
         if kernel.engine in ("plain", batch[0].kernel.engine):
             raise
         found = figures(kernel, given)
-    except ArithmeticError as error:  # plain Python alone raises it, and runs one row at a time
-        _refuse(rows[0].row, _divided(error))
+    except Refused as refused:  # the law's doing; plain Python alone raises it, and runs one row at a time
+        _refuse(rows[0].row, refused)
         return kernel
     of_plan_too = [name for name in measures if name in OF_PLAN]
     for ready, (status, ran, told) in zip(rows, found, strict=True):
@@ -223,12 +223,6 @@ def _run(batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
             told |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
         _tell(ready.row, status, ran, told)
     return kernel
-
-
-def _divided(error: ArithmeticError) -> Refused:
-    """What Python raises and compiled code does not, of a law that divides by zero."""
-    return Refused(f"the law stopped with {type(error).__name__}: {error}; guard the denominator, for example with "
-                   "max(.., 1e-12)")
 
 
 def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
@@ -252,10 +246,7 @@ def _whole_runs(measures: tuple[Measure, ...], waves: bool) -> bool:
 
 def _recorded(scene: Scene, seed: int, measures: Sequence[Measure], row: Row) -> tuple[str, int, dict[str, float]]:
     """A whole run, for figures that need its record; of a figure that fails `row` has the sentence."""
-    try:
-        result = run(scene, seed=seed)
-    except ArithmeticError as error:
-        raise _divided(error) from error
+    result = run(scene, seed=seed)
     told = {}
     for one in measures:
         if isinstance(one, str):

@@ -294,9 +294,9 @@ def test_of_a_law_that_raises_at_its_first_tick_there_is_a_traceback(where: str,
     master = command("master", "broken.py", "--peer", f"127.0.0.1:{slave.port()}", "--json")
     code, _, err = slave.end()
     assert (code, err.count("\n")) == (1, 1), err
-    assert "the law raised IndexError: of a law; its traceback is in " in err
+    assert f"Broken.{where} (broken.py:9) raised IndexError: of a law; mend that line; its traceback is in " in err
     assert "broken.py" in (tmp_path / "s" / fault.FILE).read_text()
-    assert "the law raised IndexError" in str(master.end())
+    assert f"Broken.{where} (broken.py:9) raised IndexError" in str(master.end())
 
 
 def test_a_fault_whose_own_text_cannot_be_had_has_a_sentence() -> None:

@@ -14,6 +14,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.law import law_name
+from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.given import numbers_of, record
@@ -108,8 +109,8 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
         for row, lag in zip(rows, lags, strict=True):
             numbers, law, dt, x_limit, start_m, start_s, held = row.tree
             forth, back = [None if plan is None else plan.play for plan in row.water.plans]
-            told.append(Told(*own_loop(numbers, law, dt, row.ticks, x_limit, start_m, start_s, back, forth,
-                                       row.water.size, row.path, held, lag)))
+            told.append(Told(*attempt(law, own_loop, numbers, law, dt, row.ticks, x_limit, start_m, start_s, back,
+                                      forth, row.water.size, row.path, held, lag)))
         return told
 
     return Kernel("plain", tuple(measures), run)

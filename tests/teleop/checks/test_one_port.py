@@ -103,18 +103,18 @@ def raises(s: Any, at: At) -> Any:
 SLIPS = [
     ({"force": None}, "has no force; a one-port law has start and force"),
     ({"start": None}, "has no start; a one-port law has start and force"),
-    ({"start": lambda at: [at.x]}, "start: the state is"),
-    ({"start": lambda at: S(0)}, "start: the state has y=0 of type int"),
-    ({"start": lambda at: S(1.0 / at.x)}, "start raised ZeroDivisionError"),
-    ({"start": starts_on_force}, "start reads f, but"),
-    ({"force": lambda s, at: 10.0 * at.x}, r"answers \(force, state\)"),
-    ({"force": lambda s, at: (10.0 * at.x, S(at.x), S(at.x))}, r"answers \(force, state\)"),
-    ({"force": lambda s, at: (at.x > 0.0, s)}, "answer a float"),
-    ({"force": lambda s, at: (at.x, T(at.x))}, "answered a state of type T where the start gave S"),
-    ({"force": lambda s, at: (at.x, S(1))}, "force: the state has y=1 of type int"),
-    ({"force": lambda s, at: (at.x / (at.v + 1e-320), s)}, "to finite arguments"),
-    ({"force": lambda s, at: (at.x, S(math.inf))}, "to finite arguments"),
-    ({"force": raises}, "force raised OverflowError"),
+    ({"start": lambda at: [at.x]}, "returns the state"),
+    ({"start": lambda at: S(0)}, "start .* returns the state with y=0 of type int"),
+    ({"start": lambda at: S(1.0 / at.x)}, "raised ZeroDivisionError"),
+    ({"start": starts_on_force}, "reads f, but Spoilt.force does not"),
+    ({"force": lambda s, at: 10.0 * at.x}, "returns 0.0 of type float; write return force, state"),
+    ({"force": lambda s, at: (10.0 * at.x, S(at.x), S(at.x))}, "returns 3 values; write return force, state"),
+    ({"force": lambda s, at: (at.x > 0.0, s)}, "returns the force False of type bool; write it as a float"),
+    ({"force": lambda s, at: (at.x, T(at.x))}, "returns a state of type T, but start one of type S"),
+    ({"force": lambda s, at: (at.x, S(1))}, "force .* returns the state with y=1 of type int"),
+    ({"force": lambda s, at: (at.x / (at.v + 1e-320), s)}, "for finite arguments"),
+    ({"force": lambda s, at: (at.x, S(math.inf))}, "for finite arguments"),
+    ({"force": raises}, "raised OverflowError"),
     ({"force": counting()}, "differently the second time"),
     ({"force": hides}, "reads v where it cannot be seen"),
     ({"claims": frozenset({"E_link"})}, "a one-port law has no link"),
@@ -148,7 +148,7 @@ def test_a_law_that_changes_itself_is_found() -> None:
             object.__setattr__(self, "K", 2.0)
             return at.x, s
 
-    with pytest.raises(Refused, match="changed the law"):
+    with pytest.raises(Refused, match=r"Sly.force \(.*py:\d+\) changes the law, K=2.0"):
         check_law(Sly())
 
 

@@ -159,7 +159,7 @@ class Breaks:
 def test_a_force_that_is_no_number_is_named() -> None:
     got = run(load_scene("canonical", law=Breaks(at=0.02)))
     assert got.status == "diverged"
-    assert "f_m is not finite; a smaller dt" in got.sentence
+    assert "f_m is not finite, as Breaks.master returned; a smaller dt" in got.sentence
     assert np.isnan(got.trace["f_m"][-1])
     assert np.isfinite(got.trace["f_m"][:-1]).all()
 

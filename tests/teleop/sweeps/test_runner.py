@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -223,11 +224,10 @@ def test_a_metric_that_fails_in_one_row_loses_no_other() -> None:
 
 @pytest.mark.parametrize("metrics", [["x_err_rms"], ["E_fwd_min", "x_err_rms"]])
 def test_a_law_that_divides_by_zero_in_one_row_loses_no_other(metrics: list[str]) -> None:
-    laws = [Divides(K=0.0), Divides(K=300.0)]
-    bad, good = rows(sweep("canonical", {"law": laws}, fixed={"duration": 0.1}, metrics=metrics, engine="plain"))
+    laws = [Divides(K=300.0), Divides(K=0.0)]
+    good, bad = rows(sweep("canonical", {"law": laws}, fixed={"duration": 0.1}, metrics=metrics, engine="plain"))
     assert bad["status"] == "refused"
-    assert "ZeroDivisionError" in bad["sentence"]
-    assert "max(.., 1e-12)" in bad["sentence"]
+    assert re.match(r"Divides\.slave \(.*test_runner\.py:\d+\) raised ZeroDivisionError: .*; guard", bad["sentence"])
     assert good["status"] == "ok"
 
 
