@@ -60,7 +60,7 @@ def declared(hint: Any) -> tuple[Any, Knob]:
     """
     if get_origin(hint) is Annotated:
         kind, knob = declared(get_args(hint)[0])
-        return kind, next((each for each in hint.__metadata__ if isinstance(each, Knob)), knob)
+        return kind, next((each for each in reversed(hint.__metadata__) if isinstance(each, Knob)), knob)
     if get_origin(hint) in (Union, UnionType):
         parts = [declared(part) for part in get_args(hint)]
         knobs = [knob for _, knob in parts if knob is not UNDECLARED]
@@ -88,10 +88,13 @@ def _with_default(found: tuple[Any, Knob], default: object) -> tuple[Any, Any, K
 
 
 def check_knobs(part: Any) -> None:
-    """Refuse a part, a dataclass of numbers, of which one is not finite or is out of the bounds that it declares."""
-    for name, found in knobs_of_fields(type(part)).items():
-        knob = found.knob
-        number(name, getattr(part, name), low=knob.low, above=knob.above, high=knob.high, unit=knob.unit)
+    """Refuse a dataclass with a number that is not finite, or a value that is out of the bounds that it declares."""
+    for name, (kind, _, knob) in knobs_of_fields(type(part)).items():
+        value = getattr(part, name)
+        if kind in (float, int):
+            number(name, value, low=knob.low, above=knob.above, high=knob.high, unit=knob.unit)
+        else:
+            knob.check(name, value)
 
 
 LinkDelay = Annotated[float, Knob("s", "delay of the link, each way", low=0.0, link=True)]

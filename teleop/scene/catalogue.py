@@ -14,7 +14,7 @@ from teleop.knob import Declared, Knob, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.naming import known
 from teleop.scene.knobs import knobs_of
-from teleop.scene.library import ROOT, built_in_scenes, house, known_scenes, scene_function
+from teleop.scene.library import ROOT, built_in_scenes, import_bundled, known_scenes, scene_function
 from teleop.stages.velocity.named import ESTIMATORS
 
 MEANINGS = {  # of knobs that declare nothing, by their type
@@ -27,7 +27,7 @@ MEANINGS = {  # of knobs that declare nothing, by their type
 
 def overview() -> str:
     """Scenes, laws and effects with a line each; those of plug-ins are named without being imported."""
-    effects = house("channel.link").known_effects()
+    effects = import_bundled("channel.link").known_effects()
     laws = known_laws()
     parts = {
         "scenes": [(name, _scene_line(name)) for name in known_scenes()],
@@ -41,7 +41,7 @@ def overview() -> str:
 
 def details(name: str) -> str:
     """The knobs of whatever is called `name`, scene, law or effect. Raises `Refused` if nothing is."""
-    effects: Mapping[str, str] = house("channel.link").known_effects()
+    effects: Mapping[str, str] = import_bundled("channel.link").known_effects()
     laws, scenes = known_laws(), known_scenes()
     parts = []
     if name in scenes or name.endswith(".py"):
@@ -139,4 +139,4 @@ def _scene_line(name: str) -> str:
 
 def _load(where: str) -> Any:
     module, _, attribute = where.partition(":")
-    return getattr(house(module) if module.startswith("channel.") else import_module(module), attribute)
+    return getattr(import_bundled(module) if module.startswith("channel.") else import_module(module), attribute)

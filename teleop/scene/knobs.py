@@ -15,7 +15,7 @@ from typing import Any, get_args, get_type_hints
 from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
 from teleop.knob import UNDECLARED, Declared, declared
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, law_name
-from teleop.scene.library import house
+from teleop.scene.library import import_bundled
 from teleop.scene.playout import Fixed, Hold, Zero
 
 _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
@@ -198,7 +198,7 @@ def _playout(key: str, value: object) -> Zero | Hold | Fixed:
 
 
 def _link(value: object) -> tuple[str, Any]:
-    module = house("channel.link")
+    module = import_bundled("channel.link")
     if value is None or value == "none":
         return "none", None
     if isinstance(value, str):

@@ -1,15 +1,18 @@
 """Where scenes are found: those shipped beside this package, those of plug-ins, those at a path.
 
-Built-in scenes are loaded from the folder beside the installed `teleop` package, so that a folder
-`scenarios` or a file `master.py` where the command is typed shadows nothing.
+A scene's file imports `master`, `slave` and `channel`, and modules that lie beside it. Two finders on `sys.meta_path`
+see to both, so that `sys.path` stays as it is: the first one finds the packages of this distribution beside `teleop`,
+so that a folder `scenarios` or a file `master.py` where the command is typed shadows nothing; the last one finds what
+lies beside the scenes' files that were loaded, behind all that is installed.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from hashlib import sha256
 from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,26 +25,52 @@ if TYPE_CHECKING:
     from teleop.scene.scene import Scene
 
 GROUP = "teleop.scenes"  # of entry points
-ROOT = Path(__file__).resolve().parents[2]  # holds teleop, master, slave, channel and scenarios
-_FOLDERS: list[str] = []  # of the scenes' files that were loaded, the newest first: the end of sys.path
+PACKAGES = ("master", "slave", "channel", "scenarios")  # of this distribution, beside teleop
+ROOT = Path(__file__).resolve().parents[2]  # holds teleop and PACKAGES
+_FOLDERS: list[str] = []  # of the scenes' files that were loaded, the newest first
 
 
-def house(module: str) -> Any:
-    """Import a module of this distribution, whatever lies in the current folder."""
-    top = module.partition(".")[0]
-    if top not in sys.modules:
-        sys.path.insert(0, str(ROOT))
-        try:
-            import_module(top)
-        finally:
-            sys.path.remove(str(ROOT))
-    origin = getattr(sys.modules[top], "__file__", None) or ""
-    if ROOT not in Path(origin).resolve().parents:
-        raise Refused(
-            f"the package {top!r} was taken from {origin or 'elsewhere'}, not from beside teleop; rename that one, "
-            f"or run from another folder"
-        )
+class BundledFinder:
+    """Finder of the packages of this distribution, whatever lies in the current folder."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: Any = None) -> ModuleSpec | None:
+        """The package `name` beside `teleop`; none for any other module."""
+        return PathFinder.find_spec(name, [str(ROOT)], target) if path is None and name in PACKAGES else None
+
+
+class SceneFolderFinder:
+    """Finder of the modules that lie beside the scenes' files that were loaded."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: Any = None) -> ModuleSpec | None:
+        """The module `name` in the folder of the newest scene that has one."""
+        return PathFinder.find_spec(name, _FOLDERS, target) if path is None and _FOLDERS else None
+
+
+def import_bundled(module: str) -> Any:
+    """Import a module of this distribution, whatever lies in the current folder.
+
+    Raises `Refused` if its package has been imported from elsewhere.
+    """
+    prefer_bundled()
     return import_module(module)
+
+
+def prefer_bundled() -> None:
+    """Make later imports find the packages of this distribution, without importing them now.
+
+    Raises `Refused` if one of them has been imported from elsewhere.
+    """
+    if BundledFinder not in sys.meta_path:
+        sys.meta_path.insert(0, BundledFinder)
+        sys.meta_path.append(SceneFolderFinder)
+    for package in PACKAGES:
+        if package in sys.modules:
+            origin = getattr(sys.modules[package], "__file__", None) or ""
+            if ROOT not in Path(origin).resolve().parents:
+                raise Refused(f"the package {package!r} was taken from {origin or 'elsewhere'}, not from beside "
+                              "teleop; rename that one, or run from another folder")
 
 
 def built_in_scenes() -> list[str]:
@@ -56,8 +85,7 @@ def known_scenes() -> list[str]:
 
 def scene_function(name: str) -> Callable[..., Scene]:
     """The function behind a scene's name or path; its keyword parameters are the scene's knobs."""
-    for package in ("master", "slave", "channel", "scenarios"):
-        _claim(package)  # the hands, robots and effects that a scene file imports must be ours too
+    prefer_bundled()  # the hands, robots and effects that a scene file imports must be ours too
     if name.endswith(".py"):
         module = _from_path(Path(name))
     else:
@@ -66,16 +94,6 @@ def scene_function(name: str) -> Callable[..., Scene]:
     if not callable(function):
         raise Refused(f"{name} has no function called `scene`; write `def scene(*, k_e: float = 1e3) -> Scene:` in it")
     return function  # type: ignore[no-any-return]  # what it returns is checked when it has run
-
-
-def _claim(package: str) -> None:
-    """Make later imports of `package` find ours, without importing it now."""
-    if package in sys.modules:
-        house(package)
-    elif str(ROOT) != (sys.path[0] if sys.path else None):
-        if str(ROOT) in sys.path:
-            sys.path.remove(str(ROOT))
-        sys.path.insert(0, str(ROOT))
 
 
 def _from_path(path: Path) -> Any:
@@ -124,8 +142,8 @@ def beside(path: Path) -> dict[str, Path]:
 def _let_import_from(path: Path) -> None:
     """Let a scene's file import what lies beside it, as Python lets a script: now, and whenever it asks.
 
-    Behind all that is installed, which stays what it is whatever lies there; before the folders of earlier scenes.
-    Raises `Refused` if the scene asks for a module of whose name this process has another scene's by now.
+    All that is installed is found first; then this folder, then those of earlier scenes. Raises `Refused` if the scene
+    asks for a module whose name stands for a module of another scene in this process.
     """
     folder = path.resolve().parent
     for name in beside(path):
@@ -134,10 +152,7 @@ def _let_import_from(path: Path) -> None:
         if file and where != folder and str(where) in _FOLDERS:
             raise Refused(f"{path} imports {name}, and {file} has been imported by that name; rename one of the two, "
                           f"or run the scenes one by one")
-    own = str(folder)
-    if own in _FOLDERS or own not in sys.path:
-        _FOLDERS[:] = [own, *(each for each in _FOLDERS if each != own)]
-        sys.path[:] = [*(each for each in sys.path if each not in _FOLDERS), *_FOLDERS]
+    _FOLDERS[:] = [str(folder), *(each for each in _FOLDERS if each != str(folder))]
 
 
 def _imported(path: Path) -> set[str]:

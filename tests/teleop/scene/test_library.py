@@ -6,6 +6,7 @@ import importlib.metadata
 import sys
 import types
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import teleop.scene.library
 from teleop import Refused, load_scene
 from teleop.__main__ import main
 from teleop.scene.knobs import knobs_of
-from teleop.scene.library import ROOT, beside, built_in_scenes, house, known_scenes, scene_function
+from teleop.scene.library import ROOT, beside, built_in_scenes, import_bundled, known_scenes, scene_function
 
 
 class TestBuiltIn:
@@ -90,14 +91,14 @@ class TestOfPlugIns:
 
 class TestTheHouse:
     def test_is_found_beside_teleop(self) -> None:
-        assert Path(house("channel.delay").__file__).is_relative_to(ROOT)
+        assert Path(import_bundled("channel.delay").__file__).is_relative_to(ROOT)
 
     def test_is_not_taken_from_elsewhere(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         stranger = types.ModuleType("slave")
         stranger.__file__ = str(tmp_path / "slave.py")
         monkeypatch.setitem(sys.modules, "slave", stranger)
         with pytest.raises(Refused, match=r"'slave' was taken from .*slave.py"):
-            house("slave.wall")
+            import_bundled("slave.wall")
         with pytest.raises(Refused, match="was taken from"):
             scene_function("canonical")
 
@@ -107,7 +108,6 @@ class TestBesideAScenesFile:
 
     @pytest.fixture(autouse=True)
     def _as_before(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-        monkeypatch.setattr(sys, "path", [each for each in sys.path if each not in teleop.scene.library._FOLDERS])
         monkeypatch.setattr(teleop.scene.library, "_FOLDERS", [])
         before = set(sys.modules)
         yield
@@ -124,6 +124,20 @@ class TestBesideAScenesFile:
     def test_a_module_is_imported(self, tmp_path: Path) -> None:
         assert knobs_of(scene_function(self.written(tmp_path, 3.0)))["k"][:2] == (float, 3.0)
 
+    def test_the_search_path_of_python_stays_as_it_is(self, tmp_path: Path) -> None:
+        """The scene's folder was left in sys.path, and the root of the packages before all else."""
+        before = list(sys.path)
+        scene_function(self.written(tmp_path, 3.0))
+        assert sys.path == before
+
+    def test_a_module_is_imported_by_a_thread_and_by_a_law_that_asks_late(self, tmp_path: Path) -> None:
+        (tmp_path / "gains.py").write_text("K = 5.0\n")
+        (tmp_path / "law_mine.py").write_text("def gain():\n    from gains import K\n    return K\n")
+        (tmp_path / "mine.py").write_text("from law_mine import gain\ndef scene(): return gain\n")
+        function: Any = scene_function(str(tmp_path / "mine.py"))
+        with ThreadPoolExecutor(1) as one:
+            assert one.submit(function()).result() == 5.0
+
     def test_a_module_is_imported_when_the_scene_is_made(self, tmp_path: Path) -> None:
         (tmp_path / "late_one.py").write_text("K = 4.0\n")
         (tmp_path / "mine.py").write_text("def scene():\n    import late_one\n    return late_one.K\n")
@@ -133,8 +147,7 @@ class TestBesideAScenesFile:
     def test_what_is_installed_stays_what_it_is(self, tmp_path: Path) -> None:
         (tmp_path / "colorsys.py").write_text("raise AssertionError\n")
         (tmp_path / "mine.py").write_text("import colorsys\ndef scene(*, k: float = colorsys.ONE_THIRD): ...\n")
-        scene_function(str(tmp_path / "mine.py"))
-        assert sys.path[-1] == str(tmp_path)
+        assert knobs_of(scene_function(str(tmp_path / "mine.py")))["k"].default == 1.0 / 3.0
 
     def test_of_two_scenes_each_has_its_own(self, tmp_path: Path) -> None:
         for k, folder in enumerate(("a", "b"), start=1):
