@@ -84,8 +84,9 @@ def _two(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]) -> None:
     for axes in (top, passed, felt):
         axes.set_yscale("log")
     passed.axhline(1.0, color=DARK, linewidth=0.6)
-    for axes, label in ((top, "impedance (N s/m)"), (eta, "Llewellyn's parameter"), (passed, "what is passed on"),
-                        (felt, "impedance (N s/m)")):
+    labels = {top: "impedance (N s/m)", eta: "Llewellyn's parameter", passed: "force and velocity ratio",
+              felt: "impedance (N s/m)"}
+    for axes, label in labels.items():
         _frequency(axes, label)
         _legend(axes)
     for axes in (top, eta):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,6 +27,7 @@ from teleop.storage.strict_json import (
     text,
     truth,
     whole,
+    write_document,
 )
 
 JSON: Any = st.recursive(
@@ -101,3 +103,19 @@ class TestTheSummaryOfARun:
         except Misshapen as wrong:
             said = str(wrong)
         assert said.startswith("summary.json")
+
+
+def test_a_document_is_written_whole_and_reads_back(tmp_path: Path) -> None:
+    write_document(tmp_path / "summary.json", {"K": float("inf"), "corners": [(0.0, 1.5)]})
+    assert parse((tmp_path / "summary.json").read_bytes()) == {"K": "inf", "corners": [[0.0, 1.5]]}
+    with pytest.raises(RecursionError):
+        write_document(tmp_path / "summary.json", deep(100_000))
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+
+
+def deep(levels: int) -> list[Any]:
+    """Lists within lists, too many to write."""
+    found: list[Any] = []
+    for _ in range(levels):
+        found = [found]
+    return found

@@ -199,7 +199,7 @@ class TestTheCommand:
     def test_leaves_the_folder_that_threads_leave(self, rig: Rig, tmp_path: Path) -> None:
         out, err = typed(tmp_path, *self.WORDS, "--cluster", rig.address.removeprefix("tcp://")).communicate()
         assert err == ""
-        assert re.search(f"cluster  {rig.address}, rows by [12] of its workers\n", out)
+        assert re.search(f"cluster   {rig.address}, rows by [12] of its workers\n", out)
         far = tmp_path / "runs" / "soft_tissue-sweep"
         assert sorted(lines(far)) == list(range(12))
         told = json.loads(typed(tmp_path, *self.WORDS, "--json", "--out", "here").communicate()[0])

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from teleop.terminal.progress import Progress, RowsProgress
+from teleop.terminal.progress import Progress, RowsProgress, shown_on
 
 
 class Terminal(io.StringIO):
@@ -191,3 +191,23 @@ class TestProgressElsewhere:
             progress.show(k, k * 0.01)
         progress.end()
         assert stream.getvalue() == ""
+
+
+class TestShownOn:
+    def test_a_stream_tells_how_much_is_done_and_goes_on_below_whatever_happens(self) -> None:
+        stream, now = Terminal(), iter([0.0, 1.0])
+
+        def fail_half_way() -> None:
+            with shown_on(stream, lambda: next(now), 2.0) as show:
+                show(0.0, "begun")
+                show(1.0, "half")
+                raise ZeroDivisionError
+
+        with pytest.raises(ZeroDivisionError):
+            fail_half_way()
+        assert stream.lines()[-2].split() == ["[##########..........]", "50%", "1.0", "s", "left", "half"]
+        assert stream.getvalue().endswith("\n")
+
+    def test_no_stream_tells_nothing(self) -> None:
+        with shown_on(None, lambda: 0.0) as show:
+            show(0.5, "half")
