@@ -17,22 +17,19 @@ from teleop.errors import Refused, nearest
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
-from teleop.sweeps.chunk import WHOLE, Done, Job, Measure, whole_runs, work
+from teleop.sweeps.chunk import Done, Job, work
+from teleop.sweeps.engine import Measure, choose
 from teleop.sweeps.grid import Grid, grid, listed, plain
 from teleop.sweeps.kernels.digest import digest, file_digest, sources
 from teleop.sweeps.kernels.kernel import available
 from teleop.sweeps.store import Store
 from teleop.sweeps.table import Table, TableBuilder
 
-ENGINES = ("plain", "scalar", "vector")
 CHUNK = 0.5  # s of work that a chunk aims at
 LARGEST = 4096  # rows in one
 POLL = 1.0  # s after which an executor is asked again how much it can take
-WORTH = 4.0  # s of plain Python above which compiling is worth its time
-PLAIN = 4e-6  # s a tick, about
 MOST_LAWS = 32  # of an axis that are looked at beforehand
 ENDS = ("master_start", "slave_start", "master", "slave", "master_sums", "slave_sums", "start", "force")
-FEW = 16  # rows that are not worth putting side by side
 USUAL = ("x_err_rms", "x_err_max", "f_m_max", "E_link_min", "E_port_min")
 
 Show = Callable[[int, int], None]
@@ -99,7 +96,7 @@ def prepare(
     others = _of_each_law(scene, points, fixed)
     known = {name for one in (first, *others) for name in available(one)}
     measures = tuple(name for name in USUAL if name in known) if metrics is None else _checked(metrics)
-    chosen, why = _engine(engine, first, len(points), measures)
+    chosen, why = choose(engine, first, len(points), measures)
     # As the scene has it, so that "0.30" and 0.3 are the same sweep.
     read = {key: first.knobs[key] for key, value in fixed.items()
             if isinstance(value, str) and isinstance(first.knobs.get(key), bool | int | float)}
@@ -147,29 +144,6 @@ def _own_sources(name: str, laws: Iterable[Any], measures: Iterable[Measure]) ->
     for part in (*functions, *[one for one in measures if not isinstance(one, str)]):
         texts += sources([part])
     return digest(texts) if texts else ""
-
-
-def _engine(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
-    from importlib.util import find_spec
-
-    if asked is None and whole_runs(measures, scene):
-        return "plain", WHOLE
-    if asked is not None:
-        if asked not in ENGINES:
-            raise Refused(f"there is no engine {asked!r}; {nearest(asked, ENGINES)}")
-        if asked != "plain":
-            from teleop.sweeps.kernels.compiled import need_numba
-
-            need_numba(asked)
-        return asked, "as asked for"
-    seconds = PLAIN * scene.ticks * rows
-    if seconds < WORTH:
-        return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
-    if find_spec("numba") is None:
-        return "plain", "numba is not installed; with it this would be some 50 times faster (the extra `batch`)"
-    if rows < FEW:
-        return "scalar", f"about {seconds:.3g} s of plain Python in {rows} rows, so it is compiled for one at a time"
-    return "vector", f"about {seconds:.3g} s of plain Python, so it is compiled for eight rows at once"
 
 
 def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str | None = None, show: Show | None = None

@@ -1,29 +1,21 @@
-"""What rows of sweeps have in common and is made once in a process: kernels, schedules, the paths of hands."""
+"""What rows of sweeps have in common and is made once in a process: the schedules of links and the paths of hands."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from pickle import UnpicklingError
 from threading import Lock
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.law import functions_of
 from teleop.scene.scene import Scene
-from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
+from teleop.simulation.bodies import reference_samples
 from teleop.simulation.plan import link_plans
-from teleop.simulation.structure import structure_of
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, Water, figures, plain, tree_of
-from teleop.sweeps.kernels.leaves import Leaves, leaves
+from teleop.sweeps.kernels.kernel import Water
 
-KEPT = 64  # kernels
 TICKS = 4_000_000  # of schedules and paths, about: 64 MB
-PLAINER = {"vector": "scalar", "scalar": "plain"}
 
 _HELD: dict[Any, tuple[Any, int]] = {}  # what was made, and for how many ticks
-_KERNELS: dict[Any, Kernel] = {}
-_MAKING, _KEEPING = Lock(), Lock()
+_KEEPING = Lock()
 
 
 class Schedules:
@@ -87,52 +79,3 @@ def _once(key: Any, ticks: int, make: Callable[[], Any]) -> Any:
         while total > TICKS and len(_HELD) > 1:
             total -= _HELD.pop(next(iter(_HELD)))[1]
     return made
-
-
-def kernel_of(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, stamp: object = None
-              ) -> tuple[Kernel, Leaves | None]:
-    """The kernel of a scene's structure, by `engine`, or by a plainer one where it is not made for that.
-
-    With it the row's numbers laid out flat, if it is compiled. `stamp`: what else tells it from others.
-    """
-    flat, why = None, ""
-    if engine != "plain":
-        try:
-            flat = leaves(tree_of(scene, bodies))
-        except NotCompiled as reason:
-            engine, why = "plain", str(reason)
-    velocities = [type(device.velocity) for device in (scene.device_m, scene.device_s) if device is not None]
-    # What the text depends on, and the functions that it names.
-    key = (engine, why, measures, structure_of(scene), functions_of(scene.law), stamp, *velocities,
-           flat and flat.shape, *bodies.functions().values())
-    kernel = _KERNELS.get(key)
-    if kernel is None:
-        with _MAKING:
-            kernel = _KERNELS.get(key) or _made(scene, bodies, measures, engine, why)
-            while len(_KERNELS) >= KEPT:
-                del _KERNELS[next(iter(_KERNELS))]
-            _KERNELS[key] = kernel
-    return kernel, None if kernel.engine == "plain" else flat
-
-
-def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
-    if engine == "plain":
-        return plain(scene, bodies, measures)._replace(why=why)
-    from importlib import import_module
-
-    from teleop.sweeps.kernels.compiled import cause
-
-    make = getattr(import_module(f"teleop.sweeps.kernels.{engine}"), engine)
-    two = replace(scene, duration=min(scene.ticks, 2) * scene.dt)  # ticks, enough to have it compiled
-    given = Inputs(None, leaves(tree_of(two, exact_bodies(two))), two.ticks, Water.of(link_plans(two, 0)),
-                   path_of(two, compiled=True))
-    try:
-        try:
-            kernel: Kernel = make(scene, bodies, measures)
-            figures(kernel, [given])
-        except (OSError, EOFError, UnpicklingError, UnicodeDecodeError):  # the cache is full, or damaged
-            kernel = make(scene, bodies, measures, keep=False)
-            figures(kernel, [given])
-    except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
-        return _made(scene, bodies, measures, PLAINER[engine], cause(error))
-    return kernel._replace(why=why, plainer=lambda reason: _made(scene, bodies, measures, PLAINER[engine], reason))

@@ -1,0 +1,142 @@
+"""The engine of a sweep: which of plain, scalar and vector runs its rows, and the kernel that an engine makes.
+
+An engine is chosen once for a sweep (`choose`). A structure of scene that it has no kernel for falls back to the
+engine behind it, row by row the same bits: vector to scalar, scalar to plain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
+from pickle import UnpicklingError
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from teleop.errors import Refused, nearest
+from teleop.law import functions_of
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import Bodies
+from teleop.simulation.plan import link_plans
+from teleop.simulation.prepared import Prepared, prepare
+from teleop.sweeps.kernels.digest import constants
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, Water, figures, names_of, plain, tree_of
+from teleop.sweeps.kernels.leaves import Leaves, leaves
+from teleop.sweeps.shared import path_of
+
+if TYPE_CHECKING:
+    from teleop.simulation.result import Result
+
+Measure = str | Callable[["Result"], float]
+
+ENGINES = ("plain", "scalar", "vector")
+FALLBACK = {"vector": "scalar", "scalar": "plain"}
+WORTH = 4.0  # s of plain Python above which compiling is worth its time
+PLAIN = 4e-6  # s a tick, about
+FEW = 16  # rows that are not worth putting side by side
+WHOLE = "a metric needs the whole record of a run"
+KEPT = 64  # kernels
+
+_KERNELS: dict[Any, Kernel] = {}
+_MAKING = Lock()
+
+
+def choose(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
+    """The engine of a sweep of so many rows like `scene`, and why. Raises `Refused` for one that cannot be had."""
+    if asked is not None:
+        if asked not in ENGINES:
+            raise Refused(f"there is no engine {asked!r}; {nearest(asked, ENGINES)}")
+        if asked != "plain":
+            from teleop.sweeps.kernels.compiled import need_numba
+
+            need_numba(asked)
+        return asked, "as asked for"
+    if needs_record(measures, scene):
+        return "plain", WHOLE
+    seconds = PLAIN * scene.ticks * rows
+    if seconds < WORTH:
+        return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
+    if find_spec("numba") is None:
+        return "plain", "numba is not installed; with it this would be some 50 times faster (the extra `batch`)"
+    if rows < FEW:
+        return "scalar", f"about {seconds:.3g} s of plain Python in {rows} rows, so it is compiled for one at a time"
+    return "vector", f"about {seconds:.3g} s of plain Python, so it is compiled for eight rows at once"
+
+
+def needs_record(measures: Sequence[Measure], scene: Scene) -> bool:
+    """True if one of these metrics needs the whole record of a run, so that no kernel gives it."""
+    own, stamped = _kinds(tuple(measures))
+    return own or (stamped and scene.energy and scene.has_waves)
+
+
+@lru_cache(maxsize=256)
+def _kinds(measures: tuple[Measure, ...]) -> tuple[bool, bool]:
+    """Is one of these metrics a function, and one an energy that is compared with the sender's stamp."""
+    return any(not isinstance(one, str) for one in measures), bool({"E_fwd_min", "E_bwd_min"} & {*measures})
+
+
+def kernel_of(prepared: Prepared, measures: tuple[str, ...], engine: str, stamp: object = None
+              ) -> tuple[Kernel, Leaves | None]:
+    """The kernel of a scene's structure by `engine`, or by the one that it falls back to; kept for the next rows.
+
+    With it the row's numbers laid out flat, if it is compiled. `stamp`: what else tells it from others, see `Stamps`.
+    """
+    scene, bodies = prepared.scene, prepared.bodies
+    flat, why = None, ""
+    if engine != "plain":
+        try:
+            flat = leaves(tree_of(scene, bodies))
+        except NotCompiled as reason:
+            engine, why = "plain", str(reason)
+    velocities = [type(device.velocity) for device in (scene.device_m, scene.device_s) if device is not None]
+    # What the text depends on, and the functions that it names.
+    key = (engine, why, measures, prepared.structure, functions_of(scene.law), stamp, *velocities,
+           flat and flat.shape, *bodies.functions().values())
+    kernel = _KERNELS.get(key)
+    if kernel is None:
+        with _MAKING:
+            kernel = _KERNELS.get(key) or _made(scene, bodies, measures, engine, why)
+            while len(_KERNELS) >= KEPT:
+                del _KERNELS[next(iter(_KERNELS))]
+            _KERNELS[key] = kernel
+    return kernel, None if kernel.engine == "plain" else flat
+
+
+class Stamps:
+    """The constants that kernels are compiled with as they are now; looked at once in the time of a chunk."""
+
+    def __init__(self, engine: str) -> None:
+        self._plain, self._found = engine == "plain", dict[Any, object]()
+
+    def of(self, prepared: Prepared) -> object:
+        """Those of a scene's kernel."""
+        if self._plain:
+            return None
+        scene, bodies = prepared.scene, prepared.bodies
+        key = type(scene.law), *bodies.functions().values()
+        if key not in self._found:
+            self._found[key] = tuple(constants([*names_of(scene, bodies).values()]))
+        return self._found[key]
+
+
+def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
+    if engine == "plain":
+        return plain(scene, bodies, measures)._replace(why=why)
+    from teleop.sweeps.kernels.compiled import cause
+
+    make = getattr(import_module(f"teleop.sweeps.kernels.{engine}"), engine)
+    two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
+    given = Inputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
+                   Water.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
+    try:
+        try:
+            kernel: Kernel = make(scene, bodies, measures)
+            figures(kernel, [given])
+        except (OSError, EOFError, UnpicklingError, UnicodeDecodeError):  # the cache is full, or damaged
+            kernel = make(scene, bodies, measures, keep=False)
+            figures(kernel, [given])
+    except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
+        return _made(scene, bodies, measures, FALLBACK[engine], cause(error))
+    return kernel._replace(why=why, plainer=lambda reason: _made(scene, bodies, measures, FALLBACK[engine], reason))

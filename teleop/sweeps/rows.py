@@ -1,0 +1,264 @@
+"""The rows of a chunk made ready: the scene of each is compared with one that was worked out before.
+
+A scene's function may decide its structure by any knob, so it is called for every row. What follows from the scene it
+returns (kernel, coefficients, path, schedules) is worked out once: of a row whose scene differs from an earlier one in
+a few parts alone, only the numbers of these parts are worked out, and it takes the kernel of that earlier one.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from math import copysign
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from teleop.law import functions_of
+from teleop.scene.library import scene_function
+from teleop.scene.loading import made_by
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import slave_plants
+from teleop.simulation.prepared import Prepared, prepare
+from teleop.simulation.structure import structure_of
+from teleop.sweeps.engine import Measure, Stamps, kernel_of, needs_record
+from teleop.sweeps.kernels.kernel import Kernel, NotCompiled, available, tree_of
+from teleop.sweeps.kernels.leaves import FLOATS, Leaves, leaves
+from teleop.sweeps.shared import Schedules, path_of, schedules_key
+
+ATOMS = frozenset((float, int, bool, str, bytes, type(None)))
+LIGHT = frozenset(("law", "hand", "environment", "link"))  # parts that a structure stays the same without
+PARTS = tuple([each.name for each in fields(Scene) if each.name not in ("name", "knobs")])  # what decides a run
+
+
+class Ready(NamedTuple):
+    """A row that waits for others to be run with. It does not hold its scene: there are many of these at once."""
+
+    row: dict[str, Any]
+    tree: Any  # its numbers, for plain Python
+    flat: Leaves | None  # the same for compiled code
+    path: Any  # of its hand
+    schedules: Schedules
+
+
+class Group:
+    """Rows that one kernel may run side by side: of one structure, one number of ticks and the same whole numbers."""
+
+    __slots__ = ("kernel", "rows", "ticks")
+
+    def __init__(self, kernel: Kernel, ticks: int) -> None:
+        self.kernel, self.ticks = kernel, ticks
+        self.rows: list[Ready] = []
+
+
+class RowMaker:
+    """Makes the rows of a chunk ready, and gathers them in `groups`."""
+
+    def __init__(self, scene: str, fixed: Mapping[str, object], measures: tuple[Measure, ...], engine: str) -> None:
+        self._name, self._fixed, self._measures, self._engine = scene, fixed, measures, engine
+        self._function = scene_function(scene)
+        self._stamps = Stamps(engine)
+        self._known: dict[Any, Known] = {}  # by the law's class, the last one that was worked out in full
+        self._knobs: dict[str, object] | None = None  # those of the row before, and what came of them
+        self._before: tuple[Scene, Made | None]
+        self._schedules: dict[Any, Schedules] = {}
+        self._groups: dict[Any, Group] = {}
+
+    @property
+    def groups(self) -> list[Group]:
+        """The rows so far."""
+        return [*self._groups.values()]
+
+    def add(self, row: dict[str, Any], knobs: dict[str, object], seed: int) -> Scene | None:
+        """Make a row ready; the scene of a row whose metrics need its whole record, which no kernel gives.
+
+        Raises `Refused` where the scene, a body or the path of the hand does.
+        """
+        if self._knobs is None or not _same_knobs(self._knobs, knobs):
+            self._knobs = None
+            scene = made_by(self._function, self._name, {**self._fixed, **knobs})
+            self._before = scene, None if needs_record(self._measures, scene) else self._made(scene)
+            self._knobs = knobs
+        scene, made = self._before
+        if made is None:
+            return scene
+        schedules = made.drawn.get(seed)
+        if schedules is None:
+            key = schedules_key(scene, seed)
+            schedules = made.drawn[seed] = self._schedules.get(key) or self._schedules.setdefault(
+                key, Schedules(key, scene, seed))
+        made.group.rows.append(Ready(row, made.tree, made.flat, made.path, schedules))
+        return None
+
+    def _made(self, scene: Scene) -> Made:
+        kind = type(scene.law)
+        known = self._known.get(kind)
+        changed = None if known is None else known.changed(scene)
+        if known is not None and changed is not None and (made := self._varied(known, scene, changed)) is not None:
+            return made
+        known = self._known[kind] = self._worked_out(scene)
+        return known.made
+
+    def _worked_out(self, scene: Scene) -> Known:
+        """A scene worked out in full."""
+        prepared = prepare(scene)
+        bodies, there = prepared.bodies, available(scene)
+        wanted = tuple([one for one in self._measures if isinstance(one, str) and one in there])
+        kernel, flat = kernel_of(prepared, wanted, self._engine, self._stamps.of(prepared))
+        tree = None if flat else tree_of(scene, bodies, compiled=False)
+        path = path_of(scene, compiled=flat is not None)
+        return Known(prepared, Made(self._group(kernel, scene.ticks, flat), tree, flat, path, {}))
+
+    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None) -> Group:
+        key = id(kernel), ticks, tuple(flat.wholes) if flat else ()
+        group = self._groups.get(key)
+        if group is None:
+            group = self._groups[key] = Group(kernel, ticks)
+        return group
+
+    def _varied(self, known: Known, scene: Scene, changed: frozenset[str]) -> Made | None:
+        """A scene that differs from a known one in these parts; None if it is of another structure."""
+        if not changed <= LIGHT:
+            return None
+        made = known.made._replace(drawn={}) if "link" in changed else known.made
+        bodies = known.prepared.bodies
+        if "environment" in changed:
+            slaves = slave_plants(scene)
+            if not known.has_functions_of(scene, slaves):
+                return None
+            if changed <= {"environment", "link"} and (flat := known.with_slaves(slaves)) is not None:
+                return made._replace(flat=flat)
+            bodies = bodies._replace(slaves=slaves)
+        if changed <= {"link"}:
+            return made
+        own = prepare(scene, bodies if "hand" not in changed else None)
+        if "law" in changed and not known.has_law_like(scene):
+            return None
+        if "hand" in changed and (own.bodies.instead != bodies.instead or
+                                  not known.has_functions_of(scene, own.bodies.slaves)):
+            return None
+        path = path_of(scene, compiled=made.flat is not None) if "hand" in changed else made.path
+        if made.flat is None:
+            if self._engine != "plain" and "law" in changed:  # it may be this law's numbers that are not compiled
+                return None
+            return made._replace(tree=tree_of(scene, own.bodies, compiled=False), path=path)
+        try:
+            flat = leaves(tree_of(scene, own.bodies))
+        except NotCompiled:
+            return None
+        if flat.shape != made.flat.shape:
+            return None
+        group = self._group(made.group.kernel, made.group.ticks, flat)
+        return made._replace(group=group, flat=flat, path=path)
+
+
+class Made(NamedTuple):
+    """What a row has of its scene, whatever its seed."""
+
+    group: Group
+    tree: Any
+    flat: Leaves | None
+    path: Any
+    drawn: dict[int, Schedules]  # of its link, by the seed
+
+
+class Known:
+    """A scene that was worked out in full, for those that differ from it in a few parts."""
+
+    def __init__(self, prepared: Prepared, made: Made) -> None:
+        self.prepared, self.made = prepared, made
+        self._scene = prepared.scene
+        values = vars(self._scene)
+        self._parts = [(name, values[name], _is_constant(values[name])) for name in PARTS]
+        slaves = prepared.bodies.slaves
+        self._functions = [(plant.move, plant.force) for plant in slaves]
+        self._inner = _inner(self._scene)
+        self._lengths: list[int] | None = None  # of the slaves' coefficients, where they are plain floats
+        if made.flat is not None and all(_is_plain(plant.c) and plant.start is None for plant in slaves):
+            self._lengths = [len(plant.c) for plant in slaves]
+
+    def changed(self, scene: Scene) -> frozenset[str] | None:
+        """The parts of a scene that have not the very bits of this one's; None if it cannot be varied."""
+        if type(scene) is not Scene:
+            return None
+        values = vars(scene)
+        return frozenset([name for name, own, constant in self._parts
+                          if not ((values[name] is own and constant) or same(own, values[name]))])
+
+    def has_functions_of(self, scene: Scene, slaves: list[Any]) -> bool:
+        """True if these plants move by the functions of this scene's."""
+        return _inner(scene) == self._inner and [(plant.move, plant.force) for plant in slaves] == self._functions
+
+    def has_law_like(self, scene: Scene) -> bool:
+        """True if the law of a scene differs from this one's in its numbers alone."""
+        return functions_of(scene.law) is type(self._scene.law) and structure_of(scene) == self.prepared.structure
+
+    def with_slaves(self, slaves: list[Any]) -> Leaves | None:
+        """The numbers of this scene with other coefficients of its slaves, which stand at their end; None if unlike."""
+        flat = self.made.flat
+        if flat is None or self._lengths is None or [len(plant.c) for plant in slaves] != self._lengths:
+            return None
+        numbers = array("d")
+        for plant in slaves:
+            if plant.start is not None or not _is_plain(plant.c):
+                return None
+            numbers.extend(plant.c)
+        reals = flat.reals[:]
+        reals[len(reals) - len(numbers):] = numbers
+        return flat._replace(reals=reals)
+
+
+def _inner(scene: Scene) -> list[bool]:
+    return [getattr(one, "inner", False) for one in scene.environments]
+
+
+def _is_plain(coefficients: Any) -> bool:
+    return type(coefficients) is tuple and set(map(type, coefficients)) == FLOATS
+
+
+def same(a: Any, b: Any) -> bool:
+    """True if two parts of scenes have the same bits, so that the same follows from both: -0.0 is not 0.0, 1 not True.
+
+    Of a part that is no number, text, tuple or frozen dataclass nothing is known, and the answer is no.
+    """
+    kind = type(a)
+    if kind is not type(b):
+        return False
+    if kind is float:
+        return bool(a == b) and (a != 0.0 or copysign(1.0, a) == copysign(1.0, b))
+    if kind in ATOMS:
+        return bool(a == b)
+    if kind is tuple:
+        return len(a) == len(b) and all(map(same, a, b))
+    values = _values_of(kind)
+    if values is None:
+        return False
+    for x, y in zip(values(a), values(b), strict=True):  # noqa: SIM110 - a loop takes a third of the time
+        if not ((x is y and type(x) in ATOMS) or same(x, y)):
+            return False
+    return True
+
+
+def _is_constant(value: Any) -> bool:
+    """True if a value cannot change: the same object has the same bits."""
+    return same(value, value)
+
+
+_VALUES: dict[type, Callable[[Any], tuple[Any, ...]] | None] = {}
+
+
+def _values_of(kind: type) -> Callable[[Any], tuple[Any, ...]] | None:
+    """A function that gives the fields of a frozen dataclass; None for another class."""
+    if kind not in _VALUES:
+        _VALUES[kind] = None
+        if is_dataclass(kind) and kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # typeshed lacks it
+            names = [each.name for each in fields(kind)]
+            get: Any = attrgetter(*names) if names else None
+            _VALUES[kind] = (lambda _: ()) if not names else (lambda part: (get(part),)) if len(names) == 1 else get
+    return _VALUES[kind]
+
+
+def _same_knobs(knobs: dict[str, object], others: dict[str, object]) -> bool:
+    """True if these are the same knobs, to the bit."""
+    return all(a is b or (type(a) is type(b) is float and a == b != 0.0)
+               for a, b in zip(knobs.values(), others.values(), strict=True))
