@@ -106,10 +106,24 @@ class LinkLike(Protocol):
 Vector = float | tuple[float, ...]
 
 
+_WITH_ALL: set[tuple[str, type]] = set()  # parts whose class has the attributes, so that each is looked at once
+
+
+def has_shape(name: str, part: object) -> bool:
+    """True if a part has the attributes that a run uses."""
+    kind = type(part)
+    if (name, kind) in _WITH_ALL:
+        return True
+    attributes = SHAPES[name][0]
+    if all(hasattr(kind, each) for each in attributes) and not isinstance(part, type):
+        _WITH_ALL.add((name, kind))
+    return not isinstance(part, type) and all(hasattr(part, each) for each in attributes)
+
+
 def check_shape(name: str, part: object) -> None:
     """Refuse a part that lacks an attribute which a run uses."""
-    asked, example = SHAPES[name]
-    if isinstance(part, type) or not all(hasattr(part, each) for each in asked):
+    if not has_shape(name, part):
+        attributes, example = SHAPES[name]
         got = f"the class {part.__name__}" if isinstance(part, type) else repr(part)
-        raise Refused(f"{name} must be something with {', '.join(asked)}, not {got}; "
+        raise Refused(f"{name} must be something with {', '.join(attributes)}, not {got}; "
                       f"write for example {name}={example}")

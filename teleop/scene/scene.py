@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from teleop.errors import Refused, number, whole_number
 from teleop.law import law_name, messages
 from teleop.law.contract import check_contract
-from teleop.scene.parts import SHAPES, Environment, Hand, LinkLike, Vector, check_shape
+from teleop.scene.parts import Environment, Hand, LinkLike, Vector, check_shape, has_shape
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Scene:
         for name in ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical"):
             if getattr(self, name) is not None:
                 check_shape(name, getattr(self, name))
-        if not isinstance(self.playout, Zero | Hold | Fixed):
+        if not isinstance(self.playout, (Zero, Hold, Fixed)):
             raise Refused(f"playout must be Zero(), Hold() or Fixed(...), not {self.playout!r}; "
                           "write for example playout=Fixed(0.1)")
         if not isinstance(self.energy, bool):
@@ -79,7 +79,7 @@ class Scene:
 
     def _check_ends(self) -> None:
         """Refuse a law that has not the ends that the scene has, and parts of a slave that is not there."""
-        one_port = all(hasattr(self.law, each) for each in SHAPES["one-port law"][0])
+        one_port = has_shape("one-port law", self.law)
         if self.slave is not None:
             if one_port and not hasattr(self.law, "slave"):
                 raise Refused(f"law {law_name(self.law)} is a one-port law, which renders by itself, and the scene has "
@@ -87,7 +87,7 @@ class Scene:
             check_shape("law", self.law)
             check_shape("slave", self.slave)
             return
-        if not one_port and all(hasattr(self.law, each) for each in SHAPES["law"][0]):
+        if not one_port and has_shape("law", self.law):
             raise Refused(f"law {law_name(self.law)} has two ends and the scene has no slave; write for example "
                           "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
         check_shape("one-port law", self.law)
@@ -109,7 +109,8 @@ class Scene:
                 "packet_size", self.packet_size, low=64, high=1200),
         }
         for name, value in checked.items():
-            object.__setattr__(self, name, value)
+            if value is not getattr(self, name):
+                object.__setattr__(self, name, value)
         count = self.duration / self.dt  # may be inf, which `ticks` could not count
         if count > 2.0 * MOST_TICKS or not 1 <= self.ticks <= MOST_TICKS:
             raise Refused(f"duration={self.duration:g} s in ticks of dt={self.dt:g} s is {count:.10g} ticks; "

@@ -6,11 +6,11 @@ engine behind it, row by row the same bits: vector to scalar, scalar to plain.
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from importlib import import_module
-from importlib.util import find_spec
 from pickle import UnpicklingError
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -58,7 +58,7 @@ def choose(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measur
     seconds = PLAIN * scene.ticks * rows
     if seconds < WORTH:
         return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
-    if find_spec("numba") is None:
+    if importlib.util.find_spec("numba") is None:
         return "plain", "numba is not installed; with it this would be some 50 times faster (the extra `batch`)"
     if rows < FEW:
         return "scalar", f"about {seconds:.3g} s of plain Python in {rows} rows, so it is compiled for one at a time"

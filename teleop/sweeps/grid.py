@@ -74,15 +74,24 @@ class Grid:
 
     def point(self, row: int) -> tuple[dict[str, Any], int]:
         """The knobs and the seed of a row, 0 .. len - 1. Raises `Refused` for another number."""
-        if not 0 <= row < len(self):
-            raise Refused(f"the grid has no row {row}; write a number from 0 to {len(self) - 1}")
-        at, seed = divmod(row, len(self.seeds))
-        chosen: list[tuple[tuple[str, ...], tuple[Any, ...]]] = []
-        for names, points in reversed(self.axes):
-            at, which = divmod(at, len(points))
-            chosen.append((names, points[which]))
-        knobs = {name: value for names, values in reversed(chosen) for name, value in zip(names, values, strict=True)}
-        return knobs, self.seeds[seed]
+        (_, knobs, seed), = self.rows([row])
+        return knobs, seed
+
+    def rows(self, numbers: Iterable[int]) -> list[tuple[int, dict[str, Any], int]]:
+        """The number, the knobs and the seed of several rows. Raises `Refused` as `point`."""
+        count, seeds, knobs = len(self), self.seeds, self.knobs
+        axes = [(len(points), points) for _, points in reversed(self.axes)]
+        found = []
+        for row in numbers:
+            if not 0 <= row < count:
+                raise Refused(f"the grid has no row {row}; write a number from 0 to {count - 1}")
+            at, seed = divmod(row, len(seeds))
+            values: tuple[Any, ...] = ()
+            for length, points in axes:
+                at, which = divmod(at, length)
+                values = points[which] + values
+            found.append((row, dict(zip(knobs, values, strict=True)), seeds[seed]))
+        return found
 
     def definition(self) -> dict[str, Any]:
         """The grid as JSON can hold it, equal for grids with equal rows; of a long axis its ends and its SHA-256."""

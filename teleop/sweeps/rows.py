@@ -7,7 +7,6 @@ a few parts alone, only the numbers of these parts are worked out, and it takes 
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from math import copysign
@@ -176,6 +175,7 @@ class Known:
         self._lengths: list[int] | None = None  # of the slaves' coefficients, where they are plain floats
         if made.flat is not None and all(_is_plain(plant.c) and plant.start is None for plant in slaves):
             self._lengths = [len(plant.c) for plant in slaves]
+            self._before = made.flat.reals[:len(made.flat.reals) - sum(self._lengths)]
 
     def changed(self, scene: Scene) -> frozenset[str] | None:
         """The parts of a scene that have not the very bits of this one's; None if it cannot be varied."""
@@ -196,16 +196,14 @@ class Known:
     def with_slaves(self, slaves: list[Any]) -> Leaves | None:
         """The numbers of this scene with other coefficients of its slaves, which stand at their end; None if unlike."""
         flat = self.made.flat
-        if flat is None or self._lengths is None or [len(plant.c) for plant in slaves] != self._lengths:
+        if flat is None or self._lengths is None:
             return None
-        numbers = array("d")
-        for plant in slaves:
-            if plant.start is not None or not _is_plain(plant.c):
+        reals = self._before[:]
+        for plant, length in zip(slaves, self._lengths, strict=True):
+            if plant.start is not None or not _is_plain(plant.c) or len(plant.c) != length:
                 return None
-            numbers.extend(plant.c)
-        reals = flat.reals[:]
-        reals[len(reals) - len(numbers):] = numbers
-        return flat._replace(reals=reals)
+            reals.extend(plant.c)
+        return Leaves(flat.shape, reals, flat.wholes, flat.arrays)
 
 
 def _inner(scene: Scene) -> list[bool]:

@@ -162,8 +162,7 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str 
             if store is not None:
                 store.append(finished.rows)
             else:
-                for row in finished.rows:
-                    builder.add(row)
+                builder.extend(finished.rows)
             count += len(finished.rows)
             if show is not None:
                 show(count, total)
@@ -222,8 +221,4 @@ def _pool(executor: Executor | None) -> tuple[Executor, bool]:
 
 
 def _job(plan: Sweep, numbers: list[int]) -> Job:
-    rows = []
-    for number in numbers:
-        knobs, seed = plan.grid.point(number)
-        rows.append((number, knobs, seed))
-    return Job(plan.scene, dict(plan.fixed), rows, plan.measures, plan.engine)
+    return Job(plan.scene, dict(plan.fixed), plan.grid.rows(numbers), plan.measures, plan.engine)

@@ -7,12 +7,13 @@ metric that it has, and `sentence` where it was refused. A million rows of 5 kno
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isfinite, isnan, nan
 from numbers import Real
 from pathlib import Path
+from types import NoneType
 from typing import IO, TYPE_CHECKING, Any
 
 from teleop.errors import Refused, nearest
@@ -114,6 +115,31 @@ class TableBuilder:
             column.cells.append(figure)
         for name in (*self.knobs, "status", "sentence"):
             columns[name].add(row.get(name))
+
+    def extend(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Take several rows, as `add` takes one; many that are alike at a time, column by column."""
+        names = rows[0].keys() if rows else frozenset[str]()
+        if not all(row.keys() == names for row in rows) or not self._takes(
+                values := {name: [row[name] for row in rows] for name in names}, names):
+            for row in rows:
+                self.add(row)
+            return
+        for name, column in self._columns.items():
+            if name in _WHOLE:
+                column.cells.extend(values[name])
+            elif name in self.metrics:
+                column.cells.extend(values.get(name) or [nan] * len(rows))
+            else:
+                column.extend(values.get(name) or [None] * len(rows))
+
+    def _takes(self, values: Mapping[str, list[Any]], names: Set[str]) -> bool:
+        """True if columns of rows are of the kinds that most are: nothing in them needs a look of its own."""
+        if not {*_WHOLE, "status", *self.knobs} <= names <= self._columns.keys() - {"sentence"}:
+            return False
+        return (all({*map(type, values[name])} == {int} and min(values[name]) >= 0 and max(values[name]) < 1 << 63
+                    for name in _WHOLE)
+                and {*map(type, values["status"])} == {str}
+                and all({*map(type, values[name])} == {float} for name in self.metrics if name in names))
 
     @staticmethod
     def _figure(name: str, value: Any) -> float:
@@ -268,6 +294,17 @@ class _Growing:
             elif code != self.cells.typecode:
                 self.recode()
         self.cells.append(value if self.values is None else self._place(value))
+
+    def extend(self, values: Sequence[Any]) -> None:
+        """Add several values."""
+        if self.values is None and {*map(type, values)} == {float} and (self.cells.typecode == "d"):
+            self.cells.extend(values)
+        elif self.values is not None and len({*map(type, values)}) == 1 and type(values[0]) in (str, NoneType):
+            places = {value: self._place(value) for value in dict.fromkeys(values)}
+            self.cells.extend([places[value] for value in values])
+        else:
+            for value in values:
+                self.add(value)
 
     def recode(self) -> None:
         """From numbers to places in a list of values."""

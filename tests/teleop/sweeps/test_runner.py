@@ -211,7 +211,7 @@ def test_what_numba_cannot_take_is_said_in_its_own_words() -> None:
 
 def test_figures_that_need_a_record_are_said_to_be_run_in_plain_python() -> None:
     plan = prepare("canonical", {"k_e": [1e3 + n for n in range(400)]}, metrics=["x_err_rms", "E_fwd_min"])
-    assert (plan.engine, plan.why) == ("plain", "a figure needs the whole record of a run")
+    assert (plan.engine, plan.why) == ("plain", "a metric needs the whole record of a run")
 
 
 def test_a_metric_that_fails_in_one_row_loses_no_other() -> None:
