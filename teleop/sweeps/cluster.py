@@ -85,21 +85,20 @@ class Cluster(Executor):
         self._dask, self._client = executor, executor._client
         self._tell, self._told = tell, False
         self._desk = ThreadPoolExecutor(1)  # opens what comes back: dask's own thread has others to serve
-        self._threads, self._due, self._seen = 1, 0.0, monotonic()
+        self._count, self._due, self._seen = 1, 0.0, monotonic()
         self.address: str = self._client.scheduler.address
         self.workers: set[str] = set()  # those that have sent rows
 
-    @property
-    def _max_workers(self) -> int:
+    def threads(self) -> int:
         """Threads of all workers as of the last second, at least 1; `Refused` if there has been none for long."""
         now = monotonic()
         if now < self._due:
-            return self._threads
+            return self._count
         try:
             found = self._client.sync(self._client.scheduler.ncores, workers=None, callback_timeout=SILENT)
         except Exception as error:
             raise Refused(self._lost()) from error
-        self._due, self._threads = now + 1.0, max(1, sum(found.values()))
+        self._due, self._count = now + 1.0, max(1, sum(found.values()))
         if found:
             self._seen, self._told = now, False
         elif now - self._seen >= WORKERLESS:
@@ -109,7 +108,7 @@ class Cluster(Executor):
             self._told = True
             self._tell(f"the scheduler at {self.address} has no worker; waiting {WORKERLESS:.0f} s for one: "
                        f"dask worker {self.address}")
-        return self._threads
+        return self._count
 
     def submit(self, fn: Any, /, *args: Any, **_: Any) -> Future[Any]:
         """Hand out one job: `fn` is `teleop.sweeps.chunk.work`. The future has its rows, or a `Refused`."""

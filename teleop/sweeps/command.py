@@ -47,7 +47,7 @@ class Swept(NamedTuple):
             "status": "interrupted" if self.interrupted else "done", "mode": "sweep",
             **self.plan.definition(), "versions": versions(*compilers), "command": list(command),
             "rows": len(self.plan.grid), "done": len(self.table), "ran": self.ran, "counts": self.table.counts(),
-            "engine": self.plan.engine, "why": self.plan.why,
+            "engine": self.plan.engine, "why": self.plan.why, "workers": self.plan.workers,
             "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in self.plan.ran.items()],
             "seconds": self.seconds, "interrupted": self.interrupted, "path": str(self.folder),
             "limits": dict(self.limits),
@@ -63,12 +63,13 @@ class Swept(NamedTuple):
     def text(self) -> str:
         """The sweep in a few lines."""
         rate = f", {self.ran / self.seconds:.3g} rows a second" if self.seconds > 0.0 and self.ran else ""
+        threads = f", in {self.plan.workers} thread{'s' * (self.plan.workers > 1)}" if self.ran else ""
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
         rows = [("sweep", f"{self.plan.scene}, {grouped(len(self.plan.grid))} rows of {turned}"),
                 *status_rows(self.table)]
         found = not self.ran and len(self.table) == len(self.plan.grid)
         rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if found else
-                     f"{self.plan.engine}: {self.plan.why}{rate}"))
+                     f"{self.plan.engine}: {self.plan.why}{threads}{rate}"))
         rows += [("", f"{count} rows by {engine}: {why}") for (engine, why), count in self.plan.ran.items() if why]
         if self.cluster is not None:
             rows.append(("cluster", f"{self.cluster[0]}, rows by {self.cluster[1]} of its workers"))
@@ -81,7 +82,7 @@ def command(args: Namespace) -> Answer:
     if wish is not None:
         need_plot()
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
-                      latin=args.latin, random=args.random, cluster=args.cluster,
+                      latin=args.latin, random=args.random, cluster=args.cluster, workers=args.workers,
                       engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds, wish=wish,
                       stream=None if args.json else sys.stderr)
     told = swept.write(args.typed)
@@ -97,13 +98,13 @@ def command(args: Namespace) -> Answer:
 def carry_out(
     name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
     out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, wish: Wish | None = None,
-    latin: int | None = None, random: int | None = None, cluster: str | None = None,
+    latin: int | None = None, random: int | None = None, cluster: str | None = None, workers: int | None = None,
 ) -> Swept:
     """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.typed`). Raises `Refused`.
 
     `wish`: the picture that will be drawn of it, refused here if no row could make it possible.
     `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it. `cluster`: the
-    address of a dask scheduler whose workers run the rows.
+    address of a dask scheduler whose workers run the rows. `workers`: threads; left out, one for each core.
     """
     from teleop.sweeps.runner import carry_out as run_rows
     from teleop.sweeps.runner import prepare
@@ -133,7 +134,7 @@ def carry_out(
         began = clock()
         before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
         try:
-            table = run_rows(plan, executor=pool, out=folder, show=show)
+            table = run_rows(plan, executor=pool, workers=workers, out=folder, show=show)
         except KeyboardInterrupt:
             if not (folder / "sweep.json").is_file():
                 raise  # nothing was begun

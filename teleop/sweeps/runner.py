@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain, islice
-from os import PathLike, cpu_count
+from os import PathLike
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -19,7 +20,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import Done, Job, work
 from teleop.sweeps.engine import Measure, choose
-from teleop.sweeps.grid import Grid, grid, listed, plain
+from teleop.sweeps.grid import Grid, counted, grid, listed, plain
 from teleop.sweeps.kernels.digest import digest, file_digest, sources
 from teleop.sweeps.kernels.kernel import available
 from teleop.sweeps.store import Store
@@ -47,6 +48,7 @@ class Sweep:
     why: str  # the engine
     sources: str = ""  # a digest of what of the sweep is the user's own: scene file, laws, metrics
     ran: Counter[tuple[str, str]] = field(default_factory=Counter)  # rows by engine, and why it was not the one above
+    workers: int = 0  # threads that rows are run by at a time; 0 before any was run
 
     def definition(self) -> dict[str, Any]:
         """What the folder of this sweep is held to."""
@@ -63,7 +65,7 @@ def sweep(
     scene: str | PathLike[str], axes: Mapping[Any, Iterable[Any]] | Grid | None = None, *,
     seeds: int | Iterable[int] = 1, metrics: Sequence[Measure] | None = None,
     fixed: Mapping[str, object] | None = None, engine: str | None = None, executor: Executor | None = None,
-    out: Path | str | None = None, show: Show | None = None,
+    workers: int | None = None, out: Path | str | None = None, show: Show | None = None,
 ) -> Table:
     """Run `scene` (a name, or the path of a file) at every point of a grid and with every seed.
 
@@ -72,12 +74,12 @@ def sweep(
     `axes`: knobs and their values as `load_scene` takes them; a tuple of knobs goes with a list of tuples. `fixed`:
     knobs that are the same in every row. `metrics`: names of `teleop.simulation.metrics.UNITS`, or functions of a
     `Result`, which cost a whole record. `engine`: plain, scalar or vector; left out, by the amount of work and what is
-    installed. `executor`: any of concurrent.futures; left out, threads. `out`: a folder that rows are appended to as
-    they finish; the same sweep there goes on where it stopped. `show` is told rows done and rows in all. Raises
-    `Refused`.
+    installed. `executor`: any of concurrent.futures; left out, threads. `workers`: how many it has; left out, one for
+    each core. `out`: a folder that rows are appended to as they finish; the same sweep there goes on where it stopped.
+    `show` is told rows done and rows in all. Raises `Refused`.
     """
     plan = prepare(scene, axes, seeds=seeds, metrics=metrics, fixed=fixed, engine=engine)
-    return carry_out(plan, executor=executor, out=out, show=show)
+    return carry_out(plan, executor=executor, workers=workers, out=out, show=show)
 
 
 def prepare(
@@ -146,45 +148,48 @@ def _own_sources(name: str, laws: Iterable[Any], measures: Iterable[Measure]) ->
     return digest(texts) if texts else ""
 
 
-def carry_out(plan: Sweep, *, executor: Executor | None = None, out: Path | str | None = None, show: Show | None = None
-              ) -> Table:
-    """Run what is not done yet of a sweep."""
+def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | None = None,
+              out: Path | str | None = None, show: Show | None = None) -> Table:
+    """Run what is not done yet of a sweep, see `sweep`. Raises `Refused`."""
+    most = cores() if workers is None else counted("workers", workers)
     total = len(plan.grid)
     store = None if out is None else Store.open(Path(out), plan.definition())
     builder = TableBuilder(plan.grid.knobs, tuple(_names(plan.measures)))
     try:
-        count = 0 if store is None else len(store.done)
+        done = 0 if store is None else len(store.done)
         if show is not None:
-            show(count, total)
+            show(done, total)
         waiting = iter(range(total)) if store is None else chain.from_iterable(store.done.gaps(total))
-        for finished in _chunks(plan, waiting, total - count, executor):
+        for finished in _chunks(plan, waiting, total - done, executor, most):
             plan.ran.update(finished.ran)
             if store is not None:
                 store.append(finished.rows)
             else:
                 builder.extend(finished.rows)
-            count += len(finished.rows)
+            done += len(finished.rows)
             if show is not None:
-                show(count, total)
+                show(done, total)
         return builder.table() if store is None else store.table()
     finally:
         if store is not None:
             store.close()
 
 
-def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None) -> Iterator[Done]:
+def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None, most: int
+            ) -> Iterator[Done]:
     """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back.
 
-    Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together.
+    Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together. `most`: of
+    these at a time, where the executor does not say how many it has.
     """
-    pool, own = _pool(executor)
+    pool, own, workers_of = _pool(executor, most)
     stop = Event()
     told = (stop.is_set,) if executor is None else ()  # others may be in other processes
     each, size = 0.0, 1  # s a row, rows of the last chunk
     running: set[Future[Done]] = set()
     try:
         while True:
-            while len(running) < 2 * (workers := getattr(pool, "_max_workers", 4)):  # of a cluster the number changes
+            while len(running) < 2 * (workers := workers_of()):
                 if each > 0.0:  # rows to come may cost more: grow step by step
                     size = max(1, min(LARGEST, int(CHUNK / each), 4 * size, left // (2 * workers)))
                     size -= size % 8 if size > 8 else 0  # as many as an engine may run side by side
@@ -192,6 +197,7 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
                 if not job.rows:
                     break
                 left -= len(job.rows)
+                plan.workers = max(plan.workers, workers)
                 running.add(pool.submit(work, job, *told))
             if not running:
                 return
@@ -209,15 +215,24 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
             pool.shutdown(cancel_futures=True)
 
 
-def _pool(executor: Executor | None) -> tuple[Executor, bool]:
-    """Whom the jobs are handed to, and whether it is to be shut down after them."""
+def cores() -> int:
+    """The number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _pool(executor: Executor | None, workers: int) -> tuple[Executor, bool, Callable[[], int]]:
+    """The executor that jobs are handed to, whether it is to be shut down after them, and how many workers it has."""
     if executor is None:
-        return ThreadPoolExecutor(cpu_count() or 1), True
+        return ThreadPoolExecutor(workers), True, lambda: workers
     if type(executor).__module__.startswith("distributed."):
         from teleop.sweeps.cluster import Cluster
 
-        return Cluster(executor), True  # the client that it is of stays open
-    return executor, False
+        cluster = Cluster(executor)
+        return cluster, True, cluster.threads  # the client that it is of stays open
+    threads: Callable[[], int] | None = getattr(executor, "threads", None)  # of a cluster, whose workers come and go
+    return executor, False, threads or (lambda: workers)
 
 
 def _job(plan: Sweep, numbers: list[int]) -> Job:

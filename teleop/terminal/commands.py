@@ -90,6 +90,7 @@ def _sweep(added: ArgumentParser) -> None:
                        "error, the largest force, the energies")
     added.add_argument("--engine", metavar="NAME", help="plain, or compiled: scalar, vector (extra `batch`); left "
                        "out: by the amount of work")
+    added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
     added.add_argument("--cluster", metavar="ADDRESS", help="HOST:PORT of a dask scheduler whose workers run the rows "
                        "(needs the extra `cluster`); left out: this machine")
     added.add_argument("--out", metavar="DIR", help="the folder of the sweep, new or to be gone on with; default "

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 SUMMARY = "summary.json"
-OF_A_CALL = ("command", "engine", "why", "engines", "ran", "seconds", "interrupted", "cluster", "versions")
+OF_A_CALL = ("command", "engine", "why", "workers", "engines", "ran", "seconds", "interrupted", "cluster", "versions")
 SENTENCES = 3  # that are shown
 _SHAPE = stored.record({}, {
     "scene": stored.text, "rows": stored.whole(low=0), "engine": stored.text, "why": stored.optional(stored.text),

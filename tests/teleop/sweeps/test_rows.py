@@ -32,8 +32,8 @@ def job(knobs: list[dict[str, Any]], engine: str) -> Job:
 def test_a_row_is_what_it_is_alone_whatever_rows_came_before_it(engine: str) -> None:
     # Rows of one job have the same knobs: each has all of them here.
     every = dict.fromkeys(name for own in KNOBS for name in own)
-    default = {"k_e": 5e3, "d_e": 5.0, "law": "wave", "law.K": 500.0, "amplitude": 0.05, "k_h": 200.0, "observer": 200.0,
-               "energy": True, "dt": 1e-3, "wall": 0.03, **FIXED}
+    default = {"k_e": 5e3, "d_e": 5.0, "law": "wave", "law.K": 500.0, "amplitude": 0.05, "k_h": 200.0,
+               "observer": 200.0, "energy": True, "dt": 1e-3, "wall": 0.03, **FIXED}
     rows = [{name: {**default, **own}[name] for name in every} for own in KNOBS]
     rows = [row if row["law"] == "wave" else {k: v for k, v in row.items() if k != "law.K"} | {"law.K": 30.0}
             for row in rows]
@@ -77,7 +77,9 @@ def test_a_part_that_may_change_is_never_the_same() -> None:
 
 def test_a_scene_that_changes_an_object_of_its_own_from_row_to_row_gets_what_it_changed(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        "from slave.wall import Wall\nfrom scenarios.canonical import scene as canonical\nfrom dataclasses import replace\n"
+        "from dataclasses import replace\n"
+        "from scenarios.canonical import scene as canonical\n"
+        "from slave.wall import Wall\n"
         "class Mine:\n    k = 0.0\n    def plant(self, body, dt):\n        return Wall(k=self.k).plant(body, dt)\n"
         "MINE = Mine()\n"
         "def scene(*, k: float = 1e3, duration: float = 0.3):\n    MINE.k = k\n"

@@ -21,7 +21,7 @@ from teleop.laws.direct import Direct, Forth
 from teleop.laws.wave import Wave
 from teleop.scene.library import ROOT
 from teleop.simulation.result import Result
-from teleop.sweeps.runner import carry_out, prepare
+from teleop.sweeps.runner import carry_out, cores, prepare
 
 AXES = {"law": ["wave", "direct", "pfra"], "k_e": [100.0, 400.0]}
 FIXED = {"duration": 0.3, "link": "delay(0.01) | uniform(0.02) | bernoulli(0.1)"}
@@ -39,8 +39,6 @@ def peak(result: Result) -> float:
 
 class Backwards(Executor):
     """An executor that does one job at a time, the newest first, when a result is asked for."""
-
-    _max_workers = 3
 
     def __init__(self) -> None:
         self.waiting: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
@@ -352,3 +350,21 @@ class TestTheCommand:
         assert got.stderr.count("\n") == 1
         assert said in got.stderr
         assert not (tmp_path / "runs").exists()
+
+
+class TestWorkers:
+    def test_are_as_many_as_this_process_may_use_cores(self) -> None:
+        plan = prepare("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
+        assert plan.workers == 0
+        carry_out(plan)
+        assert plan.workers == cores() >= 1
+
+    def test_are_those_that_were_asked_for(self) -> None:
+        plan = prepare("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
+        carry_out(plan, workers=3)
+        assert plan.workers == 3
+
+    def test_are_a_whole_number_or_nothing_is_written(self, tmp_path: Path) -> None:
+        with pytest.raises(Refused, match="workers must be a whole number from 1"):
+            sweep("soft_tissue", {}, workers=0, out=tmp_path / "s")
+        assert not (tmp_path / "s").exists()
