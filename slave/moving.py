@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from teleop.errors import Refused
 
 if TYPE_CHECKING:
-    from teleop.scene.parts import Exact, Integrated, Reference
+    from teleop.scene.parts import ExactEnvironment, IntegratedEnvironment, Reference
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -22,7 +22,7 @@ class Moving:
 
     inner: ClassVar[bool] = True  # its plants have an inner state: the tick, and that of the environment
 
-    environment: Exact | Integrated
+    environment: ExactEnvironment | IntegratedEnvironment
     path: Reference
 
     def __post_init__(self) -> None:

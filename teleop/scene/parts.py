@@ -52,7 +52,7 @@ class Hand(Protocol):
     def reference(self) -> Reference: ...
 
 
-class Exact(Protocol):
+class ExactEnvironment(Protocol):
     """An environment of the slave, in one axis, in which the motion of a body has a closed form.
 
     If the plant has an inner state, the environment has `inner = True`.
@@ -63,7 +63,7 @@ class Exact(Protocol):
         ...
 
 
-class Integrated(Protocol):
+class IntegratedEnvironment(Protocol):
     """An environment in which the motion of a body is integrated: it has no closed form, or the body has friction.
 
     See `teleop.physics.implicit`.
@@ -74,16 +74,16 @@ class Integrated(Protocol):
         ...
 
 
-class Moved(Protocol):
+class MovingEnvironment(Protocol):
     """Another environment that is carried along a path."""
 
     @property
-    def environment(self) -> Exact | Integrated: ...
+    def environment(self) -> ExactEnvironment | IntegratedEnvironment: ...
     @property
     def path(self) -> Reference: ...
 
 
-Environment = Exact | Integrated | Moved
+Environment = ExactEnvironment | IntegratedEnvironment | MovingEnvironment
 
 
 class ArrivalsLike(Protocol):
