@@ -11,7 +11,9 @@ from types import CodeType, FunctionType
 
 from teleop.sweeps.kernels.digest import named_in
 
+COMPREHENDS = ("LIST_APPEND", "SET_ADD", "MAP_ADD")  # from Python 3.12 on in the function's own loop, no function
 MAKES_LISTS = ("BUILD_LIST", "BUILD_SET", "BUILD_MAP", "LIST_EXTEND", "SET_UPDATE")
+COMPREHENSION = "makes a function of its own or a comprehension"
 EXACT = frozenset(("sqrt", "fabs"))  # of math: what lanes have too
 
 
@@ -37,11 +39,15 @@ def branches(function: FunctionType) -> bool:
 
 def without_lanes(function: FunctionType) -> str | None:
     """What of a function eight scenes side by side cannot do, if it has it."""
+    for each in _all(function):
+        names = {now.opname for now in dis.get_instructions(each.__code__)}
+        if "FOR_ITER" in names and names.intersection(COMPREHENDS):
+            return COMPREHENSION
     if branches(function):
         return "chooses its way by an `if` or a loop (min and max would have lanes)"
     for each in _all(function):
         if any(isinstance(part, CodeType) for part in each.__code__.co_consts):
-            return "makes a function of its own or a comprehension"
+            return COMPREHENSION
         if any(now.opname in MAKES_LISTS for now in dis.get_instructions(each.__code__)):
             return "makes a list"
         if odd := sorted(name for name, thing in named_in(each).items()
