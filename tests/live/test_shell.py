@@ -328,7 +328,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
 
     Even if the master goes on hearing the slave: that one falls silent, and asks for another session.
     """
-    for name in ("teleop.live.hearing.OPEN_NS", "teleop.protocol.session.RENEW_NS"):
+    for name in ("teleop.live.hearing.OPEN_NS", "teleop.protocol.liveness.RENEW_NS"):
         monkeypatch.setattr(name, 400_000_000)
     both = pair(replace(SCENE, duration=2.2), wire=Roaming)
     master, slave = both.shells["m"], both.shells["s"]
