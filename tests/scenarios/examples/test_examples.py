@@ -1,0 +1,71 @@
+"""The examples do what they say: each runs as it stands, is short, and imports public names only."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import scenarios.examples
+from channel import check_effect
+from scenarios.examples.effect import Handover
+from scenarios.examples.law import SmoothReflection
+from scenarios.examples.stage import AlphaBeta
+from teleop import BackwardDifference, check_law
+from teleop.sweeps.kernels.bytecode import without_lanes
+from tests.teleop.stages.velocity.test_contract import conforms
+
+FOLDER = Path(scenarios.examples.__file__ or "").parent
+EXAMPLES = sorted(path for path in FOLDER.glob("*.py") if path.name != "__init__.py")
+PRINTS = {
+    "compare": r"\{'ok': \d+, 'diverged': \d+\}\n(?:\w+ .*\n){3}ok .*\n\{.*\}\ncompare\.png\n",
+    "effect": r"(?: *\d+ ms a second: ok, .*\n){3}",
+    "law": r"(?:.* Hz: ok, .*\n){2}.* Hz: diverged, .*\n",
+    "metric": r"(?:\w+ +\d+ N/m: +[\d.]+ N within 10 ms, the hand did +[\d.]+ J\n){4}",
+    "scene": r"(?: *\d+ % lost: ok, .* least E_link 0\.000 J\n){3}",
+    "stage": r"(?:\w+ +[\d.]+ mm/s rms\n){3}",
+}
+"""What each prints; `device` is an end of a live run, and is tried in tests/live."""
+
+
+def imported(path: Path) -> set[str]:
+    """The modules that a file imports from."""
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    whole = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    return whole | {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+
+
+def test_there_is_an_example_of_each_kind() -> None:
+    assert {path.stem for path in EXAMPLES} == {*PRINTS, "device"}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short_and_imports_public_names_only(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= 60
+    own = {name for name in imported(path) if name.partition(".")[0] in ("teleop", "master", "slave", "channel")}
+    assert own <= {"teleop", "master", "slave", "channel"}
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_an_example_runs_as_it_stands(name: str, tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, FOLDER / f"{name}.py"], cwd=tmp_path, capture_output=True, text=True,
+                          check=False)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(PRINTS[name], done.stdout), done.stdout
+
+
+def test_law_and_effect_keep_what_every_law_and_effect_promises() -> None:
+    check_law(SmoothReflection())
+    check_effect(Handover(1.0, 0.1))
+
+
+def test_the_estimator_keeps_the_contract_of_estimators_and_has_lanes() -> None:
+    conforms(AlphaBeta())
+    step: Any = AlphaBeta.step
+    assert without_lanes(step) is None
+    assert without_lanes(BackwardDifference.step) is None  # type: ignore[arg-type]  # a plain function behind it
