@@ -1,4 +1,4 @@
-"""The hand's side: hands, the references that they follow, and the simulated master.
+"""The master's side: hands, the references that they follow, and the simulated master.
 
     from master import Grip, Reach
     hand = Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=0.05, duration=1.0))

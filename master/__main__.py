@@ -1,4 +1,4 @@
-"""`python -m master SCENE --peer HOST:PORT`: the hand's side as a process."""
+"""Command `python -m master SCENE --peer HOST:PORT`: the master's end as a process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated master: the device with the scene's hand on it, moved exactly between the ticks."""
+"""Simulated master: a device held by the scene's hand, moved exactly between the ticks."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from teleop.simulation.structure import structure_of
 
 
 class SimulatedMaster:
-    """Reads where the master is at a tick, and holds the motor's force until the next one is read.
+    """Device of the master in simulation: its motion under the motor's force, which is held between the ticks.
 
     A force that is not renewed within its deadline lapses: the motion goes on without it.
-    It has a force sensor if the scene's law reads f_h and no observer stands in for one, and where the motion has an
-    inner state, since the hand's force cannot be told afterwards then.
+    It has a force sensor if the scene's law reads f_h and the scene has no observer of it, and if the motion has an
+    inner state, since the hand's force cannot be computed afterwards then.
     """
 
     deadline = DEADLINE

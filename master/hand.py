@@ -1,4 +1,4 @@
-"""Hands: a mass-spring-damper grip, and the references it follows.
+"""Hands: a mass-spring-damper grip, and the references that it follows.
 
 A reference is sampled at the ticks, `t = k*dt_ns/1e9`, and is straight in between. A parameter with a
 direction is a number, which means along the first axis, or a tuple with one entry for each axis.
@@ -39,7 +39,7 @@ class Grip:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sine:
-    """`amplitude sin(2 pi frequency t)`: amplitude in m (with a direction), frequency in Hz.
+    """Sinusoidal reference `amplitude sin(2 pi frequency t)`: amplitude in m (with a direction), frequency in Hz.
 
     Samples cannot show more than half their own rate: a faster sine is refused.
     """
@@ -63,7 +63,7 @@ class Sine:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reach:
-    """The reach of least jerk from `origin` to `to` (m, with a direction).
+    """Minimum-jerk reach from `origin` to `to` (m, with a direction).
 
     It begins at `start` and takes `duration` (s), with rest before and after:
     `origin + (to - origin)(10 s^3 - 15 s^4 + 6 s^5)`, `s = (t - start)/duration` held to [0, 1]. Flash and
@@ -94,7 +94,7 @@ class Reach:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rest:
-    """Staying at `at` (m, with a direction)."""
+    """Constant reference at `at` (m, with a direction)."""
 
     at: Vector = 0.0
 
@@ -107,7 +107,7 @@ class Rest:
 
 
 def vector(name: str, value: Vector) -> tuple[float, ...]:
-    """`value` as a tuple of floats, or `Refused` if it is neither a number nor a tuple of some."""
+    """Convert `value` to a tuple of floats. Raises `Refused` if it is neither a number nor a tuple of numbers."""
     if not isinstance(value, tuple):
         return (number(name, value),)
     if not value:
@@ -116,7 +116,7 @@ def vector(name: str, value: Vector) -> tuple[float, ...]:
 
 
 def along(name: str, value: Vector, axes: int) -> tuple[float, ...]:
-    """`value` with one entry for each axis; Refused if it is a tuple of another length."""
+    """Extend `value` to one entry for each axis. Raises `Refused` for a tuple of another length."""
     entries = vector(name, value)
     if not isinstance(value, tuple):
         return entries + (0.0,) * (axes - 1)

@@ -1,4 +1,4 @@
-"""Recordings: a hand's motion read from a CSV file."""
+"""Recorded references: the motion of a hand, read from a CSV file."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Recording:
 
 
 def read(path: str) -> tuple[Row, ...]:
-    """The rows of a recording, at least one; Refused with path and line if there is anything else in it."""
+    """Read the rows of a recording, at least one. Raises `Refused` with path and line for a row that is none."""
     rows: list[Row] = []
     width = 0  # of the header or the first row; 0 before either
     for at, line in enumerate(_lines(path), start=1):
@@ -98,7 +98,7 @@ def _lines(path: str) -> list[str]:
 
 
 def _cell(cell: str, path: str, at: int) -> float:
-    """A finite number, as a CSV file writes one."""
+    """Convert a cell of a CSV file to a finite number. Raises `Refused`."""
     try:
         value = float(cell.replace("_", "?"))  # only Python reads 1_0 as a number
     except ValueError:

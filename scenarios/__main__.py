@@ -1,4 +1,4 @@
-"""The `teleop` command. It lives outside `teleop`, so that it can tell whose `teleop` it has found."""
+"""Command `teleop`. It stands outside the package `teleop`, so that it can check which project's package that is."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 
 
 def main() -> int:
-    """Check whose `teleop` is installed, then hand over to its command line; returns the exit code."""
+    """Check that the package `teleop` is of this project, then run its command line; returns the exit code."""
     try:
         import channel  # noqa: F401  (its check of `teleop` is the point)
     except ImportError as error:

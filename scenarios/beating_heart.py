@@ -1,4 +1,4 @@
-"""Holding an instrument against a heart that beats: a wall that moves by itself."""
+"""Beating heart: contact with a wall that moves by itself."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 6.0,
 ) -> Scene:
-    """A hand rests the slave on a surface that moves to and fro, and feels it beat."""
+    """A hand holds the slave against a surface that moves to and fro, and feels its motion."""
     return Scene(
         law=law,
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.2, duration=1.0)),

@@ -1,4 +1,4 @@
-"""The link goes away for a while, and comes back."""
+"""Blackout: for a while the link loses every packet."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def scene(
     *,
     law: Law = Wave(),
     delay: knob.LinkDelay = 0.03,
-    dark_from: Annotated[float, Knob("s", "time at which the link goes", low=0.0, link=True)] = 4.0,
-    dark_for: Annotated[float, Knob("s", "time for which the link is gone", low=0.0, link=True)] = 1.0,
+    dark_from: Annotated[float, Knob("s", "time at which the blackout begins", low=0.0, link=True)] = 4.0,
+    dark_for: Annotated[float, Knob("s", "duration of the blackout", low=0.0, link=True)] = 1.0,
     k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 5e3,
     d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 10.0,
     wall: Annotated[float, Knob("m", "position of its surface")] = 0.03,
@@ -31,7 +31,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 10.0,
 ) -> Scene:
-    """A hand presses a wall; for a second nothing gets through: the watchdogs let go, then take hold again."""
+    """A hand presses a wall; for a second no packet arrives: the watchdogs ramp the forces to zero, then back."""
     return Scene(
         law=law,
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.5, duration=1.5)),

@@ -1,4 +1,4 @@
-"""Loss in bursts, as radio links have it (Gilbert-Elliott)."""
+"""Loss in bursts, as on radio links (Gilbert-Elliott)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 10.0,
 ) -> Scene:
-    """A hand reaches for a wall over a link that goes bad for some 20 packets at a time."""
+    """A hand reaches for a wall over a link that turns bad for some 20 packets at a time."""
     return Scene(
         law=law,
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.5, duration=1.5)),

@@ -1,4 +1,4 @@
-"""The scene that benchmarks and references speak of: waves over 50 ms each way against a hard wall."""
+"""Reference scene of benchmarks and pages: waves over 50 ms each way against a hard wall."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A finger let go before a virtual wall that an encoder sees in steps: limit cycles, and what stops them."""
+"""Virtual wall behind a coarse encoder: limit cycles, and the passivity controller that ends them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from teleop import BackwardDifference, Cap, Device, Encoder, Knob, MassDamper, S
 
 def scene(
     *,
-    K: Annotated[float, Knob("N/m", "stiffness of the wall; 2500 hums at 34 Hz", low=0.0)] = 400.0,
+    K: Annotated[float, Knob("N/m", "stiffness of the wall; 2500 oscillates at 34 Hz", low=0.0)] = 400.0,
     every: Annotated[int, Knob(
-        "ticks", "time after which the wall's force is renewed; 5 shakes at 21 Hz", low=1)] = 1,
+        "ticks", "time after which the wall's force is renewed; 5 oscillates at 21 Hz", low=1)] = 1,
     cap: knob.ControllerDamping = None,
     v_min: knob.ControllerRest = 0.0,
     step: Annotated[float | None, Knob(

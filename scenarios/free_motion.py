@@ -1,4 +1,4 @@
-"""Nothing to touch: how well the slave follows over a delay."""
+"""Free motion: tracking over a delay, without any contact."""
 
 from __future__ import annotations
 

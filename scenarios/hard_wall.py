@@ -1,4 +1,4 @@
-"""Reach for a hard wall over a delay, press, and stay pressed."""
+"""Hard wall over a delay: a reach into contact, which is then kept."""
 
 from __future__ import annotations
 

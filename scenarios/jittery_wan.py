@@ -1,4 +1,4 @@
-"""The open internet on a bad day: delay, jitter with reordering, and some loss."""
+"""Wide-area network: delay, jitter with reordering, and some loss."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 10.0,
 ) -> Scene:
-    """A hand reaches for a wall over a link that jitters and loses; a fixed playout delay puts order back."""
+    """A hand reaches for a wall over a link with jitter and loss; a fixed playout delay restores the order."""
     return Scene(
         law=law,
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.5, duration=1.5)),

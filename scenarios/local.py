@@ -1,4 +1,4 @@
-"""No link at all: each end sees the other's message of the last tick."""
+"""No link: each end gets the other end's message of the last tick."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 10.0,
 ) -> Scene:
-    """A hand reaches for a hard wall with nothing in between but one tick."""
+    """A hand reaches for a hard wall with a delay of one tick alone."""
     return Scene(
         law=law,
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=0.5, duration=1.5)),

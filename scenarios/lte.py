@@ -1,4 +1,4 @@
-"""A moving phone: two recorded LTE links, up from the master, down to it."""
+"""Cellular network: two recorded LTE links, up from the master, down to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pressing tissue that yields with time: a standard linear solid, stepped exactly with one more state."""
+"""Relaxing tissue: a standard linear solid, stepped exactly with one more state."""
 
 from __future__ import annotations
 

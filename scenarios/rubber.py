@@ -1,4 +1,4 @@
-"""A ball of rubber: a contact that stiffens with depth, for which no closed form exists."""
+"""Rubber ball: a contact that stiffens with depth, for which no closed form exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A geostationary hop: about 0.3 s each way."""
+"""Geostationary satellite link: about 0.3 s each way."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 20.0,
 ) -> Scene:
-    """A slow reach for a wall when the touch comes back 0.6 s later."""
+    """A slow reach for a wall whose reflected force is felt 0.6 s later."""
     return Scene(
         law=law,
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Reach(to=to, start=1.0, duration=4.0)),

@@ -1,4 +1,4 @@
-"""Holding soft tissue: a spring-damper that the slave is bonded to and can pull on."""
+"""Soft tissue: a spring-damper that the slave is bonded to and can pull on."""
 
 from __future__ import annotations
 

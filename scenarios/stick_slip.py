@@ -26,7 +26,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 4.0,
 ) -> Scene:
-    """A slow swing against dry friction: both ends stick at every turn and let go with a jerk."""
+    """A slow swing against dry friction: both ends stick at every reversal and slip with a jerk."""
     return Scene(
         law=law,
         hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=amplitude, frequency=frequency)),

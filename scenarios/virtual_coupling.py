@@ -1,4 +1,4 @@
-"""A finger pushes a simulated tool, by a spring and a damper, into a wall far too stiff for the handle itself."""
+"""Virtual coupling: a finger pushes a simulated tool, by spring and damper, into a wall too stiff for the handle."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 2.0,
 ) -> Scene:
-    """A reach of least jerk takes a tool on a virtual coupling into a stiff virtual wall."""
+    """A minimum-jerk reach takes a tool on a virtual coupling into a stiff virtual wall."""
     passivity, saturation, electrical = None, None, None
     if cap is not None:
         from teleop import PassivityController

@@ -1,4 +1,4 @@
-"""A finger on a handle reaches into a wall that the controller renders: no robot, no link."""
+"""Virtual wall that the controller renders to a finger on a handle: no slave, no link."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def scene(
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 2.0,
 ) -> Scene:
-    """A reach of least jerk takes a finger into a virtual wall, which it then presses."""
+    """A minimum-jerk reach takes a finger into a virtual wall, which it then presses."""
     passivity, saturation, electrical = None, None, None
     if cap is not None:
         from teleop import PassivityController

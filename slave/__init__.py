@@ -1,4 +1,4 @@
-"""The robot's side: environments that a slave touches, and the simulated slave.
+"""The slave's side: environments that a slave touches, and the simulated slave.
 
     from slave import Wall
     environment = Wall(k=5e3, d=5.0, at=0.03)

@@ -1,4 +1,4 @@
-"""`python -m slave SCENE --listen HOST:PORT`: the robot's side as a process."""
+"""Command `python -m slave SCENE --listen HOST:PORT`: the slave's end as a process."""
 
 from __future__ import annotations
 

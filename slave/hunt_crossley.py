@@ -39,5 +39,5 @@ class HuntCrossley:
             raise Refused(f"side must be 1 (it fills x > at) or -1 (x < at), not {self.side:g}")
 
     def resistance(self) -> Resistance:
-        """What it does to a body, for `teleop.physics.implicit.implicit_plant`."""
+        """Coefficients of its force on a body, for `teleop.physics.implicit.implicit_plant`."""
         return Resistance(HUNT_CROSSLEY, self.k, 0.0, self.at, self.side, self.n, self.lam)

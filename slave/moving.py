@@ -1,4 +1,4 @@
-"""An environment that moves: any other, carried along a path."""
+"""Moving environment: another environment that is carried along a path."""
 
 from __future__ import annotations
 

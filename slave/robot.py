@@ -1,4 +1,4 @@
-"""The simulated slave: the robot in what it touches, moved exactly between the ticks."""
+"""Simulated slave: a robot in its environment, moved exactly between the ticks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from teleop.simulation.structure import structure_of
 
 
 class SimulatedSlave:
-    """Reads where the slave is at a tick, and holds the motor's force until the next one is read.
+    """Device of the slave in simulation: its motion under the motor's force, which is held between the ticks.
 
     A force that is not renewed within its deadline lapses: the motion goes on without it.
     It has a force sensor if the scene's law reads f_env.

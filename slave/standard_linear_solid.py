@@ -35,5 +35,5 @@ class StandardLinearSolid:
         object.__setattr__(self, "at", number("at", self.at))
 
     def plant(self, body: MassDamper, dt: float) -> Plant:
-        """`body` bonded to this solid, for ticks of dt seconds."""
+        """Exact step of `body` bonded to this solid, for ticks of dt seconds."""
         return relaxing(body, dt, k=self.k, k1=self.k1, tau=self.tau, at=self.at)

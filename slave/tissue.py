@@ -29,11 +29,11 @@ class Tissue:
         object.__setattr__(self, "at", number("at", self.at))
 
     def plant(self, body: MassDamper, dt: float) -> Plant:
-        """`body` bonded to this tissue, for ticks of dt seconds."""
+        """Exact step of `body` bonded to this tissue, for ticks of dt seconds."""
         return spring_damper(body, dt, k=self.k, d=self.d, at=self.at)
 
     def resistance(self) -> Resistance:
-        """What it does to a body that has friction, for `teleop.physics.implicit.implicit_plant`."""
+        """Coefficients of its force on a body with friction, for `teleop.physics.implicit.implicit_plant`."""
         from teleop.physics.implicit import Resistance
         from teleop.physics.sdirk import BOND
 

@@ -1,4 +1,4 @@
-"""A wall: a spring-damper that fills one side of a plane and cannot pull."""
+"""Wall: a spring-damper that fills one side of a plane and cannot pull."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class Wall:
             raise Refused(f"side must be 1 (the wall fills x > at) or -1 (x < at), not {self.side:g}")
 
     def plant(self, body: MassDamper, dt: float) -> Plant:
-        """`body` beside this wall, for ticks of dt seconds."""
+        """Exact step of `body` beside this wall, for ticks of dt seconds."""
         return wall(body, dt, k=self.k, d=self.d, at=self.at, side=self.side)
 
     def resistance(self) -> Resistance:
-        """What it does to a body that has friction, for `teleop.physics.implicit.implicit_plant`."""
+        """Coefficients of its force on a body with friction, for `teleop.physics.implicit.implicit_plant`."""
         from teleop.physics.implicit import Resistance
         from teleop.physics.sdirk import WALL
 

@@ -1,4 +1,4 @@
-"""What is installed here, and what the stack keeps: `teleop doctor`."""
+"""Versions that are installed and compiled kernels that are kept: `teleop doctor`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXTRAS = {  # what to install for each
 
 
 def kernels() -> Path:
-    """Where compiled kernels are kept."""
+    """Folder of the compiled kernels."""
     from teleop.sweeps.kernels.compiled import folder
 
     return folder()
@@ -41,7 +41,7 @@ def findings() -> dict[str, Any]:
 
 
 def clear() -> int:
-    """Remove every compiled kernel, and nothing else; how many there were."""
+    """Remove every compiled kernel, and nothing else; returns how many there were."""
     held = _kept(kernels())
     for path in held:
         path.unlink(missing_ok=True)
@@ -49,7 +49,7 @@ def clear() -> int:
 
 
 def text(found: dict[str, Any]) -> str:
-    """The findings in a few lines."""
+    """Text of the findings, a line each."""
     rows = [("bilateral-teleop", f"{found['bilateral-teleop']}, Python {found['python']} on {found['platform']}")]
     for name, there in found["packages"].items():
         cure = f"not installed: pip install 'bilateral-teleop[{EXTRAS[name]}]'" if name in EXTRAS else "not installed"
@@ -63,7 +63,7 @@ def text(found: dict[str, Any]) -> str:
 
 
 def command(args: Namespace) -> Answer:
-    """What `teleop doctor` does: show the findings, with --clear after the kernels are removed."""
+    """Answer of `teleop doctor`: the findings; with --clear the kernels are removed first."""
     removed = clear() if args.clear else 0
     found = findings()
     said = f"{removed} kernels removed\n{text(found)}" if args.clear else text(found)
@@ -71,7 +71,7 @@ def command(args: Namespace) -> Answer:
 
 
 def _kept(folder: Path) -> list[Path]:
-    """The files that kernels left there, numba's own among them."""
+    """Files of compiled kernels in the folder, those of numba among them."""
     return [path for path in folder.rglob("teleop_kernel_*") if path.is_file()] if folder.is_dir() else []
 
 

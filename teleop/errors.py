@@ -21,7 +21,7 @@ class DeviceError(Exception):
 
 
 class WrongNumber(Refused):
-    """A refused number: what it is called, what it is, what it must be, and an example of one that would do."""
+    """A refused number: its name, its value, the range that it must be in, and an example of a good one."""
 
     def __init__(self, name: str, value: object, must: str, example: float | None) -> None:
         shown = f"{value:g}" if type(value) is float else repr(value)
@@ -31,12 +31,12 @@ class WrongNumber(Refused):
         self.name, self.value, self._must, self._example = name, value, must, example
 
     def called(self, name: str) -> WrongNumber:
-        """The same refusal by another name, the one under which the number was typed."""
+        """The same refusal with another name of the number, the one under which it was typed."""
         return WrongNumber(name, self.value, self._must, self._example)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """The sentence's end for an unknown word: the closest known ones, or all of them.
+    """Last words of a refusal of an unknown name: the nearest known names, or all of them.
 
     >>> nearest("wavee", ["wave", "pfra"])
     'did you mean wave?'
@@ -50,7 +50,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 def number(name: str, value: object, *, low: float | None = None, above: float | None = None,
            high: float | None = None, unit: str = "") -> float:
-    """`value` as a float, or `Refused` if it is no finite number in the range.
+    """Convert `value` to a float. Raises `Refused` if it is no finite number in the range.
 
     `low` and `high` are included in the range, `above` is not; the sentence gives them with the `unit`. A bool is not a
     number here, a numpy scalar is.
@@ -80,7 +80,7 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
 
 
 def whole_number(name: str, value: object, *, low: float | None = None, high: float | None = None) -> int:
-    """`value` as an int, or `Refused` if it is no whole number in the range. 3.0 is one."""
+    """Convert `value` to an int. Raises `Refused` if it is no whole number in the range; 3.0 is one."""
     got = number(name, value, low=low, high=high)
     if not got.is_integer():
         raise WrongNumber(name, got, "a whole number", round(got))

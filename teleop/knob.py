@@ -20,7 +20,7 @@ from teleop.errors import Refused, nearest, number
 
 @dataclass(frozen=True, slots=True)
 class Knob:
-    """The declaration of a knob. `low` and `high` are included in the range, `above` is not."""
+    """Declaration of a knob. `low` and `high` are included in the range, `above` is not."""
 
     unit: str = ""
     meaning: str = ""
@@ -53,7 +53,7 @@ class Declared(NamedTuple):
 
 
 def declared(hint: Any) -> tuple[Any, Knob]:
-    """The type in an annotation, without `Annotated`, and the declaration of the knob.
+    """Type in an annotation, without `Annotated`, and declaration of the knob.
 
     >>> declared(Annotated[float | None, Knob("s", "age of a message", above=0.0)])[1].unit
     's'
@@ -69,7 +69,7 @@ def declared(hint: Any) -> tuple[Any, Knob]:
 
 
 def knobs_of_fields(kind: Any) -> dict[str, Declared]:
-    """The knobs of a dataclass: its fields that are given when one is made."""
+    """Knobs of a dataclass by name: the fields that are given when one is made."""
     return _knobs_of_fields(kind)
 
 
@@ -98,7 +98,7 @@ def check_knobs(part: Any) -> None:
 
 
 LinkDelay = Annotated[float, Knob("s", "delay of the link, each way", low=0.0, link=True)]
-Timeout = Annotated[float, Knob("s", "silence after which the watchdogs let go", above=0.0)]
+Timeout = Annotated[float, Knob("s", "silence after which the watchdogs ramp the force to zero", above=0.0)]
 MessageAge = Annotated[float | None, Knob(
     "s", "age from which on a message that is played is no sign of the other end; none: at any age", above=0.0)]
 MostForce = Annotated[float, Knob("N", "most force of either end", low=0.0)]

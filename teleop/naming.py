@@ -17,14 +17,14 @@ from teleop.errors import Refused, nearest
 
 
 def known(group: str, built_in: Mapping[str, str]) -> dict[str, str]:
-    """Every part that can be named: `name -> "module:attribute"`, none imported."""
+    """Places of all parts of a group by name, as `"module:attribute"`; none is imported."""
     from importlib.metadata import entry_points
 
     return {**{e.name: e.value for e in entry_points(group=group)}, **built_in}
 
 
 def find(kind: str, group: str, built_in: Mapping[str, str], name: str) -> Any:
-    """The part of this name, loaded now. Raises `Refused`, naming the nearest, if there is none.
+    """Load the part of this name. Raises `Refused` with the nearest names if there is none.
 
     >>> find("law", "teleop.laws", {"wave": "teleop.laws.wave:Wave"}, "wave").__name__
     'Wave'
@@ -42,7 +42,7 @@ def find(kind: str, group: str, built_in: Mapping[str, str], name: str) -> Any:
 
 
 def public_name(package: str, homes: Mapping[str, Sequence[str]], name: str) -> Any:
-    """A public name of a package, loaded now; `homes` has the names of each of the package's modules.
+    """Load a public name of a package; `homes` lists the names of each module of the package.
 
     Raises `AttributeError`, as a module does, if no module of `homes` has the name.
     """
@@ -56,13 +56,13 @@ def public_name(package: str, homes: Mapping[str, Sequence[str]], name: str) -> 
 class PartKind:
     """A kind of part that texts may name: dataclasses, built in at `places` or offered as entry points of `group`."""
 
-    word: str  # what one of it is called
+    word: str  # for a part of this kind
     group: str
     places: Mapping[str, str]  # "module:class" by name
     examples: Mapping[str, str]
 
     def make(self, node: ast.AST, text: str, form: str) -> Any:
-        """The part that a call in `text` makes; `form` is how to write one. Raises `Refused`."""
+        """Make the part of a call in `text`; `form` is an example of one. Raises `Refused`."""
         if isinstance(node, ast.Name):
             made = find(self.word, self.group, self.places, node.id)
             raise Refused(f"the {self.word} {node.id} needs brackets: {self._usage(node.id, made)}")
@@ -74,7 +74,7 @@ class PartKind:
         return made(**self._arguments(name, made, node))
 
     def read(self, text: str) -> Any:
-        """The one part that `text` describes. Raises `Refused`.
+        """Make the one part that `text` describes. Raises `Refused`.
 
         >>> laws = PartKind(word="law", group="teleop.laws", places={"wave": "teleop.laws.wave:Wave"}, examples={})
         >>> laws.read("wave(b=3.0)").b
@@ -88,7 +88,7 @@ class PartKind:
         return self.make(node, text, form)
 
     def _arguments(self, name: str, made: type[Any], node: ast.Call) -> dict[str, Any]:
-        """The call's arguments by name; whether their values are any good the part says itself."""
+        """Arguments of a call by name; the part itself checks their values."""
         knobs = _arguments_of(made)
         usage = self._usage(name, made)
         in_place = [knob for knob, (_, by_name) in knobs.items() if not by_name]
@@ -109,11 +109,11 @@ class PartKind:
             raise Refused(f"the arguments of {name} must be numbers or texts in quotes: {usage}") from None
 
     def _usage(self, name: str, made: type[Any]) -> str:
-        """What to write for a part; of a plug-in's only the names of its arguments are known."""
+        """Example of how to write a part; of a plug-in's part only the names of its arguments are known."""
         named = ", ".join(knob if needed else f"{knob}=..." for knob, (needed, _) in _arguments_of(made).items())
         return f"write for example {self.examples.get(name, f'{name}({named})')}"
 
 
 def _arguments_of(made: type[Any]) -> dict[str, tuple[bool, bool]]:
-    """A part's arguments: whether it is needed, whether it must be named."""
+    """Arguments of a part by name: True if it must be given, True if it must be given by name."""
     return {knob.name: (knob.default is MISSING, bool(knob.kw_only)) for knob in fields(made) if knob.init}

@@ -26,7 +26,7 @@ MEANINGS = {  # of knobs that declare nothing, by their type
 
 
 def overview() -> str:
-    """Scenes, laws and effects with a line each; those of plug-ins are named without being imported."""
+    """List scenes, laws, effects and velocity estimators with a line each; no scene or law of a plug-in is imported."""
     effects = import_bundled("channel.link").known_effects()
     laws = known_laws()
     parts = {
@@ -40,7 +40,10 @@ def overview() -> str:
 
 
 def details(name: str) -> str:
-    """The knobs of whatever is called `name`, scene, law or effect. Raises `Refused` if nothing is."""
+    """List the knobs of the scene, law, effect or estimator `name`, each of them if several have that name.
+
+    Raises `Refused` for an unknown name.
+    """
     effects: Mapping[str, str] = import_bundled("channel.link").known_effects()
     laws, scenes = known_laws(), known_scenes()
     parts = []
@@ -64,7 +67,7 @@ def details(name: str) -> str:
 
 
 def units_of(name: str, knobs: Sequence[str]) -> dict[str, str]:
-    """The units that the knobs of a scene declare; with those of the laws' knobs if `knobs` has any such."""
+    """Units that the knobs of a scene declare, by knob; those of the built-in laws too if `knobs` names a law's."""
     try:
         found = dict(knobs_of(scene_function(name)))
     except Refused:  # the scene's file is gone, or is no scene any more
@@ -129,7 +132,7 @@ def _law_line(name: str, where: str) -> str:
 
 
 def _scene_line(name: str) -> str:
-    """A scene's first line, read and not run."""
+    """The first line of a scene's docstring, read from its file without importing it."""
     if name not in built_in_scenes():
         return "from a plug-in"
     tree = ast.parse((ROOT / "scenarios" / f"{name}.py").read_text(encoding="utf-8"))

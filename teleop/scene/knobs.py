@@ -23,7 +23,7 @@ _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no"
 
 @lru_cache(maxsize=64)
 def knobs_of(function: Callable[..., Any]) -> dict[str, Declared]:
-    """A scene function's knobs by name.
+    """Knobs of a scene's function, by name. Raises `Refused` for a parameter that cannot be given by its name.
 
     A knob without an annotation is of its default's type; one without a default too is a number.
     """
@@ -67,7 +67,7 @@ def _kind(name: str, default: Any) -> Any:
 def settle(
     name: str, function: Callable[..., Any], given: Mapping[str, object]
 ) -> tuple[dict[str, object], dict[str, tuple[object, Any]]]:
-    """The values of all knobs of a scene; and of the knobs that every scene has those given, to be shown and to be set.
+    """Values of a scene's own knobs, and of `link` and `x_limit`, which every scene has, as (shown, value) if given.
 
     Raises `Refused` for an unknown knob, for a value that is none or out of the knob's bounds, and for a knob that sets
     the scene's own link where that link is replaced: it would be turned, shown, and change nothing.
@@ -104,7 +104,7 @@ def settle(
 
 
 def read(key: str, value: object, hint: Any) -> object:
-    """`value` (a text, or already of the type) as the knob's type. Raises `Refused`."""
+    """Convert `value`, a text or already of the type, to the type `hint` of the knob `key`. Raises `Refused`."""
     kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
     if NoneType in kinds and (value is None or value == "none"):
         return None
@@ -184,7 +184,7 @@ def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
 
 
 def _playout(key: str, value: object) -> Zero | Hold | Fixed:
-    """`zero`, `hold`, `fixed:0.1` or `fixed:0.1:hold` (gaps)."""
+    """Playout of a text: `zero`, `hold`, `fixed:0.1`, or `fixed:0.1:hold` where the last message fills gaps."""
     if isinstance(value, (Zero, Hold, Fixed)):
         return value
     kind, *rest = str(value).split(":")

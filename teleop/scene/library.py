@@ -1,9 +1,9 @@
-"""Where scenes are found: those shipped beside this package, those of plug-ins, those at a path.
+"""Library of scenes: those shipped beside this package, those of plug-ins, those at a path.
 
 A scene's file imports `master`, `slave` and `channel`, and modules that lie beside it. Two finders on `sys.meta_path`
-see to both, so that `sys.path` stays as it is: the first one finds the packages of this distribution beside `teleop`,
-so that a folder `scenarios` or a file `master.py` where the command is typed shadows nothing; the last one finds what
-lies beside the scenes' files that were loaded, behind all that is installed.
+make that possible without a change of `sys.path`. The first one finds the packages of this distribution beside
+`teleop`, so that a folder `scenarios` or a file `master.py` where the command is typed shadows nothing. The last one
+finds the modules beside the scenes' files that were loaded, after all that is installed.
 """
 
 from __future__ import annotations
@@ -74,17 +74,20 @@ def prefer_bundled() -> None:
 
 
 def built_in_scenes() -> list[str]:
-    """The names of the scenes that come with this package."""
+    """Names of the scenes that come with this package."""
     return sorted(p.stem for p in (ROOT / "scenarios").glob("*.py") if not p.stem.startswith("_"))
 
 
 def known_scenes() -> list[str]:
-    """Every scene that can be named: built in and of plug-ins, none imported."""
+    """Names of all scenes, built in and of plug-ins; none is imported."""
     return sorted({*built_in_scenes(), *known(GROUP, {})})
 
 
 def scene_function(name: str) -> Callable[..., Scene]:
-    """The function behind a scene's name or path; its keyword parameters are the scene's knobs."""
+    """Function of the scene with this name or path; its keyword parameters are the knobs.
+
+    Raises `Refused` for an unknown name, and for a file that cannot be loaded or has no function `scene`.
+    """
     prefer_bundled()  # the hands, robots and effects that a scene file imports must be ours too
     if name.endswith(".py"):
         module = _from_path(Path(name))
@@ -126,7 +129,7 @@ def _from_path(path: Path) -> Any:
 
 
 def beside(path: Path) -> dict[str, Path]:
-    """The modules that a scene's file imports from its own folder, and those that they do: name and file of each."""
+    """Modules that a scene's file imports from its own folder, directly or by way of another: file by name."""
     found: dict[str, Path] = {}
     waiting = [path]
     while waiting:
@@ -140,7 +143,7 @@ def beside(path: Path) -> dict[str, Path]:
 
 
 def _let_import_from(path: Path) -> None:
-    """Let a scene's file import what lies beside it, as Python lets a script: now, and whenever it asks.
+    """Let a scene's file import the modules beside it, as Python lets a script: now, and whenever it asks.
 
     All that is installed is found first; then this folder, then those of earlier scenes. Raises `Refused` if the scene
     asks for a module whose name stands for a module of another scene in this process.
@@ -156,7 +159,7 @@ def _let_import_from(path: Path) -> None:
 
 
 def _imported(path: Path) -> set[str]:
-    """The packages and modules that a file names in its imports; none if it is no Python."""
+    """Top-level modules that a file imports; none if the file is no Python."""
     import ast
 
     try:

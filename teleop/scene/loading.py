@@ -1,4 +1,4 @@
-"""Scenes made by name or path, their knobs set."""
+"""Loading of scenes: by name or path, with their knobs set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from teleop.scene.scene import Scene
 
 
 def load_scene(name: str, /, **knobs: object) -> Scene:
-    """The scene `name` (built in, of a plug-in, or a path ending in .py) with its knobs set.
+    """Make the scene `name` (built in, of a plug-in, or a path ending in .py) with its knobs set.
 
     `law` may be a law or a law's name; `law.FIELD` sets one of the law's own numbers; `x_limit` (m), beyond which a run
     has diverged, is a knob of every scene, and so is `link`, which takes a link
@@ -29,7 +29,7 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
 
 
 def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]) -> Scene:
-    """The scene that a scene's function makes with its knobs set, as `load_scene` does."""
+    """Make a scene by its function, with its knobs set as `load_scene` sets them. Raises `Refused`."""
     from teleop.scene.knobs import settle
 
     settled, of_scene = settle(name, function, knobs)
@@ -49,14 +49,14 @@ def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]
 
 
 def _called(scene: Scene, name: str, knobs: Mapping[str, object]) -> Scene:
-    """The same scene by a name; what was checked when it was made is not checked again."""
+    """The same scene with a name and its knobs, without a second check of its parts."""
     called = object.__new__(Scene)
     called.__dict__.update(scene.__dict__, name=name, knobs=knobs)
     return called
 
 
 def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:
-    """A part's refusal in the words of whoever set the knobs: the part may know a knob by another name."""
+    """A part's refusal with the name of the knob that set the part: the part may have another name for it."""
     if isinstance(refused, WrongNumber) and given.get(refused.name) != refused.value:
         same = [key for key, value in given.items() if type(value) in (int, float) and value == refused.value]
         if len(same) == 1:

@@ -1,4 +1,4 @@
-"""Playout of a scene: which of the packets that have arrived a tick plays, and what it plays where there is none.
+"""Playout: the choice of the packet that a tick plays among those that have arrived, and of the message in gaps.
 
 A packet sent at tick k arrives at tick `max(k+1, ceil(time/dt))`. With playout zero or hold the newest wins: a tick
 plays the greatest number that has come, if it is greater than every one played before. With a fixed playout delay,
@@ -15,17 +15,17 @@ from teleop.errors import Refused, number
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Zero:
-    """Newest wins; at a tick without a fresh packet the law is told so (a wave law puts 0: passive)."""
+    """Playout of the newest packet; a tick without one tells the law so; a wave law plays zero, which is passive."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Hold:
-    """Newest wins; at a tick without a fresh packet the last message is played again (active)."""
+    """Playout of the newest packet; a tick without one plays the last message again, which is active."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fixed:
-    """Every packet is played `delay` after it was sent (s), late ones never; the gaps as `gaps` says."""
+    """Playout of every packet `delay` s after it was sent, of late ones never; gaps are filled as `gaps` has it."""
 
     delay: float
     gaps: Zero | Hold = Zero()
@@ -45,5 +45,5 @@ Playout = Zero | Hold | Fixed
 
 
 def repeats(playout: Playout) -> bool:
-    """Is the last message played again in the gaps?"""
+    """True if the last message is played again in the gaps."""
     return isinstance(playout.gaps if isinstance(playout, Fixed) else playout, Hold)

@@ -1,4 +1,4 @@
-"""What a scene is made of. None means left out: not imported, built, computed or recorded."""
+"""Scene: the parts of a run, with their checks. A part that is None is not imported, built, computed or recorded."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A hand, a master, a law, a link, a slave and what it touches, for a time. SI units.
+    """A hand, a master, a law, a link, a slave and its environment, for a duration. SI units.
 
     Without a slave it is a hand, a master and a one-port law, which renders something to the hand by itself.
     """
@@ -78,7 +78,7 @@ class Scene:
                           "write None for an axis that touches nothing")
 
     def _check_ends(self) -> None:
-        """Refuse a law that has not the ends that the scene has, and parts of a slave that is not there."""
+        """Refuse a law with other ends than the scene, and parts of a slave in a scene without one."""
         one_port = has_shape("one-port law", self.law)
         if self.slave is not None:
             if one_port and not hasattr(self.law, "slave"):
@@ -97,7 +97,7 @@ class Scene:
                               "slave=MassDamper(mass=0.5)")
 
     def _check_numbers(self) -> None:
-        """Refuse what is out of range; what is kept is a float or an int, whatever kind of number it came as."""
+        """Refuse numbers out of range, and keep each as a float or an int, whatever type it was given as."""
         checked: dict[str, object] = {
             "dt": number("dt", self.dt, low=1e-6, high=10.0),
             "duration": number("duration", self.duration, above=0.0),
@@ -120,17 +120,17 @@ class Scene:
 
     @property
     def dt_ns(self) -> int:
-        """The tick in whole nanoseconds: all time is counted in these."""
+        """Length of a tick in whole nanoseconds, in which all time is counted."""
         return round(self.dt * 1e9)
 
     @property
     def ticks(self) -> int:
-        """How many ticks the run has."""
+        """Number of ticks of the run."""
         return round(self.duration * 1e9) // self.dt_ns
 
     @property
     def environments(self) -> tuple[Environment | None, ...]:
-        """What the slave touches, for each axis."""
+        """Environment of the slave for each axis, None where there is none."""
         if isinstance(self.environment, tuple):
             return self.environment
         return (self.environment, *[None] * (self.axes - 1))
@@ -152,7 +152,7 @@ class Scene:
 
     @property
     def has_waves(self) -> bool:
-        """Do the law's messages carry waves, so that the link has an energy ledger."""
+        """True if the law's messages carry waves, so that the link has an energy ledger."""
         if self.slave is None:
             return False
         forth, back = messages(self.law)
@@ -160,7 +160,7 @@ class Scene:
 
 
 def both_ends(scene: Scene) -> Scene:
-    """The scene, to be run by two processes. Refused if it has no slave: there is nothing to send to then."""
+    """Return the scene if two processes can run it. Raises `Refused` if it has no slave, so no second end."""
     if scene.slave is None:
         raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
                       f"teleop run {scene.name}")

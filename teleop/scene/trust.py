@@ -1,4 +1,4 @@
-"""Scenes that a stored folder names: opening what others have sent runs no code of theirs and reads no other file.
+"""Scenes that a stored folder names: opening a folder of others runs no code of theirs and reads no other file.
 
 A folder says which scene was run, with which knobs. A scene that is installed may be made again from that. A scene in a
 file of its own is code, and a knob or an effect that names a file has this machine read it: both only for a reader who
@@ -28,7 +28,7 @@ def stored_scene(name: str, knobs: Mapping[str, object], *, trust: bool) -> Scen
 
 
 def asks_for_trust(name: str, knobs: Mapping[str, object]) -> bool:
-    """Will a folder of this scene be opened with `trust` alone?"""
+    """True if a folder of this scene is opened with `trust` alone."""
     try:
         check_installed(name)
         _check_no_file(name, knobs)
