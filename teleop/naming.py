@@ -8,8 +8,10 @@ A `PartKind` reads parts from texts, written as in Python: `low_pass(cutoff=30.0
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -20,7 +22,13 @@ def known(group: str, built_in: Mapping[str, str]) -> dict[str, str]:
     """Places of all parts of a group by name, as `"module:attribute"`; none is imported."""
     from importlib.metadata import entry_points
 
-    return {**{e.name: e.value for e in entry_points(group=group)}, **built_in}
+    return {**_offered(entry_points, group, tuple(sys.path)), **built_in}
+
+
+@lru_cache(maxsize=16)  # reading the metadata of all packages takes tens of milliseconds, and a sweep asks for each row
+def _offered(entry_points: Any, group: str, path: tuple[str, ...]) -> dict[str, str]:  # noqa: ARG001 - a key alone
+    """The parts of a group that the packages on `path` offer: `name -> "module:attribute"`."""
+    return {entry.name: entry.value for entry in entry_points(group=group)}
 
 
 def find(kind: str, group: str, built_in: Mapping[str, str], name: str) -> Any:
@@ -33,6 +41,9 @@ def find(kind: str, group: str, built_in: Mapping[str, str], name: str) -> Any:
     place = built_in.get(name)
     if place is None:
         places = known(group, built_in)
+        if name not in places:
+            _offered.cache_clear()  # a package may have been installed since
+            places = known(group, built_in)
         if name not in places:
             raise Refused(f"there is no {kind} {name!r}; {nearest(name, places)}")
         place = places[name]

@@ -1,6 +1,7 @@
-"""The closed loops in which `check_law` tries what a law claims: hands, bodies, walls and links at random.
+"""Trials of a law's claims for `check_law`: closed loops of hands, bodies, walls and links drawn at random.
 
-They are made here, from teleop.physics.plant alone, because the law book imports neither side and no water.
+The hands, walls and links are written out here, on `teleop.physics` alone: `teleop` imports neither `master` nor
+`slave` nor `channel`.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ def try_claims(law: Law) -> None:
 
 
 def _waves_balance(law: Any, name: str) -> None:
-    """An end that claims E_link may give its port no more than the waves brought it, whatever the motion.
+    """Refuse an end that gives its port more energy than the waves brought it, in one random motion.
 
-    At-most-once playout alone keeps the link's ledger from going below zero. The law's own part is that the
-    ledger's waves, a missing one being zero, are those it really works with: at the master
-    sum of f_m v + (w^2 - u^2)/2, at the slave of (u^2 - w^2)/2 - f_s v, is never below zero. The motion is
+    Playout that plays a wave at most once keeps the link's ledger from going below zero by itself. The law's own part
+    is that it works with the ledger's waves, zero in place of a missing one: the sum of f_m v + (w^2 - u^2)/2 at the
+    master, and of (u^2 - w^2)/2 - f_s v at the slave, is never below zero. The motion is
     x(k) = x(k-1) + dt v(k), for which a spring-damper taken at the end of its tick is passive.
     """
     forth, back = messages(law)
@@ -79,9 +80,9 @@ def _waves_balance(law: Any, name: str) -> None:
 
 
 def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
-    """Scenes with energy ledgers: every delay constant at first, then with loss, jitter and copies.
+    """Scenes with energy ledgers: constant delays at first, then loss, jitter and copies.
 
-    Playout zero and fixed by turns, gaps never held: holding a wave is active, and no law can help it.
+    Playout is zero and fixed by turns, and never holds a wave in a gap: holding is active whatever the law does.
     """
     def between(low: float, high: float) -> float:
         """Evenly spread in the logarithm."""
@@ -98,7 +99,7 @@ def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
                        reference=Tones(amplitude=0.05, rate=between(3.0, 60.0))),
             slave=MassDamper(mass=between(0.05, 5.0), damping=2.0 * next(dice)),
             environment=Block(k=between(10.0, 1e5), d=10.0 * next(dice), at=0.03 * (next(dice) - 0.5)),
-            link=Water(ticks=int(100 * next(dice)), loss=0.5 * next(dice) * rough, jitter=int(20 * rough),
+            link=RandomLink(ticks=int(100 * next(dice)), loss=0.5 * next(dice) * rough, jitter=int(20 * rough),
                        copies=0.2 * rough, key=next(dice)),
         )
 
@@ -142,16 +143,16 @@ class Block:
         return wall(body, dt, k=self.k, d=self.d, at=self.at, side=1.0)
 
 
-class Arrivals(NamedTuple):
-    """Packets as they come out of the link."""
+class RandomArrivals(NamedTuple):
+    """Packets in the order in which they come out of the link."""
 
     packet: NDArray[np.int64]
     time_ns: NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Water:
-    """A delay of whole `ticks` and up to `jitter` more, `loss` and `copies` as probabilities."""
+class RandomLink:
+    """A link with a delay of whole `ticks` and up to `jitter` more; `loss` and `copies` are probabilities."""
 
     ticks: int
     loss: float
@@ -159,7 +160,7 @@ class Water:
     copies: float
     key: float
 
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> RandomArrivals:
         """See `teleop.scene.Link`. The seed and the size make no difference: a trial is one fixed case."""
         import numpy as np
 
@@ -172,11 +173,11 @@ class Water:
         late = np.concatenate([drawn[2][kept], drawn[3][copied]]) * self.jitter
         time_ns = ((packet + self.ticks + late) * dt_ns).astype(np.int64)
         order = np.argsort(time_ns, kind="stable")
-        return Arrivals(packet[order], time_ns[order])
+        return RandomArrivals(packet[order], time_ns[order])
 
 
 def _hash(packets: NDArray[np.int64], key: float) -> NDArray[np.float64]:
-    """Numbers in [0, 1) that look random, one a packet: enough to scatter losses, not for statistics."""
+    """Numbers in [0, 1), one a packet, that scatter losses; they are too plain for statistics."""
     import numpy as np
 
     turned: NDArray[np.float64] = (np.sin((packets + 1.0) * (12.9898 + key)) * 43758.5453) % 1.0

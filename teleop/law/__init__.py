@@ -1,24 +1,26 @@
-"""What a control law is, and how one is found.
+"""Control laws: what their methods take and return, and how a law is found by name.
 
-A law is a frozen, keyword-only dataclass of floats with both of its ends in one file. It has no base
-class; this module says what the ends are given and what they answer.
+A law is a frozen, keyword-only dataclass of floats with both of its ends in one file, and it has no base
+class. Its methods take the state of an end, its situation `at` and the message `rx` that came last, and
+return the force in N, the message to send and the next state:
 
     master_start(at) -> state, Back        slave_start(at) -> state, Forth
     master(state, at, rx: Back) -> f_m, Forth, state
     slave(state, at, rx: Forth) -> f_s, Back, state
 
-`Forth` (master to slave) and `Back` are NamedTuples of floats: their fields are what the packet
-carries. The states are NamedTuples of floats too (or `()`); the message that a `*_start` returns is
-the one held before the first arrives. Everything is per axis. An end that couples the axes also has
-`master_sums(state, at, rx) -> Sums` (or `slave_sums`), a NamedTuple of floats that is summed over the
-axes, left to right, and is then given to the end as a fourth argument `over`.
+`Forth` (master to slave) and `Back` (slave to master) are NamedTuples of floats, and a packet carries their
+fields. A state is a NamedTuple of floats too, or `()`. The message that a start returns is the one that this
+end is given until the first message comes. A method is called for each axis by itself. An end that couples
+the axes also has `master_sums(state, at, rx) -> Sums` (or `slave_sums`): a NamedTuple of floats that is
+summed over the axes, left to right, and given to the end's method as a fourth argument `over`.
 
 A one-port law, for a scene without a slave, has one end and no messages:
 
     start(at) -> state                     force(state, at) -> f_m, state
 
-An end pays only for the fields of `At` that its lines name: what it does not read is not computed and
-is NaN, so a field read by a way that `reads` cannot see shows at once.
+Only those fields of `At` are computed that the lines of an end name; the others are NaN, so that a field read
+in a way that `reads` cannot see shows in the force at once. `teleop.law.contract` checks a law when a scene
+is made of it.
 """
 
 from __future__ import annotations
@@ -33,24 +35,24 @@ from teleop.naming import find, known
 
 
 class At(NamedTuple):
-    """All that one end knows at one tick, in one axis. SI units.
+    """The situation of one end at one tick, in one axis. SI units.
 
-    A field added later breaks no law. `f_held` and `dx` belong together: the force really held over
-    the last tick (cap and watchdog included) and the motion under it.
+    `f_held` and `dx` belong together: the force that the motor held over the last tick, after every stage behind
+    the law (watchdog and force cap among them), and the motion under it. A field added later breaks no law.
     """
 
     x: float  # position, m
     v: float  # velocity, m/s
-    f: float  # external force, N: f_h at the master (sensor or observer), f_env at the slave
-    f_held: float  # N
-    dx: float  # m
-    fresh: bool  # is there a message to play at this tick
+    f: float  # external force, N: f_h of the hand at the master (sensor or observer), f_env at the slave
+    f_held: float  # force held over the last tick, N
+    dx: float  # motion over the last tick, m
+    fresh: bool  # True if a message is played at this tick
     age: float  # s since the newest message was sent, inf before the first
     dt: float  # s
 
 
 class Law(Protocol):
-    """The shape of a law; see the module's text. `claims` names the ledgers it keeps from going below zero."""
+    """The shape of a law with two ends. `claims` names the energy ledgers that the law keeps from going below zero."""
 
     @property
     def claims(self) -> frozenset[str]: ...
@@ -58,13 +60,13 @@ class Law(Protocol):
     def master_start(self, at: At, /) -> tuple[Any, Any]: ...
     def slave_start(self, at: At, /) -> tuple[Any, Any]: ...
 
-    # Of (state, at, rx), or with `over` behind them: `Any` of all, for the messages' types are the law's own.
+    # Arguments: state, at, rx, and `over` if the end has sums. The types of state and messages are the law's own.
     def master(self, *args: Any, **kwargs: Any) -> tuple[float, Any, Any]: ...
     def slave(self, *args: Any, **kwargs: Any) -> tuple[float, Any, Any]: ...
 
 
 class OnePortLaw(Protocol):
-    """A law with one end, for a scene without a slave: it renders something to the hand by itself."""
+    """The shape of a law with one end, for a scene without a slave: it renders an impedance to the hand by itself."""
 
     @property
     def claims(self) -> frozenset[str]: ...
@@ -86,12 +88,12 @@ GROUP = "teleop.laws"  # of entry points
 
 
 def known_laws() -> dict[str, str]:
-    """Every law that can be named: `name -> "module:class"`, built in and from plug-ins, none imported."""
+    """Places of all laws, built in and of installed packages: `name -> "module:class"`. No law is imported."""
     return known(GROUP, BUILT_IN)
 
 
 def find_law(name: str) -> Callable[..., Any]:
-    """The law's class, loaded now. Raises `Refused`, naming the nearest, if there is none of that name.
+    """The class of the law `name`. Raises `Refused` with the nearest name if there is none.
 
     >>> find_law("wave")(b=2.0).b
     2.0
@@ -101,25 +103,25 @@ def find_law(name: str) -> Callable[..., Any]:
 
 
 def law_name(law: object) -> str:
-    """The name under which `find_law` finds this law, or its class's name for one that is not listed."""
+    """The name under which `find_law` finds this law; of a law that is not built in the name of its class."""
     kind = type(law)
     where = f"{kind.__module__}:{kind.__name__}"
     return next((name for name, place in BUILT_IN.items() if place == where), kind.__name__)
 
 
 def start_at(x: float, v: float, f: float, dt: float) -> At:
-    """What an end knows before the first tick: at rest in `f`, nothing held, nothing received."""
+    """The situation of an end before its first tick (m, m/s, N, s): no force held, no message yet."""
     return At(x, v, f, 0.0, 0.0, False, float("inf"), dt)
 
 
 def messages(law: Law, dt: float = 1e-3) -> tuple[type[Any], type[Any]]:
-    """The law's message types `(Forth, Back)`, as its two starts show them."""
+    """The law's message types `(Forth, Back)`: those of the messages that its two starts return. `dt` in s."""
     still = start_at(0.0, 0.0, 0.0, dt)
     return type(law.slave_start(still)[1]), type(law.master_start(still)[1])
 
 
-class _Itself:
-    """A law by itself: as a key it is no other, whether it has a hash or not."""
+class IdentityKey:
+    """A law as a key of caches that is equal to itself alone; its attributes are the law's."""
 
     def __init__(self, law: Any) -> None:
         self._law = law
@@ -129,9 +131,9 @@ class _Itself:
 
 
 def functions_of(law: Any) -> Any:
-    """What stands for the functions of a law: its class, or a thing of its own where it answers with another's."""
+    """A key for the functions behind a law's methods: its class, or for a law that wraps another a key of its own."""
     kind: Any = type(law)
-    return kind if _of_its_class(kind) else _Itself(law)
+    return kind if _of_its_class(kind) else IdentityKey(law)
 
 
 @lru_cache(maxsize=256)
@@ -141,7 +143,7 @@ def _of_its_class(kind: Any) -> bool:
 
 
 def reads(end: Callable[..., Any]) -> frozenset[str]:
-    """Which fields of `At` an end's lines name, those of the plain functions it calls included."""
+    """Fields of `At` that the lines of an end name, and those of the plain functions that it calls."""
     function = getattr(end, "__func__", end)
     return _reads(function) if isinstance(function, FunctionType) else frozenset()
 
@@ -165,5 +167,5 @@ def _reads(function: FunctionType) -> frozenset[str]:
 
 
 def _code(function: object) -> list[tuple[CodeType, dict[str, Any]]]:
-    """A plain function's code and what it finds by name; nothing of anything else."""
+    """The code of a plain function with its globals; an empty list for any other object."""
     return [(function.__code__, function.__globals__)] if isinstance(function, FunctionType) else []

@@ -1,7 +1,7 @@
 """Direct position-force control: the honest unstable baseline.
 
-The master sends its motion, the slave tracks it with a spring-damper and sends back the force it
-meets, which is put on the hand as it is, scaled by a reflection gain kf:
+The master sends its motion; the slave tracks it with a spring-damper and sends back the force that it
+exerts on the environment, which the master renders to the hand, scaled by a reflection gain kf:
 
     f_s = K (x_d - x_s) + B (v_d - v_s)        f_m = kf f_env
 

@@ -5,9 +5,9 @@ transparency in bilateral teleoperation with communication delay", IEEE/ASME Tra
 12(3), 2007, and "Projection-based force reflection algorithm for stable bilateral teleoperation over
 networks", IEEE Trans. Instrumentation and Measurement 57(9), 2008.
 
-The master sends its motion, the slave tracks it with a spring-damper and sends f_env back. Of the
-reflected force, scaled by a gain kf, the part that the hand already resists is felt in full; the
-rest, which would move the master by itself, is scaled by alpha:
+The master sends its motion; the slave tracks it with a spring-damper and sends f_env back. The part of
+the reflected force (scaled by a gain kf) that the hand already resists is rendered in full; the rest,
+which would move the master by itself, is scaled by alpha:
 
     phi_env = sat[0,1]( <f_env, f_h> / max(|f_h|^2, eps) ) f_h        f_m = alpha f_env + (1 - alpha) phi_env
 
@@ -15,8 +15,8 @@ with sat[a,b]{x} = max(a, min(x, b)), eps = 1e-12 N^2, and f_h from a force sens
 (teleop.stages.observer). <.,.> runs over all axes, so this end couples them. alpha = 1 is direct force
 reflection, bit for bit on finite inputs (up to the sign of a zero).
 
-Claims: nothing of the ledgers. With alpha = 0: <f_m, f_h> >= 0 and |f_m| <= |f_h|, so a master that
-nobody holds is never moved by the reflection, at any gain and any delay.
+Claims: nothing of the ledgers. With alpha = 0: <f_m, f_h> >= 0 and |f_m| <= |f_h|, so the reflection
+never moves a master that no hand holds, at any gain and any delay.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ Integrator. At tick k the tool moves from k-1 (0) to k (1), by two weights in 0.
 
 explicit Euler (theta_f, theta_x) = (0, 0), semi-implicit Euler (0, 1), trapezoid (Tustin) (0.5, 0.5), backward
 Euler (1, 1). f1 holds the reading of *this* tick and the tool's state at the end of it, f0 those of the last
-tick; f_m is then computed from the new y1, u1. Nothing is a sample late that the integrator does not say is.
+tick; f_m is then computed from the new y1, u1. So the only late samples are those of the integrator itself.
 
 Solution. With ye = y0 + dt (1 - theta_x) u0 the equation is, for the wall not touched and touched,
 
@@ -22,7 +22,7 @@ Solution. With ye = y0 + dt (1 - theta_x) u0 the equation is, for the wall not t
     (a + theta_f c) u1 = r - theta_f k_e (ye - at),         c = d_e + k_e dt theta_x
     r = m u0/dt + (1 - theta_f) f0 + theta_f (K (x - ye) + B v)
 
-with solutions u_free and u_in; u_at = (at - ye)/(dt theta_x) is the velocity that ends on the surface. f_w
+with solutions u_free and u_in; u_at = (at - ye)/(dt theta_x) is the velocity that leads to the surface. f_w
 jumps there from 0 to d_e u1 and is else a continuous, non-decreasing function of u1; with the jump filled
 in (on the surface any force between the two may act, as much as stops the tool there), a u1 + theta_f f_w(u1)
 is strictly increasing from -inf to inf, so for a > 0 there is one solution and only one:
@@ -44,7 +44,7 @@ at every tick, without delay, v the backward difference). For theta_x = 1 and th
 
 whatever the tool and its wall, and the tool held fast needs all of it: E is positive real, so Z = C E/(C + E) lies
 in the disc |Z - h| <= h, 2 h = 1/Re(1/C), where -Re(Z/z) is at most (1 - cos th)/(2 Re(1/C)) <= K dt/2 + B. A
-stiffer wall costs nothing, which is what the coupling is for. For theta_x < 1 no such bound is claimed.
+stiffer wall needs no more damping, which is the purpose of the coupling. For theta_x < 1 no such bound is claimed.
 
 Claims: nothing of the ledgers; E_port contains the hold's leak.
 """

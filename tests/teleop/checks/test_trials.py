@@ -90,7 +90,7 @@ class Boasting:
 
 
 def test_direct_reflection_cannot_claim_the_port() -> None:
-    with pytest.raises(Refused, match=r"Boasting claims E_port, which fell to -\d.* J over Water"):
+    with pytest.raises(Refused, match=r"Boasting claims E_port, which fell to -\d.* J over RandomLink"):
         try_claims(Boasting(claims=frozenset({"E_port"})))
 
 

@@ -105,3 +105,24 @@ def test_so_do_comprehensions_and_lambdas_in_every_version_of_python() -> None:
 
 def test_what_is_no_plain_function_reads_nothing() -> None:
     assert reads(len) == frozenset()
+
+
+def test_the_installed_packages_are_looked_through_once_for_many_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def entry_points(group: str) -> Any:
+        asked.append(group)
+        return plugin("stiff", "teleop.laws.direct:Direct")(group)
+
+    monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
+    assert [find_law("stiff") for _ in range(5)] == [direct.Direct] * 5
+    assert asked == ["teleop.laws"]
+
+
+def test_a_package_that_was_installed_in_the_meantime_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered: list[Any] = []
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: list(offered))  # noqa: ARG005
+    with pytest.raises(Refused, match="there is no law 'stiff'"):
+        find_law("stiff")
+    offered += plugin("stiff", "teleop.laws.direct:Direct")("teleop.laws")
+    assert find_law("stiff") is direct.Direct
