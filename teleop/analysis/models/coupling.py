@@ -166,20 +166,6 @@ def alpha_max(delta: float, C: Impedance, T: float, *, d: int = 0, tol: float = 
     return low
 
 
-def alpha_max_spring_damper(delta: float, K: float, B: float, T: float) -> float | None:
-    """The same for a spring-damper without delay, in closed form: gamma - B^2/(delta + B - K T/2), if delta >= gamma.
-
-    >>> alpha_max_spring_damper(1.0, 1000.0, 0.25, 1e-3)
-    0.6666666666666666
-    """
-    half, B = 0.5 * number("K", K, low=0.0) * number("T", T, above=0.0), number("B", B, low=0.0)
-    gamma = half + B
-    if number("delta", delta, low=0.0) < gamma:
-        return None
-    room = delta + B - half
-    return gamma - B * B / room if room > 0.0 else gamma
-
-
 def alpha_miller(delta: float, gamma: float) -> float:
     """delta gamma/(delta + gamma), the bound of Miller, Colgate and Freeman; with gamma = inf (no coupling) delta.
 

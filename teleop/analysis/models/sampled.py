@@ -125,17 +125,6 @@ def spring_damper(K: float, B: float, T: float) -> Impedance:
     return lambda z: K * T / (1.0 - 1.0 / z) + B
 
 
-def filtered_wall(K: float, B: float, T: float, cutoff: float) -> Impedance:
-    """The same with the velocity through a first-order low-pass of `cutoff` (Hz) sampled exactly.
-
-    v_f(k) = a v_f(k-1) + (1 - a) v(k),  a = exp(-2 pi cutoff T).
-    """
-    from math import exp
-
-    a = exp(-2.0 * pi * number("cutoff", cutoff, above=0.0) * T)
-    return lambda z: K * T / (1.0 - 1.0 / z) + B * (1.0 - a) / (1.0 - a / z)
-
-
 def of_state_space(controller: StateSpace, T: float) -> Impedance:
     """E(z) of a controller given as matrices from a position (m) to a force (N); its one input and one output."""
     import numpy as np
@@ -147,35 +136,6 @@ def of_state_space(controller: StateSpace, T: float) -> Impedance:
         return transfer(controller, points)[:, 0, 0].reshape(z.shape) * T / (1.0 - 1.0 / z)
 
     return E
-
-
-def wall_damping(K: float, B: float, T: float, d: int = 0) -> Needed:
-    """The same for a spring-damper in closed form, to 1e-12 of it:
-
-        b = max over th of  (K T/2) sin((2d+1) th/2)/sin(th/2) - B cos((d+1) th).
-
-    d = 0 gives K T/2 + |B| (Colgate and Schenkel 1997); B = 0 gives K (T/2 + d T) (N. Diolaiti, G. Niemeyer, F.
-    Barbagli and J. K. Salisbury, "Stability of haptic rendering", IEEE Trans. Robotics 22(2), 2006). A trigonometric
-    polynomial, so the search is certain to find its maximum.
-
-    >>> wall_damping(1000.0, 0.5, 1e-3, 1).damping
-    1.25
-    """
-    import numpy as np
-
-    K, B, T = number("K", K, low=0.0), number("B", B), number("T", T, above=0.0)
-    d = whole_number("d", d, low=0)
-
-    def curve(th: Reals) -> Reals:
-        half = 0.5 * th
-        found: Reals = 0.5 * K * T * np.sin((2 * d + 1) * half) / np.sin(half) - B * np.cos((d + 1) * th)
-        return found
-
-    found = highest(curve, d + 1)
-    still = K * T * (d + 0.5) - B  # the limit at th = 0
-    if still >= found.value:
-        return Needed(still, 0.0)
-    return Needed(found.value, frequency(found, T))
 
 
 def quantised_stiffness(*, b: float, T: float, step: float, friction: float) -> float:

@@ -76,11 +76,6 @@ class Region(NamedTuple):
         return None if self.corners is None else max((K for K, _ in self.corners), default=0.0)
 
     @property
-    def stiffest_alone(self) -> float | None:
-        """The greatest K (N/m) in it at B = 0."""
-        return None if self.corners is None else max((K for K, B in self.corners if B == 0.0), default=0.0)
-
-    @property
     def most_damped(self) -> float | None:
         """The greatest B (N s/m) in it, at whichever K."""
         return None if self.corners is None else max((B for _, B in self.corners), default=0.0)

@@ -15,7 +15,6 @@ from teleop.analysis.models.coupling import (
     ANTICIPATES,
     UNSTABLE,
     alpha_max,
-    alpha_max_spring_damper,
     alpha_miller,
     damping_curve,
     gap,
@@ -27,10 +26,11 @@ from teleop.analysis.models.coupling import (
     tool_lack,
 )
 from teleop.analysis.models.sampled import needed_damping as needed_alone
-from teleop.analysis.models.sampled import spring_damper, wall_damping
+from teleop.analysis.models.sampled import spring_damper
 from teleop.law import At
 from teleop.laws.virtual_coupling import Tool, VirtualCoupling, coupling_impedance, tool_impedance
 from teleop.physics.plant import linear
+from tests.teleop.analysis.models.closed_forms import alpha_max_spring_damper, wall_damping
 
 T = 1e-3
 K = st.floats(0.0, 5e3)

@@ -15,6 +15,7 @@ from teleop.analysis.models.coupling import ANTICIPATES, UNSTABLE
 from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.report import ask, summary, table
 from teleop.stages.velocity.low_pass import LowPass
+from tests.teleop.analysis.models.closed_forms import filtered_wall
 
 T = 1e-3
 
@@ -39,7 +40,7 @@ class TestOnePort:
         scene = load_scene("virtual_wall", **{"law.B": 0.4})
         assert scene.device_m is not None
         slow = replace(scene, device_m=replace(scene.device_m, velocity=LowPass(cutoff=30.0)))
-        wanted = sampled.needed_damping(sampled.filtered_wall(800.0, 0.4, T, 30.0), T)
+        wanted = sampled.needed_damping(filtered_wall(800.0, 0.4, T, 30.0), T)
         assert one_port(slow).needed.damping == pytest.approx(wanted.damping, rel=1e-8)
 
     def test_the_closed_form_of_a_coupling_is_its_controller(self) -> None:
