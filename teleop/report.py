@@ -9,7 +9,7 @@ from pathlib import Path
 from teleop.live.records.merge import merge, scene_of
 from teleop.simulation.result import RUNNING, load_result, stored_summary
 from teleop.storage.folder import new_folder
-from teleop.sweeps.pictures.report import Wish, check_run, report
+from teleop.sweeps.pictures.report import PictureRequest, check_run, report
 from teleop.terminal.answer import Answer
 from teleop.terminal.run import answer_of, with_plot
 
@@ -17,12 +17,12 @@ from teleop.terminal.run import answer_of, with_plot
 def command(args: Namespace) -> Answer:
     """Show what the folder holds, and draw it where the extra `plot` is there. Raises `Refused`."""
     folder = Path(args.run)
-    wish = Wish(args.picture, args.metric)
+    request = PictureRequest(args.picture, args.metric)
     if args.slave is not None:
         return _both_ends(args)
     if (folder / "sweep.json").is_file():
-        return report(folder, wish, quiet=args.json, trust=args.trust)
-    check_run(folder, wish)
+        return report(folder, request, quiet=args.json, trust=args.trust)
+    check_run(folder, request)
     result = load_result(folder, trust=args.trust)
     if result.status == RUNNING:
         return answer_of(result, args.typed)

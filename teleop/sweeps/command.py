@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from teleop.errors import Refused
 from teleop.simulation.result import versions
-from teleop.sweeps.pictures.report import Wish, drawn, joined, limits_of, status_rows, summary_of, write
+from teleop.sweeps.pictures.report import PictureRequest, drawn, joined, limits_of, status_rows, summary_of, write
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
 from teleop.terminal.plotting import need_plot
@@ -77,32 +77,33 @@ class Swept(NamedTuple):
 
 
 def command(args: Namespace) -> Answer:
-    """What `teleop sweep` does: run the rows, write summary.json and draw what is wished for. Raises `Refused`."""
-    wish = Wish(args.picture, args.metric) if args.plot or args.picture or args.metric else None
-    if wish is not None:
+    """What `teleop sweep` does: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
+    request = PictureRequest(args.picture, args.metric) if args.plot or args.picture or args.metric else None
+    if request is not None:
         need_plot()
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
                       latin=args.latin, random=args.random, cluster=args.cluster, workers=args.workers,
-                      engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds, wish=wish,
+                      engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds, request=request,
                       stream=None if args.json else sys.stderr)
     told = swept.write(args.typed)
     answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": told["runs"]}).kept_in(swept.folder)
     text = answer.text
     if swept.interrupted:
         text += "\ninterrupted: the same command goes on from here"
-    if wish is not None:
-        text += "\n" + drawn(swept.table, swept.folder, told, wish, trust=True)
+    if request is not None:
+        text += "\n" + drawn(swept.table, swept.folder, told, request, trust=True)
     return answer._replace(text=text, code=INTERRUPTED if swept.interrupted else DONE)
 
 
 def carry_out(
     name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
-    out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None, wish: Wish | None = None,
+    out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None,
+    request: PictureRequest | None = None,
     latin: int | None = None, random: int | None = None, cluster: str | None = None, workers: int | None = None,
 ) -> Swept:
     """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.typed`). Raises `Refused`.
 
-    `wish`: the picture that will be drawn of it, refused here if no row could make it possible.
+    `request`: the picture that will be drawn of it, refused here if no row could make it possible.
     `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it. `cluster`: the
     address of a dask scheduler whose workers run the rows. `workers`: threads; left out, one for each core.
     """
@@ -115,8 +116,8 @@ def carry_out(
     rows = len(plan.grid)
     if rows > MANY and not yes:
         raise Refused(f"this is {grouped(rows)} rows; write fewer values, or --yes if you mean it")
-    if wish is not None:
-        _check_picture(plan, wish)
+    if request is not None:
+        _check_picture(plan, request)
     folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"
     line = None if stream is None else RowsProgress(stream)
 
@@ -149,7 +150,7 @@ def carry_out(
     return Swept(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
 
 
-def _check_picture(plan: Sweep, wish: Wish) -> None:
+def _check_picture(plan: Sweep, request: PictureRequest) -> None:
     """Refuse the picture of a sweep whose grid cannot give one, before anything is run."""
     from teleop.sweeps.pictures.picture import check
 
@@ -158,7 +159,7 @@ def _check_picture(plan: Sweep, wish: Wish) -> None:
     numeric = [name for name, values in several.items()
                if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)]
     metrics = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
-    check([*several], numeric, wish.kind, wish.metric, metrics)
+    check([*several], numeric, request.kind, request.metric, metrics)
 
 
 @contextmanager

@@ -30,7 +30,7 @@ _SHAPE = stored.record({}, {
 })
 
 
-class Wish(NamedTuple):
+class PictureRequest(NamedTuple):
     """The picture asked for: a kind of `teleop.sweeps.pictures.picture.KINDS` and a metric; none: what suits."""
 
     kind: str | None = None
@@ -110,7 +110,7 @@ def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     return told, f"{facts(said)}\n{table}", table
 
 
-def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> Path:
+def picture(table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest, *, trust: bool) -> Path:
     """Draw sweep.png into a sweep's folder; where it is. Raises `Refused` if that cannot be.
 
     `trust`: the scene's own file may be run, for the units of its knobs.
@@ -126,38 +126,38 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, 
     if "duration" in limits:
         within = f"within {limits['x_limit']:g} m for " if "x_limit" in limits else ""
         words["ok"] = f"ok: {within}{limits['duration']:g} s"
-    draw(table, folder / "sweep.png", wish.kind, metric=wish.metric, title=Path(name).stem,
+    draw(table, folder / "sweep.png", request.kind, metric=request.metric, title=Path(name).stem,
          units=units_of(name, table.knobs) if trust or name in known_scenes() else {}, words=words)
     return folder / "sweep.png"
 
 
-def drawn(table: Table, folder: Path, told: Mapping[str, Any], wish: Wish, *, trust: bool) -> str:
+def drawn(table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest, *, trust: bool) -> str:
     """Draw a sweep and say where; that it cannot be is no error, for its rows are there."""
     if not len(table):
         return "no plot: no row is there yet"
     try:
-        return f"drawn in {picture(table, folder, told, wish, trust=trust)}"
+        return f"drawn in {picture(table, folder, told, request, trust=trust)}"
     except Refused as refused:
         return f"no plot: {refused}"
 
 
-def report(folder: Path, wish: Wish, *, quiet: bool, trust: bool = False) -> Answer:
+def report(folder: Path, request: PictureRequest, *, quiet: bool, trust: bool = False) -> Answer:
     """What `teleop report` says of a sweep, which is drawn if that can be.
 
-    A picture that is wished for must be (`Refused`); without a wish, and `quiet`, there is none. `trust`: see
+    A picture that is asked for must be (`Refused`); without a request, and `quiet`, there is none. `trust`: see
     `picture`.
     """
     told, text, table = told_of(folder)
-    if any(wish):
+    if any(request):
         need_plot()
-        return Answer(f"{text}\ndrawn in {picture(table, folder, told, wish, trust=trust)}", told)
+        return Answer(f"{text}\ndrawn in {picture(table, folder, told, request, trust=trust)}", told)
     if not quiet and drawable() and len(table):
-        text += "\n" + drawn(table, folder, told, wish, trust=trust)
+        text += "\n" + drawn(table, folder, told, request, trust=trust)
     return Answer(text, told)
 
 
-def check_run(at: Path, wish: Wish) -> None:
-    """Refuse what is no run's folder, in the words of what is there, and a wish for another picture than a run has."""
+def check_run(at: Path, request: PictureRequest) -> None:
+    """Refuse what is no run's folder, in the words of what is there, and a request for another picture than its own."""
     if not at.is_dir():
         raise Refused(f"there is no folder {at}; give the one that `teleop run` or `teleop sweep` printed")
     if not (at / "trace.npz").is_file() and not has_record(at) and not is_being_written(at):
@@ -165,7 +165,7 @@ def check_run(at: Path, wish: Wish) -> None:
         cure = f"one of the folders in it, such as {inside[-1]}" if inside else \
             "the folder that `teleop run` or `teleop sweep` printed"
         raise Refused(f"{at} holds no run and no sweep; give {cure}")
-    if any(wish):
+    if any(request):
         raise Refused(f"{at} holds a run, which has one plot; leave --picture and --metric out")
 
 

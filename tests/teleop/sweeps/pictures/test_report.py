@@ -13,7 +13,7 @@ import pytest
 from teleop import Refused, sweep
 from teleop.scene.library import built_in_scenes
 from teleop.sweeps.pictures.report import (
-    Wish,
+    PictureRequest,
     joined,
     limits_of,
     picture,
@@ -157,9 +157,9 @@ class TestAFolder:
         monkeypatch.setattr("teleop.sweeps.pictures.picture.draw", lambda *given, **named: asked.append((given, named)))
         told, _, table = told_of(folder)
         limits = {"x_limit": 0.3, "duration": 5.0}
-        wish, drawn_in = Wish("metric", "x_err_max"), folder / "sweep.png"
-        assert picture(table, folder, {**told, "limits": limits}, wish, trust=False) == drawn_in
-        picture(table, folder, told, Wish(), trust=True)
+        request, drawn_in = PictureRequest("metric", "x_err_max"), folder / "sweep.png"
+        assert picture(table, folder, {**told, "limits": limits}, request, trust=False) == drawn_in
+        picture(table, folder, told, PictureRequest(), trust=True)
         (first, named), (second, bare) = asked
         assert first[1:] == (folder / "sweep.png", "metric")
         assert second[2] is None
