@@ -24,6 +24,7 @@ HOME = {
     "passivity": "teleop.analysis.passivity.command:command",
     "zwidth": "teleop.analysis.zwidth.command:command",
     "list": "teleop.terminal.listing:command",
+    "show": "teleop.terminal.show:command",
     "doctor": "teleop.doctor:command",
     "keygen": "teleop.live.command:keygen",
     "report": "teleop.report:command",

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from operator import eq, gt, is_, is_not, lt, ne
+from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple, TypeVar
 
@@ -49,12 +50,15 @@ class Frame:
 
 
 @lru_cache(maxsize=64)
-def functions_in(module: str) -> dict[tuple[str, int], ast.FunctionDef]:
+def functions_in(module: str, file: str) -> dict[tuple[str, int], ast.FunctionDef]:
     """The functions and methods of a module by name and first line."""
     loader: Any = sys.modules[module].__loader__
-    source = loader.get_source(module) if hasattr(loader, "get_source") else None
+    try:
+        source = loader.get_source(module) if hasattr(loader, "get_source") else Path(file).read_text()
+    except OSError:
+        source = None
     if source is None:
-        raise NotSpecialised(f"{module} has no source, so what it does cannot be written out")
+        raise NotSpecialised(f"{file} is not there to be read, so what {module} does cannot be written out")
     tree = ast.parse(source)
     bodies = [tree.body, *(each.body for each in tree.body if isinstance(each, ast.ClassDef))]
     return {(each.name, min([each.lineno, *(mark.lineno for mark in each.decorator_list)])): each
@@ -84,7 +88,7 @@ class Expressions:
     def definition(self, function: FunctionType) -> ast.FunctionDef:
         """The lines of a function."""
         code = function.__code__
-        found = functions_in(function.__module__).get((code.co_name, code.co_firstlineno))
+        found = functions_in(function.__module__, code.co_filename).get((code.co_name, code.co_firstlineno))
         if found is None:
             raise self.refused(f"{function.__qualname__} is not written in a module or a class")
         return found

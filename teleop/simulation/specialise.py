@@ -278,7 +278,7 @@ class _Writer(Expressions):
             raise self.refused(f"{own.__qualname__} calls itself, so it cannot be written out")
         records = [each.value for each in values if isinstance(each, Known) and isinstance(each.value, Record)]
         place = self.frame.place or (location(node) if own.__code__.co_filename != self.file else None)
-        frame = Frame(own, next((each.suffix for each in records if each.suffix), ""), place)
+        frame = Frame(own, max([each.suffix for each in records], key=len), place)
         if len(values) != len(frame.arguments):
             raise self.refused(f"{own.__qualname__} takes {len(frame.arguments)} arguments, not {len(values)}")
         lines, before, line = self.definition(own), len(self.out), self.line

@@ -27,11 +27,7 @@ new: Any = tuple.__new__  # twice as fast as the class
 
 def begin(run: Run, e: End, given: Any) -> None:
     """An end before its first tick: its law at rest where the end is, nothing held, nothing received."""
-    for a in e.axes:
-        a.x_read = a.x
-        a.v_read = a.v
-        if e.has.sensed:
-            a.f_read = a.f_ext
+    read_directly(e)
     for stage in e.stages:
         stage.begin(run, e, getattr(given, stage.name))
     for a in e.axes:
@@ -55,11 +51,7 @@ def tick(run: Run, e: End, k: int) -> None:
         e.age = where(came(e.newest), (k - e.newest) * run.dt, inf)
     elif e.has.age:
         e.age = (k - e.newest) * run.dt if e.newest >= 0 else inf
-    for a in e.axes:
-        a.x_read = a.x
-        a.v_read = a.v
-        if e.has.sensed:
-            a.f_read = a.f_ext
+    read_directly(e)
     for stage in e.stages:
         stage.read(run, e, k)
     for a in e.axes:
@@ -74,6 +66,17 @@ def tick(run: Run, e: End, k: int) -> None:
         stage.act(run, e, k)
     for a in e.axes:
         a.f = a.f_cmd
+
+
+def read_directly(e: End) -> None:
+    """What a device reads as it is; of the rest there are stages."""
+    for a in e.axes:
+        if not e.has.encoder:
+            a.x_read = a.x
+        if not e.has.velocity:
+            a.v_read = a.v
+        if e.has.sensed:
+            a.f_read = a.f_ext
 
 
 def situation(run: Run, e: End, a: Axis) -> Any:

@@ -37,6 +37,7 @@ class EndHas(NamedTuple):
     dx: bool = False  # the motion of a tick is worked out
     sums: bool = False  # its law sums over the axes
     encoder: bool = False
+    velocity: bool = False  # it is estimated
     watchdog: bool = False
     observed: bool = False  # its law reads the observer's force
     aged: bool = False  # the watchdog counts messages beyond an age as none

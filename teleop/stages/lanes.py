@@ -68,6 +68,9 @@ class Lanes(Eight):
     def __truediv__(self, other: Any) -> Lanes:
         return Lanes(_each(lambda a, b: a / b, self, other))
 
+    def __rtruediv__(self, other: Any) -> Lanes:
+        return Lanes(_each(lambda a, b: b / a, self, other))
+
     def __neg__(self) -> Lanes:
         return Lanes(_each(lambda a: -a, self))
 

@@ -154,6 +154,13 @@ def _list(added: ArgumentParser) -> None:
     added.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect or a velocity estimator")
 
 
+def _show(added: ArgumentParser) -> None:
+    added.add_argument("what", metavar="tick", choices=("tick",), help="what the scene's loop does, line by line")
+    scene_options(added, seed=False)
+    added.add_argument("--end", choices=("m", "s"), help="the live end of the master or of the slave, by itself")
+    _json(added)
+
+
 def _report(added: ArgumentParser) -> None:
     added.add_argument("run", metavar="FOLDER",
                        help="the folder that a run or a sweep wrote; or that of a master that ran by hand")
@@ -189,6 +196,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "zwidth": ("Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, and "
                "what widens it. Ctrl-C keeps what is done.", _zwidth),
     "list": ("List scenes, laws, effects and velocity estimators, or the knobs of one of them.", _list),
+    "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
     "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
     "report": ("Show a stored run or sweep again, and draw it if the extra `plot` is there.", _report),

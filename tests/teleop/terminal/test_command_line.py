@@ -95,6 +95,24 @@ class TestARun:
         assert Path("here/plot.png").read_bytes().startswith(b"\x89PNG")
 
 
+class TestShow:
+    def test_prints_the_loop_of_a_scene_as_python_that_compiles(self, typed: Typed) -> None:
+        out = typed("show", "tick", "hard_wall").out
+        compile(out, "shown", "exec")
+        assert out.startswith("def loop(given, law, dt, count")
+        assert "f_cmd_m0 = cap(c_cap_m, f_cmd_m0, f_m0)" in out
+
+    def test_or_one_live_end_with_a_knob_turned(self, typed: Typed) -> None:
+        out = typed("show", "tick", "hard_wall", "--set", "law=pfra", "--end", "m").out
+        assert out.startswith("def live(given, law, dt")
+        assert "observe(" in out
+
+    def test_refuses_a_live_end_of_a_scene_that_has_none(self, typed: Typed) -> None:
+        answer = typed("show", "tick", "virtual_wall", "--end", "m")
+        assert answer.code == 2
+        assert "has no slave, so it has no live ends" in answer.err
+
+
 class TestList:
     def test_names_every_scene_law_and_effect_with_a_line(self, typed: Typed) -> None:
         lines = typed("list").out.splitlines()

@@ -1,0 +1,127 @@
+"""The tick as it stands is the reference: what is made of it gives the same numbers, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from teleop.laws.direct import Direct
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
+from teleop.simulation.given import numbers_of
+from teleop.simulation.plan import link_plans
+from teleop.simulation.prepared import prepare
+from teleop.simulation.recorder import Rows
+from teleop.simulation.source import bind, functions, live_of, loop_of
+from teleop.simulation.structure import live_structure, run_of, structure_of
+from teleop.simulation.tick import live, loop
+from teleop.stages.end import Recorder, RunHas
+from teleop.stages.lanes import WIDTH, Eight, Lanes, spread
+from teleop.sweeps.kernels import figures as running
+from teleop.sweeps.kernels.figures import Figures
+from teleop.sweeps.kernels.kernel import Inputs, Water, available, functions_of_kernel, plain, tree_of
+
+SCENES = {
+    "waves": lambda: replace(load_scene("canonical"), energy=True),
+    "a link that loses, a watchdog and caps": lambda: load_scene("hard_wall", link="delay(0.02) | bernoulli(0.2)"),
+    "sums over two axes": lambda: replace(
+        load_scene("hard_wall", law="pfra"), axes=2, environment=(load_scene("hard_wall").environments[0], None)),
+    "a device": lambda: load_scene("encoder_wall"),
+    "a device with all there is": lambda: load_scene("virtual_wall", cap=0.8, f_max=3),
+    "an inner state": lambda: load_scene("relaxing_tissue"),
+    "no hand, no link": lambda: replace(load_scene("canonical", law=Direct(kf=0.3)), hand=None, link=None),
+}
+
+
+def arguments(scene: Scene, rows: dict[str, list[float]]) -> tuple[Any, ...]:
+    """What a loop is given for 200 ticks."""
+    ready = prepare(scene)
+    fwd, bwd = link_plans(scene, 3)
+    size = 1 + max((plan.lag for plan in (fwd, bwd) if plan is not None), default=0)
+    return (ready.given, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, ready.starts["m"], ready.starts["s"],
+            bwd and bwd.play, fwd and fwd.play, size, ready.reference, ready.bodies.held(),
+            (rows["m"].extend, rows["s"].extend))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_specialised_loop_gives_the_bits_of_the_tick_as_it_stands(name: str) -> None:
+    scene = replace(SCENES[name](), duration=0.2)
+    bodies = prepare(scene).bodies
+    made: dict[str, list[float]] = {"m": [], "s": []}
+    told = loop_of(scene, bodies)(*arguments(scene, made))
+    run = run_of(structure_of(scene), Rows())
+    bind(run, {**functions(scene), **bodies.functions()})
+    stood: dict[str, list[float]] = {"m": [], "s": []}
+    assert loop(run, *arguments(scene, stood)) == told
+    assert repr(stood) == repr(made)
+    assert len(made["m"]) > 200
+
+
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_so_does_a_live_end(e: str) -> None:
+    scene = load_scene("hard_wall", law="pfra")
+    run = run_of(live_structure(structure_of(scene), e), Recorder())
+    bind(run, functions(scene))
+    numbers = numbers_of(scene, {e: (0.0,)})
+    beginning: tuple[Any, ...] = (numbers, scene.law, 1e-3, (0.0,), (0.0,), (0.0,))
+    made, stood = live_of(scene, e)(*beginning), live(run, getattr(run, e), *beginning)
+    next(made)
+    next(stood)
+    for k, missed in ((0, 1), (1, 1), (5, 4), (6, 1)):
+        sent = (k, (0.01 * k,), (0.1,), (0.3,), False, -1, None, 1.0 if missed == 1 else 0.0, (0.2,), missed)
+        assert repr(made.send(sent)) == repr(stood.send(sent))
+
+
+def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [replace(load_scene("soft_tissue", law=Direct(K=100.0 + 10.0 * i, B=2.0)), duration=0.05, x_limit=limit)
+              for i, limit in enumerate([1e6] * 6 + [1e-4, 2e-3])]
+    first = scenes[0]
+    ready = [prepare(scene) for scene in scenes]
+    measures = tuple(sorted(available(first)))
+    rows = [Inputs(tree_of(scene, own.bodies, compiled=False), None, scene.ticks, Water.of(link_plans(scene, 0)),
+                   own.reference) for scene, own in zip(scenes, ready, strict=True)]
+    lags = [row.water.lags for row in rows]
+    alone = plain(first, ready[0].bodies, measures).run(rows, lags)
+    for name in ("most", "least", "root_mean", "known", "sound"):  # they branch
+        monkeypatch.setattr(running, name, lane_by_lane(getattr(running, name)))
+    water = rows[0].water
+    structure = structure_of(first)
+    has: RunHas = structure.has._replace(compiled=True, lanes=True)
+    felt = structure.s._replace(has=structure.s.has._replace(felt=True))
+    master = structure.m._replace(has=structure.m.has._replace(felt=True))
+    run = run_of(structure._replace(has=has, s=felt, m=master), Figures(first.axes, has, measures))
+    bind(run, {**functions_of_kernel(first, ready[0].bodies)})
+    given, law, dt, x_limit, start_m, start_s, held = side_by_side([row.tree for row in rows])
+    out: list[Any] = [None] * WIDTH
+    bwd, fwd = water.plans[1], water.plans[0]
+    loop(run, given, law, dt, first.ticks, x_limit, start_m, start_s, bwd and bwd.play, fwd and fwd.play,
+         64, ready[0].reference, held, (*water.lags, out, spread(0.0)))
+    assert [(ran, tuple(map(repr, told))) for ran, told in out] == [
+        (each.ran, tuple(map(repr, each.figures))) for each in alone]
+    assert {ran < 0 for ran, _ in out} == {True, False}
+
+
+def lane_by_lane(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that branches, for eight scenes."""
+    def each(*values: Any) -> Any:
+        return Lanes([function(*[one_of(value, i) for value in values]) for i in range(WIDTH)])
+
+    return each
+
+
+def one_of(value: Any, i: int) -> Any:
+    """What lane i has of a value, which may be a tuple of such."""
+    if isinstance(value, Eight):
+        return value[i]
+    return tuple([one_of(each, i) for each in value]) if isinstance(value, tuple) else value
+
+
+def side_by_side(trees: list[Any]) -> Any:
+    """Trees of numbers as one, each number with its lanes."""
+    one = trees[0]
+    if isinstance(one, tuple) and not isinstance(one, Eight):
+        return tuple.__new__(type(one), [side_by_side([tree[i] for tree in trees]) for i in range(len(one))])
+    return Lanes(trees) if isinstance(one, float) else one

@@ -1,0 +1,295 @@
+# ruff: noqa: ARG001 - functions for the evaluator are handed what they do not ask
+"""The partial evaluator: what it decides, unrolls and writes out, what it leaves as it is, and what it refuses."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import traceback
+from collections.abc import Callable
+from functools import reduce
+from operator import add
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from teleop.simulation.specialise import NotSpecialised, specialise
+from teleop.stages.record import Record
+
+
+class Has(NamedTuple):
+    encoder: bool = False
+    pair: bool = True
+
+
+class Axis(Record):
+    x: float
+    y: float
+
+    def __init__(self, suffix: str, i: int) -> None:
+        super().__init__(suffix)
+        self.i = i
+
+
+class End(Record):
+    has: Has
+    total: float
+    law: Callable[..., Any]
+
+    def __init__(self, has: Has | None = None, axes: int = 2) -> None:
+        super().__init__("m")
+        self.has = has or Has()
+        self.axes = tuple([Axis(f"m{i}", i) for i in range(axes)])
+        self.law = abs
+
+
+def text(function: Callable[..., Any], end: End | None = None) -> str:
+    """What a function over an end comes to."""
+    return ast.unparse(specialise(function, end or End()).tree).partition("\n")[2]
+
+
+def called(function: Callable[..., Any], *arguments: Any, end: End | None = None) -> Any:
+    """What that answers."""
+    made = specialise(function, end or End())
+    names = dict(made.names)
+    exec(compile(ast.Module([made.tree], []), made.file, "exec"), names)
+    return names[function.__name__](*arguments)
+
+
+def double(e: End, a: Axis) -> None:
+    kept = a.x + a.x
+    a.y = kept
+
+
+def reading(e: End, a: Axis) -> float:
+    if e.has.encoder:
+        return a.y
+    return a.x
+
+
+def whole(e: End, start: Any) -> Any:
+    for a in e.axes:
+        a.x = start[a.i]
+        double(e, a)
+    e.total = 0.0
+    for a in e.axes:
+        e.total += reading(e, a) * 2.0 * 3.0
+    return e.total, tuple([a.y for a in e.axes])
+
+
+class TestWhatItMakes:
+    def test_is_straight_lines_over_variables(self) -> None:
+        assert text(whole).split("\n") == [
+            "    x_m0 = start[0]", "    kept_m0 = x_m0 + x_m0", "    y_m0 = kept_m0",
+            "    x_m1 = start[1]", "    kept_m1 = x_m1 + x_m1", "    y_m1 = kept_m1",
+            "    total_m = 0.0", "    total_m += x_m0 * 2.0 * 3.0", "    total_m += x_m1 * 2.0 * 3.0",
+            "    return (total_m, (y_m0, y_m1))"]
+
+    def test_gives_what_the_function_itself_gives(self) -> None:
+        assert called(whole, (0.1, 0.7)) == whole(End(), (0.1, 0.7))
+
+    def test_has_the_branch_that_was_decided_and_not_the_other(self) -> None:
+        assert "x_m0 * 2.0 * 3.0" in text(whole)
+        assert "y_m0 * 2.0 * 3.0" in text(whole, End(Has(encoder=True)))
+
+    def test_leaves_arithmetic_as_it_is(self) -> None:
+        def sums(e: End, x: Any) -> Any:
+            return x + (0.1 + 0.2) + 0.3 * (1.0 - 1.0)
+
+        assert "return x + (0.1 + 0.2) + 0.3 * (1.0 - 1.0)" in nested_text(sums)
+
+    def test_adds_from_left_to_right(self) -> None:
+        assert "return x_m0 + x_m1 + x_m2" in text(added, End(axes=3))
+
+    def test_keeps_what_a_condition_of_numbers_and_a_decided_one_come_to_together(self) -> None:
+        assert "if k > 0:" in text(both)
+        assert "if" not in text(both, End(Has(pair=False)))
+
+    def test_names_the_functions_that_a_record_is_made_with(self) -> None:
+        made = specialise(asks, End())
+        assert "law_m(x)" in ast.unparse(made.tree)
+        assert made.names["law_m"] is abs
+
+
+def added(e: End, start: Any) -> Any:
+    for a in e.axes:
+        a.x = start[a.i]
+    return reduce(add, [a.x for a in e.axes])
+
+
+def both(e: End, k: int) -> int:
+    if e.has.pair and k > 0:
+        return 1
+    return 0
+
+
+def asks(e: End, x: float) -> Any:
+    return e.law(x)
+
+
+def nested_text(function: Callable[..., Any]) -> str:
+    """As `text`, of a function that stands in a test: what its module's source has at that line."""
+    import inspect
+    import textwrap
+    from types import ModuleType
+
+    class Loader:
+        def get_source(self, name: str) -> str:
+            return textwrap.dedent(inspect.getsource(function))
+
+    module = ModuleType(f"made_{function.__qualname__}")
+    source = Loader().get_source("")
+    exec(compile(source, "made.py", "exec"), {**globals(), "__name__": module.__name__}, vars(module))
+    module.__loader__ = Loader()  # type: ignore[assignment]
+    sys.modules[module.__name__] = module
+    return text(vars(module)[function.__name__])
+
+
+def refusal(function: Callable[..., Any]) -> str:
+    with pytest.raises(NotSpecialised) as refused:
+        nested_text(function)
+    return str(refused.value)
+
+
+class TestItRefuses:
+    def test_break_in_a_loop_that_is_unrolled(self) -> None:
+        def first(e: End, x: float) -> None:
+            for k in range(9):
+                for a in e.axes:
+                    if x > k:
+                        break
+                    a.x = x
+
+        assert "`break` stands in a loop that is unrolled" in refusal(first)
+
+    def test_continue_there_as_well(self) -> None:
+        def first(e: End, x: float) -> None:
+            for a in e.axes:
+                if x > 0.0:
+                    continue
+                a.x = x
+
+        assert "`continue` stands in a loop that is unrolled" in refusal(first)
+
+    def test_a_record_that_escapes_into_a_list(self) -> None:
+        def escapes(e: End, kept: Any) -> None:
+            kept.append(e)
+
+        assert "escapes" in refusal(escapes)
+
+    def test_a_record_that_escapes_as_an_answer(self) -> None:
+        def escapes(e: End, x: float) -> Any:
+            return e
+
+        assert "End m escapes" in refusal(escapes)
+
+    def test_a_feature_that_is_misspelt(self) -> None:
+        def misspelt(e: End, x: float) -> Any:
+            return 1.0 if e.has.encodr else x  # type: ignore[attr-defined]
+
+        assert "Has has no encodr" in refusal(misspelt)
+
+    def test_a_field_that_no_class_declares(self) -> None:
+        def misspelt(e: End, x: float) -> Any:
+            e.totl = x  # type: ignore[attr-defined]
+
+        assert "End declares no variable totl" in refusal(misspelt)
+
+    def test_an_answer_that_depends_on_a_number(self) -> None:
+        assert "may not return" in refusal_of(asks_sign)
+
+    def test_lines_of_their_own_in_the_midst_of_an_expression(self) -> None:
+        assert "stands in the midst of an expression" in refusal_of(asks_in_midst)
+
+    def test_a_function_that_calls_itself(self) -> None:
+        assert "calls itself" in refusal_of(itself)
+
+    def test_a_name_that_stands_for_an_axis_and_then_another(self) -> None:
+        def twice(e: End, x: float) -> None:
+            for k in range(3):
+                a = e.axes[0]
+                a.x = x + k
+
+        assert "cannot be set under a condition of numbers, or in a loop that stays one" in refusal(twice)
+
+    def test_what_is_not_for_the_tick(self) -> None:
+        def guarded(e: End, x: float) -> None:
+            try:
+                e.total = x
+            finally:
+                pass
+
+        assert "Try is not for the tick" in refusal(guarded)
+
+
+def refusal_of(function: Callable[..., Any]) -> str:
+    with pytest.raises(NotSpecialised) as refused:
+        text(function)
+    assert str(refused.value).startswith(f"{__file__}:")
+    return str(refused.value)
+
+
+def sign(e: End, x: float) -> float:
+    if x > 0.0:
+        return 1.0
+    return -1.0
+
+
+def asks_sign(e: End, x: float) -> float:
+    e.total = sign(e, x)
+    return e.total
+
+
+def with_lines(e: End, x: float) -> float:
+    e.total = x
+    return e.total
+
+
+def asks_in_midst(e: End, x: float) -> float:
+    return x + with_lines(e, x)
+
+
+def itself(e: End, x: float) -> None:
+    itself(e, x)
+
+
+class TestNames:
+    def test_one_name_in_two_functions_is_two_variables(self) -> None:
+        made = called(two_names, 2.0)
+        assert made == two_names(End(), 2.0) == (14.0, 2.0)
+
+    def test_two_records_with_one_variable_are_refused(self) -> None:
+        end = End()
+        end.axes[1].suffix = "m0"
+        with pytest.raises(NotSpecialised, match="two records have a field x"):
+            specialise(whole, end)
+
+
+def two_names(e: End, x: float) -> Any:
+    kept = x
+    for a in e.axes:
+        a.x = kept + 5.0
+        double(e, a)
+    return e.axes[1].y, kept
+
+
+class TestLines:
+    def test_keep_their_numbers_and_their_file(self) -> None:
+        with pytest.raises(TypeError) as error:
+            called(whole, (0.1, None))
+        frame = traceback.extract_tb(error.value.__traceback__)[-1]
+        assert Path(frame.filename) == Path(__file__)
+        assert frame.line == "kept = a.x + a.x"
+
+    def test_of_another_file_have_the_number_of_their_call(self) -> None:
+        from teleop.scene.loading import load_scene
+        from teleop.simulation import tick
+        from teleop.simulation.source import lines
+        from teleop.simulation.structure import structure_of
+
+        made = lines(structure_of(load_scene("hard_wall")), tick.loop)
+        source = Path(tick.__file__).read_text().splitlines()
+        sets = [each for each in ast.walk(made.made.tree) if isinstance(each, ast.Assign)]
+        capped = [each for each in sets if "cap(" in ast.unparse(each)]
+        assert {source[each.lineno - 1].strip() for each in capped} >= {"stage.act(run, e, k)"}
