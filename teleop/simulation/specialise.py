@@ -21,7 +21,6 @@ since the code of a function names one file.
 from __future__ import annotations
 
 import ast
-import sys
 from collections.abc import Callable, Sequence
 from functools import reduce
 from inspect import CO_GENERATOR
@@ -59,9 +58,9 @@ class _Writer(Expressions):
         self.entry.known = {name: Known(one) for name, one in zip(self.entry.arguments, records, strict=False)}
         self.body(node.body)
         rest = [ast.arg(name) for name in self.entry.arguments[len(records):]]
-        made = ast.FunctionDef(node.name, ast.arguments([], rest, None, [], [], None, []), self.out, [], None)
-        if sys.version_info >= (3, 12):
-            made.type_params = []
+        made, = ast.parse(f"def {node.name}(): ...").body  # with the fields that this Python's functions have
+        assert isinstance(made, ast.FunctionDef)
+        made.args, made.body = ast.arguments([], rest, None, [], [], None, []), self.out
         for each in (made, *rest):
             self.put(each, node)
         return Specialised(made, self.file, self.names)
