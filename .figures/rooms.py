@@ -18,24 +18,22 @@ PICTURE = Path(__file__).with_name("rooms.svg")
 
 FLOORS: tuple[dict[str, str], ...] = (
     {"scenarios": "one scene, one file"},
-    {"__main__": "the commands", "master": "hands, their device", "slave": "robots, environments",
+    {"__main__": "the commands", "doctor": "what is installed", "bench": "what it costs",
+     "report": "a stored run again", "master": "hands", "slave": "robots, contacts",
      "channel": "effects, the relay"},
-    {"doctor": "what is installed", "bench": "what it costs", "report": "a stored run again"},
     {"analysis": "stability, passivity, Z-width", "sweeps": "many runs of one scene",
      "live": "sockets, timers, devices"},
-    {"checks": "does a law keep its word", "terminal": "options, tables, figures",
+    {"checks": "does a law keep its word", "terminal": "options, tables, plots",
      "protocol": "bytes and now in, force out"},
     {"simulation": "the tick, in virtual time"},
-    {"laws": "one law, one file", "scene": "what a scene is, its knobs"},
-    {"law": "what a law is", "stages": "between device, law, motor"},
+    {"scene": "what a scene is"},
+    {"laws": "one law, one file", "stages": "between device, law, motor"},
+    {"law": "what every law is asked"},
     {"physics": "bodies and contact, exact", "naming": "parts found by name", "knob": "unit, meaning, bounds",
      "storage": "files of unknown origin"},
     {"errors": "one sentence each", "version": "which release"},
 )
-"""Rooms by floor, the highest first, each with what it is for; a room may import from the floors below its own.
-
-A room without a name keeps its place free for arrows.
-"""
+"""Rooms by floor, the highest first, each with what it is for; a room may import from the floors below its own."""
 
 COLOURS = {
     "#dbe9f6": ("what a user adds to", {"scenarios", "master", "slave", "channel", "laws", "stages"}),
@@ -43,7 +41,7 @@ COLOURS = {
     "#fdebd2": ("virtual time and answers", {"simulation", "sweeps", "analysis", "checks"}),
 }
 OTHER = "#f0f0f0"
-WIDTH, HIGH, WIDE, GAP, FLOOR = 1120, 46, 216, 36, 86  # px: the picture; a room; between rooms; from floor to floor
+WIDTH, HIGH, FLOOR = 1120, 46, 86  # px: of the picture; of a room; from floor to floor
 
 
 def main() -> int:
@@ -75,8 +73,10 @@ def imports() -> set[tuple[str, str]]:
 def drawn() -> str:
     """The picture as SVG."""
     there = rooms()
-    floors = [{room: what for room, what in floor.items() if room in there or not room} for floor in FLOORS]
-    place = {room: (x, y) for y, floor in enumerate(floors) for room, x in zip(floor, _lefts(len(floor)), strict=True)}
+    floors = [{room: what for room, what in floor.items() if room in there} for floor in FLOORS]
+    place = {room: (x, y) for y, floor in enumerate(floors)
+             for room, x in zip(floor, _middles(len(floor)), strict=True)}
+    wide = {room: _wide(len(floor)) for floor in floors for room in floor}
     known = {pair for pair in imports() if place.keys() >= set(pair)}
     down = {(a, b) for a, b in known if place[a][1] < place[b][1]}
     high = 16 + FLOOR * len(FLOORS) + 24
@@ -93,8 +93,8 @@ def drawn() -> str:
                      f'fill="#fafbfc" stroke="#eceff2"/>')
     lines += [_arrow(place[a], place[b]) for a, b in sorted(_reduced(down))]
     lines += [_arrow(place[a], place[b], "#c62828") for a, b in sorted(known - down)]
-    lines += [line for floor in floors for room, what in floor.items() if room
-              for line in _box(room, what, *place[room])]
+    lines += [line for floor in floors for room, what in floor.items()
+              for line in _box(room, what, wide[room], *place[room])]
     legend = [(colour, what) for colour, (what, _) in COLOURS.items()] + [(OTHER, "shared by all")]
     for n, (colour, what) in enumerate(legend):
         x, y = 24 + 230 * n, high - 24
@@ -141,16 +141,22 @@ def _reduced(pairs: set[tuple[str, str]]) -> set[tuple[str, str]]:
     return {(a, b) for a, b in pairs if not any(b in reached(near) for near in below[a] - {b})}
 
 
-def _lefts(count: int) -> Iterable[float]:
-    """The left edges of the rooms of one floor, which stands in the middle."""
-    free = WIDTH - count * WIDE - (count - 1) * GAP
-    return [free / 2 + n * (WIDE + GAP) for n in range(count)]
+def _wide(count: int) -> float:
+    """The width of each of `count` rooms of one floor."""
+    return 216.0 if count < 5 else (WIDTH - 40) / count - 12
 
 
-def _box(room: str, what: str, left: float, y: int) -> Iterator[str]:
+def _middles(count: int) -> Iterable[float]:
+    """The middles of the rooms of one floor."""
+    step = _wide(count) + (36 if count < 5 else 12)
+    return [(WIDTH - (count - 1) * step) / 2 + n * step for n in range(count)]
+
+
+def _box(room: str, what: str, wide: float, middle: float, y: int) -> Iterator[str]:
     colour = next((colour for colour, (_, members) in COLOURS.items() if room in members), OTHER)
-    top, middle = 18 + y * FLOOR, left + WIDE / 2
-    yield (f'<rect x="{left:g}" y="{top}" width="{WIDE}" height="{HIGH}" rx="8" fill="{colour}" stroke="#b8c0c8"/>')
+    top = 18 + y * FLOOR
+    yield (f'<rect x="{middle - wide / 2:g}" y="{top}" width="{wide:g}" height="{HIGH}" rx="8" fill="{colour}" '
+           f'stroke="#b8c0c8"/>')
     yield (f'<text x="{middle:g}" y="{top + 20}" text-anchor="middle" font-size="14" font-weight="bold" '
            f'fill="#1d2733">{escape(room)}</text>')
     yield f'<text x="{middle:g}" y="{top + 37}" text-anchor="middle" fill="#4a5561">{escape(what)}</text>'
@@ -159,7 +165,7 @@ def _box(room: str, what: str, left: float, y: int) -> Iterator[str]:
 def _arrow(a: tuple[float, int], b: tuple[float, int], colour: str = "#8a95a3") -> str:
     """A curve from the foot of a room to the head of one below; from its head, if the other stands above."""
     up = b[1] <= a[1]
-    x0, x1 = a[0] + WIDE / 2, b[0] + WIDE / 2
+    x0, x1 = a[0], b[0]
     y0, y1 = 18 + a[1] * FLOOR + (0 if up else HIGH), 18 + b[1] * FLOOR + (HIGH if up else 0)
     bend = (y1 - y0) / 2
     tip = ' marker-end="url(#tip)"' if not up else ""

@@ -140,3 +140,10 @@ def test_the_map_has_every_room_once() -> None:
 
 def test_the_map_of_the_rooms_is_what_the_imports_say() -> None:
     assert rooms().drawn() == rooms().PICTURE.read_text(), "the imports have changed: python .figures/rooms.py"
+
+
+def test_every_file_that_the_design_names_is_there() -> None:
+    text = (ROOT / "teleop" / "DESIGN.md").read_text()
+    named = re.findall(r"`((?:teleop|channel|master|slave|scenarios|tests)/[\w./]+)`", text)
+    assert len(named) > 20
+    assert [path for path in named if not (ROOT / path).exists()] == []
