@@ -11,7 +11,6 @@ from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 
-ACCURACY = 1e-6  # m
 ROWS = 64  # of ours; numpy is given the batch that suits it best
 
 

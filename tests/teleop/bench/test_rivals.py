@@ -13,11 +13,13 @@ import pytest
 
 from teleop.bench.rivals import control, jitcdde, numpy_batch
 from teleop.bench.rivals.numpy_wall import change, located, stepped
-from teleop.bench.rivals.rival import ACCURACY, Absent, exact_positions, library, stiffnesses
+from teleop.bench.rivals.rival import Absent, exact_positions, library, stiffnesses
 from teleop.physics.contact import events
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
+
+ACCURACY = 1e-6  # m, of either handle's position
 
 
 def short(seconds: float, **knobs: float) -> Scene:
