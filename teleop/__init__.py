@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from teleop.laws.wave import Wave
     from teleop.live.devices.heartbeat import DeviceWatchdog
     from teleop.live.end import end_main
+    from teleop.live.records.merge import load_result
     from teleop.physics.implicit import Resistance
     from teleop.physics.plant import MassDamper, Plant
     from teleop.physics.relaxing import ElectricalDamping
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from teleop.scene.parts import Environment, Hand, Reference, Vector
     from teleop.scene.playout import Fixed, Hold, Playout, Zero
     from teleop.scene.scene import Scene
-    from teleop.simulation.result import Result, load_result
+    from teleop.simulation.result import Result
     from teleop.simulation.virtual import run
     from teleop.stages.device import Device, VelocityEstimator
     from teleop.stages.encoder import Encoder
@@ -76,7 +77,8 @@ _HOMES = {  # the module of each name, under this package
     "scene.parts": ("Environment", "Hand", "Reference", "Vector"),
     "scene.playout": ("Fixed", "Hold", "Playout", "Zero"),
     "scene.scene": ("Scene",),
-    "simulation.result": ("Result", "load_result"),
+    "live.records.merge": ("load_result",),
+    "simulation.result": ("Result",),
     "simulation.virtual": ("run",),
     "stages.device": ("Device", "VelocityEstimator"),
     "stages.encoder": ("Encoder",),

@@ -6,8 +6,8 @@ from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
-from teleop.live.records.merge import merge, scene_of
-from teleop.simulation.result import RUNNING, load_result, stored_summary
+from teleop.live.records.merge import load_result, merge, scene_of
+from teleop.simulation.result import RUNNING, stored_summary
 from teleop.storage.folder import new_folder
 from teleop.sweeps.pictures.report import PictureRequest, check_run, report
 from teleop.terminal.answer import Answer

@@ -18,9 +18,9 @@ from teleop.errors import Refused
 from teleop.live import fault
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
 from teleop.live.records.record import fresh_folder, read_noted
-from teleop.live.records.summary import NAMES
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends

@@ -18,15 +18,16 @@ from teleop.errors import Refused, number
 from teleop.live import fault, security
 from teleop.live.devices.guarded_device import Device
 from teleop.live.devices.heartbeat import watched
+from teleop.live.driving import run
 from teleop.live.lastresort import LastResort
-from teleop.live.leaving import UNRELEASED
 from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.net.wire import Wire
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.end_result import NAMES, UNRELEASED
 from teleop.live.records.record import Recorder, fresh_folder
-from teleop.live.records.summary import NAMES, UNWATCHED, holds_on, write_end
 from teleop.live.shell import Shell
+from teleop.live.summary import UNWATCHED, holds_on, write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import UNNAMED
 from teleop.protocol.manifest import MOST_EVERY, manifest_of
@@ -69,28 +70,28 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
             recorder = Recorder(scene, e, folder, about)
             shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
             last.shell = shell
-            shell.realtime, shell.insecure = granted, insecure
-            shell.spin_ns = realtime.SPIN_NS if args.spin else 0
+            shell.realtime = granted
+            shell.security.insecure = insecure
             if not (args.json or args.quiet):
                 shell.hint = partial(_hint, NAMES[e])
             if holds_on(shell):
                 complain(UNWATCHED, DONE)
             _greet(e, args, wire)
             try:
-                asyncio.run(shell.run())
+                asyncio.run(run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0))
             finally:
                 line.end()
-            if shell.ticks or _leaves_a_traceback(shell):
+            if shell.counts.ticks or _leaves_a_traceback(shell):
                 keep()
             code = _said_of_faults(shell, folder)
-            if shell.ticks:
+            if shell.counts.ticks:
                 result = write_end(shell, folder, args.seed, command)
             elif code != DONE:
                 return code
             elif interrupt.name is not None:
                 raise KeyboardInterrupt
             else:
-                raise Refused(shell.sentence)
+                raise Refused(shell.outcome.sentence)
     if args.json:
         summary = result.summary(command)
         print(written({"event": "done", "path": str(folder), "summary": summary}), flush=True)
@@ -103,20 +104,20 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
 
 
 def _leaves_a_traceback(shell: Shell) -> bool:
-    return shell.fault is not None and not isinstance(shell.fault, Refused)
+    return shell.outcome.fault is not None and not isinstance(shell.outcome.fault, Refused)
 
 
 def _said_of_faults(shell: Shell, folder: Path) -> int:
     """The exit code; what is not DONE is said on stderr, before anything else may fail."""
-    if shell.fault is None and shell.status != UNRELEASED:
+    if shell.outcome.fault is None and shell.outcome.status != UNRELEASED:
         return DONE
     where = ""
-    if shell.fault is not None and _leaves_a_traceback(shell):
+    if shell.outcome.fault is not None and _leaves_a_traceback(shell):
         with suppress(OSError):
-            fault.write(shell.fault, folder)
+            fault.write(shell.outcome.fault, folder)
             where = f"; its traceback is in {folder / fault.FILE}"
-    code = WRONG if isinstance(shell.fault, Refused) else FAULT
-    return complain(shell.sentence + where, FORCED if shell.status == UNRELEASED else code)
+    code = WRONG if isinstance(shell.outcome.fault, Refused) else FAULT
+    return complain(shell.outcome.sentence + where, FORCED if shell.outcome.status == UNRELEASED else code)
 
 
 def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:

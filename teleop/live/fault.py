@@ -16,7 +16,6 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.law.contract import Method, refusal
 from teleop.live.devices.guarded_device import Stand
-from teleop.live.meeting import meet
 from teleop.live.records.record import Recorder
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import one_line
@@ -27,7 +26,6 @@ PARTS: dict[CodeType, str] = {
     Stand.hold.__code__: "the device, given a force,",
     Endpoint.tick.__code__: "the law",
     Endpoint.receive.__code__: "the reading of a packet",
-    meet.__code__: "the first exchange",
     **{part.__code__: "the record" for part in (Recorder.add, Recorder.note, Recorder.flush)},
 }
 

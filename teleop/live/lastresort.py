@@ -21,16 +21,13 @@ from contextlib import suppress
 from threading import Thread, main_thread
 from traceback import walk_stack
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 from teleop.live.fault import part_of
-from teleop.live.leaving import MAY_BE_ON
+from teleop.live.outcome import MAY_BE_ON
 from teleop.live.process.interrupt import Interrupt, name_of
+from teleop.live.shell import Shell
 from teleop.protocol.guard import Event
 from teleop.terminal.options import FAULT, FORCED
-
-if TYPE_CHECKING:
-    from teleop.live.shell import Shell
 
 HEED_S = 2.0  # a signal that was not heeded for so long counts as two
 HUNG_S = 0.3  # so long after the second an end that is well has no force any more
@@ -78,7 +75,7 @@ class LastResort:
                     due = min(due, time.monotonic() + (HEED_S if len(self._names) == 1 else HUNG_S))
             elif self._may_wait():
                 due = float("inf")
-            elif not self._leaves and (self.shell is None or (len(self._names) == 1 and self.shell.over.is_set())):
+            elif not self._leaves and self._heeds_the_first():
                 self._leaves, due = True, time.monotonic() + LEAVE_S
             else:
                 self._act()
@@ -86,6 +83,10 @@ class LastResort:
     def _may_wait(self) -> bool:
         """Is there no force that is to be let go: after the run, or, however long it takes, before it?"""
         return len(self._names) == 1 if self.shell is None else self.shell.free
+
+    def _heeds_the_first(self) -> bool:
+        """True before there is a device, and where one signal came and the run is over by it."""
+        return self.shell is None or (len(self._names) == 1 and self.shell.outcome.over.is_set())
 
     def _act(self) -> None:
         """Zero force, the record, the peer, a sentence, the end; whatever of it hangs."""
@@ -115,10 +116,11 @@ class LastResort:
 def _let_go(shell: Shell, why: str, took: list[bool]) -> None:
     shell.stand.closed = True
     took.append(shell.stand.let_go())
-    shell.status, shell.sentence = "stopped", f"stopped at t = {shell.so_far():.3f} s: {why}"
-    shell.guarded(lambda: shell.recorder.note(Event(shell.ran, "stopped", why)))
+    shell.outcome.status = "stopped"
+    shell.outcome.sentence = f"stopped at t = {shell.so_far():.3f} s: {why}"
+    shell.guarded(lambda: shell.recorder.note(Event(shell.counts.ran, "stopped", why)))
     shell.guarded(shell.recorder.flush)
-    shell.guarded(lambda: shell.send(shell.bye()))
+    shell.guarded(shell.bye)
 
 
 def _say(text: str) -> None:

@@ -14,29 +14,26 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING
 
 from teleop.live.process.ticker import Alarm
+from teleop.live.shell import Shell
 from teleop.protocol.held_force import BLIND_NS
-
-if TYPE_CHECKING:
-    from teleop.live.shell import Shell
 
 RAMP_NS = 2_000_000_000  # the longest way of the force to zero
 RETRY_NS = 1_000_000_000  # zero force is tried for so long
 PAUSE = 0.005  # s between two tries
-UNRELEASED = "unreleased"  # the status of a run whose device did not take zero force
-MAY_BE_ON = "THE FORCE MAY STILL BE ON, switch the device off"
 
 
 async def let_go(shell: Shell) -> None:
     """Take the force of `shell` to zero, one step a tick; nothing of it is recorded but an event."""
     stand, endpoint = shell.stand, shell.endpoint
-    if shell.fault is not None or not stand.forced:
+    if shell.outcome.fault is not None or not stand.forced:
         return
-    if shell.status != "ok" and stand.trouble is None:  # how a device that fails has ended is told when it is known
-        shell.send(shell.bye())  # now, so that the other end does not go on with what it heard last
-    most, began, k = max(map(abs, endpoint.held.force)), time.monotonic_ns(), shell.last
+    if shell.outcome.status != "ok" and stand.trouble is None:
+        # Now, so that the other end does not go on with what it heard last. How a device that fails has ended is told
+        # when it is known.
+        shell.bye()
+    most, began, k = max(map(abs, endpoint.held.force)), time.monotonic_ns(), shell.counts.last
     seen = began  # when it was last read
     ring = asyncio.Event()
     alarm = Alarm(asyncio.get_running_loop(), ring.set)
@@ -55,7 +52,7 @@ async def let_go(shell: Shell) -> None:
             before, now = now, time.monotonic_ns()
             passed = max(1, round((now - before) / endpoint.own.dt_ns))
             k += passed * endpoint.every
-            reading = None if shell.status == "diverged" else stand.read(k, now)
+            reading = None if shell.outcome.status == "diverged" else stand.read(k, now)
             seen = seen if reading is None else now
     finally:
         alarm.close()
@@ -63,18 +60,18 @@ async def let_go(shell: Shell) -> None:
     rest = max(map(abs, force))
     jump = f", the last {rest:.3g} N at once" if rest > 0.0 else ""
     told = f"{most:.3g} N taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
-    endpoint.guard.tell(shell.ran, "zero", told)
+    endpoint.guard.tell(shell.counts.ran, "zero", told)
 
 
 async def leave(shell: Shell) -> None:
     """Take these steps. What one of them raises is a fault of the run, and keeps no other from being taken."""
     await _zero(shell)
-    shell.guarded(shell.note)
+    shell.guarded(lambda: _write_events(shell))
     shell.guarded(shell.recorder.close)
     for _ in range(3):  # a farewell may be lost too
-        shell.guarded(lambda: shell.send(shell.bye()))
+        shell.guarded(shell.bye)
         await asyncio.sleep(0.002)
-    shell.dropped = shell.wire.dropped
+    shell.counts.dropped = shell.wire.dropped
     shell.guarded(shell.wire.end)
 
 
@@ -83,9 +80,11 @@ async def _zero(shell: Shell) -> None:
     stand.closed = True
     while not stand.let_go() and stand.forced:
         if time.monotonic_ns() > until:
-            shell.status = UNRELEASED
-            shell.sentence += (f"; its device did not take zero force in {RETRY_NS / 1e9:g} s ({stand.trouble}): "
-                               f"{MAY_BE_ON}")
+            shell.outcome.unreleased(f"its device did not take zero force in {RETRY_NS / 1e9:g} s ({stand.trouble})")
             break
         await asyncio.sleep(PAUSE)
     shell.free = True
+
+
+def _write_events(shell: Shell) -> None:
+    shell.take_events()

@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING
 
+from teleop.live import fault
 from teleop.live.net.address import shown
+from teleop.live.shell import Shell
 from teleop.protocol.session import FINISHED
 
-if TYPE_CHECKING:
-    from teleop.live.shell import Shell
-
-HINT_NS = 2_000_000_000  # so long nobody is there, and whoever waits is told what may be wrong
+HINT_NS = 2_000_000_000  # of waiting for a peer, and the terminal is told what may be wrong
 EARLY_NS = 10_000_000  # so long before tick 0 the exchange is over at the latest
 
 
 async def meet(shell: Shell) -> bool:
     """The first exchange; False if the run was over before it began."""
     session, stepped = shell.endpoint.session, shell.endpoint.stepped
-    line, began, hinted = shell.wire.line, time.monotonic_ns(), ""
-    while not shell.over.is_set():
+    began, hinted = time.monotonic_ns(), ""
+    while not shell.outcome.over.is_set():
         now = time.monotonic_ns()
         if session.failure is not None:
-            shell.end("refused", session.failure)
+            shell.outcome.end("refused", session.failure)
         elif session.farewell not in (None, FINISHED):
-            shell.end("refused", f"the other end left before the run began: {session.farewell}")
+            shell.outcome.end("refused", f"the other end left before the run began: {session.farewell}")
         elif shell.interrupt.name is not None:
             shell.stop(f"it was asked to stop ({shell.interrupt.name})")
         elif session.start_ns is not None and not session.meeting:
@@ -33,9 +31,9 @@ async def meet(shell: Shell) -> bool:
             if stepped or now > session.start_ns - EARLY_NS:
                 return True
         elif shell.patience is not None and now - began > shell.patience * 1e9:
-            shell.end("refused", _nobody(shell, f"in {shell.patience:g} s"))
-        elif now - began > HINT_NS and (shell.wire.asked or _strange(shell) or (line is not None and line.trouble)):
-            if (hint := _nobody(shell, "yet")) != hinted:
+            shell.outcome.end("refused", _why_no_peer(shell, f"in {shell.patience:g} s"))
+        elif now - began > HINT_NS and _has_hint(shell):
+            if (hint := _why_no_peer(shell, "yet")) != hinted:
                 shell.hint(hint)
             hinted = hint
         shell.say_again(now)
@@ -43,9 +41,15 @@ async def meet(shell: Shell) -> bool:
     return False
 
 
-def _nobody(shell: Shell, since: str) -> str:
-    """Why there is nobody, as far as it is known."""
-    peer, line = shell.wire.peer, shell.wire.line
+def _has_hint(shell: Shell) -> bool:
+    """True if there is more to tell than that no peer has come."""
+    line = shell.wire.line
+    return shell.connection.asked is not None or _unknown_came(shell) or (line is not None and line.trouble is not None)
+
+
+def _why_no_peer(shell: Shell, since: str) -> str:
+    """Why there is no peer, as far as it is known."""
+    peer, line = shell.connection.peer, shell.wire.line
     if line is not None and line.trouble is not None:
         said = f"no peer was let in {since}: {line.trouble}"
     elif peer is None:
@@ -53,10 +57,13 @@ def _nobody(shell: Shell, since: str) -> str:
     else:
         said = f"no answer from {shown(peer)} {since}; start the other end first, and check address and port"
     keys = "; what came was from no such end: has one of the two keys, and the other none?"
-    return said + keys * _strange(shell)
+    return said + keys * _unknown_came(shell)
 
 
-def _strange(shell: Shell) -> bool:
-    """Has anything come that no such end sends?"""
+def _unknown_came(shell: Shell) -> bool:
+    """True if anything has come that no such end sends."""
     line = shell.wire.line
     return sum(shell.endpoint.rejected.values() if line is None else line.dropped.values()) > 0
+
+
+fault.named(meet, "the first exchange")

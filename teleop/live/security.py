@@ -10,7 +10,6 @@ from teleop.errors import Refused
 from teleop.live.net.address import Address, shown
 
 if TYPE_CHECKING:
-    from teleop.live.shell import Shell
     from teleop.protocol.secure.line import Line
 
 
@@ -39,12 +38,17 @@ def tell_insecure(at: Address) -> None:
     _tell(f"the link to {shown(at)} is neither authenticated nor encrypted")
 
 
-def tell_relayed(shell: Shell) -> None:
-    """The same, and noted for the summary, of a link that a channel on the way carries beyond its machine."""
-    if not shell.endpoint.session.in_the_open or shell.insecure:
-        return
-    shell.insecure = True
-    _tell("a channel on the way carries this link beyond its machine, neither authenticated nor encrypted")
+class LinkSecurity:
+    """Whether the link of an end is in the open beyond loopback: `insecure`, as --insecure asked or a relay told."""
+
+    def __init__(self) -> None:
+        self.insecure = False
+
+    def tell_relayed(self, in_the_open: bool) -> None:
+        """Say so, once, of a link that a channel on the way carries beyond its machine."""
+        if in_the_open and not self.insecure:
+            self.insecure = True
+            _tell("a channel on the way carries this link beyond its machine, neither authenticated nor encrypted")
 
 
 def line(e: str, args: Namespace, at: Address) -> tuple[Line | None, bool]:

@@ -107,6 +107,7 @@ class Endpoint:
         self.inbox: Messages = messages if messages is not None else Inbox(scene.playout, scene.dt_ns)
         self.rejected: Counter[str] = Counter()
         self.received = 0  # DATA packets of the sessions, copies included
+        self.heard_ns = 0  # when the newest of them that was no copy came
         self.counted: Counter[str] = Counter()  # by the inboxes of earlier sessions
         self.force_failed: str | None = None
         self.message_failed = False  # was the law's message not finite, and so not sent
@@ -199,6 +200,7 @@ class Endpoint:
             self._came = came
             self.presence.in_time()
             if not self.stepped:
+                self.heard_ns = now
                 self.link.heard(seq, packet.sent_ns, packet.echo, now - sent, now)
             if self._newest is None or seq > self._newest[0]:
                 self._newest = (seq, packet.sent_ns, now)

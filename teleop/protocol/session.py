@@ -31,6 +31,7 @@ session, and one that was recorded cannot be played to a slave that was started 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from teleop.protocol.clock_exchange import AHEAD_NS, ClockExchange
 from teleop.protocol.estimates import MOST_RTT_NS
@@ -52,6 +53,12 @@ REPEATED = {
     False: {SessionState.OVER: Kind.RENEW},
 }
 """By role (True: the master), what is sent in a state, every `AGAIN_NS`, until it is answered."""
+
+
+class SessionBegun(NamedTuple):
+    """An event: the two ends have met, and the session of this number has begun."""
+
+    number: int
 
 
 class Session:
@@ -84,6 +91,7 @@ class Session:
         self.start_rtt_ns = 0  # at most as long took the round trip with which a slave was started
         self.clock = ClockExchange()
         self.liveness = Liveness(master=master)
+        self._events: list[SessionBegun] = []
         self._table = MASTER if master else SLAVE
         self._repeated = REPEATED[master]
         self._heals = heals
@@ -107,6 +115,13 @@ class Session:
     def offset_ns(self) -> int:
         """The peer's clock less ours; known to the master."""
         return self.clock.offset_ns
+
+    def take_events(self) -> list[SessionBegun]:
+        """The sessions that have begun since this was asked last."""
+        if not self._events:
+            return self._events
+        events, self._events = self._events, []
+        return events
 
     def take(self, event: SessionEvent) -> bool:
         """Go where the table leads with `event`; False if it leads nowhere from here: the event is ignored."""
@@ -281,6 +296,7 @@ class Session:
             self.number = start.session
             self.peer_every = self._welcomed[start.session, start.echo.sent_ns]
             self.start_rtt_ns = max(0, now - start.echo.sent_ns)
+            self._events.append(SessionBegun(start.session))
         elif not self.take(SessionEvent.START):
             return []
         reply = self._packet(Kind.START, now, tick_0)
@@ -308,6 +324,7 @@ class Session:
             return [self._hello(now)]
         self.joined = self.joined or (theirs_0 is not None and self.start_ns is None)
         self.begin(self.clock.tick_0(self.start_ns, theirs_0, now), now)
+        self._events.append(SessionBegun(welcome.session))
         return [self._start(now)]
 
     def _packet(

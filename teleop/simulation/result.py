@@ -14,7 +14,7 @@ from teleop.simulation.metrics import UNITS, finite, worked_out
 from teleop.simulation.packets import Packets
 from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
-from teleop.storage.folder import BEGUN, is_being_written, new_folder
+from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import Misshapen, parse, plain, write_document
 
 RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
@@ -134,33 +134,21 @@ def parameters(scene: Scene) -> dict[str, object]:
     return plain
 
 
-def load_result(folder: Path | str, *, trust: bool = False) -> Result:
-    """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none.
-
-    Of a live run whose process was killed the summary is made from its record and written; of one that goes on, with
-    the status `RUNNING`, nothing is written.
+def read_result(folder: Path) -> Result:
+    """The run whose files lie complete in `folder`, its trace as arrays. Raises `Refused` if there is none.
 
     The folder may be of unknown origin: nothing in it is run, no link is followed, and memory goes with the size of its
-    files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.scene.trust`.
+    files. A live run that goes on, or whose process was killed, is read by `teleop.load_result`.
     """
-    at = Path(folder)
     try:
-        if has_record(at):
-            from teleop.live.records.merge import needs_recovery, recover
-
-            if needs_recovery(at):  # a live run whose process was killed, or goes on
-                result = recover(at, trust=trust)
-                if result.status == RUNNING:
-                    return result
-        elif is_being_written(at):
-            raise Refused(f"{at} {BEGUN}")
-        return _read(at)
-    except Refused:
-        raise
+        return _read(folder)
     except Exception as error:  # no folder, no JSON, no zip, cut short, of another version
-        raise Refused(
-            f"{at} holds no complete run ({_why(error)}); give the folder that `teleop run` printed"
-        ) from error
+        raise incomplete(folder, error) from error
+
+
+def incomplete(folder: Path, error: Exception) -> Refused:
+    """What to say of a folder whose run cannot be read because of `error`."""
+    return Refused(f"{folder} holds no complete run ({_why(error)}); give the folder that `teleop run` printed")
 
 
 def _why(error: Exception) -> str:

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,12 +20,14 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
+from teleop.live.driving import run
 from teleop.live.net.address import bound
 from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.records.end_result import WAYS
 from teleop.live.records.record import Recorder
-from teleop.live.records.summary import WAYS, write_end
 from teleop.live.shell import Shell
+from teleop.live.summary import write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
@@ -60,6 +62,7 @@ class Pair:
     parts: dict[str, dict[str, Any]] = field(default_factory=lambda: {"m": {}, "s": {}})
     shells: dict[str, Shell] = field(init=False)
     errors: dict[str, BaseException | None] = field(default_factory=dict)
+    drive: Callable[[Shell], Coroutine[Any, Any, None]] = run
 
     def __post_init__(self) -> None:
         slave = self.wire(bound(("127.0.0.1", 0), "--listen"), None)
@@ -72,7 +75,7 @@ class Pair:
     def run(self) -> Pair:
         """Run both to their ends; what they raised is in `errors`."""
         async def both() -> None:
-            ends = [asyncio.create_task(self.shells[e].run()) for e in "sm"]
+            ends = [asyncio.create_task(self.drive(self.shells[e])) for e in "sm"]
             done = await asyncio.wait_for(asyncio.gather(*ends, return_exceptions=True), PATIENCE)
             self.errors = dict(zip("sm", done, strict=True))
 
@@ -95,10 +98,10 @@ class Pair:
         """The share of the messages sent to end `e` that it received: what the machine left out was never sent."""
         inbox = self.shells[e].endpoint.inbox
         received = self.shells[e].endpoint.counted["received"] + inbox.received
-        return float(received / self.shells["ms"[e == "m"]].data_sent)
+        return float(received / self.shells["ms"[e == "m"]].counts.data_sent)
 
     def status(self) -> dict[str, str]:
-        return {e: shell.status for e, shell in self.shells.items()}
+        return {e: shell.outcome.status for e, shell in self.shells.items()}
 
 
 @pytest.fixture

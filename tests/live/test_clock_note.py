@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from teleop.live.net.wire import Wire
-from teleop.live.records.summary import clock_note
+from teleop.live.summary import clock_note
 from teleop.protocol.endpoint import SLEW
 from teleop.protocol.packet import DATA, Packet, decode, encode
 from teleop.scene.loading import load_scene

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from teleop import load_result
 from teleop.live.demo import demo
 from teleop.scene.loading import load_scene
-from teleop.simulation.result import load_result
 from teleop.simulation.virtual import run
 from tests.waiting import until
 

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from teleop import load_result
 from teleop.__main__ import main as report
 from teleop.errors import Refused
+from teleop.live.records.end_result import WAYS
 from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.record import EVERY, FILE, read_noted, read_record
-from teleop.live.records.summary import WAYS
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
-from teleop.simulation.result import load_result
 from tests.live.conftest import share_received
 from tests.waiting import PATIENCE, until
 

@@ -13,9 +13,11 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import DeviceError
+from teleop.law.contract import Method
 from teleop.live import fault, leaving
 from teleop.live.devices.guarded_device import Stand
-from teleop.live.leaving import RETRY_NS, UNRELEASED
+from teleop.live.leaving import RETRY_NS
+from teleop.live.records.end_result import UNRELEASED
 from teleop.live.records.merge import merge
 from teleop.live.records.record import read_record
 from teleop.protocol.endpoint import Endpoint, Reading
@@ -67,17 +69,17 @@ def ended_of(both: Any, e: str, device: Probe, error: BaseException, part: str) 
     own, other = both.shells[e], both.shells["sm"["ms".index(e)]]
     assert both.errors == {"m": None, "s": None}, "the loop itself has come to its end"
     assert both.status() == {"m": "stopped", "s": "stopped"}
-    assert own.fault is error
-    assert f"{part} raised {type(error).__name__}" in own.sentence
-    assert f"the other end left: {own.sentence}" in other.sentence, "the truth"
+    assert own.outcome.fault is error
+    assert f"{part} raised {type(error).__name__}" in own.outcome.sentence
+    assert f"the other end left: {own.outcome.sentence}" in other.outcome.sentence, "the truth"
     assert device.since is not None
     assert max(map(abs, device.held[: device.since])) > 0.1, "there was force"
     after = device.held[device.since :]
     assert after, "it was let go"
     assert not any(after), after
     folder = both.write()["ms".index(e)]
-    assert summary(folder)["sentence"] == own.sentence
-    assert len(read_record(folder)[1].ticks) == own.ticks > 0
+    assert summary(folder)["sentence"] == own.outcome.sentence
+    assert len(read_record(folder)[1].ticks) == own.counts.ticks > 0
     assert merge(SCENE, *[both.out / name for name in ("master", "slave")]).status == "stopped"
 
 
@@ -113,7 +115,8 @@ def test_a_law_whose_exception_the_event_loop_swallows_holds_no_force(
 
     device = Probe(e, lambda: setattr(both.shells[e].endpoint, "_started", Law))
     both = pair(SCENE, parts={**{"m": {}, "s": {}}, e: {"device": device}})
-    ended_of(both.run(), e, device, error, "the law")
+    answer = Method(SCENE.law, "master" if e == "m" else "slave")
+    ended_of(both.run(), e, device, error, f"the answer of {answer.label}{answer.first_line()}")
 
 
 def test_a_record_that_raises_ends_the_run_without_force(pair: Make) -> None:
@@ -127,8 +130,8 @@ def test_a_record_that_raises_ends_the_run_without_force(pair: Make) -> None:
     both = pair(SCENE, parts={"m": {"device": device}, "s": {}})
     both.run()
     own = both.shells["m"]
-    assert (own.fault, own.status, both.shells["s"].status) == (error, "stopped", "stopped")
-    assert "the record raised PanicError" in own.sentence
+    assert (own.outcome.fault, own.outcome.status, both.shells["s"].outcome.status) == (error, "stopped", "stopped")
+    assert "the record raised PanicError" in own.outcome.sentence
     assert device.held[-1] == 0.0
 
 
@@ -136,9 +139,9 @@ def test_a_live_line_that_raises_ends_the_run_without_force(pair: Make) -> None:
     error = SystemExit(3)
     device = Probe("m", lambda: None)
     both = pair(SCENE, parts={"m": {"device": device, "say": lambda _numbers: thrown(error)()}, "s": {}}).run()
-    assert both.shells["m"].fault is error
-    assert "the live line raised SystemExit: 3" in both.shells["m"].sentence
-    assert "the live line raised SystemExit: 3" in both.shells["s"].sentence
+    assert both.shells["m"].outcome.fault is error
+    assert "the live line raised SystemExit: 3" in both.shells["m"].outcome.sentence
+    assert "the live line raised SystemExit: 3" in both.shells["s"].outcome.sentence
     assert device.held[-1] == 0.0
 
 
@@ -148,13 +151,13 @@ def test_a_task_that_is_cancelled_lets_go_and_stays_cancelled(pair: Make) -> Non
     both = pair(SCENE, parts={"m": {"device": device}, "s": {}})
 
     async def run() -> list[Any]:
-        tasks.extend(asyncio.create_task(both.shells[e].run()) for e in "ms")
+        tasks.extend(asyncio.create_task(run(both.shells[e])) for e in "ms")
         return await asyncio.gather(*tasks, return_exceptions=True)
 
     ended = asyncio.run(run())
     assert isinstance(ended[0], asyncio.CancelledError)
     assert ended[1] is None
-    assert both.shells["s"].status == "stopped"
+    assert both.shells["s"].outcome.status == "stopped"
     assert device.held[-1] == 0.0
     for shell in both.shells.values():
         shell.wire.sock.close()
@@ -196,13 +199,13 @@ def test_a_force_that_stays_on_is_said_and_is_not_ok(pair: Make, monkeypatch: py
     device = Stuck(10**9, DeviceError("the amplifier does not answer"))
     both = pair(SCENE, parts={"m": {"device": device}, "s": {}}).run()
     own = both.shells["m"]
-    assert own.status == UNRELEASED
-    assert "THE FORCE MAY STILL BE ON" in own.sentence
-    assert "the amplifier does not answer" in own.sentence
-    assert own.sentence.startswith("ran to its end")
+    assert own.outcome.status == UNRELEASED
+    assert "THE FORCE MAY STILL BE ON" in own.outcome.sentence
+    assert "the amplifier does not answer" in own.outcome.sentence
+    assert own.outcome.sentence.startswith("ran to its end")
     assert device.tried >= 3
     whole = merge(SCENE, *both.write())
-    assert (whole.status, whole.sentence) == (UNRELEASED, own.sentence)
+    assert (whole.status, whole.sentence) == (UNRELEASED, own.outcome.sentence)
 
 
 def test_a_device_that_never_had_a_force_is_asked_once_and_nothing_is_said_of_it() -> None:

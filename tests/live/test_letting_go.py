@@ -15,8 +15,10 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import DeviceError
+from teleop.live.driving import run as drive
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.record import read_events
+from teleop.live.shell import Shell
 from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Reading
 from teleop.scene.loading import load_scene
@@ -101,7 +103,7 @@ def test_at_the_end_of_a_run_the_force_does_not_jump(scene: Any, seed: int | Non
     if seed is not None:
         virtual = run(scene, seed=seed)
         for e, shell in both.shells.items():
-            assert (shell.ticks, shell.sentence) == (virtual.ticks, virtual.sentence), e
+            assert (shell.counts.ticks, shell.outcome.sentence) == (virtual.ticks, virtual.sentence), e
 
 
 def stop(both: list[Any], e: str) -> Callable[[Reading], Reading]:
@@ -146,7 +148,7 @@ def test_a_run_that_is_stopped_or_diverges_ends_without_a_jump_at_either_end(
     both.append(pair(scene, parts={end: {"device": device} for end, device in devices.items()}))
     marked(both[0], devices).run()
     assert both[0].errors == {"m": None, "s": None}
-    assert both[0].shells[e].status == status
+    assert both[0].shells[e].outcome.status == status
     for device in devices.values():
         gently(scene, device)
 
@@ -217,12 +219,11 @@ def test_a_second_signal_ends_the_force_at_once(pair: Make) -> None:
         press()
 
     both = pair(scene, parts={"m": {}, "s": {"device": device, "interrupt": interrupt}})
-    first = both.shells["s"].run
 
-    async def with_fingers() -> None:
-        await asyncio.gather(first(), twice())
+    async def with_fingers(shell: Shell) -> None:
+        await (asyncio.gather(drive(shell), twice()) if shell.endpoint.e == "s" else drive(shell))
 
-    both.shells["s"].run = with_fingers
+    both.drive = with_fingers
     both.run()
     assert both.errors == {"m": None, "s": None}
     assert (device.held[-1], abs(device.held[-2]) > 1.0 or abs(device.held[-3]) > 1.0) == (0.0, True)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from teleop.errors import Refused
+from teleop.live.records.end_result import NAMES, WAYS
 from teleop.live.records.merge import merge, recover, scene_of
 from teleop.live.records.record import (
     EVENTS,
@@ -22,7 +23,6 @@ from teleop.live.records.record import (
     read_events,
     read_record,
 )
-from teleop.live.records.summary import NAMES, WAYS
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene

@@ -16,6 +16,7 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import Refused
+from teleop.live.driving import run
 from teleop.live.net.address import bound
 from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
@@ -60,8 +61,8 @@ def test_both_ends_run_to_their_end_and_every_tick_is_accounted_for(pair: Make) 
     assert both.errors == {"m": None, "s": None}
     assert both.status() == {"m": "ok", "s": "ok"}
     for shell in both.shells.values():
-        assert shell.ticks + shell.skipped == SCENE.ticks
-        assert shell.sentence.startswith("ran to its end, 400 ticks of 0.001 s")
+        assert shell.counts.ticks + shell.counts.skipped == SCENE.ticks
+        assert shell.outcome.sentence.startswith("ran to its end, 400 ticks of 0.001 s")
         assert both.share_received(shell.endpoint.e) > 0.5
         assert not shell.endpoint.rejected
     result = merge(SCENE, *both.write())
@@ -87,16 +88,16 @@ def test_what_a_device_raises_ends_the_run_and_the_other_end_is_told(e: str, see
     both = pair(SCENE, seed=seed, parts={**{"m": {}, "s": {}}, e: {"device": device}})
     both.run()
     other = "sm"["ms".index(e)]
-    error = both.shells[e].fault
+    error = both.shells[e].outcome.fault
     assert isinstance(error, RuntimeError)
     assert error.__traceback__ is not None
     assert both.errors == {"m": None, "s": None}
-    assert both.shells[other].fault is None
+    assert both.shells[other].outcome.fault is None
     assert both.status() == {"m": "stopped", "s": "stopped"}
-    assert "the device, asked for a reading, raised RuntimeError: the cable is off" in both.shells[e].sentence
-    assert "the cable is off" in both.shells[other].sentence
+    assert "the device, asked for a reading, raised RuntimeError: the cable is off" in both.shells[e].outcome.sentence
+    assert "the cable is off" in both.shells[other].outcome.sentence
     assert device.held[-1] == (0.0,)
-    assert len(read_record(both.write()["ms".index(e)])[1].ticks) == both.shells[e].ticks > 0
+    assert len(read_record(both.write()["ms".index(e)])[1].ticks) == both.shells[e].counts.ticks > 0
 
 
 def test_whoever_reads_along_may_leave(pair: Make) -> None:
@@ -132,12 +133,13 @@ def test_an_interrupt_stops_both_ends_and_both_keep_their_records(e: str, seed: 
     both = pair(SCENE, seed=seed, parts={**{"m": {}, "s": {}}, e: {"device": device, "interrupt": interrupt}}).run()
     assert both.errors == {"m": None, "s": None}
     assert both.status() == {"m": "stopped", "s": "stopped"}
-    assert both.shells[e].sentence.endswith("s: it was asked to stop (SIGINT)")
-    _, told, when = both.shells["sm"["ms".index(e)]].sentence.partition("the other end left: stopped at t = ")
+    assert both.shells[e].outcome.sentence.endswith("s: it was asked to stop (SIGINT)")
+    _, told, when = both.shells["sm"["ms".index(e)]].outcome.sentence.partition("the other end left: stopped at t = ")
     assert told
     assert 0.2 <= float(when.split()[0]) <= 0.4
     result = merge(SCENE, *both.write())
-    assert (result.status, result.sentence) == ("stopped", both.shells[e].sentence if e == "m" else result.sentence)
+    sentence = both.shells[e].outcome.sentence if e == "m" else result.sentence
+    assert (result.status, result.sentence) == ("stopped", sentence)
     assert 0 < result.ticks < SCENE.ticks
 
 
@@ -146,9 +148,9 @@ def test_an_interrupt_before_the_start_is_a_run_that_never_was(e: str, pair: Mak
     interrupt = Interrupt()
     interrupt.name = "SIGTERM"
     both = pair(SCENE, parts={"m": {"patience": 1.0}, "s": {"patience": 1.0}, e: {"interrupt": interrupt}}).run()
-    assert both.shells[e].status == "stopped"
-    assert both.shells["sm"["ms".index(e)]].status == "refused"
-    assert [shell.ticks for shell in both.shells.values()] == [0, 0]
+    assert both.shells[e].outcome.status == "stopped"
+    assert both.shells["sm"["ms".index(e)]].outcome.status == "refused"
+    assert [shell.counts.ticks for shell in both.shells.values()] == [0, 0]
 
 
 def test_a_run_that_diverges_stops_early_at_both_ends(pair: Make) -> None:
@@ -167,19 +169,19 @@ def test_a_stall_skips_whole_ticks_and_says_how_many(pair: Make) -> None:
     both = pair(SCENE, parts={"m": {}, "s": {"device": stall}}).run()
     slave = both.shells["s"]
     assert both.status() == {"m": "ok", "s": "ok"}
-    assert slave.skipped >= 48
-    assert slave.ticks + slave.skipped == SCENE.ticks
-    assert f"{slave.skipped} of them skipped" in slave.sentence
+    assert slave.counts.skipped >= 48
+    assert slave.counts.ticks + slave.counts.skipped == SCENE.ticks
+    assert f"{slave.counts.skipped} of them skipped" in slave.outcome.sentence
 
 
 def test_ticks_that_are_missed_at_the_very_end_are_counted_too(pair: Make) -> None:
     stall = Faulty(SimulatedSlave(SCENE), 300, lambda: time.sleep(0.15))  # beyond the end, whenever it begins
     both = pair(SCENE, parts={"m": {}, "s": {"device": stall}}).run()
     for shell in both.shells.values():
-        assert shell.ticks + shell.skipped == SCENE.ticks
+        assert shell.counts.ticks + shell.counts.skipped == SCENE.ticks
     slave = both.shells["s"]
-    assert slave.ran >= 300, "the tick that stalled"
-    assert slave.skipped >= SCENE.ticks - 1 - slave.ran
+    assert slave.counts.ran >= 300, "the tick that stalled"
+    assert slave.counts.skipped >= SCENE.ticks - 1 - slave.counts.ran
 
 
 class Deaf(Wire):
@@ -219,7 +221,7 @@ class Forgetful(Wire):
 def test_a_start_that_is_lost_is_repeated_before_tick_0(pair: Make) -> None:
     both = pair(SCENE, wire=Forgetful).run()
     assert both.status() == {"m": "ok", "s": "ok"}
-    assert both.shells["s"].ticks + both.shells["s"].skipped == SCENE.ticks
+    assert both.shells["s"].counts.ticks + both.shells["s"].counts.skipped == SCENE.ticks
 
 
 @pytest.mark.parametrize("e", ["m", "s"])
@@ -227,11 +229,11 @@ def test_nobody_there_is_said_in_one_sentence(e: str, pair: Make) -> None:
     both = pair(SCENE, parts={"m": {}, "s": {}, e: {"patience": 0.2}})
     shell = both.shells[e]
     if e == "m":
-        shell.wire.asked = ("127.0.0.1", 9)  # discard: nobody
-    asyncio.run(shell.run())
-    assert (shell.status, shell.ticks) == ("refused", 0)
-    assert "0.2 s; start" in shell.sentence
-    assert ("no answer from 127.0.0.1:9" in shell.sentence) is (e == "m")
+        shell.connection.asked = shell.connection.peer = ("127.0.0.1", 9)  # discard: nobody
+    asyncio.run(run(shell))
+    assert (shell.outcome.status, shell.counts.ticks) == ("refused", 0)
+    assert "0.2 s; start" in shell.outcome.sentence
+    assert ("no answer from 127.0.0.1:9" in shell.outcome.sentence) is (e == "m")
     for other in both.shells.values():
         other.wire.sock.close()
 
@@ -328,7 +330,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
 
     Even if the master goes on hearing the slave: that one falls silent, and asks for another session.
     """
-    for name in ("teleop.live.hearing.OPEN_NS", "teleop.protocol.liveness.RENEW_NS"):
+    for name in ("teleop.live.listening.OPEN_NS", "teleop.protocol.liveness.RENEW_NS"):
         monkeypatch.setattr(name, 400_000_000)
     both = pair(replace(SCENE, duration=2.2), wire=Roaming)
     master, slave = both.shells["m"], both.shells["s"]
@@ -343,7 +345,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
     master.stand.device = Faulty(SimulatedMaster(both.scene), 300, move)
     both.run()
     assert both.errors == {"m": None, "s": None}
-    assert slave.wire.peer == moved.sock.getsockname()
+    assert slave.connection.peer == moved.sock.getsockname()
     moved.sock.close()
     for shell in (master, slave):
         assert shell.endpoint.session.met >= 2
@@ -356,10 +358,10 @@ def test_a_new_session_is_asked_for_where_the_master_was_told_to_ask(pair: Make)
     both = pair(SCENE)
     master, slave = both.shells["m"], both.shells["s"]
     asked = slave.wire.sock.getsockname()
-    master.wire.peer = ("127.0.0.1", 9)
+    master.connection.peer = ("127.0.0.1", 9)
     assert master.endpoint.session.meeting
     master.say_again(time.monotonic_ns())
-    assert master.wire.peer == asked
+    assert master.connection.peer == asked
     time.sleep(0.01)
     got = slave.wire.receive()
     assert got is not None
@@ -381,7 +383,7 @@ def test_an_end_whose_tick_0_was_moved_far_ahead_heeds_an_interrupt(pair: Make) 
     slave.stand.device = Faulty(SimulatedSlave(SCENE), 100, move)
     both.run()
     assert both.errors == {"m": None, "s": None}
-    assert (slave.status, "SIGTERM" in slave.sentence) == ("stopped", True)
+    assert (slave.outcome.status, "SIGTERM" in slave.outcome.sentence) == ("stopped", True)
 
 
 # Records that cannot be written
@@ -394,7 +396,7 @@ def test_a_full_disk_stops_the_record_and_not_the_loop(pair: Make) -> None:
     recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
     both.run()
     assert both.status() == {"m": "ok", "s": "ok"}
-    assert both.shells["s"].ticks + both.shells["s"].skipped == SCENE.ticks
+    assert both.shells["s"].counts.ticks + both.shells["s"].counts.skipped == SCENE.ticks
     assert recorder.trouble is not None
     assert "No space left on device" in recorder.trouble
     summary = both.write()[1] / FILE

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from teleop.live.lastresort import HUNG_S
-from teleop.live.leaving import MAY_BE_ON
+from teleop.live.outcome import MAY_BE_ON
 from teleop.live.process.interrupt import OTHERS, REAL_TIME, Interrupt
 from teleop.live.records.record import read_events, read_record
 from teleop.scene.library import ROOT

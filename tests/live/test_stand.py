@@ -19,7 +19,7 @@ from slave.robot import SimulatedSlave
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.guarded_device import DEAD_NS, Stand, deadline_of
 from teleop.live.records.merge import merge
-from teleop.live.records.summary import UNWATCHED
+from teleop.live.summary import UNWATCHED
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
@@ -246,7 +246,7 @@ def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_end
     assert both.errors == {"m": None, "s": None}
     assert both.status() == {"m": "stopped", "s": "stopped"}
     for shell in both.shells.values():
-        assert "the device fails: the bus is gone" in shell.sentence
+        assert "the device fails: the bus is gone" in shell.outcome.sentence
 
 
 @pytest.mark.parametrize(("axes", "wrong", "words"), [

@@ -16,9 +16,9 @@ import pytest
 
 from teleop import Refused, load_result
 from teleop.__main__ import main
+from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge, needs_recovery
 from teleop.live.records.record import FILE, Recorder
-from teleop.live.records.summary import NAMES
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING

@@ -52,7 +52,6 @@ class Wire:
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
         self.sock, self.peer, self.line = sock, peer, line
         self._caller = Caller() if line is not None and peer is not None else None  # of a relay on the way, if any
-        self.asked = peer  # where this end was told that its peer is; None: whoever comes
         self._bound: Address | None = None  # its own address and port before it was kept to the peer
         self.kept = False  # is it deaf to everybody but the peer
         self._filtered = False
@@ -106,7 +105,7 @@ class Wire:
 
     def answer(self, data: bytes, address: Address) -> None:
         """Send to whoever asked, the peer or one who may become it. Sealed, there is nobody but the peer."""
-        if self.line is not None:
+        if self.line is not None or address == self.peer:
             self.send(data)
             return
         try:
@@ -133,9 +132,11 @@ class Wire:
         if self.line is not None:
             self._say(self.line.close())
 
-    def follow(self) -> None:
-        """Go with the peer to where its newest authenticated packet came from."""
-        if self.line is not None and self.line.address is not None and self.peer != self.line.address:
+    def go_with(self, peer: Address | None) -> None:
+        """Send to `peer` from now on; sealed, to where the peer's newest authenticated packet came from."""
+        if self.line is None:
+            self.peer = peer
+        elif self.line.address is not None and self.peer != self.line.address:
             self.peer = self.line.address
             if self.kept:
                 self.keep_to_peer()  # the filter stays

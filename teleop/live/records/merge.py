@@ -9,22 +9,54 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.live.leaving import UNRELEASED
+from teleop.live.records.end_result import NAMES, UNRELEASED, WAYS, end_result, lateness, spread_us
 from teleop.live.records.header import check_fits
 from teleop.live.records.record import FILE, read_events, read_noted
-from teleop.live.records.summary import NAMES, WAYS, end_result, lateness, spread_us
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
 from teleop.simulation.outcome import standing_notes
 from teleop.simulation.packets import Packets, packet_counts
 from teleop.simulation.prepared import prepare
-from teleop.simulation.result import RUNNING, Result, records_in, stored_summary
+from teleop.simulation.result import (
+    RUNNING,
+    Result,
+    has_record,
+    incomplete,
+    read_result,
+    records_in,
+    stored_summary,
+)
 from teleop.simulation.summary_shape import of_end
 from teleop.simulation.trace import UNKNOWN, EndRecord, assemble, far_apart
 from teleop.storage.folder import BEGUN, is_being_written
 from teleop.storage.strict_json import Misshapen
 
 ALONE = 1.0  # s that one end may be there before or after the other, and what both counted still belongs together
+
+
+def load_result(folder: Path | str, *, trust: bool = False) -> Result:
+    """The run that lies in `folder`, its trace as arrays. Raises `Refused` if there is none.
+
+    Of a live run whose process was killed the summary is made from its record and written, see `recover`; of one that
+    goes on, with the status `RUNNING`, nothing is written.
+
+    The folder may be of unknown origin: nothing in it is run, no link is followed, and memory goes with the size of its
+    files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.scene.trust`.
+    """
+    at = Path(folder)
+    try:
+        if not has_record(at):
+            if is_being_written(at):
+                raise Refused(f"{at} {BEGUN}")
+        elif needs_recovery(at):  # a live run whose process was killed, or goes on
+            result = recover(at, trust=trust)
+            if result.status == RUNNING:
+                return result
+    except Refused:
+        raise
+    except Exception as error:  # files of another kind, or cut short
+        raise incomplete(at, error) from error
+    return read_result(at)
 
 
 def scene_of(folder: Path, *, trust: bool = False) -> Scene:

@@ -17,12 +17,13 @@ from channel.delay import Delay
 from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
+from teleop import load_result
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
 from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
-from teleop.simulation.result import Result, load_result
+from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.terminal.run_table import table
 from tests.teleop.simulation.extremes import CHOICES, RANGES, TICKS, Case, failing, rows, scene_of, tried

@@ -1,0 +1,115 @@
+"""Where datagrams come from and go to: the peer of a session, and hosts that are none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from teleop.protocol.connection import Address, Connection
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.guard import Event
+from teleop.protocol.packet import Kind, peek
+from teleop.protocol.session import Session, SessionBegun
+from tests.teleop.protocol.virtual_clock import healing
+
+MS = 1_000_000
+MASTER, SLAVE, OTHER = ("10.0.0.1", 1000), ("10.0.0.2", 2000), ("10.0.0.9", 9000)
+MANIFEST = {"scene": "a"}
+
+
+def connection(e: str, asked: Address | None = None, number: int = 7, *, sealed: bool = False) -> Connection:
+    session = Session(master=e == "m", manifest=MANIFEST, number=number if e == "m" else None)
+    return Connection(Endpoint(healing(), e, session), asked, sealed=sealed)
+
+
+class Two:
+    """A master and a slave, handed each other's datagrams at once by where they are sent to."""
+
+    def __init__(self) -> None:
+        self.now = 0
+        self.at: dict[Address, Connection] = {MASTER: connection("m", SLAVE), SLAVE: connection("s")}
+        self.sent: list[tuple[Address, bytes, Address]] = []
+
+    def carry(self, source: Address, pairs: list[tuple[bytes, Address]]) -> None:
+        for data, to in pairs:
+            self.sent.append((source, data, to))
+            if to in self.at:
+                self.carry(to, self.at[to].receive(data, source, self.now))
+
+    def run(self, ms: int) -> Two:
+        for _ in range(ms // 5):
+            self.now += 5 * MS
+            for address, one in list(self.at.items()):
+                self.carry(address, one.due(self.now))
+        return self
+
+
+@pytest.fixture
+def two() -> Two:
+    return Two().run(200)
+
+
+def test_the_slave_takes_the_address_of_the_master_that_starts_it(two: Two) -> None:
+    assert two.at[SLAVE].peer == MASTER
+    assert two.at[MASTER].peer == SLAVE
+    assert {(source, to) for source, _, to in two.sent} == {(MASTER, SLAVE), (SLAVE, MASTER)}
+
+
+def test_a_session_that_has_begun_is_told_once(two: Two) -> None:
+    for one in two.at.values():
+        assert one.events() == [SessionBegun(7)]
+        assert one.events() == []
+        one.endpoint.guard.tell(3, "safe", "why")
+        assert one.events() == [Event(3, "safe", "why")]
+        assert one.events() == []
+
+
+def test_a_datagram_from_elsewhere_is_counted_and_dropped_while_a_session_lasts(two: Two) -> None:
+    copy: dict[Any, bytes] = {peek(data)[0]: data for _, data, _ in two.sent}
+    for address, kinds in ((MASTER, (Kind.WELCOME, Kind.START)), (SLAVE, (Kind.WELCOME,))):
+        one = two.at[address]
+        for kind in kinds:
+            assert one.receive(copy[kind], OTHER, two.now) == []
+        assert one.endpoint.rejected["address"] == len(kinds)
+        assert one.peer != OTHER
+
+
+def test_an_answer_to_a_hello_goes_to_the_host_that_asked_and_to_no_other(two: Two) -> None:
+    """The session is over, so that another master may ask; until it has started one the peer is the old one."""
+    slave = two.at[SLAVE]
+    later = two.now + 3_000 * MS
+    slave.endpoint.session.judge(later)
+    (hello,) = connection("m", SLAVE, number=99).due(later)
+    ((reply, to),) = slave.receive(hello[0], OTHER, later)
+    assert (peek(reply)[0], to) == (Kind.WELCOME, OTHER)
+    assert slave.peer == MASTER
+
+
+def test_a_copy_of_a_start_from_elsewhere_draws_no_answer_there(two: Two) -> None:
+    start = next(data for source, data, _ in two.sent if source == MASTER and peek(data)[0] is Kind.START)
+    replies = two.at[SLAVE].receive(start, OTHER, two.now)
+    assert [to for _, to in replies] == [MASTER]
+    assert two.at[SLAVE].peer == MASTER
+
+
+def test_a_new_session_is_asked_for_where_the_master_was_told_to_ask(two: Two) -> None:
+    """A slave with two addresses may have answered from the other one, and be started again on the first alone."""
+    master = two.at[MASTER]
+    master.peer = OTHER
+    master.endpoint.session.end("the session is over: as a test has it")
+    ((data, to),) = master.due(two.now + 100 * MS)
+    assert (peek(data)[0], to) == (Kind.HELLO, SLAVE)
+
+
+def test_a_sealed_link_knows_its_peer_by_keys_and_drops_nothing_for_its_address() -> None:
+    one = connection("s", sealed=True)
+    (hello,) = connection("m", SLAVE).due(0)
+    one.receive(hello[0], MASTER, 10)
+    one.endpoint.session.begin(0, 10)
+    one.receive(hello[0], OTHER, 20)
+    assert one.endpoint.rejected["address"] == 0
+
+
+def test_an_end_without_a_peer_has_nobody_to_say_goodbye_to() -> None:
+    assert connection("s").bye("done", 0) == []
