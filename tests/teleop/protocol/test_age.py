@@ -88,12 +88,9 @@ def test_a_fixed_playout_longer_than_the_age_holds_no_force_and_says_so() -> Non
 
 FILE = '''
 from dataclasses import replace
-from channel.delay import Delay
+from channel import Delay
 from scenarios.canonical import scene as canonical
-from teleop.law import Law
-from teleop.laws.wave import Wave
-from teleop.stages.watchdog import Watchdog
-from teleop.scene import Scene
+from teleop import Law, Scene, Watchdog, Wave
 
 
 def scene(*, law: Law = Wave(), delay: float = 0.05, age: float = 0.1, duration: float = 0.6) -> Scene:

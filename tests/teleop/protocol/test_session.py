@@ -375,9 +375,7 @@ def test_a_manifest_that_cannot_be_sent_is_refused_where_it_is_made() -> None:
 MINE = """
 from dataclasses import dataclass
 from typing import ClassVar
-from teleop.laws.direct import Direct
-from teleop.physics.plant import MassDamper
-from teleop.scene import Scene
+from teleop import Direct, MassDamper, Scene
 
 @dataclass(frozen=True, kw_only=True)
 class Mine:

@@ -10,12 +10,8 @@ from teleop import load_scene, sweep
 from teleop.analysis.stability.assess import critical
 
 SCENE = '''
-from master.hand import Grip, Rest
-from teleop import Scene
-from teleop.stages.device import Device
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.stages.velocity.backward_difference import BackwardDifference
+from master import Grip, Rest
+from teleop import BackwardDifference, Device, MassDamper, Scene, VirtualWall
 
 def scene(*, K: float = 100.0, delay: int = 0, near: float = 100.0, duration: float = 60.0) -> Scene:
     """A handle pressed some 30 mm into a virtual wall, 0.1 mm from rest: it swings in contact, and dies or grows."""
@@ -41,13 +37,10 @@ def test_the_critical_stiffness_of_a_sampled_wall(engine: str, delay: int, compu
 
 
 HANDLES = '''
-from channel.delay import Delay
-from channel.link import Link
-from master.hand import Grip, Rest
-from slave.tissue import Tissue
-from teleop import Scene
-from teleop.laws.direct import Direct
-from teleop.physics.plant import MassDamper
+from channel import Delay, Link
+from master import Grip, Rest
+from slave import Tissue
+from teleop import Direct, MassDamper, Scene
 
 def scene(*, forth: int = 1, back: int = 1, k: float = 400.0, duration: float = 60.0) -> Scene:
     """Two handles, position-force, held by 100 N/m and 2 N s/m on a bonded wall, let go 1 mm from rest."""

@@ -16,9 +16,7 @@ import teleop.terminal.run
 Typed = Callable[..., Any]
 SHORT = ("--set", "duration=0.2")
 KNOB_SCENE = """
-from teleop import Scene
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
+from teleop import MassDamper, Scene, Wave
 
 def scene(*, mass: float = 1.0, steps: int = 3, loud: bool = False) -> Scene:
     "A scene that a user wrote."

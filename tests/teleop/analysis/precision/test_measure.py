@@ -402,8 +402,7 @@ class TestTheCommand:
 
 ODD = '''
 from dataclasses import dataclass
-from teleop import Scene
-from teleop.laws.wave import Wave
+from teleop import Scene, Wave
 from teleop.physics.plant import MassDamper, Plant, no_force
 
 def sideways(c, x, v, f):

@@ -115,8 +115,7 @@ def test_a_carried_plant_knows_the_one_that_it_carries() -> None:
 OWN = """
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
-from teleop import Scene, load_scene
-from teleop.physics.plant import Plant
+from teleop import Plant, Scene, load_scene
 
 class Word(NamedTuple):
     x: float

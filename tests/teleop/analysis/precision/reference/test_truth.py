@@ -288,11 +288,9 @@ def test_walls_without_friction_are_left_to_the_exact_steps() -> None:
 
 
 OWN = '''
-from master.hand import Grip, Rest
-from slave.hunt_crossley import HuntCrossley
-from teleop import Scene
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
+from master import Grip, Rest
+from slave import HuntCrossley
+from teleop import MassDamper, Scene, Wave
 
 def scene() -> Scene:
     "A push into something that stiffens."
