@@ -144,7 +144,7 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
 
     from teleop.simulation.bodies import reference_samples
     from teleop.simulation.plan import link_plans
-    from teleop.sweeps.kernels.kernel import Water
+    from teleop.sweeps.kernels.kernel import LinkSchedule
 
     law, hand, wall, slave = scene.law, scene.hand, scene.environments[0], scene.slave
     assert hand is not None
@@ -152,8 +152,8 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     own: Any = wall
     parts = np.array([scene.dt, law.b, law.K, law.B, scene.master.mass, scene.master.damping, hand.mass, hand.k, hand.d,
                       slave.mass, slave.damping, own.k, own.d, own.at])
-    water = Water.of(link_plans(scene, 1))
-    play = [water.plays[1], water.plays[0]]
+    schedule = LinkSchedule.of(link_plans(scene, 1))
+    play = [schedule.plays[1], schedule.plays[0]]
     path, = reference_samples(scene) or ()
     r, out = np.asarray(path), np.zeros(2)
     kept = parts, *play, r, out  # the pointers below do not keep them
@@ -162,7 +162,7 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
         return ctypes.c_void_p(array.ctypes.data)
 
     arguments = (pointer(parts), ctypes.c_int64(scene.ticks), pointer(play[0]), pointer(play[1]),
-                 ctypes.c_int64(water.size), ctypes.c_int64(water.lags[0]), pointer(r),
+                 ctypes.c_int64(schedule.size), ctypes.c_int64(schedule.lags[0]), pointer(r),
                  pointer(out))
     return lambda: (program.row(*arguments), kept)
 

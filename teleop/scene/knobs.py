@@ -105,6 +105,8 @@ def settle(
 
 def read(key: str, value: object, hint: Any) -> object:
     """Convert `value`, a text or already of the type, to the type `hint` of the knob `key`. Raises `Refused`."""
+    if hint is float and type(value) is float:  # nearly always
+        return number(key, value)
     kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
     if NoneType in kinds and (value is None or value == "none"):
         return None

@@ -69,12 +69,13 @@ class Scene:
         if not isinstance(self.energy, bool):
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
         self._check_numbers()
-        for each in self.environments:
+        environments = self.environments
+        for each in environments:
             if each is not None and (
                     isinstance(each, type) or not (hasattr(each, "resistance") or hasattr(each, "path"))):
                 check_shape("environment", each)
-        if len(self.environments) != self.axes:
-            raise Refused(f"environment names {len(self.environments)} axes, the scene has {self.axes}; "
+        if len(environments) != self.axes:
+            raise Refused(f"environment names {len(environments)} axes, the scene has {self.axes}; "
                           "write None for an axis that touches nothing")
 
     def _check_ends(self) -> None:

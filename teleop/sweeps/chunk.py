@@ -36,7 +36,7 @@ class Job(NamedTuple):
     engine: str
 
 
-class Done(NamedTuple):
+class ChunkResult(NamedTuple):
     """What a job came to: its rows, how many which engine ran, and the time that took."""
 
     rows: list[Row]
@@ -48,7 +48,7 @@ class Stopped(Exception):
     """A job was given up, and its rows with it."""
 
 
-def work(job: Job, stopped: Callable[[], bool] | None = None) -> Done:
+def work(job: Job, stopped: Callable[[], bool] | None = None) -> ChunkResult:
     """Run every row of a job. Raises `Stopped` soon after `stopped` says so."""
     began = perf_counter()
     rows: dict[int, Row] = {number: {"row": number, "seed": seed, **knobs} for number, knobs, seed in job.rows}
@@ -67,7 +67,7 @@ def work(job: Job, stopped: Callable[[], bool] | None = None) -> Done:
                 plainly = [one for one in job.rows if one[0] in again]
                 rows |= {row["row"]: row for row in work(job._replace(rows=plainly, engine="plain"), stopped).rows}
                 ran["plain", str(why)] += len(batch)
-    return Done(list(rows.values()), ran, perf_counter() - began)
+    return ChunkResult(list(rows.values()), ran, perf_counter() - began)
 
 
 def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], stopped: Callable[[], bool] | None
@@ -131,18 +131,18 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
     rows, given = [], []
     for ready in batch:
         try:
-            water = ready.schedules.water()
+            schedule = ready.schedules.schedule()
         except Refused as refused:  # a link may have refusals of its own
             _refuse(ready.row, refused)
             continue
         rows.append(ready)
-        given.append(Inputs(ready.tree, ready.flat, group.ticks, water, ready.path))
+        given.append(Inputs(ready.tree, ready.flat, group.ticks, schedule, ready.path))
     if not rows:
         return kernel
     try:
         found = figures(kernel, given)
     except NotCompiled as why:
-        kernel = kernel if kernel.plainer is None else kernel.plainer(str(why))
+        kernel = kernel if kernel.fallback is None else kernel.fallback(str(why))
         if kernel.engine in ("plain", group.kernel.engine):
             raise
         found = figures(kernel, given)
@@ -160,8 +160,8 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
 
 def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
     told: dict[str, float] = {}
-    water = schedules.water()
-    for way, plan, play in zip(("fwd", "bwd"), water.plans, water.plays, strict=True):
+    schedule = schedules.schedule()
+    for way, plan, play in zip(("fwd", "bwd"), schedule.plans, schedule.plays, strict=True):
         if plan is not None:
             told |= of_plan(way, play[:ran], schedules.dt)
     return told

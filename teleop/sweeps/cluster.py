@@ -21,7 +21,7 @@ from teleop.errors import Refused
 from teleop.sweeps.worker import answer, digest_of, sources
 
 if TYPE_CHECKING:
-    from teleop.sweeps.chunk import Done, Job
+    from teleop.sweeps.chunk import ChunkResult, Job
 
 ANSWER = 3.0  # s in which a scheduler must let somebody in, and then answer
 SILENT = 30.0  # s after which one that did answer counts as lost
@@ -30,7 +30,7 @@ HINT = 2.0  # s of those after which it says so
 TRIES = 2  # times that a chunk is handed out whose workers die: it may only have lain beside the one that killed them
 GOES_ON = "the rows that were written are kept, and the same command goes on with the others"
 
-Work = Callable[["Job"], "Done"]
+Work = Callable[["Job"], "ChunkResult"]
 
 
 def parse_address(text: str) -> str:
@@ -121,7 +121,7 @@ class Cluster(Executor):
         """Stop opening what comes back; the client stays whose it is."""
         self._desk.shutdown(wait=False, cancel_futures=True)
 
-    def _hand_out(self, packed: bytes, fn: Work, job: Job, future: Future[Done], tries: int) -> None:
+    def _hand_out(self, packed: bytes, fn: Work, job: Job, future: Future[ChunkResult], tries: int) -> None:
         from uuid import uuid4
         from weakref import ref
 
@@ -130,7 +130,7 @@ class Cluster(Executor):
 
         under_way = ref(sent)  # no cycle: a worker holds what it made for as long as somebody here holds the future
 
-        def cancel(done: Future[Done]) -> None:
+        def cancel(done: Future[ChunkResult]) -> None:
             there = under_way()
             if done.cancelled() and there is not None:
                 there.cancel()
@@ -143,8 +143,8 @@ class Cluster(Executor):
         sent.add_done_callback(back)
         future.add_done_callback(cancel)
 
-    def _settle(self, sent: Future[tuple[str, bytes | str]], packed: bytes, fn: Work, job: Job, future: Future[Done],
-                tries: int) -> None:
+    def _settle(self, sent: Future[tuple[str, bytes | str]], packed: bytes, fn: Work, job: Job,
+                future: Future[ChunkResult], tries: int) -> None:
         """Answer `future` by what has come back."""
         from distributed import KilledWorker
 
@@ -214,7 +214,7 @@ def _packed(fn: Work, job: Job) -> bytes:
                       f"run on this machine") from error
 
 
-def _checked(done: Done, fn: Work, job: Job, worker: str) -> Done:
+def _checked(done: ChunkResult, fn: Work, job: Job, worker: str) -> ChunkResult:
     """The rows, those that were refused as they are refused here: a worker may only lack a file or a plug-in."""
     asked = {row[0]: row for row in job.rows}
     for i, row in enumerate(done.rows):

@@ -22,7 +22,7 @@ from teleop.simulation.bodies import Bodies
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.sweeps.kernels.digest import constants
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, Water, figures, names_of, plain, tree_of
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, LinkSchedule, NotCompiled, figures, names_of, plain, tree_of
 from teleop.sweeps.kernels.leaves import Leaves, leaves
 from teleop.sweeps.shared import path_of
 
@@ -129,7 +129,7 @@ def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, 
     make = getattr(import_module(f"teleop.sweeps.kernels.{engine}"), engine)
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
     given = Inputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
-                   Water.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
+                   LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
     try:
         try:
             kernel: Kernel = make(scene, bodies, measures)
@@ -139,4 +139,4 @@ def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, 
             figures(kernel, [given])
     except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
         return _made(scene, bodies, measures, FALLBACK[engine], cause(error))
-    return kernel._replace(why=why, plainer=lambda reason: _made(scene, bodies, measures, FALLBACK[engine], reason))
+    return kernel._replace(why=why, fallback=lambda reason: _made(scene, bodies, measures, FALLBACK[engine], reason))

@@ -18,7 +18,7 @@ from teleop.errors import Refused, nearest
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
-from teleop.sweeps.chunk import Done, Job, work
+from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.engine import Measure, choose
 from teleop.sweeps.grid import Grid, counted, grid, listed, plain
 from teleop.sweeps.kernels.digest import digest, file_digest, sources
@@ -176,7 +176,7 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | N
 
 
 def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None, most: int
-            ) -> Iterator[Done]:
+            ) -> Iterator[ChunkResult]:
     """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back.
 
     Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together. `most`: of
@@ -186,7 +186,7 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
     stop = Event()
     told = (stop.is_set,) if executor is None else ()  # others may be in other processes
     each, size = 0.0, 1  # s a row, rows of the last chunk
-    running: set[Future[Done]] = set()
+    running: set[Future[ChunkResult]] = set()
     try:
         while True:
             while len(running) < 2 * (workers := workers_of()):

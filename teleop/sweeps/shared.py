@@ -10,7 +10,7 @@ from teleop.errors import Refused
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples
 from teleop.simulation.plan import link_plans
-from teleop.sweeps.kernels.kernel import Water
+from teleop.sweeps.kernels.kernel import LinkSchedule
 
 TICKS = 4_000_000  # of schedules and paths, about: 64 MB
 
@@ -31,9 +31,9 @@ class Schedules:
         """The tick, s."""
         return self._scene.dt_ns / 1e9
 
-    def water(self) -> Water:
+    def schedule(self) -> LinkSchedule:
         """The packets played at each tick. Raises `Refused` where the link does."""
-        return _once(self._key, self._scene.ticks, lambda: Water.of(link_plans(self._scene, self._seed)))  # type: ignore[no-any-return]
+        return _once(self._key, self._scene.ticks, lambda: LinkSchedule.of(link_plans(self._scene, self._seed)))  # type: ignore[no-any-return]
 
 
 def schedules_key(scene: Scene, seed: int) -> Any:

@@ -42,7 +42,7 @@ LONGEST = 1 << 20  # bytes of a row
 _GREATEST = 10**LONGEST_NUMBER
 
 
-class Done:
+class RowNumbers:
     """The numbers of the rows that are there, a bit for each in pages of 4096: a sweep of 1e9 rows takes 165 MB.
 
     A page is there from its first row on, so that a number alone, however large, asks for no more than one.
@@ -115,7 +115,7 @@ class Store:
     """A sweep's folder, made by `Store.open` or `Store.look`. One thread of one process may append to it."""
 
     def __init__(self, folder: Path, definition: Mapping[str, Any]) -> None:
-        self.folder, self.definition, self.done = folder, definition, Done()
+        self.folder, self.definition, self.done = folder, definition, RowNumbers()
         self._most = rows_of(definition)
         self._file: FileIO | None = None  # none: only looked at
         self._lock: IO[bytes] | None = None
@@ -216,7 +216,7 @@ class Store:
 
     def _lines(self) -> Iterator[tuple[bytes, dict[str, Any] | None]]:
         """Each line with its newline, and its row: none where the line is damaged, or the twin of one before."""
-        seen = Done()
+        seen = RowNumbers()
         try:
             file = open_regular(self.folder / ROWS, links=False)
         except FileNotFoundError:  # no row yet

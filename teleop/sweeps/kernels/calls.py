@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from teleop.sweeps.kernels.kernel import Inputs, Told
+from teleop.sweeps.kernels.kernel import Inputs, KernelOutput
 
 Tile = list[tuple[Inputs, tuple[int, int]]]  # rows with their lags, one for each lane
 
 
-def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[Told]]:
+def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[KernelOutput]]:
     """What a kernel tells of the rows of these tiles; `figures`: how many it gives of each."""
     import numpy as np
 
@@ -25,21 +25,30 @@ def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> l
     width, first = len(tiles[0]), rows[0]
     flats = [row.flat for row in rows if row.flat is not None]
     reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
-    waters = {id(row.water): row.water for row in rows}
-    drawn = {key: (address_of(water.plays[1]), address_of(water.plays[0])) for key, water in waters.items()}
-    hands = {id(row.path): row.path for row in rows}
-    ways = {key: [address_of(axis) for axis in path] for key, path in hands.items()}
-    played = np.array([drawn[id(row.water)] for row in rows], dtype=np.int64)
-    paths = np.array([ways[id(row.path)] for row in rows], dtype=np.int64)
+    schedules = [row.schedule for row in rows]
+    played = _for_each(schedules, lambda one: (address_of(one.plays[1]), address_of(one.plays[0])))
+    paths = _for_each([row.path for row in rows], lambda path: [address_of(axis) for axis in path])
     lags = np.array([lag for tile in tiles for _, lag in tile], dtype=np.int64)
-    sizes = [max(max(row.water.size, *lag) for row, lag in tile) for tile in tiles]
+    sizes = np.maximum(lags.max(axis=1), _for_each(schedules, lambda one: (one.size,))[:, 0])
     out = np.empty(len(tiles) * (figures + 2) * width)
     kernel(len(tiles), by_lane(reals), np.array(flats[0].wholes, dtype=np.int64), tuple(flats[0].arrays), first.ticks,
            by_lane(played.reshape(len(tiles), width, 2)), by_lane(paths.reshape(len(tiles), width, -1)),
-           np.array([1 << size.bit_length() for size in sizes], dtype=np.int64),
+           np.array([1 << size.bit_length() for size in sizes.reshape(len(tiles), width).max(axis=1).tolist()],
+                    dtype=np.int64),
            by_lane(lags.reshape(len(tiles), width, 2)), out)
     columns: list[Any] = out.reshape(len(tiles), figures + 2, width).transpose(0, 2, 1).tolist()
-    return [[Told(int(column[0]), tuple(column[1:])) for column in tile] for tile in columns]
+    return [[KernelOutput(int(column[0]), tuple(column[1:])) for column in tile] for tile in columns]
+
+
+def _for_each(parts: Sequence[Any], numbers: Callable[[Any], Sequence[int]]) -> Any:
+    """Whole numbers of each part as rows of an array; worked out once for a part that is there several times."""
+    import numpy as np
+
+    found = {id(part): part for part in parts}
+    if len(found) == 1:
+        return np.tile(np.array(numbers(parts[0]), dtype=np.int64), (len(parts), 1))
+    worked_out = {key: numbers(part) for key, part in found.items()}
+    return np.array([worked_out[id(part)] for part in parts], dtype=np.int64)
 
 
 def by_lane(numbers: Any) -> Any:

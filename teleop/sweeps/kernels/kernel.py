@@ -44,12 +44,12 @@ class Inputs(NamedTuple):
     tree: Any  # its numbers, see `tree_of`
     flat: Leaves | None  # the same laid out flat, for compiled code
     ticks: int
-    water: Water
+    schedule: LinkSchedule
     path: Any  # of the hand: lists for plain Python, arrays for compiled code
 
 
-class Told(NamedTuple):
-    """What a kernel says of a row."""
+class KernelOutput(NamedTuple):
+    """The output of a kernel for one row."""
 
     ran: int  # ticks; below zero if it left the bounds in the last of them
     figures: tuple[float, ...]  # the measures, and 1.0 if all is finite
@@ -60,10 +60,10 @@ class Kernel(NamedTuple):
 
     engine: str
     measures: tuple[str, ...]  # the figures that it gives, in order
-    run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[Told]]  # of rows and their lags
+    run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[KernelOutput]]  # of rows and their lags
     width: int = 1  # rows that it runs at once
     why: str = ""  # it runs them, where another engine was asked for
-    plainer: Callable[[str], Kernel] | None = None  # what to run rows by, and why, that it turns out not to be made for
+    fallback: Callable[[str], Kernel] | None = None  # makes, with a reason, the kernel of rows that this one cannot run
 
 
 def available(scene: Scene) -> frozenset[str]:
@@ -104,28 +104,29 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
     """The kernel in plain Python."""
     own_loop = kernel_lines(scene, measures).function(functions_of_kernel(scene, bodies))
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
-        told = []
+    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
+        outputs = []
         for row, lag in zip(rows, lags, strict=True):
             numbers, law, dt, x_limit, start_m, start_s, held = row.tree
-            forth, back = [None if plan is None else plan.play for plan in row.water.plans]
-            told.append(Told(*attempt(law, own_loop, numbers, law, dt, row.ticks, x_limit, start_m, start_s, back,
-                                      forth, row.water.size, row.path, held, lag)))
-        return told
+            fwd, bwd = [None if plan is None else plan.play for plan in row.schedule.plans]
+            outputs.append(KernelOutput(*attempt(
+                law, own_loop, numbers, law, dt, row.ticks, x_limit, start_m, start_s, bwd, fwd, row.schedule.size,
+                row.path, held, lag)))
+        return outputs
 
     return Kernel("plain", tuple(measures), run)
 
 
-class Water(NamedTuple):
+class LinkSchedule(NamedTuple):
     """The link of a row, drawn up front: what rows with the same link, seed and clock share."""
 
-    plans: tuple[Plan | None, Plan | None]  # forth, back
+    plans: tuple[Plan | None, Plan | None]  # fwd, bwd
     plays: tuple[Any, Any]  # the same as arrays
     lags: tuple[int, int]
     size: int  # of a ring of messages
 
     @classmethod
-    def of(cls, plans: tuple[Plan | None, Plan | None]) -> Water:
+    def of(cls, plans: tuple[Plan | None, Plan | None]) -> LinkSchedule:
         """That of two plans."""
         import numpy as np
 
@@ -138,9 +139,9 @@ class Water(NamedTuple):
         """Those of a run that ended early."""
         if ran == len(self.plays[0]):
             return self.lags
-        forth, back = [1 if plan is None else lag_of(play[:ran]) for plan, play in
+        fwd, bwd = [1 if plan is None else lag_of(play[:ran]) for plan, play in
                        zip(self.plans, self.plays, strict=True)]
-        return forth, back
+        return fwd, bwd
 
 
 def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any, ...]:
@@ -169,18 +170,18 @@ def lag_of(play: Any) -> int:
 
 def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
     """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run."""
-    lags = [row.water.lags for row in rows]
-    all_told = kernel.run(rows, lags)
+    lags = [row.schedule.lags for row in rows]
+    outputs = kernel.run(rows, lags)
     # The lag of a run that ended early is that of the messages which came until then.
-    own = {i: rows[i].water.lags_until(-told.ran) for i, told in enumerate(all_told) if told.ran < 0}
+    own = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
     again = [i for i, lag in own.items() if lag != lags[i]]
     if again:
         anew = kernel.run([rows[i] for i in again], [own[i] for i in again])
-        for i, told in zip(again, anew, strict=True):
-            all_told[i] = told
+        for i, output in zip(again, anew, strict=True):
+            outputs[i] = output
     found = []
-    for told in all_told:
-        status = "ok" if told.ran >= 0 and told.figures[-1] == 1.0 else "diverged"
-        named = zip(kernel.measures, told.figures[:-1], strict=True)
-        found.append((status, abs(told.ran), {name: float(value) for name, value in named if isfinite(value)}))
+    for output in outputs:
+        status = "ok" if output.ran >= 0 and output.figures[-1] == 1.0 else "diverged"
+        named = zip(kernel.measures, output.figures[:-1], strict=True)
+        found.append((status, abs(output.ran), {name: float(value) for name, value in named if isfinite(value)}))
     return found

@@ -8,7 +8,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.sweeps.kernels.calls import called
 from teleop.sweeps.kernels.compiled import module
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, Told
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput
 from teleop.sweeps.kernels.lanewise import came, where, whole
 from teleop.sweeps.kernels.rings import ago, packet, received, ring, sample, sent
 
@@ -34,7 +34,7 @@ def scalar(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool 
     """The kernel of a scene's structure. Raises `NotCompiled` where a part of it is not made for that."""
     kernel = module(scene, bodies, measures, "scalar", keep=keep).kernel
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
+    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         return [told for told, in called(kernel, [[each] for each in zip(rows, lags, strict=True)], len(measures))]
 
     return Kernel("scalar", tuple(measures), run)

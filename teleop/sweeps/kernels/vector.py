@@ -14,7 +14,7 @@ from teleop.simulation.bodies import Bodies
 from teleop.simulation.structure import structure_of
 from teleop.sweeps.kernels.calls import Tile, called
 from teleop.sweeps.kernels.compiled import cause, module
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotVectorised, Told, tree_of
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, NotVectorised, tree_of
 from teleop.sweeps.kernels.lane_parts import lane_end, lane_part
 from teleop.sweeps.kernels.lanes import WIDTH
 from teleop.sweeps.kernels.lanewise import came, load, some, spread, where, whole, within
@@ -56,15 +56,15 @@ def vector(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool 
         raise NotVectorised("a part with a list among its numbers runs one scene at a time")
     kernels = module(scene, bodies, measures, "vector", keep=keep)
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[Told]:
+    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         tiles: dict[str, list[tuple[int, Tile]]] = {"alike": [], "apart": []}
         for first in range(0, len(rows), WIDTH):
             tile = list(zip(rows[first:first + WIDTH], lags[first:first + WIDTH], strict=True))
             one, lag = tile[0]
-            alike = all(row.water is one.water and row.path is one.path and own == lag for row, own in tile)
+            alike = all(row.schedule is one.schedule and row.path is one.path and own == lag for row, own in tile)
             tile += [tile[-1]] * (WIDTH - len(tile))  # lanes without a row of their own repeat the last
             tiles["alike" if alike else "apart"].append((first, tile))
-        found: dict[int, Told] = {}
+        found: dict[int, KernelOutput] = {}
         for name, several in tiles.items():
             if several:
                 try:

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import Refused
-from teleop.sweeps.store import Done, Store
+from teleop.sweeps.store import RowNumbers, Store
 
 WHAT: dict[str, Any] = {
     "scene": "soft_tissue", "fixed": {"duration": "1.0"},
@@ -245,15 +245,15 @@ class TestAnInterruptOrAFullDisk:
     def test_after_the_write_takes_back_the_marks_with_the_lines(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        add = Done._add
+        add = RowNumbers._add
 
-        def interrupted(done: Done, number: int) -> None:
+        def interrupted(done: RowNumbers, number: int) -> None:
             if number == 1:
                 raise KeyboardInterrupt
             add(done, number)
 
         with Store.open(tmp_path / "s", WHAT) as store:
-            monkeypatch.setattr(Done, "_add", interrupted)
+            monkeypatch.setattr(RowNumbers, "_add", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 store.append([row(1), row(2), row(3)])
             monkeypatch.undo()
@@ -466,7 +466,7 @@ class TestDone:
         self, some: set[int], runs: list[int], stop: int
     ) -> None:
         numbers = some.union(*(range(begin, begin + 30) for begin in runs))  # whole bytes of ones too
-        done = Done()
+        done = RowNumbers()
         for number in [*numbers, *numbers]:
             done._add(number)
         assert set(done) == numbers
@@ -477,7 +477,7 @@ class TestDone:
         assert all(gap and a.stop < gap.start for a, gap in pairwise(gaps))
 
     def test_of_many_rows_is_small(self) -> None:
-        done = Done()
+        done = RowNumbers()
         for number in range(1_000_000):
             done._add(number)
         done._add(10_000_000)

@@ -29,7 +29,7 @@ from teleop.stages.velocity.adaptive_window import BestFit, EndFit
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.velocity.levant import Levant
 from teleop.stages.velocity.low_pass import LowPass
-from teleop.sweeps.chunk import Done, Job, work
+from teleop.sweeps.chunk import ChunkResult, Job, work
 
 BODIES = ("relaxing, moved and none, electrical damping", "friction", "hunt-crossley")
 PORTS: dict[str, tuple[Any, float, float | None]] = {  # estimator, friction, electrical damping of a one-port
@@ -75,7 +75,7 @@ def scene(
         link=parse_link("delay(0.01) | uniform(0.01) ; delay(0.02)"), energy=True, duration=duration)
 
 
-def by(engine: str, case: str) -> Done:
+def by(engine: str, case: str) -> ChunkResult:
     """Rows of random knobs, the last of them beyond what a body bears."""
     dice = random.Random(case)
     drawn: list[dict[str, object]] = [{

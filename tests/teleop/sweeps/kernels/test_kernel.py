@@ -29,7 +29,7 @@ from teleop.stages.velocity.low_pass import LowPass
 from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.kernels import compiled
 from teleop.sweeps.kernels.compiled import NotCompiled, module_text
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, Water, available, figures, kernel_lines, plain, tree_of
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, LinkSchedule, available, figures, kernel_lines, plain, tree_of
 from teleop.sweeps.kernels.leaves import leaves
 from teleop.sweeps.kernels.scalar import scalar
 
@@ -51,11 +51,11 @@ def row(kernel: Kernel, of: Scene, seed: int) -> tuple[str, int, dict[str, float
 
 def inputs(kernel: Kernel, of: Scene, seed: int) -> Inputs:
     """What the kernel is given for a row."""
-    water, bodies, path = Water.of(link_plans(of, seed)), exact_bodies(of), reference_samples(of)
+    schedule, bodies, path = LinkSchedule.of(link_plans(of, seed)), exact_bodies(of), reference_samples(of)
     if kernel.engine == "plain":
-        return Inputs(tree_of(of, bodies, compiled=False), None, of.ticks, water, path)
+        return Inputs(tree_of(of, bodies, compiled=False), None, of.ticks, schedule, path)
     arrays = tuple(np.asarray(axis) for axis in path or ())
-    return Inputs(None, leaves(tree_of(of, bodies)), of.ticks, water, arrays)
+    return Inputs(None, leaves(tree_of(of, bodies)), of.ticks, schedule, arrays)
 
 
 def assert_as_a_run(kernel: Kernel, of: Scene, seed: int = 3) -> None:
