@@ -16,6 +16,7 @@ from teleop.errors import DeviceError
 from teleop.law.contract import Method
 from teleop.live import fault, leaving
 from teleop.live.devices.guarded_device import Stand
+from teleop.live.driving import run
 from teleop.live.leaving import RETRY_NS
 from teleop.live.records.end_result import UNRELEASED
 from teleop.live.records.merge import merge
@@ -150,11 +151,11 @@ def test_a_task_that_is_cancelled_lets_go_and_stays_cancelled(pair: Make) -> Non
     device = Probe("m", lambda: tasks[0].cancel() or None)
     both = pair(SCENE, parts={"m": {"device": device}, "s": {}})
 
-    async def run() -> list[Any]:
+    async def run_both() -> list[Any]:
         tasks.extend(asyncio.create_task(run(both.shells[e])) for e in "ms")
         return await asyncio.gather(*tasks, return_exceptions=True)
 
-    ended = asyncio.run(run())
+    ended = asyncio.run(run_both())
     assert isinstance(ended[0], asyncio.CancelledError)
     assert ended[1] is None
     assert both.shells["s"].outcome.status == "stopped"
