@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from teleop.stages.encoder import Encoder
     from teleop.stages.force_cap import Cap
     from teleop.stages.passivity_controller import PassivityController
+    from teleop.stages.scaling import Scaling
     from teleop.stages.velocity.adaptive_window import BestFit, EndFit
     from teleop.stages.velocity.backward_difference import BackwardDifference
     from teleop.stages.velocity.levant import Levant
@@ -53,9 +54,10 @@ __all__ = [
     "DISTRIBUTION", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError",
     "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Environment", "Fixed", "Hand", "Hold",
     "Knob", "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant", "Playout",
-    "Reading", "Reference", "Refused", "Resistance", "Result", "Scene", "Table", "Vector", "VelocityEstimator",
-    "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "check_knobs", "check_law",
-    "end_main", "find_law", "load_result", "load_scene", "messages", "number", "run", "sweep", "whole_number",
+    "Reading", "Reference", "Refused", "Resistance", "Result", "Scaling", "Scene", "Table", "Vector",
+    "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "check_knobs",
+    "check_law", "end_main", "find_law", "load_result", "load_scene", "messages", "number", "run", "sweep",
+    "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -84,6 +86,7 @@ _HOMES = {  # the module of each name, under this package
     "stages.encoder": ("Encoder",),
     "stages.passivity_controller": ("PassivityController",),
     "stages.force_cap": ("Cap",),
+    "stages.scaling": ("Scaling",),
     "stages.watchdog": ("Watchdog",),
     "stages.velocity.adaptive_window": ("BestFit", "EndFit"),
     "stages.velocity.backward_difference": ("BackwardDifference",),

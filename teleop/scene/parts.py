@@ -27,6 +27,7 @@ SHAPES = {  # of each part of a scene: the attributes that a run uses, and an ex
     "device_m": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
     "device_s": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
     "passivity": (("limits",), "PassivityController(cap=0.8)"),
+    "scaling": (("scale_x", "scale_f"), "Scaling(scale_x=0.2, scale_f=0.5)"),
     "electrical": (("b", "cutoff"), "ElectricalDamping(b=1.0, cutoff=10.0)"),
 }
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from teleop.stages.device import Device
     from teleop.stages.force_cap import Cap
     from teleop.stages.passivity_controller import PassivityController
+    from teleop.stages.scaling import Scaling
     from teleop.stages.watchdog import Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
@@ -43,6 +44,7 @@ class Scene:
     device_m: Device | None = None  # what stands between the master and the law: encoder, velocity estimator, ...
     device_s: Device | None = None  # the same at the slave
     passivity: PassivityController | None = None  # observer and controller on the master's port
+    scaling: Scaling | None = None  # the slave's metres and newtons for those of the master
     electrical: ElectricalDamping | None = None  # of the master's motor
     energy: bool = False  # sum E_link and E_port along the run
     axes: int = 1
@@ -60,7 +62,7 @@ class Scene:
         check_shape("master", self.master)
         self._check_ends()
         check_contract(self.law)
-        for name in ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical"):
+        for name in ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling"):
             if getattr(self, name) is not None:
                 check_shape(name, getattr(self, name))
         if not isinstance(self.playout, (Zero, Hold, Fixed)):
@@ -92,7 +94,7 @@ class Scene:
             raise Refused(f"law {law_name(self.law)} has two ends and the scene has no slave; write for example "
                           "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
         check_shape("one-port law", self.law)
-        for name in ("link", "environment", "watchdog", "device_s"):
+        for name in ("link", "environment", "watchdog", "device_s", "scaling"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")

@@ -101,7 +101,11 @@ def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.floa
     mine, theirs, seq = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}[name]
     dt = scene.dt_ns / 1e9
     lag = _lag(_ages(trace, seq, dt), dt)
-    return _behind(trace[mine], trace[theirs], _ticks(trace, dt), lag)
+    x, other = trace[mine], trace[theirs]
+    if scene.scaling is not None:  # in the master's units
+        x = x / scene.scaling.scale_x if name == "x_err" else x
+        other = other / scene.scaling.scale_f if name == "f_err" else other
+    return _behind(x, other, _ticks(trace, dt), lag)
 
 
 def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:

@@ -61,7 +61,8 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         felt=(touch and not observed) or inner,
         age=age, aged=aged, newest=age or aged, sums=sums is not None,
         dx="dx" in reading or (run.energy and "encoder" not in names) or any(stage.wants_dx for stage in stages),
-        encoder="encoder" in names, velocity="velocity" in names, watchdog="watchdog" in names)
+        encoder="encoder" in names, velocity="velocity" in names, scaled="scaling" in names,
+        watchdog="watchdog" in names)
     return EndStructure(has, stages, sums_type(scene.law, e, scene.dt_ns / 1e9)._fields if sums else ())
 
 

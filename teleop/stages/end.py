@@ -38,6 +38,7 @@ class EndHas(NamedTuple):
     sums: bool = False  # its law sums over the axes
     encoder: bool = False
     velocity: bool = False  # it is estimated
+    scaled: bool = False  # its units are not those of the law
     watchdog: bool = False
     observed: bool = False  # its law reads the observer's force
     aged: bool = False  # the watchdog counts messages beyond an age as none
@@ -96,6 +97,8 @@ class End(Record):
     newest: Any  # number of the newest message that was played, -1 before the first
     age: float  # of the newest message, s
     g: float  # the watchdog's gain
+    scale_x: float  # its metres and newtons for those of the law
+    scale_f: float
     E_port: float  # the ledgers, J
     E_in: float
     E_out: float

@@ -58,8 +58,13 @@ class PortLedger(Stage):
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
-            if e.has.encoder:
+            if e.has.encoder and e.has.scaled:
+                e.E_port = e.E_port + a.f * (a.x - own.x_was) / (e.scale_x * e.scale_f)
+            elif e.has.encoder:
                 e.E_port = e.E_port + a.f * (a.x - own.x_was)
-                own.x_was = a.x
+            elif e.has.scaled:  # in the units of the law, in which the ports add up: see `teleop.stages.scaling`
+                e.E_port = e.E_port + a.f * a.dx / (e.scale_x * e.scale_f)
             else:
                 e.E_port = e.E_port + a.f * a.dx
+            if e.has.encoder:
+                own.x_was = a.x

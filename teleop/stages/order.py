@@ -41,6 +41,7 @@ STAGES = (
           lambda end: getattr(end.device, "velocity", None) is not None),
     Place("observer", "observer:ObserverStage",
           lambda end: end.e == "m" and end.scene.observer is not None and "f" in end.reads),
+    Place("scaling", "scaling:ScalingStage", lambda end: end.e == "s" and end.scene.scaling is not None),
     # here the law answers
     Place("compute_delay", "compute_delay:ComputeDelayStage", lambda end: getattr(end.device, "delay", 0) > 0),
     Place("renewal", "renewal:RenewalStage", lambda end: getattr(end.device, "every", 1) > 1),

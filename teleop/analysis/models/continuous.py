@@ -67,6 +67,9 @@ def refuse_ticks(scene: Scene) -> None:
     if structure.m.has.inner or structure.s.has.inner:
         raise Refused("a body with a state of its own (electrical damping, a standard linear solid) is not known in "
                       "continuous time here; ask without --continuous")
+    if scene.scaling is not None:
+        raise Refused("scaling between master and slave is not known in continuous time here; ask without "
+                      "--continuous, or leave scaling out")
     if scene.slave is None:
         raise Refused("a scene without a slave has no link whose delay could be asked for; ask without --continuous")
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from math import inf
 from typing import Any
 
-from teleop.stages.end import Recorder, Run, RunHas
+from teleop.stages.end import Axis, End, Recorder, Run, RunHas
 from teleop.stages.lanes import ago, came, received, ring, sent, tell, where, whole
 from teleop.stages.record import Record
 from teleop.sweeps.kernels.measures import KEPT, known, least, most, root_mean, sound
@@ -121,9 +121,10 @@ class Figures(Recorder):
         for s, own in zip(run.s.axes, self.axes, strict=True):
             if run.has.compiled:
                 then = ago(k, self.lag_x)
-                own.d_x = where(came(then), s.x - received(own.old_x, then, s.x), 0.0)
+                own.d_x = where(came(then), place_of_law(run.s, s) - received(own.old_x, then, s.x), 0.0)
             else:
-                own.d_x = s.x - own.old_x[(k - self.lag_x) % (self.lag_x + 1)] if k >= self.lag_x else 0.0
+                past = own.old_x[(k - self.lag_x) % (self.lag_x + 1)]
+                own.d_x = place_of_law(run.s, s) - past if k >= self.lag_x else 0.0
         err = self.magnitude(*[own.d_x for own in self.axes])
         self.x_err_sq = self.x_err_sq + err * err
         self.x_err_max = most(self.x_err_max, err)
@@ -132,9 +133,9 @@ class Figures(Recorder):
         """The master's force against that on what the slave touches of `lag_f` ticks ago, 0 before there is one."""
         for s, own in zip(run.s.axes, self.axes, strict=True):
             if run.has.compiled:
-                sent(own.old_f, k, s.f_ext)
+                sent(own.old_f, k, force_of_law(run.s, s))
             else:
-                own.old_f[k % (self.lag_f + 1)] = s.f_ext
+                own.old_f[k % (self.lag_f + 1)] = force_of_law(run.s, s)
         self.n_f = whole(ago(k + 1, self.lag_f)) if run.has.compiled else k + 1 - self.lag_f
         for m, own in zip(run.m.axes, self.axes, strict=True):
             if run.has.compiled:
@@ -177,3 +178,13 @@ class Figures(Recorder):
         if name in ("E_link_end", "E_port_end"):
             return self.E_link if name == "E_link_end" else self.E_port
         return getattr(self, name)
+
+
+def place_of_law(e: End, a: Axis) -> Any:
+    """The place of one axis in the units of the law, m."""
+    return a.x / e.scale_x if e.has.scaled else a.x
+
+
+def force_of_law(e: End, a: Axis) -> Any:
+    """The external force of one axis in the units of the law, N."""
+    return a.f_ext / e.scale_f if e.has.scaled else a.f_ext

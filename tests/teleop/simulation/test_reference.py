@@ -22,7 +22,7 @@ from teleop.stages.end import Recorder, RunHas
 from teleop.stages.lanes import WIDTH, Eight, Lanes, spread
 from teleop.sweeps.kernels import figures as running
 from teleop.sweeps.kernels.figures import Figures
-from teleop.sweeps.kernels.kernel import Inputs, Water, available, functions_of_kernel, plain, tree_of
+from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, functions_of_kernel, plain, tree_of
 
 SCENES = {
     "waves": lambda: replace(load_scene("canonical"), energy=True),
@@ -81,13 +81,13 @@ def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(monk
     first = scenes[0]
     ready = [prepare(scene) for scene in scenes]
     measures = tuple(sorted(available(first)))
-    rows = [Inputs(tree_of(scene, own.bodies, compiled=False), None, scene.ticks, Water.of(link_plans(scene, 0)),
+    rows = [Inputs(tree_of(scene, own.bodies, compiled=False), None, scene.ticks, LinkSchedule.of(link_plans(scene, 0)),
                    own.reference) for scene, own in zip(scenes, ready, strict=True)]
-    lags = [row.water.lags for row in rows]
+    lags = [row.schedule.lags for row in rows]
     alone = plain(first, ready[0].bodies, measures).run(rows, lags)
     for name in ("most", "least", "root_mean", "known", "sound"):  # they branch
         monkeypatch.setattr(running, name, lane_by_lane(getattr(running, name)))
-    water = rows[0].water
+    water = rows[0].schedule
     structure = structure_of(first)
     has: RunHas = structure.has._replace(compiled=True, lanes=True)
     felt = structure.s._replace(has=structure.s.has._replace(felt=True))

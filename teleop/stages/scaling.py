@@ -1,0 +1,82 @@
+"""Position and force scaling between a master and a slave of another size, as in microsurgery or with large machines.
+
+A metre of the master is `scale_x` metres of the slave, and a newton of the master `scale_f` newtons of the slave:
+
+    x_s = scale_x x_m        f_s = scale_f f_m
+
+The law works in the master's units at both ends, and so do the messages and their waves. At the slave it is told
+
+    x_s/scale_x,  v_s/scale_x,  dx_s/scale_x,  f_env/scale_f,  f_held/scale_f
+
+and the force f that it answers is scale_f f at the slave; watchdog, caps and budget, which stand between it and the
+motor, count in the slave's own newtons and metres. With a law that is transparent f_m = f_env/scale_f at
+v_m = v_s/scale_x, so an environment Z_e = f_env/v_s feels like
+
+    Z_m = f_m/v_m = Z_e scale_x/scale_f
+
+and the power at the slave is that of the law times scale_x scale_f:
+
+    f_s v_s = scale_x scale_f (f_s/scale_f) (v_s/scale_x).
+
+Joules of both ports add up in the master's units alone: what is passive there is passive for the two devices together,
+since each port is multiplied by a number above zero. So `E_port_s` is the work over the slave's motion divided by
+scale_x scale_f, and E_port = E_port_m - E_port_s holds as without scaling. `x_err` and `f_err` compare the ends in the
+master's units too. All other columns of the slave are its own: x_s, v_s, f_s, f_env, and what is left of its budget.
+
+Source of the scaled two-port: J. E. Colgate, "Robust impedance shaping telemanipulation", IEEE Trans. Robotics and
+Automation 9(4), 1993.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from teleop.errors import number
+from teleop.law import At
+from teleop.stages.end import End, Places, Run, Stage
+
+Scales = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scaling:
+    """The slave's metres for a metre of the master, and its newtons for a newton of the master; both above 0."""
+
+    scale_x: float = 1.0
+    scale_f: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scale_x", number("scale_x", self.scale_x, above=0.0))
+        object.__setattr__(self, "scale_f", number("scale_f", self.scale_f, above=0.0))
+
+
+def in_units_of_master(c: Scales, at: At) -> At:
+    """What the slave's end of the law is told, in the master's units; c is (scale_x, scale_f)."""
+    scale_x, scale_f = c
+    return At(at.x / scale_x, at.v / scale_x, at.f / scale_f, at.f_held / scale_f, at.dx / scale_x, at.fresh, at.age,
+              at.dt)
+
+
+class ScalingStage(Stage):
+    """At the slave, around the law."""
+
+    name: ClassVar[str] = "scaling"
+    c_scale: Scales
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return scene.scaling.scale_x, scene.scaling.scale_f
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        self.c_scale = given
+        e.scale_x = given[0]
+        e.scale_f = given[1]
+
+    def situate(self, run: Run, e: End) -> None:
+        for a in e.axes:
+            a.at = in_units_of_master(self.c_scale, a.at)
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for a in e.axes:
+            a.f_cmd = e.scale_f * a.f_cmd

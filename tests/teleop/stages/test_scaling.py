@@ -1,0 +1,99 @@
+"""Scaling: the slave's places and forces are so many times the master's, and the ledgers still add up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from channel.delay import Delay
+from master.hand import Grip, Reach
+from slave.tissue import Tissue
+from teleop.errors import Refused
+from teleop.laws.direct import Direct
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.plan import link_plans
+from teleop.simulation.prepared import prepare
+from teleop.simulation.virtual import run
+from teleop.stages.scaling import Scaling
+from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, figures, plain, tree_of
+
+SMALL = Scaling(scale_x=0.2, scale_f=0.5)  # a slave a fifth of the size, with half of the force
+
+
+def scene(**parts: object) -> Scene:
+    """A hand that reaches out, and a slave in tissue."""
+    return Scene(**{
+        "law": Direct(K=400.0, B=15.0, kf=0.5), "master": MassDamper(mass=0.1, damping=2.0),
+        "slave": MassDamper(mass=0.3, damping=5.0), "environment": Tissue(k=2000.0, d=20.0), "scaling": SMALL,
+        "hand": Grip(mass=0.3, k=300.0, d=20.0, reference=Reach(to=0.05, duration=0.5)),
+        "duration": 5.0, **parts})  # type: ignore[arg-type]
+
+
+def test_stiff_contact_comes_to_rest_where_the_springs_balance() -> None:
+    """f_h = k_h (r - x_m) = kf f_env/scale_f and scale_f K (x_m - x_s/scale_x) = f_env = k_e x_s, solved by hand."""
+    of = scene(duration=20.0)
+    trace = run(of).trace
+    r, k_h, K, kf, k_e = 0.05, 300.0, 400.0, 0.5, 2000.0
+    sx, sf = SMALL.scale_x, SMALL.scale_f
+    x_s_of_x_m = sf * K / (k_e + sf * K / sx)
+    x_m = k_h * r / (k_h + kf * k_e * x_s_of_x_m / sf)
+    assert trace["x_m"][-1] == pytest.approx(x_m, rel=1e-6)
+    assert trace["x_s"][-1] == pytest.approx(x_s_of_x_m * x_m, rel=1e-6)
+    assert trace["f_m"][-1] == pytest.approx(kf * trace["f_env"][-1] / sf, rel=1e-6)
+
+
+def test_the_slaves_port_is_the_work_over_its_motion_in_the_masters_joules() -> None:
+    trace = run(scene(energy=True)).trace
+    held = np.concatenate([[0.0], trace["f_s"][:-1]])
+    work = np.cumsum(held * np.diff(trace["x_s"], prepend=trace["x_s"][0]))
+    assert trace["E_port_s"] == pytest.approx(work / (SMALL.scale_x * SMALL.scale_f), rel=1e-9, abs=1e-12)
+    assert trace["E_port"] == pytest.approx(trace["E_port_m"] - trace["E_port_s"], rel=1e-12)
+
+
+@pytest.mark.parametrize("scaling", [SMALL, Scaling(scale_x=10.0, scale_f=20.0)])
+def test_waves_that_are_passive_stay_so_in_the_units_of_the_law(scaling: Scaling) -> None:
+    of = scene(law=Wave(b=10.0), link=Delay(0.05), energy=True, scaling=scaling,
+               slave=MassDamper(mass=0.3 * scaling.scale_f / scaling.scale_x, damping=2.0))
+    trace = run(of).trace
+    assert np.isfinite(trace["x_s"]).all()
+    assert trace["E_link"].min() >= -1e-12
+    alike = run(replace(of, scaling=None, slave=MassDamper(mass=0.3, damping=2.0 * scaling.scale_x / scaling.scale_f),
+                        environment=Tissue(k=2000.0 * scaling.scale_x / scaling.scale_f,
+                                           d=20.0 * scaling.scale_x / scaling.scale_f))).trace
+    for name, factor in (("x_m", 1.0), ("f_m", 1.0), ("x_s", scaling.scale_x), ("f_s", scaling.scale_f),
+                         ("E_port", 1.0), ("E_link", 1.0)):
+        assert trace[name] == pytest.approx(factor * alike[name], rel=1e-6, abs=1e-9), name
+
+
+def test_a_scaling_of_one_is_none() -> None:
+    one, none = run(scene(scaling=Scaling(), energy=True)).trace, run(scene(scaling=None, energy=True)).trace
+    assert all(np.array_equal(one[name], none[name]) for name in none)
+
+
+def test_tracking_compares_the_ends_in_the_masters_units_in_runs_and_in_kernels_alike() -> None:
+    of = scene(link=Delay(0.01), energy=True, duration=1.0)
+    result, ready = run(of), prepare(of)
+    water = LinkSchedule.of(link_plans(of, 0))
+    kernel = plain(of, exact_bodies(of), sorted(available(of)))
+    row = Inputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
+    (status, _, told), = figures(kernel, [row])
+    assert status == "ok"
+    assert told == {name: result.metrics[name] for name in told}
+    assert told["x_err_max"] < 0.05
+
+
+def test_a_scene_without_a_slave_has_nothing_to_scale() -> None:
+    with pytest.raises(Refused, match="scaling"):
+        scene(slave=None, environment=None, law=VirtualWall(K=500.0))
+
+
+@pytest.mark.parametrize("number", [0.0, -1.0, float("nan")])
+def test_a_scale_is_above_zero(number: float) -> None:
+    with pytest.raises(Refused, match="scale_x"):
+        Scaling(scale_x=number)
