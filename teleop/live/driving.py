@@ -66,7 +66,7 @@ class ClockDriver:
             self.listening.update(time.monotonic_ns(), shell.take_events())
             if self.session.joined:
                 self._join(self._due() + 1)
-            elif (reading := shell.stand.read(0, time.monotonic_ns())) is not None:
+            elif (reading := shell.device.read(0, time.monotonic_ns())) is not None:
                 shell.endpoint.place(reading.x)
             self._arm()
             await shell.outcome.over.wait()
@@ -94,7 +94,7 @@ class ClockDriver:
         shell, every = self.shell, self.shell.endpoint.every
         k = max(0, k) // every * every
         if k < shell.scene.ticks:
-            shell.stand.read(k, time.monotonic_ns())  # a simulated device has to come there first
+            shell.device.read(k, time.monotonic_ns())  # a simulated device has to come there first
         shell.counts.last = self._due()
         if shell.counts.last >= shell.scene.ticks:
             shell.outcome.end("refused", "the run was over when this end came; start both ends again")

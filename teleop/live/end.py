@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number
 from teleop.live import fault, security
-from teleop.live.devices.guarded_device import Device
+from teleop.live.devices.guarded_device import LiveDevice
 from teleop.live.devices.heartbeat import watched
 from teleop.live.driving import run
 from teleop.live.lastresort import LastResort
@@ -42,12 +42,12 @@ if TYPE_CHECKING:
     from teleop.protocol.secure.line import Line
 
 
-def end_main(e: str, device: Callable[[Scene], Device], argv: Sequence[str] | None = None) -> int:
+def end_main(e: str, device: Callable[[Scene], LiveDevice], argv: Sequence[str] | None = None) -> int:
     """The command line of one end; `device` makes what stands at that end from the scene."""
     return guarded(lambda: _run(e, device, sys.argv[1:] if argv is None else list(argv)))
 
 
-def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
+def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
     args = _parser(e).parse_args(argv)
     if args.wait is not None:
         number("--wait", args.wait, above=0.0)
@@ -61,14 +61,14 @@ def _run(e: str, device: Callable[[Scene], Device], argv: list[str]) -> int:
         stem = f"{scene.name}-{NAMES[e]}"
         granted = realtime.asked(args, NAMES[e])  # before the watchdog of the device, which takes it over
         with (fresh_folder(args.out, stem) as (folder, keep),
-              nullcontext(made) if args.lockstep else watched(made, folder) as stand):
+              nullcontext(made) if args.lockstep else watched(made, folder) as watched_device):
             line = _Line(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else line.show
             command = ["python", "-m", NAMES[e], *argv]
             about = {"scene": args.scene, "knobs": knobs_from(args), "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
             recorder = Recorder(scene, e, folder, about)
-            shell = Shell(endpoint, stand, wire, recorder, say, patience=args.wait, interrupt=interrupt)
+            shell = Shell(endpoint, watched_device, wire, recorder, say, patience=args.wait, interrupt=interrupt)
             last.shell = shell
             shell.realtime = granted
             shell.security.insecure = insecure

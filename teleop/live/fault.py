@@ -15,15 +15,15 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.law.contract import Method, refusal
-from teleop.live.devices.guarded_device import Stand
+from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.records.record import Recorder
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import one_line
 
 FILE = "error.txt"
 PARTS: dict[CodeType, str] = {
-    Stand.read.__code__: "the device, asked for a reading,",
-    Stand.hold.__code__: "the device, given a force,",
+    GuardedDevice.read.__code__: "the device, asked for a reading,",
+    GuardedDevice.hold.__code__: "the device, given a force,",
     Endpoint.tick.__code__: "the law",
     Endpoint.receive.__code__: "the reading of a packet",
     **{part.__code__: "the record" for part in (Recorder.add, Recorder.note, Recorder.flush)},

@@ -94,7 +94,7 @@ class LastResort:
         why = f"{' and '.join(self._names[:2])} came, and {self._hung()} does not return"
         self.interrupt.count += 1  # should it return even so: not along a ramp
         if shell is not None:
-            forced, took = shell.stand.forced, list[bool]()
+            forced, took = shell.device.forced, list[bool]()
             worker = Thread(target=_let_go, args=(shell, why, took), daemon=True)
             worker.start()
             worker.join(ACT_S)
@@ -114,8 +114,8 @@ class LastResort:
 
 
 def _let_go(shell: Shell, why: str, took: list[bool]) -> None:
-    shell.stand.closed = True
-    took.append(shell.stand.let_go())
+    shell.device.closed = True
+    took.append(shell.device.let_go())
     shell.outcome.status = "stopped"
     shell.outcome.sentence = f"stopped at t = {shell.so_far():.3f} s: {why}"
     shell.guarded(lambda: shell.recorder.note(Event(shell.counts.ran, "stopped", why)))

@@ -26,10 +26,10 @@ PAUSE = 0.005  # s between two tries
 
 async def let_go(shell: Shell) -> None:
     """Take the force of `shell` to zero, one step a tick; nothing of it is recorded but an event."""
-    stand, endpoint = shell.stand, shell.endpoint
-    if shell.outcome.fault is not None or not stand.forced:
+    device, endpoint = shell.device, shell.endpoint
+    if shell.outcome.fault is not None or not device.forced:
         return
-    if shell.outcome.status != "ok" and stand.trouble is None:
+    if shell.outcome.status != "ok" and device.trouble is None:
         # Now, so that the other end does not go on with what it heard last. How a device that fails has ended is told
         # when it is known.
         shell.bye()
@@ -45,18 +45,18 @@ async def let_go(shell: Shell) -> None:
             blind = now - seen > BLIND_NS or now - began > RAMP_NS
             if shell.interrupt.again or blind or not any(force):
                 break
-            if not stand.hold(force):
+            if not device.hold(force):
                 break
             await ring.wait()
             ring.clear()
             before, now = now, time.monotonic_ns()
             passed = max(1, round((now - before) / endpoint.own.dt_ns))
             k += passed * endpoint.every
-            reading = None if shell.outcome.status == "diverged" else stand.read(k, now)
+            reading = None if shell.outcome.status == "diverged" else device.read(k, now)
             seen = seen if reading is None else now
     finally:
         alarm.close()
-    stand.let_go()
+    device.let_go()
     rest = max(map(abs, force))
     jump = f", the last {rest:.3g} N at once" if rest > 0.0 else ""
     told = f"{most:.3g} N taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
@@ -76,11 +76,11 @@ async def leave(shell: Shell) -> None:
 
 
 async def _zero(shell: Shell) -> None:
-    stand, until = shell.stand, time.monotonic_ns() + RETRY_NS
-    stand.closed = True
-    while not stand.let_go() and stand.forced:
+    device, until = shell.device, time.monotonic_ns() + RETRY_NS
+    device.closed = True
+    while not device.let_go() and device.forced:
         if time.monotonic_ns() > until:
-            shell.outcome.unreleased(f"its device did not take zero force in {RETRY_NS / 1e9:g} s ({stand.trouble})")
+            shell.outcome.unreleased(f"its device did not take zero force in {RETRY_NS / 1e9:g} s ({device.trouble})")
             break
         await asyncio.sleep(PAUSE)
     shell.free = True

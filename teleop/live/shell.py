@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from teleop.law.contract import not_finite
 from teleop.live import fault
-from teleop.live.devices.guarded_device import Device, Stand, deadline_of
+from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadline_of
 from teleop.live.live_line import LiveLine, Say
 from teleop.live.net.wire import DRAIN, SHARE, Wire
 from teleop.live.outcome import Outcome
@@ -42,13 +42,13 @@ class Shell:
     """Owns one end. The drivers (`driving`, `lockstep`, `meeting`, `leaving`) call it; it calls none of them."""
 
     def __init__(
-        self, endpoint: Endpoint, device: Device, wire: Wire, recorder: Recorder, say: Say,
+        self, endpoint: Endpoint, device: LiveDevice, wire: Wire, recorder: Recorder, say: Say,
         *, patience: float | None, interrupt: Interrupt,
     ) -> None:
         self.endpoint, self.wire, self.recorder, self.interrupt = endpoint, wire, recorder, interrupt
         self.scene: Scene = endpoint.scene
         self.connection = Connection(endpoint, wire.peer, sealed=wire.line is not None)
-        self.stand = Stand(device, endpoint.scene.axes, trusted=endpoint.stepped)
+        self.device = GuardedDevice(device, endpoint.scene.axes, trusted=endpoint.stepped)
         if (deadline := deadline_of(device, endpoint)) is not None:
             endpoint.guard.lapse_after(deadline)
         self.outcome = Outcome()
@@ -79,8 +79,8 @@ class Shell:
 
     def fail(self, error: BaseException) -> None:
         """Hold no force from this moment on: something was raised."""
-        self.stand.closed = True
-        self.stand.let_go()
+        self.device.closed = True
+        self.device.let_go()
         method = "master" if self.endpoint.e == "m" else "slave"
         self.outcome.fail(error, fault.sentence(error, self.scene.law, method), self.so_far())
 
@@ -129,12 +129,12 @@ class Shell:
 
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end, which runs `late` ns late."""
-        stand, counts = self.stand, self.counts
-        reading = stand.read(k, now)
-        if stand.dead(now):
-            self.stop(f"the device fails: {stand.trouble}")
+        device, counts = self.device, self.counts
+        reading = device.read(k, now)
+        if device.dead(now):
+            self.stop(f"the device fails: {device.trouble}")
             return
-        trouble = None if stand.trouble is None else f"the device: {stand.trouble}"
+        trouble = None if device.trouble is None else f"the device: {device.trouble}"
         if reading is None:
             self.hold(self.endpoint.left_out(k, str(trouble)))
             self.take_events()
@@ -163,7 +163,7 @@ class Shell:
 
     def hold(self, force: Axes) -> None:
         """Have the device hold `force`. What did not take it may hold anything, and begins again at zero."""
-        if not self.stand.hold(force):
+        if not self.device.hold(force):
             self.endpoint.held.lost()
 
     def beyond(self, reading: Reading) -> bool:
@@ -180,7 +180,7 @@ class Shell:
     def finish(self) -> None:
         """The run has come to its end."""
         scene, counts = self.scene, self.counts
-        reading = self.stand.read(scene.ticks, time.monotonic_ns())
+        reading = self.device.read(scene.ticks, time.monotonic_ns())
         if reading is not None and self.beyond(reading):
             return
         missed = f", {counts.skipped} of them skipped" if counts.skipped else ""

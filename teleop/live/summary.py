@@ -109,7 +109,7 @@ def clock_note(link: LinkEstimates) -> str | None:
 
 def holds_on(shell: Shell) -> bool:
     """Does nothing let go of its device if this process cannot? Simulated devices of stepped ends need nothing."""
-    return not shell.endpoint.stepped and getattr(shell.stand.device, "deadline", None) is None
+    return not shell.endpoint.stepped and getattr(shell.device.device, "deadline", None) is None
 
 
 def _security(shell: Shell) -> dict[str, Any]:

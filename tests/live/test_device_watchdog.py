@@ -21,7 +21,7 @@ from teleop.bench.motor import HANG, Motor
 from teleop.bench.watchdog import BLOWS, FORCE, SCENE, trial
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.device_watchdog import Watching, opened
-from teleop.live.devices.guarded_device import Stand
+from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.devices.heartbeat import (
     ACKED,
     BEAT,
@@ -138,19 +138,19 @@ def test_the_first_force_is_watched_before_the_device_has_it(bench: Bench) -> No
 
 
 def test_an_end_that_comes_back_reads_nothing_and_holds_zero_until_the_watchdog_has_seen_it(bench: Bench) -> None:
-    stand = Stand(bench.watched, 1)
-    stand.read(0, 0)
-    stand.hold(ONE)
+    guarded = GuardedDevice(bench.watched, 1)
+    guarded.read(0, 0)
+    guarded.hold(ONE)
     bench.look(200.0)
     for _ in range(3):
-        assert stand.read(1, MS) is None
-        assert "watchdog has set its force to zero" in str(stand.trouble)
-        assert stand.let_go()
+        assert guarded.read(1, MS) is None
+        assert "watchdog has set its force to zero" in str(guarded.trouble)
+        assert guarded.let_go()
     bench.look(10.0)
-    assert stand.let_go()
-    assert stand.read(2, 2 * MS) is not None
-    stand.hold(ONE)
-    assert (stand.trouble, bench.arm.force) == (None, ONE)
+    assert guarded.let_go()
+    assert guarded.read(2, 2 * MS) is not None
+    guarded.hold(ONE)
+    assert (guarded.trouble, bench.arm.force) == (None, ONE)
     bench.look(200.0)
     assert bench.words[FIRED] == 2, "it is armed again"
     assert bench.arm.force == ZERO
@@ -235,17 +235,17 @@ def test_whatever_stands_still_for_however_long_no_force_outlives_its_deadline_a
     """In every order of ticks of the end, its stalls, stalls of both, hangs in `hold`, and times without a force."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         bench = Bench(monkeypatch)
-        stand = Stand(bench.watched, 1)
+        guarded = GuardedDevice(bench.watched, 1)
         renewed = bench.ms
 
         def tick(force: tuple[float, ...]) -> None:
             nonlocal renewed
-            reading = stand.read(0, bench.now())
+            reading = guarded.read(0, bench.now())
             before = len(bench.zeroed)
             if reading is None:
-                assert stand.let_go()
+                assert guarded.let_go()
             else:
-                stand.hold(force)
+                guarded.hold(force)
             assert len(bench.zeroed) == before or bench.arm.force == ZERO
             renewed = bench.ms
 

@@ -15,7 +15,7 @@ from slave.robot import SimulatedSlave
 from teleop.errors import DeviceError
 from teleop.law.contract import Method
 from teleop.live import fault, leaving
-from teleop.live.devices.guarded_device import Stand
+from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.driving import run
 from teleop.live.leaving import RETRY_NS
 from teleop.live.records.end_result import UNRELEASED
@@ -217,9 +217,9 @@ def test_a_device_that_never_had_a_force_is_asked_once_and_nothing_is_said_of_it
             self.asked += 1
             raise OSError("no such device")
 
-    stand = Stand(Gone(), 1)  # type: ignore[arg-type]  # it is never read
-    assert not stand.let_go()
-    assert not stand.forced
+    guarded = GuardedDevice(Gone(), 1)  # type: ignore[arg-type]  # it is never read
+    assert not guarded.let_go()
+    assert not guarded.forced
 
 
 # As a process

@@ -276,7 +276,7 @@ def test_a_stranger_who_copies_what_was_sent_does_not_draw_the_run_to_himself(wi
             for data in copied:
                 stranger.sendto(data, slave.wire.sock.getsockname())
 
-        both.shells["s"].stand.device = Faulty(SimulatedSlave(SCENE), 150, copy)
+        both.shells["s"].device.device = Faulty(SimulatedSlave(SCENE), 150, copy)
         both.run()
         with pytest.raises(TimeoutError):
             stranger.recvfrom(65536)
@@ -298,7 +298,7 @@ def test_garbage_is_counted_from_the_first_moment_on_and_disturbs_nothing(pair: 
 
         address = slave.wire.sock.getsockname()
         throw(40)
-        both.shells["m"].stand.device = Faulty(SimulatedMaster(SCENE), 200, lambda: throw(80))
+        both.shells["m"].device.device = Faulty(SimulatedMaster(SCENE), 200, lambda: throw(80))
         both.run()
     assert both.status() == {"m": "ok", "s": "ok"}
     # Of the forty before the session; the eighty during it do not come through to us.
@@ -342,7 +342,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
         assert isinstance(master.wire, Roaming)
         master.wire.moved, master.wire.hears = moved, hears
 
-    master.stand.device = Faulty(SimulatedMaster(both.scene), 300, move)
+    master.device.device = Faulty(SimulatedMaster(both.scene), 300, move)
     both.run()
     assert both.errors == {"m": None, "s": None}
     assert slave.connection.peer == moved.sock.getsockname()
@@ -380,7 +380,7 @@ def test_an_end_whose_tick_0_was_moved_far_ahead_heeds_an_interrupt(pair: Make) 
         slave.endpoint.session.start_ns += 600 * 10**9
         asyncio.get_running_loop().call_later(0.1, setattr, slave.interrupt, "name", "SIGTERM")
 
-    slave.stand.device = Faulty(SimulatedSlave(SCENE), 100, move)
+    slave.device.device = Faulty(SimulatedSlave(SCENE), 100, move)
     both.run()
     assert both.errors == {"m": None, "s": None}
     assert (slave.outcome.status, "SIGTERM" in slave.outcome.sentence) == ("stopped", True)

@@ -13,7 +13,7 @@ DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
 _FLOAT = frozenset((float,))
 
 
-class Device(Protocol):
+class LiveDevice(Protocol):
     """A master device or a slave robot, as the live loop uses it.
 
     **A force that `hold` has set has to lapse to zero at the device itself when it is not renewed for a stated time.**
@@ -41,7 +41,7 @@ class Device(Protocol):
         ...
 
 
-def deadline_of(device: Device, endpoint: Endpoint) -> float | None:
+def deadline_of(device: LiveDevice, endpoint: Endpoint) -> float | None:
     """After how long (s) a force that is not renewed lapses; None: never, or it does not matter. Raises `Refused`.
 
     Ends that go by packets have none: their ticks take as long as packets do, and their devices are simulated.
@@ -56,14 +56,14 @@ def deadline_of(device: Device, endpoint: Endpoint) -> float | None:
     return deadline
 
 
-class Stand:
+class GuardedDevice:
     """A device whose failures are values. `trouble`: what is wrong with it now, None if nothing is.
 
     `trusted`: what it reads is taken as it is. So it is where ends go by packets and must do as in virtual time, where
     what is not finite is a run that diverged.
     """
 
-    def __init__(self, device: Device, axes: int, *, trusted: bool = False) -> None:
+    def __init__(self, device: LiveDevice, axes: int, *, trusted: bool = False) -> None:
         self.device, self.trusted = device, trusted
         self.trouble: str | None = None
         self.forced = False  # has it been given a force, and not taken zero since

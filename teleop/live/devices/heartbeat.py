@@ -30,7 +30,7 @@ from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.library import ROOT
 
 if TYPE_CHECKING:
-    from teleop.live.devices.guarded_device import Device
+    from teleop.live.devices.guarded_device import LiveDevice
 
 BEAT, K, ACKED = 0, 1, 2  # words that the end writes: ns of its last force, tick, and the firings that it has seen
 SEEN, FIRED, DONE = 3, 4, 5  # words that the watchdog writes: ns of its last look, firings, and those that are over
@@ -72,7 +72,7 @@ class WatchedDevice:
     While its watchdog has taken over, or does not answer, it reads as a device that fails and holds zero.
     """
 
-    def __init__(self, device: Device, deadline: float, page: mmap) -> None:
+    def __init__(self, device: LiveDevice, deadline: float, page: mmap) -> None:
         self.device, self.deadline = device, deadline
         self._words: Any = memoryview(page).cast("q")
 
@@ -124,7 +124,7 @@ class WatchedDevice:
 
 
 @contextmanager
-def watched(device: Device, folder: Path) -> Iterator[Device]:
+def watched(device: LiveDevice, folder: Path) -> Iterator[LiveDevice]:
     """`device` with its watchdog process, if it names one; the process ends with the block. Raises `Refused`.
 
     `folder`: of the run, where the watchdog notes in the events what it did.

@@ -17,7 +17,7 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import DeviceError, Refused
-from teleop.live.devices.guarded_device import DEAD_NS, Stand, deadline_of
+from teleop.live.devices.guarded_device import DEAD_NS, GuardedDevice, deadline_of
 from teleop.live.records.merge import merge
 from teleop.live.summary import UNWATCHED
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
@@ -56,61 +56,61 @@ class Device:
 ], ids=repr)
 def test_what_cannot_be_read_or_is_not_finite_is_no_reading(wrong: Any) -> None:
     device = Device()
-    stand = Stand(device, 1)
-    assert stand.read(0, 0) == WELL
+    guarded = GuardedDevice(device, 1)
+    assert guarded.read(0, 0) == WELL
     device.reads = wrong
-    assert stand.read(1, MS) is None
-    assert stand.trouble is not None
+    assert guarded.read(1, MS) is None
+    assert guarded.trouble is not None
     device.reads = WELL
-    assert stand.read(2, 2 * MS) == WELL
-    assert stand.trouble is None
+    assert guarded.read(2, 2 * MS) == WELL
+    assert guarded.trouble is None
 
 
 def test_a_body_that_has_left_is_not_a_device_that_fails() -> None:
     device = Device()
     device.reads = Reading((inf,), (0.0,), None)
-    assert Stand(device, 1).read(0, 0) == device.reads
+    assert GuardedDevice(device, 1).read(0, 0) == device.reads
 
 
 def test_a_trusted_device_is_taken_at_its_word() -> None:
     device = Device()
     device.reads = Reading((nan,), (nan,), None)
-    assert Stand(device, 1, trusted=True).read(0, 0) is device.reads
+    assert GuardedDevice(device, 1, trusted=True).read(0, 0) is device.reads
 
 
 def test_a_device_that_cannot_hold_is_in_trouble_until_it_can() -> None:
     device = Device()
     device.holds = DeviceError("the amplifier is off")
-    stand = Stand(device, 1)
-    stand.hold((1.0, 2.0))
-    assert stand.read(1, MS) == WELL, "it can still be read"
-    assert stand.trouble == "the amplifier is off"
+    guarded = GuardedDevice(device, 1)
+    guarded.hold((1.0, 2.0))
+    assert guarded.read(1, MS) == WELL, "it can still be read"
+    assert guarded.trouble == "the amplifier is off"
     device.holds = None
-    stand.let_go()
+    guarded.let_go()
     assert device.held == [(0.0,)]
-    assert stand.read(2, 2 * MS) == WELL
-    assert stand.trouble is None
+    assert guarded.read(2, 2 * MS) == WELL
+    assert guarded.trouble is None
 
 
 def test_a_device_that_fails_for_long_is_given_up_and_one_that_comes_back_is_not() -> None:
     device = Device()
-    stand = Stand(device, 1)
-    stand.read(0, 0)
+    guarded = GuardedDevice(device, 1)
+    guarded.read(0, 0)
     device.reads = OSError("gone")
-    stand.read(1, DEAD_NS)
-    assert not stand.dead(DEAD_NS)
-    stand.read(2, DEAD_NS + 1)
-    assert stand.dead(DEAD_NS + 1)
+    guarded.read(1, DEAD_NS)
+    assert not guarded.dead(DEAD_NS)
+    guarded.read(2, DEAD_NS + 1)
+    assert guarded.dead(DEAD_NS + 1)
     device.reads = WELL
-    stand.read(3, DEAD_NS + 2)
-    assert not stand.dead(DEAD_NS + 2)
+    guarded.read(3, DEAD_NS + 2)
+    assert not guarded.dead(DEAD_NS + 2)
 
 
 def test_anything_else_that_it_raises_is_a_bug_and_not_swallowed() -> None:
     device = Device()
     device.reads = ZeroDivisionError()
     with pytest.raises(ZeroDivisionError):
-        Stand(device, 1).read(0, 0)
+        GuardedDevice(device, 1).read(0, 0)
 
 
 @pytest.mark.parametrize("number", [int, np.float32, np.float16, np.int16, np.float64, Fraction], ids=repr)
@@ -118,15 +118,15 @@ def test_anything_else_that_it_raises_is_a_bug_and_not_swallowed() -> None:
 def test_numbers_of_any_real_type_are_read_as_floats(number: Any, trusted: bool) -> None:
     device = Device()
     device.reads = Reading((number(1),), (number(-2),), (number(3),))
-    reading = Stand(device, 1, trusted=trusted).read(0, 0)
+    reading = GuardedDevice(device, 1, trusted=trusted).read(0, 0)
     assert reading == Reading((1.0,), (-2.0,), (3.0,))
     assert {type(part[0]) for part in reading if part is not None} == {float}
     device.reads = Reading((10**400,), (0,), None)
-    assert Stand(device, 1).read(0, 0) == Reading((inf,), (0.0,), None), "a body that has left"
+    assert GuardedDevice(device, 1).read(0, 0) == Reading((inf,), (0.0,), None), "a body that has left"
 
 
 def test_a_reading_of_floats_is_taken_as_it_is_and_costs_no_copy() -> None:
-    assert Stand(Device(), 1).read(0, 0) is WELL
+    assert GuardedDevice(Device(), 1).read(0, 0) is WELL
 
 
 @pytest.mark.parametrize("wrong", [True, np.bool_(True), "1.0", None, 1j, (1.0,), np.array([1.0]), b"1"], ids=repr)
@@ -136,13 +136,13 @@ def test_what_is_no_number_is_refused_at_first_and_no_reading_later(wrong: Any) 
         device = Device()
         device.reads = reading
         with pytest.raises(Refused, match=r"each a tuple with a number for each axis.*write for example"):
-            Stand(device, 1).read(0, 0)
+            GuardedDevice(device, 1).read(0, 0)
         device.reads = WELL
-        stand = Stand(device, 1)
-        assert stand.read(0, 0) == WELL
+        guarded = GuardedDevice(device, 1)
+        assert guarded.read(0, 0) == WELL
         device.reads = reading
-        assert stand.read(1, MS) is None
-        assert "a number for each axis" in str(stand.trouble)
+        assert guarded.read(1, MS) is None
+        assert "a number for each axis" in str(guarded.trouble)
 
 
 @pytest.mark.parametrize(("dt", "every", "stepped", "refused"), [
@@ -260,7 +260,7 @@ def test_a_device_that_reads_something_else_is_told_so_at_once_and_how_to_write_
     device = Device()
     device.reads = wrong
     with pytest.raises(Refused, match=words):
-        Stand(device, axes).read(0, 0)
+        GuardedDevice(device, axes).read(0, 0)
 
 
 class Coarse(SimulatedMaster):
