@@ -1,4 +1,4 @@
-"""What bad datagrams cost a live run: how late its ticks become, and how many good packets are still used.
+"""The cost of bad datagrams to a live run: the lateness of its ticks, and the share of good packets still used.
 
 Between the two ends stands a forwarder in C (`c/between.c`) which both take for their peer, so that what it throws
 comes from the peer's own address, as it does from whoever is on the way; a second socket of its own is the stranger.
@@ -39,7 +39,7 @@ class Flood(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What a run under a flood came to; each pair is of the master and of the slave."""
+    """The figures of a run under a flood; each pair is of the master and of the slave."""
 
     p99: tuple[float, float]  # of the ticks' lateness, us
     used: tuple[float, float]  # packets played, of those that the other end sent

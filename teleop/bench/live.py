@@ -1,4 +1,4 @@
-"""What a live run costs: how late its ticks are, beside a C loop on a timerfd, and its share of a core."""
+"""The cost of a live run: the lateness of its ticks beside a C loop on a timerfd, and its share of a core."""
 
 from __future__ import annotations
 

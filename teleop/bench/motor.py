@@ -36,23 +36,23 @@ class Motor:
 
     @property
     def force(self) -> float:
-        """What it holds now."""
+        """The force that the motor holds now (N)."""
         force: float = _FORCE.unpack_from(self._page)[0]
         return force
 
     @property
     def zeroed_ns(self) -> int:
-        """When the watchdog set it to zero last."""
+        """The time at which the watchdog set it to zero last (ns)."""
         return self._word(_ZEROED)
 
     @property
     def holds(self) -> int:
-        """How often the end has set its force."""
+        """The number of times that the end has set its force."""
         return self._word(_HOLDS)
 
     @property
     def order(self) -> int:
-        """What its driver is to do: `HANG`, or 0."""
+        """The order to its driver: `HANG`, or 0."""
         return self._word(_ORDER)
 
     @order.setter
@@ -83,7 +83,7 @@ class ClampedArm:
         self.watchdog = DeviceWatchdog(open="teleop.bench.motor:zeroing", arguments=(str(path.absolute()),))
 
     def read(self, k: int) -> Reading:
-        """Where it is clamped."""
+        """The position at which it is clamped."""
         return self._at_rest
 
     def hold(self, force: Axes) -> None:

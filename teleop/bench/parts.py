@@ -19,7 +19,7 @@ PAYLOAD = bytes(100)
 
 
 async def tick(count: int, spin_ns: int) -> list[int]:
-    """How late an alarm rings for each of `count` ticks at 1 kHz, ns; for one that was missed, when it came next."""
+    """The lateness of an alarm at each of `count` ticks at 1 kHz, ns; for one that was missed, when it came next."""
     late: list[int] = []
     over = asyncio.Event()
     start = time.monotonic_ns() + 20 * TICK_NS
@@ -55,7 +55,7 @@ async def echo(wire: Wire, over: asyncio.Event) -> None:
 
 
 async def ping(wire: Wire, count: int) -> list[int]:
-    """How long `count` datagrams take to the wire's peer and back, ns, one after the other."""
+    """The time that `count` datagrams take to the wire's peer and back, ns, one after the other."""
     trips: list[int] = []
     over = asyncio.Event()
     began = 0

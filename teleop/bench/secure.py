@@ -1,4 +1,4 @@
-"""What encryption costs: a packet sealed at one end and opened at the other, and an association begun.
+"""The cost of encryption: a packet sealed at one end and opened at the other, and an association begun.
 
 The packets come from a real association; sealing and opening are timed in turns, as the two ends would do them.
 """

@@ -33,14 +33,14 @@ OURS = (sys.executable, "-m", "teleop.bench.parts")
 
 
 class Late(NamedTuple):
-    """Of many times: the median and what 99 % are below, us."""
+    """The median and the 99th percentile of many times, us."""
 
     median: float
     most: float
 
 
 class Carried(NamedTuple):
-    """What a relay did to its load."""
+    """The delay and losses that a relay added to its load."""
 
     lost: int
     error: Late
@@ -119,7 +119,7 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
 
 
 def datagrams(folder: Path, count: int) -> None:
-    """What the two ends of a session send, in the form that the load reads: `forth` and `back`."""
+    """The packets that the two ends of a session send, in the form that the load reads: `fwd` and `bwd`."""
     from teleop.protocol.packet import Kind, Packet, encode
     from teleop.scene.loading import load_scene
     from teleop.scene.scene import both_ends

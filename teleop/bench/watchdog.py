@@ -1,4 +1,4 @@
-"""How long a motor holds its force after the end that drives it was killed or stopped, has crashed, or hangs.
+"""The time for which a motor holds its force after the end that drives it was killed or stopped, has crashed, or hangs.
 
 The end drives `teleop.bench.motor`, a motor that outlives it and has no deadline of its own: what sets its force to
 zero is the device's watchdog process (`teleop.live.devices.device_watchdog`). Each trial is a live run of its own.
@@ -73,7 +73,7 @@ def trial(blow: Callable[[int, Motor], None], folder: Path) -> tuple[float, int]
 
 
 def acted(folder: Path) -> int:
-    """How often the watchdog of the end in `folder` has acted."""
+    """The number of times that the watchdog of the end in `folder` has acted."""
     return sum(event.get("what") == "watchdog" for event in read_events(folder))
 
 
