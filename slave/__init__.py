@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import teleop
-
-if getattr(teleop, "DISTRIBUTION", None) != "bilateral-teleop":
+try:
+    from teleop.version import DISTRIBUTION as DISTRIBUTION
+except ImportError as error:  # another project's package has the same name
     raise ImportError(
         "`slave` found another package called teleop in place of its own; install bilateral-teleop in an "
         "environment of its own: python -m venv own && own/bin/python -m pip install bilateral-teleop"
-    )
+    ) from error
 
 if TYPE_CHECKING:
     from slave.hunt_crossley import HuntCrossley

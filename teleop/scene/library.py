@@ -73,6 +73,11 @@ def prefer_bundled() -> None:
                               "teleop; rename that one, or run from another folder")
 
 
+def scene_folders() -> list[str]:
+    """Folders of the scenes' files that were loaded, the newest first: another process looks for modules there too."""
+    return list(_FOLDERS)
+
+
 def built_in_scenes() -> list[str]:
     """Names of the scenes that come with this package."""
     return sorted(p.stem for p in (ROOT / "scenarios").glob("*.py") if not p.stem.startswith("_"))

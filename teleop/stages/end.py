@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.law import At
 from teleop.stages.record import Record
 
 Places = list[float]
@@ -65,7 +64,7 @@ class Axis(Record):
     x_before: float  # as it was read at the tick before
     dx: float
     # the law
-    at: At
+    at: Any  # teleop.law.At
     s: Any  # its state
     rx: Any  # the message that it received
     tx: Any  # the message that it sends

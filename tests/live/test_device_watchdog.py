@@ -478,3 +478,22 @@ def test_a_watchdog_whose_module_runs_the_end_is_told_how_to_write_it(
     end = command("my_arm", "hard_wall", "--listen", "127.0.0.1:0", "--json", "--out", str(tmp_path / "out"))
     end.refused("ran as a program", 'if __name__ == "__main__"')
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.live
+def test_a_watchdog_finds_a_device_module_that_lies_beside_the_scene_alone(
+    command: Callable[..., Command], tmp_path: Path
+) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "lever.py").write_text("def zeroing():\n    return lambda: None\n")
+    (own / "scene_of_mine.py").write_text("from scenarios.hard_wall import scene as scene\n")
+    program = PROGRAM.replace("my_arm:zeroing", "lever:zeroing").replace("raise SystemExit(end_main(\"s\", make))",
+                                                                       "if __name__ == \"__main__\":\n    "
+                                                                       "raise SystemExit(end_main(\"s\", make))")
+    (tmp_path / "my_end.py").write_text(program)
+    end = command("my_end", str(own / "scene_of_mine.py"), "--listen", "127.0.0.1:0", "--json", "--out",
+                  str(tmp_path / "out"))
+    assert end.event("listening")["port"] > 0, "its watchdog has opened the lever"
+    end.signal(signal.SIGINT)
+    end.end()

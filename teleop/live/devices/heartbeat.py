@@ -27,7 +27,7 @@ from typing import IO, TYPE_CHECKING, Any
 from teleop.errors import DeviceError, Refused, number
 from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
-from teleop.scene.library import ROOT
+from teleop.scene.library import ROOT, scene_folders
 
 if TYPE_CHECKING:
     from teleop.live.devices.guarded_device import LiveDevice
@@ -163,7 +163,7 @@ def _start(watchdog: DeviceWatchdog, page: int, folder: Path) -> tuple[subproces
     theirs, ours = os.pipe()
     about = {"open": watchdog.open, "arguments": watchdog.arguments, "deadline": watchdog.deadline, "page": page,
              "pipe": theirs, "folder": str(folder.absolute())}
-    path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in sys.path)])
+    path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in (*sys.path, *scene_folders()))])
     try:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "teleop.live.devices.device_watchdog", json.dumps(about)],

@@ -395,7 +395,7 @@ class TestTheCommand:
         def stopped(*_: Any, **__: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(teleop.analysis.precision.measure, "measure", stopped)
+        monkeypatch.setattr("teleop.analysis.precision.command.measure", stopped)
         assert typed("precision", "canonical").code == 130
         assert list(tmp_path.iterdir()) == []
 
