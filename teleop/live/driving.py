@@ -55,7 +55,8 @@ class ClockDriver:
         self.session = shell.endpoint.session
         self.listening = Listening(shell.endpoint, shell.wire)
         self.suspension = Suspension(boottime())
-        self._span_ns = shell.scene.dt_ns * shell.endpoint.every
+        self._dt_ns, self._ticks = shell.scene.dt_ns, shell.scene.ticks  # kept, for a scene works them out anew
+        self._span_ns = self._dt_ns * shell.endpoint.every
         self._set_to = 0  # the start of the grid that the timer is set to
         self._alarm = Alarm(loop, lambda: shell.guarded(self.wake), spin_ns)
 
@@ -125,11 +126,11 @@ class ClockDriver:
         if k <= counts.last:
             shell.say_again(now)
             return
-        late = now - (start + k * shell.scene.dt_ns)
+        late = now - (start + k * self._dt_ns)
         # missed ticks are left out whole, never caught up
-        counts.skipped += (min(k, -(-shell.scene.ticks // every) * every) - counts.last) // every - 1
+        counts.skipped += (min(k, -(-self._ticks // every) * every) - counts.last) // every - 1
         counts.last = k
-        if k >= shell.scene.ticks:
+        if k >= self._ticks:
             shell.finish()
             return
         shell.tick(k, now, late)

@@ -109,9 +109,8 @@ class Shell:
 
     def say_again(self, now: int) -> None:
         """Send what was not answered."""
-        datagrams = self.connection.due(now)
-        self.wire.go_with(self.connection.peer)
-        for data, to in datagrams:
+        for data, to in self.connection.due(now):
+            self.wire.go_with(self.connection.peer)
             self.wire.answer(data, to)
         self.wire.due(now)
 

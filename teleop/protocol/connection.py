@@ -27,7 +27,6 @@ class Connection:
         self.asked = asked
         self.peer = asked
         self._sealed = sealed
-        self._begun: list[SessionBegun] = []
 
     def receive(self, data: bytes, address: Address, now: int) -> list[tuple[bytes, Address]]:
         """Take a datagram that came at `now`; what is to be sent back at once, and where to."""
@@ -35,10 +34,9 @@ class Connection:
         if address != self.peer and self._from_unknown_address(data):
             endpoint.rejected["address"] += 1
             return []
+        met = session.met
         replies = endpoint.receive(data, now)
-        begun = session.take_events()
-        self._begun += begun
-        if begun or (replies and not session.met):
+        if session.met != met or (replies and not met):
             self.peer = address  # a copy of a packet that another host sent must not draw ours to it
         if not replies:
             return []
@@ -51,7 +49,7 @@ class Connection:
         datagrams = session.due(now)
         if session.meeting and self.asked is not None:
             self.peer = self.asked
-        return self._to_peer(datagrams)
+        return self._to_peer(datagrams) if datagrams else []
 
     def bye(self, reason: str, now: int) -> list[tuple[bytes, Address]]:
         """The farewell to send when this end leaves."""
@@ -59,8 +57,10 @@ class Connection:
 
     def events(self) -> list[Event | SessionBegun]:
         """What has happened since this was asked last: of the guard, and the sessions that have begun."""
-        begun, self._begun = self._begun, []
-        return [*self.endpoint.guard.new_events(), *begun]
+        guard, session = self.endpoint.guard, self.endpoint.session
+        if not guard.new_events and not session.new_events:  # nearly always
+            return []
+        return [*guard.take_events(), *session.take_events()]
 
     def _to_peer(self, datagrams: list[bytes]) -> list[tuple[bytes, Address]]:
         return [] if self.peer is None else [(data, self.peer) for data in datagrams]

@@ -152,7 +152,7 @@ class Endpoint:
         self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
         wave = ("w" if e == "m" else "u") if scene.has_waves else None
         self._rates = Resampling(self._rx_type, wave, mine=self.every)
-        self._dt = dt
+        self._dt, self._dt_ns = dt, scene.dt_ns
 
     @property
     def way(self) -> Any:
@@ -168,7 +168,7 @@ class Endpoint:
         if isinstance(packet, Rejection):
             self.rejected[packet.value] += 1
             return []
-        session, dt_ns = self.session, self.scene.dt_ns
+        session, dt_ns = self.session, self._dt_ns
         if packet.kind not in DATA:
             if not session.belongs(packet, now):
                 self.rejected["session"] += 1

@@ -51,7 +51,7 @@ class Guard:
         self.gain, self.safe, self.entries = 1.0, False, 0
         self.cause: str | None = None  # of the safe state it is in
         self.events: list[Event] = []
-        self._told = 0  # how many of them `new_events` has given
+        self.new_events: list[Event] = []  # those of them since they were taken last
         self._dog = None if stepped and not named else (watchdog or UNNAMED)
         self._c = None if self._dog is None else self._dog.limits(dt)
         self._dt, self._every = dt, every
@@ -187,12 +187,12 @@ class Guard:
         """Note an event."""
         if len(self.events) < MOST_EVENTS:
             self.events.append(Event(k, what, why))
+            self.new_events.append(self.events[-1])
 
-    def new_events(self) -> list[Event]:
+    def take_events(self) -> list[Event]:
         """The events since this was asked last."""
-        new = self.events[self._told :]
-        self._told += len(new)
-        return new
+        events, self.new_events = self.new_events, []
+        return events
 
     def _enter(self, k: int, why: str) -> None:
         kind, before = why.partition(":")[0], (self.cause or "").partition(":")[0]

@@ -91,7 +91,7 @@ class Session:
         self.start_rtt_ns = 0  # at most as long took the round trip with which a slave was started
         self.clock = ClockExchange()
         self.liveness = Liveness(master=master)
-        self._events: list[SessionBegun] = []
+        self.new_events: list[SessionBegun] = []  # since they were taken last
         self._table = MASTER if master else SLAVE
         self._repeated = REPEATED[master]
         self._heals = heals
@@ -118,9 +118,7 @@ class Session:
 
     def take_events(self) -> list[SessionBegun]:
         """The sessions that have begun since this was asked last."""
-        if not self._events:
-            return self._events
-        events, self._events = self._events, []
+        events, self.new_events = self.new_events, []
         return events
 
     def take(self, event: SessionEvent) -> bool:
@@ -296,7 +294,7 @@ class Session:
             self.number = start.session
             self.peer_every = self._welcomed[start.session, start.echo.sent_ns]
             self.start_rtt_ns = max(0, now - start.echo.sent_ns)
-            self._events.append(SessionBegun(start.session))
+            self.new_events.append(SessionBegun(start.session))
         elif not self.take(SessionEvent.START):
             return []
         reply = self._packet(Kind.START, now, tick_0)
@@ -324,7 +322,7 @@ class Session:
             return [self._hello(now)]
         self.joined = self.joined or (theirs_0 is not None and self.start_ns is None)
         self.begin(self.clock.tick_0(self.start_ns, theirs_0, now), now)
-        self._events.append(SessionBegun(welcome.session))
+        self.new_events.append(SessionBegun(welcome.session))
         return [self._start(now)]
 
     def _packet(

@@ -17,6 +17,8 @@ from enum import Enum
 class SessionState(Enum):
     """Where one end is in its exchange with the other; each value is a sentence for the diagram's legend."""
 
+    __hash__ = object.__hash__  # `Enum` has one in Python, and the tables are asked at every datagram
+
     LISTENING = "the slave waits for a master"
     ASKED = "the slave has answered a HELLO and waits for START"
     ASKING = "the master asks for its first session and measures the clock offset"
@@ -29,6 +31,8 @@ class SessionState(Enum):
 
 class SessionEvent(Enum):
     """What can happen to a session, once the packet or the instant has been checked."""
+
+    __hash__ = object.__hash__
 
     HELLO = "HELLO came, and the slave may answer it"
     WELCOME = "WELCOME came"
