@@ -207,8 +207,10 @@ class Method(NamedTuple):
         code = function.__code__
         bound = getattr(self.law, self.name) is not function and hasattr(getattr(self.law, self.name), "__func__")
         names = code.co_varnames[:code.co_argcount]
-        roles = dict(zip(names, ("self", *TAKES[self.name], "over") if bound else (*TAKES[self.name], "over"),
-                         strict=False))
+        takes = ("self", *TAKES[self.name]) if bound else TAKES[self.name]
+        if len(names) < len(takes):  # an argument is missing, so the names play other parts: the call says which
+            return
+        roles = dict(zip(names, (*takes, "over"), strict=False))
         roles = {name: role for name, role in roles.items() if role == "self" or role in kinds}
         for line, text in _faults_of(code, tuple(roles.items()), tuple(kinds.items()), RETURNS[self.name]):
             raise LawMistake(f"{self.label}{_place(code.co_filename, line)} {text}")
@@ -407,7 +409,7 @@ def _cure(error: Exception) -> str:
         return REMEMBER
     if isinstance(error, AttributeError) and isinstance(error.obj, tuple) and hasattr(error.obj, "_fields"):
         return _fields(type(error.obj), error.name or "")
-    if isinstance(error, ArithmeticError | ValueError):
+    if isinstance(error, ArithmeticError) or (isinstance(error, ValueError) and "math domain" in _text(error)):
         return "guard denominators with max(.., eps), write x*x for x**2, keep sqrt and exp in their range"
     return "mend that line"
 

@@ -125,6 +125,10 @@ def check_shape(name: str, part: object) -> None:
     """Refuse a part that lacks an attribute which a run uses."""
     if not has_shape(name, part):
         attributes, example = SHAPES[name]
+        missing = [each for each in attributes if not hasattr(part, each)]
+        if 0 < len(missing) < len(attributes):
+            raise Refused(f"{name}: {type(part).__name__} has no {', '.join(missing)}; such a part has "
+                          f"{', '.join(attributes)}, write for example {name}={example}")
         got = f"the class {part.__name__}" if isinstance(part, type) else repr(part)
         raise Refused(f"{name} must be something with {', '.join(attributes)}, not {got}; "
                       f"write for example {name}={example}")

@@ -140,13 +140,13 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
     if not rows:
         return kernel
     try:
-        found = figures(kernel, given)
+        found = _figures(kernel, given)
     except NotCompiled as why:
         kernel = kernel if kernel.fallback is None else kernel.fallback(str(why))
         if kernel.engine in ("plain", group.kernel.engine):
             raise
-        found = figures(kernel, given)
-    except Refused as refused:  # the law's doing; plain Python alone raises it, and runs one row at a time
+        found = _figures(kernel, given)
+    except Refused as refused:  # the law's doing; plain Python runs one row at a time
         _refuse(rows[0].row, refused)
         return kernel
     of_plan_too = [name for name in measures if name in OF_PLAN]
@@ -156,6 +156,18 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
             told |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
         _tell(ready.row, status, ran, told)
     return kernel
+
+
+def _figures(kernel: Kernel, given: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
+    """What rows came to; `NotCompiled` where compiled code raised, so that plain Python says whose line it was."""
+    try:
+        return figures(kernel, given)
+    except (NotCompiled, Refused, MemoryError):
+        raise
+    except Exception as error:  # of a law, or of another part that was compiled with it
+        if kernel.engine == "plain":
+            raise
+        raise NotCompiled(f"a line of the compiled loop raised {type(error).__name__}") from error
 
 
 def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:

@@ -26,7 +26,8 @@ class Parser(ArgumentParser):
     def _check_value(self, action: Action, value: Any) -> None:
         """What argparse asks of every value: here also that it is not empty."""
         if action.choices is not None and value not in action.choices:
-            raise Refused(f"there is no {str(action.metavar).lower()} {value!r}; {nearest(value, action.choices)}")
+            what = str(action.metavar or (action.option_strings or [action.dest])[0]).lower()
+            raise Refused(f"there is no {what} {value!r}; {nearest(value, action.choices)}")
         if value == "":
             where = " ".join([*action.option_strings[:1], str(action.metavar)])
             raise Refused(f"{where} must not be empty: it is {action.help}")

@@ -133,6 +133,9 @@ AT_ONCE: dict[str, tuple[str, str]] = {  # the method, whose wrong line ends in 
     "takes no message": ("""
     def master(self, s, at):  # here
         return at.x, Forth(at.x), s""", "3 positional arguments but 4 were given; it is called as master(s, at, rx)"),
+    "takes no state": ("""
+    def master(self, at, rx):  # here
+        return at.x, Forth(at.x), ()""", "3 positional arguments but 4 were given; it is called as master(s, at, rx)"),
     "assigns to itself": (f"""
     {MASTER}
         if at.x > 1e3:
@@ -169,6 +172,11 @@ LATER: dict[str, tuple[str, str]] = {  # mistakes in a line that runs only when 
         if at.x > 0.005:
             return "much", Forth(at.x), s  # here
         return rx.f, Forth(at.x), s""", "returns the force 'much' of type str; write it as a float"),
+    "raises an error of its own": (f"""
+    {MASTER}
+        if at.x > 0.005:
+            raise ValueError("too far")  # here
+        return rx.f, Forth(at.x), s""", "raised ValueError: too far; mend that line"),
     "returns nothing": (f"""
     {MASTER}
         if at.x <= 0.005:  # here
@@ -264,7 +272,7 @@ def test_a_mistake_in_a_line_that_runs_later_is_told_when_it_runs(mistake: str, 
 
 
 @pytest.mark.parametrize("engine", ["scalar", "vector"])
-@pytest.mark.parametrize("mistake", ["returns a text", "returns another message"])
+@pytest.mark.parametrize("mistake", ["returns a text", "returns another message", "raises an error of its own"])
 def test_compiled_rows_of_a_law_with_a_mistake_in_a_later_line_run_plain_and_say_so(
     mistake: str, engine: str, file: Any
 ) -> None:

@@ -186,6 +186,7 @@ class TestAWrongRequest:
         typed(*arguments).assert_refused()
 
     @pytest.mark.parametrize(("arguments", "words"), [
+        (["show", "tick", "canonical", "--end", "q"], "there is no --end 'q'; there are: m, s"),
         (["runn"], "there is no command 'runn'; did you mean run?"),
         (["list", "nope"], "there is no scene, law, effect or estimator 'nope'; there are: "),
         (["list", ""], "NAME must not be empty: it is a scene"),
