@@ -15,7 +15,7 @@ class Delayed(Record):
 
 
 class ComputeDelayStage(Stage):
-    """`Device(delay=...)`, in ticks."""
+    """The delay line of `Device(delay=...)`, in ticks; zero force until it is filled."""
 
     name: ClassVar[str] = "compute_delay"
 

@@ -66,7 +66,7 @@ def limit_power(c: BudgetLimits, left: float, f: float, along: float) -> float:
 
 
 class EnergyBudgetStage(Stage):
-    """`Cap(power=...)`; one budget for all axes of an end."""
+    """The energy budget of `Cap(power=...)`; one for all axes of an end."""
 
     name: ClassVar[str] = "energy_budget"
     wants_dx: ClassVar[bool] = True

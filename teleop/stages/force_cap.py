@@ -75,7 +75,7 @@ class OverflowStage(Stage):
 
 
 class ForceCapStage(Stage):
-    """`Cap(f_max=..., slew=...)`."""
+    """The force cap and slew limit of `Cap(f_max=..., slew=...)`, axis by axis."""
 
     name: ClassVar[str] = "force_cap"
     c_cap: CapLimits

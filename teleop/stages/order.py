@@ -1,6 +1,7 @@
 """The stages in their order: what stands between a device and its law, and between the law and the motor.
 
-A stage more is a file in this folder and its place in this list. The file is imported where a scene has the stage.
+A new stage is a file in this folder and its place in this list; `scaling.py` is a short one to start from. The file
+is imported only where a scene has the stage.
 """
 
 from __future__ import annotations

@@ -9,13 +9,13 @@ from teleop.stages.record import Record
 
 
 class Renewed(Record):
-    """The force of one axis that was renewed last."""
+    """The newest force of one axis that was let through."""
 
     f_renewed: float
 
 
 class RenewalStage(Stage):
-    """`Device(every=...)`, in ticks."""
+    """The hold of `Device(every=...)`, in ticks."""
 
     name: ClassVar[str] = "renewal"
     every: int

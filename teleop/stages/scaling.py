@@ -59,7 +59,7 @@ def in_units_of_master(c: Scales, at: At) -> At:
 
 
 class ScalingStage(Stage):
-    """At the slave, around the law."""
+    """The conversion of units around the slave's end of the law: readings before it, its force after it."""
 
     name: ClassVar[str] = "scaling"
     c_scale: Scales

@@ -39,7 +39,7 @@ def limit_speed(c: SpeedLimits, f: float, along: float) -> float:
 
 
 class VelocityCapStage(Stage):
-    """`Cap(v_max=...)`."""
+    """The velocity cap of `Cap(v_max=...)`, axis by axis."""
 
     name: ClassVar[str] = "velocity_cap"
     c_speed: SpeedLimits

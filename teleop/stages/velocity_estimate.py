@@ -16,7 +16,7 @@ class Estimate(Record):
 
 
 class VelocityStage(Stage):
-    """One of `teleop.stages.velocity`, or one of the user's own."""
+    """A velocity estimator of `teleop.stages.velocity`, or one of the user's own, in each axis."""
 
     name: ClassVar[str] = "velocity"
     reading: ClassVar[bool] = True

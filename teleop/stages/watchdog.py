@@ -57,9 +57,10 @@ class Watchdog:
 
 
 def watchdog_step(c: WatchdogLimits, gain: float, quiet_ticks: float, silent: int) -> tuple[float, float]:
-    """The watchdog's next gain in [0, 1] and count of quiet_ticks ticks, `silent` ticks after the last fresh packet.
+    """The watchdog's next gain, in [0, 1], and next `quiet_ticks`, `silent` ticks after the last fresh packet.
 
-    A run begins with the gain at 1 and `quiet_ticks` at infinity: nothing has gone wrong yet.
+    `quiet_ticks` counts the ticks since silence was last longer than the timeout. A run begins with the gain at 1 and
+    `quiet_ticks` at infinity: nothing has gone wrong yet.
     """
     timeout_ticks, step, settle, _ = c
     quiet_ticks = 0.0 if silent > timeout_ticks else quiet_ticks + 1.0

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Answer(NamedTuple):
-    """What a command came to."""
+    """What a command found out: a text, a document, an exit code."""
 
     text: str  # for a person; several lines
     document: Mapping[str, Any]  # the same for a program, as JSON can hold it
