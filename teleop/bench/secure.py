@@ -19,10 +19,11 @@ _HERE, _THERE = ("192.0.2.1", 1), ("192.0.2.2", 2)
 
 def secure(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked): medians over `rounds`."""
-    from teleop.protocol.secure.line import Line
+    from teleop.protocol.secure.secure_link import SecureLink
 
-    def associated(mine: Key, theirs: Key) -> tuple[Line, Line]:
-        one, other = Line.calling(mine, theirs.fingerprint, _THERE), Line.listening(theirs, mine.fingerprint, bytes(32))
+    def associated(mine: Key, theirs: Key) -> tuple[SecureLink, SecureLink]:
+        one = SecureLink.calling(mine, theirs.fingerprint, _THERE)
+        other = SecureLink.listening(theirs, mine.fingerprint, bytes(32))
         flying = one.due(0)
         while flying:
             data, at = flying.pop(0)

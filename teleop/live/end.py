@@ -39,7 +39,7 @@ from teleop.storage.strict_json import written
 from teleop.terminal.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
 
 if TYPE_CHECKING:
-    from teleop.protocol.secure.line import Line
+    from teleop.protocol.secure.secure_link import SecureLink
 
 
 def end_main(e: str, device: Callable[[Scene], LiveDevice], argv: Sequence[str] | None = None) -> int:
@@ -55,15 +55,15 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
     endpoint = _endpoint(scene, e, args)
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
-    sealed, insecure = security.line(e, args, at)
+    sealed, insecure = security.secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
         made = device(scene)
         stem = f"{scene.name}-{NAMES[e]}"
         granted = realtime.asked(args, NAMES[e])  # before the watchdog of the device, which takes it over
         with (fresh_folder(args.out, stem) as (folder, keep),
               nullcontext(made) if args.lockstep else watched(made, folder) as watched_device):
-            line = _Line(scene)
-            say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else line.show
+            progress = _Progress(scene)
+            say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
             about = {"scene": args.scene, "knobs": knobs_from(args), "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
@@ -80,7 +80,7 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
             try:
                 asyncio.run(run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0))
             finally:
-                line.end()
+                progress.end()
             if shell.counts.ticks or _leaves_a_traceback(shell):
                 keep()
             code = _said_of_faults(shell, folder)
@@ -190,8 +190,8 @@ def _parser(e: str) -> ArgumentParser:
 
 
 @contextmanager
-def _wire(e: str, at: Address, line: Line | None) -> Iterator[Wire]:
-    wire = Wire(towards(at), at, line) if e == "m" else Wire(bound(at, "--listen"), None, line)
+def _wire(e: str, at: Address, secure_link: SecureLink | None) -> Iterator[Wire]:
+    wire = Wire(towards(at), at, secure_link) if e == "m" else Wire(bound(at, "--listen"), None, secure_link)
     try:
         yield wire
     finally:
@@ -210,8 +210,8 @@ def _greet(e: str, args: Any, wire: Wire) -> None:
         knobs = "".join(f" --set {quote(each)}" for each in args.set or ())
         link = f" --link {quote(args.link)}" if args.link else ""
         keys = " --insecure" if args.insecure else ""
-        if wire.line is not None:
-            keys = f" --key master.key --peer-fingerprint {wire.line.fingerprint}"
+        if wire.secure_link is not None:
+            keys = f" --key master.key --peer-fingerprint {wire.secure_link.fingerprint}"
         print(f"slave: listening on {shown(at)}; start the master with: "
               f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}{keys}", flush=True)
 
@@ -228,21 +228,21 @@ def _quiet(numbers: dict[str, Any]) -> None:
     pass
 
 
-class _Line:
+class _Progress:
     """The live line of an end that was started by hand."""
 
     def __init__(self, scene: Scene) -> None:
         from teleop.terminal.progress import Progress
 
-        self._progress = Progress(sys.stderr, scene.ticks)
+        self._bar = Progress(sys.stderr, scene.ticks)
 
     def show(self, numbers: dict[str, Any]) -> None:
         """One set of live numbers."""
-        self._progress.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
+        self._bar.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
 
     def end(self) -> None:
         """Go on below it."""
-        self._progress.end()
+        self._bar.end()
 
 
 def live_text(numbers: dict[str, Any]) -> str:

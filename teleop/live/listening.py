@@ -33,11 +33,11 @@ class Listening:
             self.wire.listen_to_all()
 
     def _keep_to_peer(self) -> None:
-        endpoint, number, line = self.endpoint, self.endpoint.session.number, self.wire.line
-        self.to_all = line is not None and not line.settled
+        endpoint, number, secure_link = self.endpoint, self.endpoint.session.number, self.wire.secure_link
+        self.to_all = secure_link is not None and not secure_link.settled
         if self.to_all:
             self.wire.listen_to_all()  # the answer may come from the address that is in question
-        elif line is not None:
+        elif secure_link is not None:
             self.wire.keep_to_peer(of_records())
         elif number is not None:
             shapes = of_session(number, endpoint.scene.wire_size, endpoint.hears)

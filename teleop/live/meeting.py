@@ -43,15 +43,17 @@ async def meet(shell: Shell) -> bool:
 
 def _has_hint(shell: Shell) -> bool:
     """True if there is more to tell than that no peer has come."""
-    line = shell.wire.line
-    return shell.connection.asked is not None or _unknown_came(shell) or (line is not None and line.trouble is not None)
+    secure_link = shell.wire.secure_link
+    if secure_link is not None and secure_link.trouble is not None:
+        return True
+    return shell.connection.asked is not None or _unknown_came(shell)
 
 
 def _why_no_peer(shell: Shell, since: str) -> str:
     """Why there is no peer, as far as it is known."""
-    peer, line = shell.connection.peer, shell.wire.line
-    if line is not None and line.trouble is not None:
-        said = f"no peer was let in {since}: {line.trouble}"
+    peer, secure_link = shell.connection.peer, shell.wire.secure_link
+    if secure_link is not None and secure_link.trouble is not None:
+        said = f"no peer was let in {since}: {secure_link.trouble}"
     elif peer is None:
         said = f"no master came {since}; start one that has this address as its --peer, or --wait longer"
     else:
@@ -62,8 +64,8 @@ def _why_no_peer(shell: Shell, since: str) -> str:
 
 def _unknown_came(shell: Shell) -> bool:
     """True if anything has come that no such end sends."""
-    line = shell.wire.line
-    return sum(shell.endpoint.rejected.values() if line is None else line.dropped.values()) > 0
+    secure_link = shell.wire.secure_link
+    return sum(shell.endpoint.rejected.values() if secure_link is None else secure_link.dropped.values()) > 0
 
 
 fault.named(meet, "the first exchange")

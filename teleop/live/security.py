@@ -10,7 +10,7 @@ from teleop.errors import Refused
 from teleop.live.net.address import Address, shown
 
 if TYPE_CHECKING:
-    from teleop.protocol.secure.line import Line
+    from teleop.protocol.secure.secure_link import SecureLink
 
 
 def options(parser: ArgumentParser) -> None:
@@ -51,10 +51,10 @@ class LinkSecurity:
             _tell("a channel on the way carries this link beyond its machine, neither authenticated nor encrypted")
 
 
-def line(e: str, args: Namespace, at: Address) -> tuple[Line | None, bool]:
-    """The line of an end with keys, None of one without; and whether that is in the open. Raises `Refused`.
+def secure_link(e: str, args: Namespace, at: Address) -> tuple[SecureLink | None, bool]:
+    """The secure link of an end, None without keys; and True if the link is in the open beyond this machine.
 
-    `at`: the address of --peer or --listen, as it was resolved.
+    Raises `Refused`. `at`: the address of --peer or --listen, as it was resolved.
     """
     if args.key is None and args.peer_fingerprint is None:
         return None, _open(at, args)
@@ -71,13 +71,13 @@ def line(e: str, args: Namespace, at: Address) -> tuple[Line | None, bool]:
     from teleop.protocol.secure.keys import load_key, need_secure, parse_fingerprint
 
     need_secure()
-    from teleop.protocol.secure.line import Line  # not before: it cannot be imported without the extra
+    from teleop.protocol.secure.secure_link import SecureLink  # not before: it cannot be imported without the extra
 
     own, peer = load_key(args.key), parse_fingerprint(args.peer_fingerprint)
     if own.fingerprint == peer:
         raise Refused(f"--peer-fingerprint is the fingerprint of this end's own key {args.key}, and each end has a "
                       "key of its own; give the one that `teleop keygen` printed at the other end")
-    return (Line.calling(own, peer, at) if e == "m" else Line.listening(own, peer, token_bytes(32))), False
+    return (SecureLink.calling(own, peer, at) if e == "m" else SecureLink.listening(own, peer, token_bytes(32))), False
 
 
 def _open(at: Address, args: Namespace) -> bool:

@@ -114,11 +114,11 @@ def holds_on(shell: Shell) -> bool:
 
 def _security(shell: Shell) -> dict[str, Any]:
     """How the link was kept: sealed, and what of it was dropped; or open, on loopback or because it was asked for."""
-    line = shell.wire.line
-    if line is None:
+    secure_link = shell.wire.secure_link
+    if secure_link is None:
         return {"sealed": False}
-    return {"sealed": True, "associations": line.associations,
-            "dropped": {str(cause): count for cause, count in line.dropped.items()}}
+    return {"sealed": True, "associations": secure_link.associations,
+            "dropped": {str(cause): count for cause, count in secure_link.dropped.items()}}
 
 
 def _seconds(times: Times) -> dict[str, float] | None:

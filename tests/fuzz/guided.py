@@ -1,8 +1,8 @@
 """Coverage-guided fuzzing with atheris (libFuzzer): `python -m tests.fuzz.guided TARGET CORPUS [-runs=N ...]`.
 
 Targets: `decode` (with `peek`), `session` (an end that meets and runs, its datagrams and its clock cut out of the
-bytes), `line` (`records`, a gate, and both kinds of line). The process is libFuzzer's: it ends with exit code 0 when
-all runs are done, otherwise it leaves the bytes that raised as `crash-...` in the folder it was called from, to be
+bytes), `link` (`records`, a gate, and both kinds of sealed link). The process is libFuzzer's: it ends with exit code 0
+when all runs are done, otherwise it leaves the bytes that raised as `crash-...` in the folder it was called from, to be
 given again in place of CORPUS.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 
 from teleop.protocol.manifest import manifest_of
 
-TARGETS = ("decode", "session", "line")
+TARGETS = ("decode", "session", "link")
 MS = 1_000_000
 
 
@@ -118,14 +118,14 @@ def of_session() -> Callable[[bytes], None]:
     return one
 
 
-def of_line() -> Callable[[bytes], None]:
-    """Records taken apart; then a gate, and the lines of both ends in the middle of an association."""
+def of_link() -> Callable[[bytes], None]:
+    """Records taken apart; then a gate, and the links of both ends in the middle of an association."""
     from tempfile import TemporaryDirectory
 
     from teleop.protocol.secure.dtls_record import records
     from teleop.protocol.secure.gate import Gate
     from teleop.protocol.secure.keys import keygen, load_key
-    from teleop.protocol.secure.line import Line
+    from teleop.protocol.secure.secure_link import SecureLink
     from tests.fuzz.running import AT
 
     with TemporaryDirectory() as folder:
@@ -135,8 +135,8 @@ def of_line() -> Callable[[bytes], None]:
 
     def meet() -> None:
         ends.clear()
-        ends["m"] = Line.calling(keys[0], keys[1].fingerprint, AT["s"])
-        ends["s"] = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+        ends["m"] = SecureLink.calling(keys[0], keys[1].fingerprint, AT["s"])
+        ends["s"] = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
         ends["gate"] = Gate(keys[1], keys[0].fingerprint, bytes(32))
         waiting = [("s", data) for data, _ in ends["m"].due(0)]
         while waiting:
@@ -173,7 +173,7 @@ def seeds(target: str, others: list[bytes], recorded: list[bytes]) -> list[bytes
 
     if target == "decode":
         return [*others[:8], *others[-8:], *(framed(kind, body) for kind in (0, 2, 5, 6) for body in BODIES)]
-    if target == "line":
+    if target == "link":
         short = [pack("!BHHHIH", 22, 0xFEFF, 0, 0, 0, size) + recorded[0][13 : 13 + size] for size in range(1, 60)]
         return [*(joined([(1, 1, data)]) for data in [*short, *recorded[:40]]),
                 joined([(1, i & 1, data) for i, data in enumerate(recorded[:20])])]
@@ -190,7 +190,7 @@ def main(target: str, arguments: list[str]) -> None:
 
     names = ("packet", "session", "endpoint", "inbox", "estimates", "guard", "secure")
     with atheris.instrument_imports(include=[f"teleop.protocol.{name}" for name in names]):
-        one = {"decode": of_decode, "session": of_session, "line": of_line}[target]()
+        one = {"decode": of_decode, "session": of_session, "link": of_link}[target]()
     atheris.Setup([sys.argv[0], *arguments], one)
     atheris.Fuzz()
 

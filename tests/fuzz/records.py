@@ -8,9 +8,9 @@ from collections.abc import Callable
 from struct import pack, pack_into
 from typing import Any
 
+from teleop.protocol.secure.association import Association
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.line import Line
-from teleop.protocol.secure.tunnel import Tunnel
+from teleop.protocol.secure.secure_link import SecureLink
 from tests.fuzz.datagrams import Hostile, View
 from tests.fuzz.running import AT, Running, fuzzed
 
@@ -19,15 +19,15 @@ STRANGERS = [(f"198.51.100.{i}", 5000 + i) for i in range(12)]
 KNOCKS = 400  # shots to one stranger that begins a handshake of its own
 
 
-def lines(keys: list[Key]) -> dict[str, Any]:
+def links(keys: list[Key]) -> dict[str, Any]:
     """Of a master and a slave; `keys`: master's, slave's, a stranger's."""
-    return {"m": Line.calling(keys[0], keys[1].fingerprint, AT["s"]),
-            "s": Line.listening(keys[1], keys[0].fingerprint, SECRET)}
+    return {"m": SecureLink.calling(keys[0], keys[1].fingerprint, AT["s"]),
+            "s": SecureLink.listening(keys[1], keys[0].fingerprint, SECRET)}
 
 
 def of_another_association(keys: list[Key]) -> list[bytes]:
     """All that two ends with these keys sent, from the first hello on, in a run before this one."""
-    run = Running(fuzzed(150), 31_337, lines=lines(keys)).run()
+    run = Running(fuzzed(150), 31_337, links=links(keys)).run()
     return [*run.sealed["m"], *run.sealed["s"]]
 
 
@@ -44,7 +44,7 @@ class HostileRecords:
         self.dice, self.view, self.records = dice, view, records
         self.open = Hostile(dice, view, plain, records)
         self._stranger, self._knocks_at = stranger, knocks_at
-        self._tunnel: Tunnel | None = None
+        self._association: Association | None = None
         self._from = STRANGERS[0]
         self._waiting: deque[bytes] = deque()
         self._shots = 0
@@ -63,17 +63,17 @@ class HostileRecords:
             return "knock", self._waiting.popleft(), self._from
         if self._shots % KNOCKS == 0:
             self._from = self._any(STRANGERS)
-            self._tunnel = Tunnel.towards(self._stranger, self._knocks_at, now)
-            self._waiting.extend(self._tunnel.begin(now))
+            self._association = Association.towards(self._stranger, self._knocks_at, now)
+            self._waiting.extend(self._association.begin(now))
         make = self._any(self.makes)
         peers = AT["s" if self.view.hears == 1 else "m"]
         return make.__name__, make(), peers if spoofs and self.dice.random() < 0.5 else self._any(STRANGERS)
 
     def answered(self, data: list[bytes], address: tuple[str, int], now: int) -> None:
         """What a shot from there drew."""
-        if self._tunnel is not None and address == self._from:
+        if self._association is not None and address == self._from:
             for each in data:
-                self._waiting.extend(self._tunnel.receive(each, now)[1])
+                self._waiting.extend(self._association.receive(each, now)[1])
 
     def _any(self, several: Any) -> Any:
         return several[int(self.dice.random() * len(several))]

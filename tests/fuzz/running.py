@@ -47,15 +47,15 @@ def fuzzed(ticks: int, **other: Any) -> Scene:
 class Running:
     """A master and a slave from their first HELLO on. `step` is one millisecond.
 
-    `lines`: what seals at each end, if anything does. `fire`: what comes to end `at` beside all that is honest, once it
+    `links`: what seals at each end, if anything does. `fire`: what comes to end `at` beside all that is honest, once it
     is `met`, or from the very first on where it is `early`.
     """
 
     def __init__(
-        self, scene: Scene, number: int, *, lines: dict[str, Any] | None = None, at: str = "s",
+        self, scene: Scene, number: int, *, links: dict[str, Any] | None = None, at: str = "s",
         fire: Shots = lambda _: (), early: bool = False,
     ) -> None:
-        self.scene, self.lines, self.at, self.fire, self.early = scene, lines or {}, at, fire, early
+        self.scene, self.links, self.at, self.fire, self.early = scene, links or {}, at, fire, early
         told = manifest_of(scene)
         sessions = {"m": Session(master=True, manifest=told, number=number), "s": Session(master=False, manifest=told)}
         self.ends = {e: Endpoint(scene, e, sessions[e]) for e in "ms"}
@@ -71,7 +71,7 @@ class Running:
         self.dice = random.Random(number)
         self._came = self._sent = 0
         self.honest = self.fired = self.words = self.replies = 0
-        self.opened = 0  # of what was fired at a line: has to stay 0
+        self.opened = 0  # of what was fired at a link: has to stay 0
         self.drawn: list[bytes] = []  # what the last shot drew
         self.owed: Counter[tuple[str, int]] = Counter()  # bytes from each address, less those sent there
 
@@ -106,9 +106,9 @@ class Running:
         e = self.at
         self.fired += 1
         self.view.number = self.ends["m"].session.number or 0
-        end, line = self.ends[e], self.lines.get(e)
-        if line is not None:
-            plain, out = line.receive(data, address, self.clock(e))
+        end, link = self.ends[e], self.links.get(e)
+        if link is not None:
+            plain, out = link.receive(data, address, self.clock(e))
             self.opened += len(plain)
             self.drawn = [each for each, _ in out]
         else:
@@ -121,7 +121,7 @@ class Running:
         more = len(data) - sum(map(len, self.drawn))
         self.owed[address] += more
         assert self.owed[address] >= 0
-        assert more >= 0 or line is not None
+        assert more >= 0 or link is not None
 
     def _is_word(self, end: Endpoint, packet: Packet | Rejection) -> bool:
         """Is it for the session itself? It is not counted then."""
@@ -130,11 +130,11 @@ class Running:
         return end.session.belongs(packet, self.clock(end.e))
 
     def _honest(self, e: str, data: bytes) -> None:
-        line = self.lines.get(e)
-        if line is None:
+        link = self.links.get(e)
+        if link is None:
             several = [data]
         else:
-            several, out = line.receive(data, AT["sm"[e == "s"]], self.clock(e))
+            several, out = link.receive(data, AT["sm"[e == "s"]], self.clock(e))
             self._go(e, [each for each, to in out if to == AT["sm"[e == "s"]]])
         for each in several:
             packet = decode(each, self.ends[e]._width)
@@ -151,9 +151,9 @@ class Running:
 
     def _turn(self, e: str) -> None:
         end, now = self.ends[e], self.clock(e)
-        session, line = end.session, self.lines.get(e)
-        if line is not None:
-            self._go(e, [data for data, _ in line.due(now)])
+        session, link = end.session, self.links.get(e)
+        if link is not None:
+            self._go(e, [data for data, _ in link.due(now)])
         self._say(e, session.due(now))
         if session.start_ns is None or session.meeting:
             return
@@ -174,11 +174,11 @@ class Running:
             self._say(e, [out.datagram], lost=is_lost(k))
 
     def _say(self, e: str, datagrams: list[bytes], *, lost: bool = False) -> None:
-        line = self.lines.get(e)
+        link = self.links.get(e)
         for data in datagrams:
             if len(self.said[e]) < 400 or data[3] > Kind.BACK:
                 self.said[e].append(data)
-            out = data if line is None else line.send(data)
+            out = data if link is None else link.send(data)
             if out is not None and not lost:
                 self._go(e, [out])
 

@@ -27,10 +27,10 @@ def test_the_answer_to_a_start_is_not_longer_than_the_start() -> None:
 def test_a_strangers_record_behind_another_breaks_no_handshake_of_the_end_that_calls(keys: list[Any]) -> None:
     """It came from an address that this end has not called, and had no need to see anything of it."""
     from teleop.protocol.secure.dtls_record import HEAD
-    from teleop.protocol.secure.line import Line
+    from teleop.protocol.secure.secure_link import SecureLink
 
-    master = Line.calling(keys[0], keys[1].fingerprint, AT["s"])
-    slave = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    master = SecureLink.calling(keys[0], keys[1].fingerprint, AT["s"])
+    slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
     alert = HEAD.pack(21, 0xFEFD, 0, 0, 9, 2) + b"\x01\x00"
     done = HEAD.pack(22, 0xFEFD, 0, 0, 9, 12) + bytes((14,)) + bytes(11)  # a ServerHelloDone before its time
     for ms in range(200):
@@ -39,8 +39,8 @@ def test_a_strangers_record_behind_another_breaks_no_handshake_of_the_end_that_c
         waiting = [("s", data) for data, _ in master.due(now)] + [("m", data) for data, _ in slave.due(now)]
         while waiting:
             e, data = waiting.pop(0)
-            line, back = (master, "s") if e == "m" else (slave, "m")
-            waiting += [(back, each) for each, _ in line.receive(data, AT[back], now)[1]]
+            link, back = (master, "s") if e == "m" else (slave, "m")
+            waiting += [(back, each) for each, _ in link.receive(data, AT[back], now)[1]]
             assert master.receive(alert + done, STRANGER, now) == ([], [])
     assert master.trouble is None
     assert master.ready

@@ -22,7 +22,7 @@ def test_no_input_that_the_fuzzer_finds_raises(
     target: str, runs: int, others: list[bytes], request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     pytest.importorskip("atheris", reason="pip install 'bilateral-teleop[fuzz]'")
-    recorded = request.getfixturevalue("recorded") if target == "line" else []
+    recorded = request.getfixturevalue("recorded") if target == "link" else []
     corpus = tmp_path / "corpus"
     corpus.mkdir()
     for i, data in enumerate(guided.seeds(target, others, recorded)):

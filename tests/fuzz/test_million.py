@@ -204,7 +204,7 @@ class AtSealed(Fire):
         for _ in range(EACH):
             name, data, address = self.hostile.shot(run.now, spoofs=run.ends[e].session.met > 0)
             self.counts[name] += 1
-            self.not_handshake += run.lines[e].ready and not (data and data[0] in (20, 22))
+            self.not_handshake += run.links[e].ready and not (data and data[0] in (20, 22))
             yield data, address
             self.hostile.answered(run.drawn, address, run.now)
 
@@ -214,25 +214,25 @@ class AtSealed(Fire):
 def test_with_keys_nothing_that_is_not_the_peers_own_comes_as_far_as_an_end(
     e: str, ticks: int, others: list[bytes], recorded: list[bytes], keys: list[Any]
 ) -> None:
-    from tests.fuzz.records import lines
+    from tests.fuzz.records import links
 
-    both = lines(keys)
-    reference = Running(fuzzed(ticks), 7, lines=lines(keys)).run()
+    both = links(keys)
+    reference = Running(fuzzed(ticks), 7, links=links(keys)).run()
     fire = AtSealed(ticks, others, recorded, keys, e)
-    run = Running(fuzzed(ticks), 7, lines=both, at=e, fire=fire, early=True).run()
+    run = Running(fuzzed(ticks), 7, links=both, at=e, fire=fire, early=True).run()
     fire.tell(f"sealed {e}")
     assert run.opened == 0
-    end, line = run.ends[e], both[e]
+    end, link = run.ends[e], both[e]
     assert dict(end.rejected) == {}
     assert end.received + run.words == run.honest
-    assert (line.associations, line.address) == (1, AT["sm"[e == "s"]])
+    assert (link.associations, link.address) == (1, AT["sm"[e == "s"]])
     assert run.digest() == reference.digest()
     # A handshake may be answered instead of being dropped; all else is counted.
-    assert sum(line.dropped.values()) >= fire.not_handshake
-    assert set(line.dropped) <= set(Dropped)
-    if line._gate is not None:
-        assert line._gate.refused is not None, "the strangers were refused for their certificate"
-        assert len(line._gate._begun) <= 8
+    assert sum(link.dropped.values()) >= fire.not_handshake
+    assert set(link.dropped) <= set(Dropped)
+    if link._gate is not None:
+        assert link._gate.refused is not None, "the strangers were refused for their certificate"
+        assert len(link._gate._begun) <= 8
     bounded(run, e)
     is_flat(fire, ticks)
 
@@ -242,8 +242,8 @@ def test_a_gate_lets_in_nobody_but_the_pinned_peer(
     ticks: int, others: list[bytes], recorded: list[bytes], keys: list[Any]
 ) -> None:
     """Every 100 ms an honest end comes to the gate, through all that is fired at it."""
+    from teleop.protocol.secure.association import Association
     from teleop.protocol.secure.gate import Gate, is_for_gate
-    from teleop.protocol.secure.tunnel import Tunnel
     from tests.fuzz.records import SECRET, HostileRecords
 
     gate = Gate(keys[1], keys[0].fingerprint, SECRET)
@@ -252,7 +252,7 @@ def test_a_gate_lets_in_nobody_but_the_pinned_peer(
     hostile.makes = (hostile.crossed, hostile.other_head, hostile.two_in_one, hostile.hello, hostile.open.flipped,
                      hostile.open.cut, hostile.open.longer, hostile.open.noise, hostile.open.record)
     fire, met, came = Fire(ticks), 0, 0
-    honest: Tunnel | None = None
+    honest: Association | None = None
     way: list[bytes] = []
     owed: Counter[Address] = Counter()  # bytes from each address, less those sent there
     for k in range(ticks):
@@ -269,7 +269,7 @@ def test_a_gate_lets_in_nobody_but_the_pinned_peer(
         if k % 100 == 0:
             met += honest is not None and honest.ready
             came += 1
-            honest = Tunnel.towards(keys[0], keys[1].fingerprint, now)
+            honest = Association.towards(keys[0], keys[1].fingerprint, now)
             way = honest.begin(now)
         assert honest is not None
         back: list[bytes] = []

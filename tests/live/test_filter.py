@@ -135,12 +135,12 @@ def test_real_sealed_datagrams_come_through(ends: Ends, tmp_path: object) -> Non
     from pathlib import Path
 
     from teleop.protocol.secure.keys import keygen, load_key
-    from teleop.protocol.secure.line import Line
+    from teleop.protocol.secure.secure_link import SecureLink
 
     keys = [load_key(keygen(Path(str(tmp_path)) / name)[0]) for name in "ms"]
     here, there = ("192.0.2.1", 1), ("192.0.2.2", 2)
-    one = Line.calling(keys[0], keys[1].fingerprint, there)
-    other = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    one = SecureLink.calling(keys[0], keys[1].fingerprint, there)
+    other = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
     attach(ends.here, program(*of_records()))
     flying = one.due(0)
     while flying:

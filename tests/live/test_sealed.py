@@ -16,8 +16,8 @@ import pytest
 from tests.live.conftest import share_received, summary
 
 pytest.importorskip("OpenSSL")
+from teleop.protocol.secure.association import Association
 from teleop.protocol.secure.keys import keygen, load_key  # (with the extra alone)
-from teleop.protocol.secure.tunnel import Tunnel
 
 pytestmark = pytest.mark.live
 SCENE = ["hard_wall", "--set", "duration=1", "--json"]
@@ -215,10 +215,10 @@ def flooded(port: int, keys: dict[str, tuple[str, str]]) -> Iterator[list[int]]:
         for sock in sockets:
             sock.connect(("127.0.0.1", port))
             sock.settimeout(1.0)
-            tunnel = Tunnel.towards(stranger, keys["slave"][1], 0)
-            (hello,) = tunnel.begin(0)
+            association = Association.towards(stranger, keys["slave"][1], 0)
+            (hello,) = association.begin(0)
             sock.send(hello)
-            (says_again,) = tunnel.receive(sock.recv(2048), 0)[1]
+            (says_again,) = association.receive(sock.recv(2048), 0)[1]
             says.append(says_again)
         while not over.wait(0.01):
             for i in range(20):

@@ -14,7 +14,7 @@ from teleop.live.net.filter import Shape, attach, detach, program
 from teleop.protocol.secure.relayed import Caller
 
 if TYPE_CHECKING:
-    from teleop.protocol.secure.line import Line, Out
+    from teleop.protocol.secure.secure_link import Out, SecureLink
 
 # Read at ticks alone, a socket wakes nobody in between, which saves a third of the processor time.
 DRAIN = 16  # datagrams taken at one tick or wake-up whatever they cost
@@ -42,16 +42,17 @@ def arrival(stamp: int, now: int, wall: int, emptied_ns: int) -> int:
 class Wire:
     """A non-blocking UDP socket with one peer. Nothing that happens on it raises into the loop.
 
-    With a `line` all that is sent is sealed, and only what its peer has sealed comes out.
+    With a `secure_link` all that is sent is sealed, and only what its peer has sealed comes out.
     """
 
-    def __init__(self, sock: socket.socket, peer: Address | None, line: Line | None = None) -> None:
+    def __init__(self, sock: socket.socket, peer: Address | None, secure_link: SecureLink | None = None) -> None:
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
         with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
-        self.sock, self.peer, self.line = sock, peer, line
-        self._caller = Caller() if line is not None and peer is not None else None  # of a relay on the way, if any
+        self.sock, self.peer, self.secure_link = sock, peer, secure_link
+        calls = secure_link is not None and peer is not None
+        self._caller = Caller() if calls else None  # of a relay on the way, if any
         self._bound: Address | None = None  # its own address and port before it was kept to the peer
         self.kept = False  # is it deaf to everybody but the peer
         self._filtered = False
@@ -88,8 +89,8 @@ class Wire:
 
     def send(self, data: bytes) -> None:
         """To the peer, if there is one yet. What the system does not take now is lost, as on any network."""
-        if self.line is not None:
-            sealed, self.peer = self.line.send(data), self.line.address
+        if self.secure_link is not None:
+            sealed, self.peer = self.secure_link.send(data), self.secure_link.address
             if sealed is None:
                 return  # there is no association yet: whatever matters is said again
             data = sealed
@@ -105,7 +106,7 @@ class Wire:
 
     def answer(self, data: bytes, address: Address) -> None:
         """Send to whoever asked, the peer or one who may become it. Sealed, there is nobody but the peer."""
-        if self.line is not None or address == self.peer:
+        if self.secure_link is not None or address == self.peer:
             self.send(data)
             return
         try:
@@ -123,21 +124,21 @@ class Wire:
         return int.from_bytes(told[4 * DROPS :], sys.byteorder) if len(told) == 4 * (DROPS + 1) else None
 
     def due(self, now: int) -> None:
-        """Send what the line has to say for itself: handshakes, and what was not answered of them."""
-        if self.line is not None:
-            self._say(self.line.due(now))
+        """Send what the secure link has due: handshakes, and what was not answered of them."""
+        if self.secure_link is not None:
+            self._say(self.secure_link.due(now))
 
     def end(self) -> None:
-        """Tell the peer's line that there is no more."""
-        if self.line is not None:
-            self._say(self.line.close())
+        """Send the alert that ends the association, if there is one."""
+        if self.secure_link is not None:
+            self._say(self.secure_link.close())
 
     def go_with(self, peer: Address | None) -> None:
         """Send to `peer` from now on; sealed, to where the peer's newest authenticated packet came from."""
-        if self.line is None:
+        if self.secure_link is None:
             self.peer = peer
-        elif self.line.address is not None and self.peer != self.line.address:
-            self.peer = self.line.address
+        elif self.secure_link.address is not None and self.peer != self.secure_link.address:
+            self.peer = self.secure_link.address
             if self.kept:
                 self.keep_to_peer()  # the filter stays
 
@@ -149,7 +150,7 @@ class Wire:
     def receive(self) -> tuple[bytes | None, Address, int] | None:
         """A datagram, where it came from and when (monotonic clock, ns), or None if there is none now.
 
-        Of one that was the line's own business, or that nobody but a stranger can have sent, there are no bytes.
+        There are no bytes of a datagram of the secure link itself, or of one that fails its authentication.
 
         Reading late does not make it late: the time is the kernel's, where it tells.
         """
@@ -168,13 +169,13 @@ class Wire:
                 seconds, nanoseconds = _TIMESPEC.unpack(note)
                 now = arrival(seconds * 1_000_000_000 + nanoseconds, now, time.time_ns(), self._emptied_ns)
         at: Address = address[:2]
-        if self.line is None:
+        if self.secure_link is None:
             return data, at, now
         if self._caller is not None and (again := self._caller.hears(data)) is not None:
             with suppress(OSError):
                 if again:
                     self.sock.sendto(again, at)
             return None, at, now
-        plain, out = self.line.receive(data, at, now)
+        plain, out = self.secure_link.receive(data, at, now)
         self._say(out)
         return plain[0] if plain else None, at, now

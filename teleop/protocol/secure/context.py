@@ -1,7 +1,7 @@
 """What OpenSSL is asked for: one version, one suite, the peer's one certificate.
 
-DTLS 1.2 and nothing else, because the resending of `tunnel` is of its handshake; ECDHE with ECDSA on AES-128-GCM and
-nothing else, because where there is nothing to choose nothing can be talked down. No compression, no tickets, no
+DTLS 1.2 and nothing else, because the resending of `association` is of its handshake; ECDHE with ECDSA on AES-128-GCM
+and nothing else, because where there is nothing to choose nothing can be talked down. No compression, no tickets, no
 resumption (each association has keys of its own), no renegotiation (a new handshake is a new association).
 
 Randomness is OpenSSL's own here, and `os.urandom`'s: keys drawn from a seed would be no keys. It is the one exception

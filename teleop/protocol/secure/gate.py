@@ -4,7 +4,7 @@ A hello is answered with a cookie (RFC 6347, 4.2.1), a digest under a secret of 
 and forgotten. The hello that comes back with its cookie has a proof beside it, a signature by the pinned key
 (`teleop.protocol.secure.proof`), and begins an association; only one with the pinned certificate comes out of the gate:
 
-    tunnel, back = gate.receive(datagram, address, now)
+    association, back = gate.receive(datagram, address, now)
 
 What senders without that key can use up is processor time. A cookie costs 10 us. A signature costs 0.1 ms to look at,
 so only one in `CHECKED_NS` is looked at of each address, and 1,000 a second of all together. Senders from fewer than a
@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 
 from OpenSSL import SSL
 
+from teleop.protocol.secure.association import LIMIT_NS, Association, another_certificate
 from teleop.protocol.secure.context import connection, context
 from teleop.protocol.secure.dtls_record import (
     ALERT,
@@ -46,7 +47,6 @@ from teleop.protocol.secure.dtls_record import (
 )
 from teleop.protocol.secure.keys import Key
 from teleop.protocol.secure.proof import Verifier
-from teleop.protocol.secure.tunnel import LIMIT_NS, Tunnel, another_certificate
 
 Where = tuple[str, int]
 
@@ -63,7 +63,7 @@ def is_for_gate(datagram: bytes) -> bool:
 
 
 class _Begun(NamedTuple):
-    tunnel: Tunnel
+    association: Association
     random: bytes  # of the hello it answers
     at_ns: int
 
@@ -85,7 +85,7 @@ class Gate:
         self._free_ns: int | None = None  # when the time of all that were looked at is made up for
         self._verifier = Verifier(peer)
 
-    def receive(self, datagram: bytes, address: Where, now: int) -> tuple[Tunnel | None, list[bytes]]:
+    def receive(self, datagram: bytes, address: Where, now: int) -> tuple[Association | None, list[bytes]]:
         """Take a datagram of a handshake; the association that it completes, and what to send back to `address`."""
         found = records(datagram)
         if found is None:
@@ -102,16 +102,16 @@ class Gate:
 
     def _go_on(
         self, begun: _Begun, datagram: bytes, address: Where, now: int
-    ) -> tuple[Tunnel | None, list[bytes]]:
-        tunnel = begun.tunnel
-        _, back = tunnel.receive(datagram, now)
-        if tunnel.ready or tunnel.failure is not None:
+    ) -> tuple[Association | None, list[bytes]]:
+        association = begun.association
+        _, back = association.receive(datagram, now)
+        if association.ready or association.failure is not None:
             del self._begun[address]
-            self.dropped += tunnel.dropped
-        if tunnel.failure is not None:
-            self.refused = tunnel.failure
+            self.dropped += association.dropped
+        if association.failure is not None:
+            self.refused = association.failure
             return None, back
-        return tunnel if tunnel.ready else None, back
+        return association if association.ready else None, back
 
     def _greet(self, hello: Record, behind: list[Record], came: int, address: Where, now: int) -> list[bytes]:
         """Answer a hello: with a cookie, or if it has brought a good one and its proof with an association."""
@@ -167,10 +167,10 @@ class Gate:
                 del self._begun[where]
         while len(self._begun) >= MOST_BEGUN:
             del self._begun[next(iter(self._begun))]
-        tunnel = Tunnel(accepted, self._peer, now)
-        self._begun[address] = _Begun(tunnel, hello.random, now)
+        association = Association(accepted, self._peer, now)
+        self._begun[address] = _Begun(association, hello.random, now)
         # The client has seen numbers up to its own: a cookie goes out under the number of its hello.
-        return tunnel.begin(now, first=hello.number + 1, credit=came)
+        return association.begin(now, first=hello.number + 1, credit=came)
 
 
 def _forget(kept: dict[Any, int], before: int) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from channel.link import parse_link
 from channel.schedule import Stream
+from teleop.protocol.secure.association import Association
 from teleop.protocol.secure.gate import Gate, is_for_gate
 from teleop.protocol.secure.keys import Key, keygen, load_key
-from teleop.protocol.secure.tunnel import Tunnel
 
 MS = 1_000_000
 AT = ("192.0.2.1", 4000)
@@ -23,8 +23,8 @@ class Met(NamedTuple):
     """What a meeting came to."""
 
     took: int  # ms
-    master: Tunnel
-    slave: Tunnel | None
+    master: Association
+    slave: Association | None
     gate: Gate
 
 
@@ -39,7 +39,7 @@ class Meeting(NamedTuple):
     seed: int
 
     def __call__(self) -> Met:
-        master, slave = Tunnel.towards(self.mine, self.master_expects, 0), None
+        master, slave = Association.towards(self.mine, self.master_expects, 0), None
         gate = Gate(self.theirs, self.slave_expects, SECRET)
         forth, back = (Stream(parse_link(self.link), way, self.seed, 1200) for way in (0, 1))
 
@@ -67,8 +67,8 @@ class Meeting(NamedTuple):
 class Pair(NamedTuple):
     """Two ends that have met."""
 
-    master: Tunnel
-    slave: Tunnel
+    master: Association
+    slave: Association
 
 
 @pytest.fixture(scope="session")

@@ -10,12 +10,12 @@ import pytest
 
 from channel.link import parse_link
 from channel.schedule import Stream
+from teleop.protocol.secure.association import Association
 from teleop.protocol.secure.dtls_record import HEAD, MTU, Record, records
 from teleop.protocol.secure.gate import BURST, CHECK_NS, CHECKED_NS, Gate
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.line import Line
 from teleop.protocol.secure.proof import Verifier
-from teleop.protocol.secure.tunnel import Tunnel
+from teleop.protocol.secure.secure_link import SecureLink
 
 MS, S = 1_000_000, 1_000_000_000
 HOME, SLAVE = ("192.0.2.1", 4000), ("192.0.2.2", 9001)
@@ -30,15 +30,15 @@ class Hostile:
     def __init__(self, keys: list[Key], addresses: list[Where], seen: bytes, seed: int) -> None:
         self.keys, self.addresses, self.seen, self.dice = keys, addresses, seen, Random(seed)
         self.hellos: deque[tuple[Where, bytes]] = deque(maxlen=2000)  # with good cookies, each at its address
-        self.calls: dict[Where, Tunnel] = {}
+        self.calls: dict[Where, Association] = {}
 
-    def shot(self, slave: Line, now: int) -> None:
+    def shot(self, slave: SecureLink, now: int) -> None:
         """One datagram to the slave, and what it answers."""
         kind = self.dice.randrange(5) if self.hellos else 0
         address, hello = self.dice.choice(self.hellos) if kind else (self.dice.choice(self.addresses), b"")
         data = {1: hello, 2: self._borrowed(hello), 3: self._forged(hello), 4: self._last(hello)}.get(kind)
         if data is None:
-            call = self.calls[address] = Tunnel.towards(self.keys[2], self.keys[1].fingerprint, now)
+            call = self.calls[address] = Association.towards(self.keys[2], self.keys[1].fingerprint, now)
             (data,) = call.begin(now)
         for reply, at in slave.receive(data, address, now)[1]:
             for again in self.calls[at].receive(reply, now)[1] if at in self.calls else []:
@@ -65,8 +65,8 @@ def _parts(datagram: bytes) -> list[Record]:
 
 def seen_once(keys: list[Key]) -> bytes:
     """The hello with its cookie by which the pinned master came in at another time."""
-    master = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
-    slave = Line.listening(keys[1], keys[0].fingerprint, bytes(reversed(range(32))))
+    master = Association.towards(keys[0], keys[1].fingerprint, 0)
+    slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(reversed(range(32))))
     ((cookie, _),) = slave.receive(master.begin(0)[0], HOME, 0)[1]
     return master.receive(cookie, 0)[1][0]
 
@@ -78,10 +78,10 @@ class Flooded:
         self, keys: list[Key], addresses: list[Where], seed: int, *, rate: int = RATE, link: str = "delay(0.05)",
         observed: bool = False,
     ) -> None:
-        self.slave = Line.listening(keys[1], keys[0].fingerprint, bytes(range(32)))
+        self.slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(range(32)))
         self.hostile = Hostile(keys, addresses, seen_once(keys), seed)
         self.most_begun = 0
-        master = Line.calling(keys[0], keys[1].fingerprint, SLAVE)
+        master = SecureLink.calling(keys[0], keys[1].fingerprint, SLAVE)
         ways = [Stream(parse_link(link), way, seed, MTU) for way in (0, 1)]
         self.took: float | None = None  # from the master's first hello until both ends were ready, s
         for ms in range(8000):
@@ -100,7 +100,7 @@ class Flooded:
         for at in sorted(shots):
             self.hostile.shot(self.slave, at)
 
-    def _call(self, master: Line, ways: list[Stream], now: int, *, observed: bool) -> None:
+    def _call(self, master: SecureLink, ways: list[Stream], now: int, *, observed: bool) -> None:
         """What goes to and fro between the two ends; `observed`: each of the master's datagrams comes twice."""
         for data, _ in master.due(now):
             ways[0].send(ways[0].sent, now, data)
@@ -156,7 +156,7 @@ def test_signatures_that_are_looked_at_are_bounded_in_time(keys: list[Key], monk
     looked: list[int] = []
     look = Verifier.is_good
     monkeypatch.setattr(Verifier, "is_good", lambda self, *a: (looked.append(1), look(self, *a))[1])
-    slave = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
     hostile = Hostile(keys, [(f"198.51.100.{i % 200}", 1024 + i) for i in range(300)], seen_once(keys), 1)
     while len({at for at, _ in hostile.hellos}) < 200:
         hostile.shot(slave, 0)

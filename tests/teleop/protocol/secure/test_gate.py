@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
+from teleop.protocol.secure.association import LIMIT_NS, Association
 from teleop.protocol.secure.dtls_record import HEAD, MTU, Dropped, records
 from teleop.protocol.secure.gate import CHECKED_NS, MOST_BEGUN, Gate, is_for_gate
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.tunnel import LIMIT_NS, Tunnel
 
 MS = 1_000_000
 S = 1000 * MS
@@ -25,36 +25,36 @@ def gate(keys: list[Key]) -> Gate:
 
 
 @pytest.fixture
-def master(keys: list[Key]) -> Callable[[], tuple[Tunnel, bytes]]:
+def master(keys: list[Key]) -> Callable[[], tuple[Association, bytes]]:
     """`master()`: the pinned master anew, and its hello."""
 
-    def begun() -> tuple[Tunnel, bytes]:
-        tunnel = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
-        (hello,) = tunnel.begin(0)
-        return tunnel, hello
+    def begun() -> tuple[Association, bytes]:
+        association = Association.towards(keys[0], keys[1].fingerprint, 0)
+        (hello,) = association.begin(0)
+        return association, hello
 
     return begun
 
 
-Master = Callable[[], tuple[Tunnel, bytes]]
+Master = Callable[[], tuple[Association, bytes]]
 
 
-def with_cookie(gate: Gate, begun: tuple[Tunnel, bytes], at: tuple[str, int] = AT, now: int = 0) -> bytes:
+def with_cookie(gate: Gate, begun: tuple[Association, bytes], at: tuple[str, int] = AT, now: int = 0) -> bytes:
     """The hello that comes back with its cookie."""
-    tunnel, hello = begun
+    association, hello = begun
     (cookie,) = gate.receive(hello, at, now)[1]
-    (again,) = tunnel.receive(cookie, 0)[1]
+    (again,) = association.receive(cookie, 0)[1]
     return again
 
 
-def let_in(gate: Gate, begun: tuple[Tunnel, bytes], at: tuple[str, int] = AT, now: int = 0) -> Tunnel:
+def let_in(gate: Gate, begun: tuple[Association, bytes], at: tuple[str, int] = AT, now: int = 0) -> Association:
     """Through the gate, at once."""
     (flight,) = gate.receive(with_cookie(gate, begun, at, now), at, now)[1]
     (proof,) = begun[0].receive(flight, 0)[1]
-    tunnel, (last,) = gate.receive(proof, at, now)
-    assert tunnel is not None
+    association, (last,) = gate.receive(proof, at, now)
+    assert association is not None
     begun[0].receive(last, 0)
-    return tunnel
+    return association
 
 
 class TestAStranger:
@@ -141,7 +141,7 @@ class TestAStranger:
         assert gate.dropped == {Dropped.FORGED: 1}
 
     def test_is_told_of_a_certificate_that_is_not_the_pinned_one(self, gate: Gate, keys: list[Key]) -> None:
-        stranger = Tunnel.towards(keys[2], keys[1].fingerprint, 0)
+        stranger = Association.towards(keys[2], keys[1].fingerprint, 0)
         begun = stranger, stranger.begin(0)[0]
         (alert,) = gate.receive(with_cookie(gate, begun), AT, 0)[1]
         assert len(alert) == 15

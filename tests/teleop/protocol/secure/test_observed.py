@@ -12,7 +12,7 @@ import pytest
 from channel.link import parse_link
 from channel.schedule import Stream
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.line import Line
+from teleop.protocol.secure.secure_link import SecureLink
 
 MS = 1_000_000
 HOME, AWAY, SLAVE = ("192.0.2.1", 4000), ("198.51.100.7", 5000), ("192.0.2.2", 9001)
@@ -40,33 +40,33 @@ class Observed:
         self.start_slave()
 
     def start_master(self) -> None:
-        self.master = Line.calling(self.keys[0], self.keys[1].fingerprint, SLAVE)
+        self.master = SecureLink.calling(self.keys[0], self.keys[1].fingerprint, SLAVE)
 
     def start_slave(self) -> None:
-        self.slave = Line.listening(self.keys[1], self.keys[0].fingerprint, bytes(32))
+        self.slave = SecureLink.listening(self.keys[1], self.keys[0].fingerprint, bytes(32))
 
     def run(self, ms: int) -> None:
         for _ in range(ms // STEP):
-            for way, line, name in ((0, self.master, "master"), (1, self.slave, "slave")):
+            for way, link, name in ((0, self.master, "master"), (1, self.slave, "slave")):
                 if name != self.dead:
-                    self._go(way, line.due(self.now))
-                    data = line.send((self.now // MS).to_bytes(4, "big") + bytes(96))
+                    self._go(way, link.due(self.now))
+                    data = link.send((self.now // MS).to_bytes(4, "big") + bytes(96))
                     if data is not None:
                         self.sent[way].append(self.now // MS)
-                        self._go(way, [(data, line.address)])
-            for way, line, name in ((0, self.slave, "slave"), (1, self.master, "master")):
+                        self._go(way, [(data, link.address)])
+            for way, link, name in ((0, self.slave, "slave"), (1, self.master, "master")):
                 at, theirs = (BACK, SLAVE) if way else (FORTH, self.from_)
                 for arrived in self.ways[way].deliver(self.now):
                     if name != self.dead:
                         for source in [at] * self.copies + [theirs]:
-                            self._take(way, line, arrived.load, source)
+                            self._take(way, link, arrived.load, source)
                 passed, self.passed[way] = self.passed[way], []
                 for data in passed if name != self.dead else []:
-                    self._take(way, line, data, at)
+                    self._take(way, link, data, at)
             self.now += STEP * MS
 
-    def _take(self, way: int, line: Line, data: bytes, source: Any) -> None:
-        plain, back = line.receive(data, source, self.now)
+    def _take(self, way: int, link: SecureLink, data: bytes, source: Any) -> None:
+        plain, back = link.receive(data, source, self.now)
         self.came[1 - way] += [int.from_bytes(one[:4], "big") for one in plain]
         self._go(1 - way, back)
 

@@ -10,18 +10,18 @@ pytest.importorskip("OpenSSL")
 from channel.cookie import SLOT_NS, Cookies
 from teleop.protocol.secure.dtls_record import MTU, records
 from teleop.protocol.secure.keys import keygen, load_key
-from teleop.protocol.secure.line import Line
 from teleop.protocol.secure.relayed import EXTRA, Caller, cookie_of, is_shown, shown, without
+from teleop.protocol.secure.secure_link import SecureLink
 
 RELAY, MASTER, MS = ("192.0.2.9", 9000), ("192.0.2.1", 4000), 1_000_000
 
 
 def test_a_handshake_goes_through_a_relay_that_asks_for_its_cookie(tmp_path: Path) -> None:
-    """One round trip more on the master's side; what reaches the slave is what the master's own line has sent."""
+    """One round trip more on the master's side; what reaches the slave is what the master's own link has sent."""
     made = {name: keygen(tmp_path / name) for name in ("master", "slave")}
     keys = {name: load_key(str(path)) for name, (path, _) in made.items()}
-    master = Line.calling(keys["master"], made["slave"][1], RELAY)
-    slave = Line.listening(keys["slave"], made["master"][1], bytes(32))
+    master = SecureLink.calling(keys["master"], made["slave"][1], RELAY)
+    slave = SecureLink.listening(keys["slave"], made["master"][1], bytes(32))
     caller, cookies, now = Caller(), Cookies(b"k" * 32), 10**12
     asked = 0
     to_slave: list[bytes] = []

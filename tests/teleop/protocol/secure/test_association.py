@@ -20,10 +20,10 @@ from OpenSSL import SSL
 from channel.link import parse_link
 from channel.schedule import Stream
 from teleop.protocol.packet import Kind, Packet, encode
+from teleop.protocol.secure.association import AGAIN_NS, LIMIT_NS, MOST, Association
 from teleop.protocol.secure.dtls_record import CHANGE, DATA, HANDSHAKE, HEAD, MTU, OVERHEAD, WINDOW, Dropped, records
 from teleop.protocol.secure.gate import Gate
 from teleop.protocol.secure.keys import Key, fingerprint
-from teleop.protocol.secure.tunnel import AGAIN_NS, LIMIT_NS, MOST, Tunnel
 
 MS = 1_000_000
 AT = ("192.0.2.1", 4000)
@@ -32,11 +32,11 @@ Meet = Callable[..., Any]
 Associated = Callable[[], Any]
 
 
-def sealed(end: Tunnel, *plain: bytes) -> list[bytes]:
+def sealed(end: Association, *plain: bytes) -> list[bytes]:
     return [data for data in map(end.send, plain) if data is not None]
 
 
-def opened(end: Tunnel, datagrams: list[bytes]) -> list[bytes]:
+def opened(end: Association, datagrams: list[bytes]) -> list[bytes]:
     return [plain for data in datagrams for plain in end.receive(data, 0)[0]]
 
 
@@ -79,7 +79,8 @@ class TestTheHandshake:
         self, keys: list[Key], first: tuple[int, ...]
     ) -> None:
         """A record in the clear that was passed over, and came again under its old number, would be a replay."""
-        master, gate = Tunnel.towards(keys[0], keys[1].fingerprint, 0), Gate(keys[1], keys[0].fingerprint, bytes(32))
+        master = Association.towards(keys[0], keys[1].fingerprint, 0)
+        gate = Gate(keys[1], keys[0].fingerprint, bytes(32))
         (cookie,) = [reply for hello in master.begin(0) for reply in gate.receive(hello, AT, 0)[1]]
         (flight,) = [reply for hello in master.receive(cookie, 0)[1] for reply in gate.receive(hello, AT, 0)[1]]
         (proof,) = master.receive(flight, 0)[1]
@@ -95,7 +96,7 @@ class TestTheHandshake:
         assert opened(slave, sealed(master, b"x")) == [b"x"]
 
     def test_nobody_at_home_is_a_failure_with_a_sentence(self, keys: list[Key]) -> None:
-        alone = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+        alone = Association.towards(keys[0], keys[1].fingerprint, 0)
         alone.begin(0)
         sent = [data for t in range(6000) for data in alone.due(t * MS)]
         assert alone.failure == "no association came about in 5 s"
@@ -104,7 +105,7 @@ class TestTheHandshake:
         assert alone.send(b"x") is None
 
     def test_forged_alerts_do_not_end_it(self, keys: list[Key], meet: Meet) -> None:
-        master = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+        master = Association.towards(keys[0], keys[1].fingerprint, 0)
         master.begin(0)
         alert = HEAD.pack(21, 0xFEFD, 0, 0, 9, 2) + bytes((2, 42))
         assert master.receive(alert, 0) == ([], [])
@@ -155,7 +156,7 @@ class TestWhoIsLetIn:
     def test_the_pinned_certificate_without_its_key_does_not_do(self, keys: list[Key]) -> None:
         thief = Key(fingerprint=keys[0].fingerprint, private=keys[2].private, certificate=keys[0].certificate)
         with pytest.raises(SSL.Error):  # it is not even possible with this library
-            Tunnel.towards(thief, keys[1].fingerprint, 0)
+            Association.towards(thief, keys[1].fingerprint, 0)
 
     def test_a_certificate_that_has_run_out_is_as_good_as_any(self, keys: list[Key], meet: Meet) -> None:
         old = under_the_name_of(keys[0])
@@ -168,9 +169,9 @@ class TestWhoIsLetIn:
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("teleop.protocol.secure.context.SSL.Context", Bare)
-            bare = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+            bare = Association.towards(keys[0], keys[1].fingerprint, 0)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Tunnel, "towards", lambda *_: bare)
+            patch.setattr(Association, "towards", lambda *_: bare)
             met = meet()
         assert met.slave is None
         assert "peer did not return a certificate" in met.gate.refused
@@ -255,7 +256,7 @@ class TestDatagrams:
         assert opened(other, [b"".join(sealed(one, b"a", b"b", b"c"))]) == [b"a", b"b", b"c"]
 
     def test_before_the_association_there_is_nothing_to_send_or_open(self, keys: list[Key]) -> None:
-        early = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+        early = Association.towards(keys[0], keys[1].fingerprint, 0)
         early.begin(0)
         assert early.send(b"x") is None
         assert early.receive(HEAD.pack(DATA, 0xFEFD, 1, 0, 1, 30) + bytes(30), 0) == ([], [])
@@ -287,7 +288,7 @@ class TestStrangers:
         self, keys: list[Key], associated: Associated
     ) -> None:
         one, other = associated()
-        hello = Tunnel.towards(keys[2], keys[1].fingerprint, 0).begin(0)
+        hello = Association.towards(keys[2], keys[1].fingerprint, 0).begin(0)
         alert = HEAD.pack(21, 0xFEFD, 0, 0, 9, 2) + bytes((2, 40))
         for end in (one, other):
             assert [end.receive(data, 0) for data in (*hello, alert)] == [([], []), ([], [])]
@@ -329,7 +330,7 @@ class TestStrangers:
         """It is read before its sender has proved anything."""
         ends = set()
         for at in range(105, 425):
-            master = Tunnel.towards(keys[0], keys[1].fingerprint, 0)
+            master = Association.towards(keys[0], keys[1].fingerprint, 0)
             gate = Gate(keys[1], keys[0].fingerprint, bytes(32))
             (cookie,) = [reply for hello in master.begin(0) for reply in gate.receive(hello, AT, 0)[1]]
             (flight,) = [reply for hello in master.receive(cookie, 0)[1] for reply in gate.receive(hello, AT, 0)[1]]
@@ -359,7 +360,7 @@ class TestStrangers:
     @pytest.mark.parametrize("seed", range(150))
     def test_a_handshake_under_fire_never_raises_and_never_lets_in(self, keys: list[Key], seed: int) -> None:
         dice = Random(seed)
-        master, slave = Tunnel.towards(keys[0], keys[1].fingerprint, 0), None
+        master, slave = Association.towards(keys[0], keys[1].fingerprint, 0), None
         gate = Gate(keys[1], keys[0].fingerprint, bytes(32))
         flying = [(0, one) for one in master.begin(0)]
         for step in range(15):

@@ -1,10 +1,10 @@
 """One association of two ends: datagrams and `now` go in, what they carry and datagrams to send come out. Sans-IO.
 
-    tunnel = Tunnel.towards(key, peer, now)    # the end that begins; the other's comes out of a `Gate`
-    datagrams = tunnel.begin(now)
-    plain, back = tunnel.receive(datagram, now)
-    datagram = tunnel.send(plain)              # None before it is ready
-    datagrams = tunnel.due(now)                # what was not answered, again; ask every few ms until it is ready
+    association = Association.towards(key, peer, now)  # the end that begins; the other's comes out of a `Gate`
+    datagrams = association.begin(now)
+    plain, back = association.receive(datagram, now)
+    datagram = association.send(plain)  # None before it is ready
+    datagrams = association.due(now)         # unanswered records again; called every few ms until it is ready
 
 Nothing that a peer or a stranger sends raises. A record that is not taken is counted in `dropped` by its cause; an
 association that ends has a sentence in `failure`, and another one has to be begun.
@@ -47,7 +47,7 @@ _ENOUGH = 65_536  # bytes: more than OpenSSL ever has to say at once
 _UNTRUSTED = (42, 43, 44, 45, 46, 48)  # alerts about a certificate
 
 
-class Tunnel:
+class Association:
     """One DTLS association, from its first hello to its end.
 
     `ready`: both ends are authenticated. `confirmed`: and the other end knows, for it has sent data. `failure`: why
@@ -73,7 +73,7 @@ class Tunnel:
         self._credit = 0  # bytes that came in less those that went out, before the peer is known
 
     @classmethod
-    def towards(cls, key: Key, peer: str, now: int) -> Tunnel:
+    def towards(cls, key: Key, peer: str, now: int) -> Association:
         """One that this end begins, with the end whose certificate has the fingerprint `peer`."""
         tls = connection(context(key, peer))
         tls.set_connect_state()

@@ -9,10 +9,10 @@ import pytest
 
 from channel.link import parse_link
 from channel.schedule import Stream
+from teleop.protocol.secure.association import AGAIN_NS
 from teleop.protocol.secure.dtls_record import OVERHEAD, VERIFY_REQUEST, Dropped, records
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.line import SILENT_NS, Line
-from teleop.protocol.secure.tunnel import AGAIN_NS
+from teleop.protocol.secure.secure_link import SILENT_NS, SecureLink
 
 MS = 1_000_000
 OTHER_SLAVE, ANY, LOOPBACK = ("192.0.2.3", 9001), ("0.0.0.0", 9001), ("127.0.0.1", 9001)
@@ -34,30 +34,30 @@ class World:
         self.start_slave()
 
     def start_master(self) -> None:
-        self.master = Line.calling(self.keys[0], self.keys[1].fingerprint, SLAVE)
+        self.master = SecureLink.calling(self.keys[0], self.keys[1].fingerprint, SLAVE)
 
     def start_slave(self) -> None:
-        self.slave = Line.listening(self.keys[1], self.keys[0].fingerprint, bytes(32))
+        self.slave = SecureLink.listening(self.keys[1], self.keys[0].fingerprint, bytes(32))
 
     def run(self, ms: int, *, dead: str = "") -> None:
         """Go on for a time; the end that is `dead` neither sends nor hears."""
         for _ in range(ms // STEP):
-            for way, line, name in ((0, self.master, "master"), (1, self.slave, "slave")):
+            for way, link, name in ((0, self.master, "master"), (1, self.slave, "slave")):
                 if name != dead:
-                    self._go(way, [*line.due(self.now), *self._packet(way, line)])
-            for way, line, name in ((0, self.slave, "slave"), (1, self.master, "master")):
+                    self._go(way, [*link.due(self.now), *self._packet(way, link)])
+            for way, link, name in ((0, self.slave, "slave"), (1, self.master, "master")):
                 for arrived in self.ways[way].deliver(self.now):
                     if name != dead:
-                        plain, back = line.receive(arrived.load, self.answers if way else self.from_, self.now)
+                        plain, back = link.receive(arrived.load, self.answers if way else self.from_, self.now)
                         self.came[1 - way] += [(self.now // MS, int.from_bytes(one[:4], "big")) for one in plain]
                         self._go(1 - way, back)
             self.now += STEP * MS
 
-    def _packet(self, way: int, line: Line) -> list[Any]:
+    def _packet(self, way: int, link: SecureLink) -> list[Any]:
         number = self.now // MS
-        data = line.send(number.to_bytes(4, "big") + bytes(96))
+        data = link.send(number.to_bytes(4, "big") + bytes(96))
         self.sent[way] += [] if data is None else [number]
-        return [] if data is None else [(data, line.address)]
+        return [] if data is None else [(data, link.address)]
 
     def _go(self, way: int, out: list[Any]) -> None:
         for data, at in out:
@@ -97,8 +97,8 @@ def test_new_keys_cost_not_a_packet(world: Callable[..., World], seed: int) -> N
     for end in (0, 1):
         sent = [number for number in two.sent[1 - end] if 300 <= number < 1500]
         assert set(sent) <= {number for _, number in two.came[end]}
-    for line in (two.master, two.slave):  # flights that came again, and at first data that overtook the last one
-        assert set(line.dropped) <= {Dropped.EPOCH, Dropped.EARLY}
+    for link in (two.master, two.slave):  # flights that came again, and at first data that overtook the last one
+        assert set(link.dropped) <= {Dropped.EPOCH, Dropped.EARLY}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -165,7 +165,7 @@ def test_a_slave_that_answers_from_another_address_than_was_called_is_met(world:
     assert two.master.address == OTHER_SLAVE
 
 
-def answers(slave: Line, said: list[Any]) -> list[bytes]:
+def answers(slave: SecureLink, said: list[Any]) -> list[bytes]:
     """What the slave has to say to what came from home."""
     return [data for asked, _ in said for data, _ in slave.receive(asked, HOME, 0)[1]]
 
@@ -174,8 +174,8 @@ def test_a_handshake_that_the_called_address_does_not_answer_is_heard_from_where
     keys: list[Key]
 ) -> None:
     """And goes on to where it was called: the way that the hello took is the one that its cookie is for."""
-    master = Line.calling(keys[0], keys[1].fingerprint, SLAVE)
-    slave = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
+    master = SecureLink.calling(keys[0], keys[1].fingerprint, SLAVE)
+    slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
     (early,) = answers(slave, master.due(0))
     assert master.receive(early, OTHER_SLAVE, MS) == ([], [])
     now = MS + AGAIN_NS
@@ -220,8 +220,8 @@ def test_an_observer_who_answers_first_and_wrongly_does_not_come_into_a_handshak
 
 def test_any_address_of_this_machine_is_its_first(keys: list[Key]) -> None:
     """Who sends to 0.0.0.0 is answered from there."""
-    line = Line.calling(keys[0], keys[1].fingerprint, ANY)
-    assert [at for _, at in line.due(0)] == [LOOPBACK]
+    link = SecureLink.calling(keys[0], keys[1].fingerprint, ANY)
+    assert [at for _, at in link.due(0)] == [LOOPBACK]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -232,8 +232,8 @@ def test_a_stranger_who_does_not_see_the_hello_changes_nothing(
     """It answers as the slave would, all the time and from all over, with good cookies that it was given itself."""
     two, quiet = world("delay(0.05) | uniform(0.02)", seed), world("delay(0.05) | uniform(0.02)", seed)
     two.answers = quiet.answers = there
-    theirs = Line.listening(keys[2], keys[0].fingerprint, bytes(32))
-    own = Line.calling(keys[0], keys[2].fingerprint, SLAVE)
+    theirs = SecureLink.listening(keys[2], keys[0].fingerprint, bytes(32))
+    own = SecureLink.calling(keys[0], keys[2].fingerprint, SLAVE)
     ((asked, _),) = own.due(0)
     _, ((request, _),) = theirs.receive(asked, HOME, 0)
     _, ((again, _),) = own.receive(request, SLAVE, 0)
@@ -319,7 +319,7 @@ def test_what_is_no_record_of_the_peers_raises_no_question_wherever_it_comes_fro
 def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], keys: list[Key]) -> None:
     two = world()
     two.run(1000)
-    stranger = Line.calling(keys[2], keys[1].fingerprint, SLAVE)
+    stranger = SecureLink.calling(keys[2], keys[1].fingerprint, SLAVE)
     now = two.now
     for i in range(3000):
         flying = [(data, AWAY) for data, _ in stranger.due(now + i * MS)]
@@ -362,8 +362,8 @@ def test_a_farewell_ends_it_and_the_caller_begins_anew(world: Callable[..., Worl
 
 
 def test_before_anybody_came_there_is_nobody_to_send_to(keys: list[Key]) -> None:
-    line = Line.listening(keys[1], keys[0].fingerprint, bytes(32))
-    assert line.address is None
-    assert line.send(b"x") is None
-    assert line.due(0) == line.close() == line.renew(0) == []
-    assert line.receive(b"\x17" + bytes(OVERHEAD), HOME, 0) == ([], [])
+    link = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
+    assert link.address is None
+    assert link.send(b"x") is None
+    assert link.due(0) == link.close() == link.renew(0) == []
+    assert link.receive(b"\x17" + bytes(OVERHEAD), HOME, 0) == ([], [])

@@ -1,10 +1,10 @@
-"""One end's line to its peer, over as many associations as it takes. Sans-IO.
+"""One end's sealed link to its peer, over as many associations (DTLS 1.2, RFC 6347) as it takes. Sans-IO.
 
-    line = Line.calling(key, peer, address)     # the end that begins
-    line = Line.listening(key, peer, secret)    # the end that waits
-    plain, back = line.receive(datagram, address, now)
-    datagram = line.send(plain)                 # to line.address; None: not now
-    back = line.due(now)                        # every few ms; `back`: (datagram, address) to send
+    link = SecureLink.calling(key, peer, address)   # the end that begins
+    link = SecureLink.listening(key, peer, secret)  # the end that waits
+    plain, back = link.receive(datagram, address, now)
+    datagram = link.send(plain)                     # to link.address; None: not now
+    back = link.due(now)                            # every few ms; `back`: (datagram, address) to send
 
 Three associations at most: the one in use, the one that is coming, and the one before, which still opens what was
 under way when the keys changed. The one in use goes on until the coming one is authenticated, so that nobody without
@@ -25,13 +25,13 @@ from __future__ import annotations
 
 from collections import Counter
 
+from teleop.protocol.secure.association import AGAIN_NS, LIMIT_NS, Association
 from teleop.protocol.secure.context import first_number
 from teleop.protocol.secure.data import ANSWER, CHALLENGE
 from teleop.protocol.secure.dtls_record import Dropped, records
 from teleop.protocol.secure.gate import Gate, Where, is_for_gate
 from teleop.protocol.secure.keys import Key
 from teleop.protocol.secure.path import TOKEN, Challenge, Path
-from teleop.protocol.secure.tunnel import AGAIN_NS, LIMIT_NS, Tunnel
 
 SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
 STUCK_NS = 2_000_000_000  # a handshake without an answer for so long is with a peer that is no more
@@ -42,8 +42,8 @@ _ANY, _OWN = "0.0.0.0", "127.0.0.1"  # who calls any address of this machine is 
 Out = tuple[bytes, Where]
 
 
-class Line:
-    """One end's line to the end whose certificate is pinned. Nothing that comes in raises.
+class SecureLink:
+    """One end's link to the end whose certificate is pinned. Nothing that comes in raises.
 
     `trouble`: what went wrong last, a sentence. `associations`: how many there were, all authenticated.
     `fingerprint`: this end's own.
@@ -53,8 +53,8 @@ class Line:
         self.associations, self.fingerprint = 0, key.fingerprint
         self.trouble: str | None = None
         self._key, self._peer, self._gate = key, peer, gate
-        self._use: Tunnel | None = None
-        self._coming: Tunnel | None = None
+        self._use: Association | None = None
+        self._coming: Association | None = None
         self._path = Path(address)
         self._called = address  # by the end that calls
         self._coming_at: Where | None = address  # where its flights go
@@ -64,7 +64,7 @@ class Line:
         self._tries = 0  # handshakes begun since the last one that was finished
         self._size = TOKEN  # bytes of the last packet
         self._first = 0  # the number of its first hello
-        self._old: Tunnel | None = None
+        self._old: Association | None = None
         self._retired: Counter[str] = Counter()  # what was dropped by those that are gone
         self._changed = 0  # when the one in use came into use
         self._heard = 0  # when something was last opened
@@ -72,13 +72,13 @@ class Line:
         self._answered = 0  # when the one that is coming was last answered
 
     @classmethod
-    def calling(cls, key: Key, peer: str, address: Where) -> Line:
+    def calling(cls, key: Key, peer: str, address: Where) -> SecureLink:
         """The end that begins; the first `due` does."""
         host, port = address
         return cls(key, peer, (_OWN if host == _ANY else host, port), None)
 
     @classmethod
-    def listening(cls, key: Key, peer: str, secret: bytes) -> Line:
+    def listening(cls, key: Key, peer: str, secret: bytes) -> SecureLink:
         """The end that waits. `secret`: 32 random bytes of this process."""
         return cls(key, peer, None, Gate(key, peer, secret))
 
@@ -101,7 +101,7 @@ class Line:
     def dropped(self) -> Counter[str]:
         """What was not taken, by cause."""
         gate = Counter() if self._gate is None else self._gate.dropped
-        there = [tunnel.dropped for tunnel in (self._use, self._coming, self._old) if tunnel is not None]
+        there = [association.dropped for association in (self._use, self._coming, self._old) if association is not None]
         return sum([gate, *there], self._retired)
 
     def send(self, plain: bytes) -> bytes | None:
@@ -119,20 +119,20 @@ class Line:
         if not there:
             self._retired[Dropped.EARLY] += 1
         before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
-        for i, tunnel in enumerate(there):
-            plain = tunnel.receive(datagram, now)[0]
-            if plain or tunnel.words:
+        for i, association in enumerate(there):
+            plain = association.receive(datagram, now)[0]
+            if plain or association.words:
                 for missed, dropped in zip(there[:i], before, strict=False) if i else ():
                     missed.dropped = dropped  # it was only meant for another one
-                if tunnel is self._coming:
+                if association is self._coming:
                     self._change(now)
                 self._heard = now
-                known = not tunnel.words and not self._path.matters(address, now)
-                return plain, [] if known else self._genuine(tunnel, address, now)
-            if tunnel.failure is not None:
-                self._ended(tunnel)
-        for tunnel, dropped in zip(there[1:], before[1:], strict=False):
-            tunnel.dropped = dropped  # one datagram counts once
+                known = not association.words and not self._path.matters(address, now)
+                return plain, [] if known else self._genuine(association, address, now)
+            if association.failure is not None:
+                self._ended(association)
+        for association, dropped in zip(there[1:], before[1:], strict=False):
+            association.dropped = dropped  # one datagram counts once
         if self._use is not None and self._path.matters(address, now) and self._use.is_genuine(datagram):
             return [], self._sealed(self._path.heard(address, now))  # a copy
         return [], []
@@ -143,9 +143,9 @@ class Line:
         if self._old is not None and now - self._changed > LIMIT_NS:
             self._retired += self._old.dropped
             self._old = None
-        for tunnel, at in ((self._use, self.address), (self._coming, self._coming_at)):
-            if tunnel is not None and at is not None:
-                out += [(data, at) for data in tunnel.due(now)]
+        for association, at in ((self._use, self.address), (self._coming, self._coming_at)):
+            if association is not None and at is not None:
+                out += [(data, at) for data in association.due(now)]
         out += self._sealed(self._path.due(now))
         if self._coming is not None and self._coming.failure is not None:
             self._ended(self._coming)
@@ -166,7 +166,7 @@ class Line:
         self._began = self._answered = now
         self._tries += 1
         self._coming_at, self._coming_from, self._elsewhere, self._direct = at, [], None, False
-        self._coming, self._first = Tunnel.towards(self._key, self._peer, now), first_number()
+        self._coming, self._first = Association.towards(self._key, self._peer, now), first_number()
         return [(data, at) for data in self._coming.begin(now, first=self._first)]
 
     def close(self) -> list[Out]:
@@ -219,10 +219,10 @@ class Line:
         if self._coming_at is not None:
             self._path.settle(self._coming_at)
 
-    def _genuine(self, tunnel: Tunnel, address: Where, now: int) -> list[Out]:
+    def _genuine(self, association: Association, address: Where, now: int) -> list[Out]:
         """What to send when something genuine and new has come from this address."""
-        words, tunnel.words = tunnel.words, []
-        if tunnel is not self._use:
+        words, association.words = association.words, []
+        if association is not self._use:
             return []
         out: list[Out] = []
         for word in words:
@@ -231,7 +231,7 @@ class Line:
                 self._path.answered(token, now)
             elif what == CHALLENGE and self.address is not None:
                 # Also to where the peer is known to be: a challenge that was copied may have come from anywhere.
-                answer = tunnel.send(word[:-1], ANSWER)
+                answer = association.send(word[:-1], ANSWER)
                 out += [(answer, at) for at in {address, self.address} if answer is not None]
         if self._path.matters(address, now):
             out += self._sealed(self._path.heard(address, now))
@@ -244,8 +244,8 @@ class Line:
             out += [] if data is None else [(data, at)]
         return out
 
-    def _ended(self, tunnel: Tunnel) -> None:
-        self.trouble = tunnel.failure
-        if tunnel is self._coming:
-            self._retired += tunnel.dropped
+    def _ended(self, association: Association) -> None:
+        self.trouble = association.failure
+        if association is self._coming:
+            self._retired += association.dropped
             self._coming = None
