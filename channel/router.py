@@ -26,7 +26,7 @@ from teleop.live.net.bulk import Bulk
 from teleop.live.net.wire import Wire
 from teleop.protocol.manifest import INSECURE, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, decode, encode, peek
-from teleop.protocol.secure.dtls_record import DATA, HANDSHAKE, MTU, OVERHEAD, Record, records
+from teleop.protocol.secure.dtls_record import DATA, HANDSHAKE, MTU, OVERHEAD, DtlsRecord, records
 from teleop.protocol.secure.relayed import EXTRA, cookie_of, without
 from teleop.protocol.secure.relayed import shown as shown_record
 from teleop.scene.scene import Scene
@@ -190,7 +190,7 @@ class Router:
         self._carry(flow, 0, flow.numbers[0], data, now)
         flow.numbers[0] += 1
 
-    def _greet(self, hello: Record, cookie: bytes, size: int, sender: Address, now: int) -> Flow | None:
+    def _greet(self, hello: DtlsRecord, cookie: bytes, size: int, sender: Address, now: int) -> Flow | None:
         """A hello of a master without a flow: it gets one if it brings its cookie, and else a cookie."""
         if not self._is_free(sender, now):
             self.foreign += 1

@@ -38,7 +38,7 @@ class Flood(NamedTuple):
     strange_master: int = 0
 
 
-class Run(NamedTuple):
+class FloodRun(NamedTuple):
     """The figures of a run under a flood; each pair is of the master and of the slave."""
 
     p99: tuple[float, float]  # of the ticks' lateness, us
@@ -70,7 +70,7 @@ def flood(rounds: int) -> list[Row]:
         links = {"in the open": (), **_sealed(folder)}
         rows: list[Row] = []
         for link, keys in links.items():
-            runs: dict[str, list[Run]] = {}
+            runs: dict[str, list[FloodRun]] = {}
             for i in range(rounds):
                 for what, rates in {"calm": CALM, **FLOODS}.items():
                     runs.setdefault(what, []).append(measured(rates, between, folder / f"{link}{what}{i}", keys))
@@ -78,7 +78,7 @@ def flood(rounds: int) -> list[Row]:
     return rows
 
 
-def _rows(link: str, runs: dict[str, list[Run]]) -> list[Row]:
+def _rows(link: str, runs: dict[str, list[FloodRun]]) -> list[Row]:
     calm = _p99(runs["calm"])
     rows: list[Row] = []
     for what, those in runs.items():
@@ -99,11 +99,11 @@ def _rows(link: str, runs: dict[str, list[Run]]) -> list[Row]:
     return rows
 
 
-def _p99(runs: list[Run]) -> tuple[float, float]:
+def _p99(runs: list[FloodRun]) -> tuple[float, float]:
     return median(run.p99[0] for run in runs), median(run.p99[1] for run in runs)
 
 
-def measured(rates: Flood, between: str, folder: Path, keys: tuple[tuple[str, ...], ...] = ()) -> Run:
+def measured(rates: Flood, between: str, folder: Path, keys: tuple[tuple[str, ...], ...] = ()) -> FloodRun:
     """A run of both ends, as processes of their own, under a flood. `keys`: the master's options and the slave's."""
     import numpy as np
 
@@ -128,7 +128,7 @@ def measured(rates: Flood, between: str, folder: Path, keys: tuple[tuple[str, ..
             process.communicate()
     told = {end: json.loads((folder / end / "summary.json").read_text()) for end in ("master", "slave")}
     gains = [np.load(folder / end / "trace.npz")[f"g_{end[0]}"].min() for end in told]
-    return Run(
+    return FloodRun(
         p99=(told["master"]["master"]["late_us"]["p99"], told["slave"]["slave"]["late_us"]["p99"]),
         used=(_used(told["master"], told["slave"], "bwd"), _used(told["slave"], told["master"], "fwd")),
         gain=float(min(gains)), status="/".join({end["status"] for end in told.values()}),

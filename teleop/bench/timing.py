@@ -39,7 +39,7 @@ class Late(NamedTuple):
     most: float
 
 
-class Carried(NamedTuple):
+class CarriedLoad(NamedTuple):
     """The delay and losses that a relay added to its load."""
 
     lost: int
@@ -134,7 +134,7 @@ def datagrams(folder: Path, count: int) -> None:
             file.writelines(len(data).to_bytes(2, "little") + data for data in (first, *rest))
 
 
-def carried(c: str, folder: Path, rate: int, count: int, *, ours: bool) -> Carried:
+def carried(c: str, folder: Path, rate: int, count: int, *, ours: bool) -> CarriedLoad:
     """One relay under one load."""
     delay_ns = round(DELAY * 1e9)
     load = _started(c, "load", folder / "fwd", folder / "bwd", rate, count, delay_ns, stdin=subprocess.PIPE)
@@ -142,7 +142,7 @@ def carried(c: str, folder: Path, rate: int, count: int, *, ours: bool) -> Carri
     peer = load.stdout.readline().strip()
     with _channel(peer, count) if ours else _port(c, "relay", peer, delay_ns) as near:
         forth, back, *error = load.communicate(f"{near}\n")[0].split()
-    return Carried(int(forth) + int(back), Late(*map(float, error)))
+    return CarriedLoad(int(forth) + int(back), Late(*map(float, error)))
 
 
 @contextmanager

@@ -53,7 +53,7 @@ def check_law(law: Any) -> None:
     _check_class(law, TWO_PORT)
     check_contract(law)
     for name in ENDS:
-        _probe(End.of(law, name))
+        _probe(LawEnd.of(law, name))
     try_claims(law)
 
 
@@ -126,7 +126,7 @@ class Call(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class End:
+class LawEnd:
     """One end of a law under test."""
 
     law: Any
@@ -139,7 +139,7 @@ class End:
     kinds: dict[str, type]  # of its state and of the message that it sends
 
     @classmethod
-    def of(cls, law: Any, end: str) -> End:
+    def of(cls, law: Any, end: str) -> LawEnd:
         """The end `end` of `law`, its types taken from the two starts."""
         starts = {each: answer(Method(law, f"{each}_start"), REST) for each in ENDS}
         other = ENDS[1 - ENDS.index(end)]
@@ -164,7 +164,7 @@ class End:
         return None if self.sums is None else answer(self.sums, call.s, call.at, call.rx, finite=False)
 
 
-def _probe(end: End) -> None:
+def _probe(end: LawEnd) -> None:
     """Ask an end in many situations, tick after tick, and again in another order."""
     asked: list[tuple[tuple[Any, ...], str]] = []
     dice = spread(end.name)
@@ -193,7 +193,7 @@ def _probe(end: End) -> None:
         raise Refused(f"{end.name} changed the law from {before} to {end.law!r}; use the state")
 
 
-def _check_unseen(end: End, call: Call, bits: str) -> None:
+def _check_unseen(end: LawEnd, call: Call, bits: str) -> None:
     """Refuse an end whose answer depends on a field that it does not visibly read."""
     for field in At._fields:
         if field in end.seen:

@@ -25,7 +25,7 @@ from teleop.live.net.wire import Wire
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES, UNRELEASED
-from teleop.live.records.record import Recorder, fresh_folder
+from teleop.live.records.record import RecordWriter, fresh_folder
 from teleop.live.shell import Shell
 from teleop.live.summary import UNWATCHED, holds_on, write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
@@ -67,7 +67,7 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
             command = ["python", "-m", NAMES[e], *argv]
             about = {"scene": args.scene, "knobs": knobs_from(args), "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
-            recorder = Recorder(scene, e, folder, about)
+            recorder = RecordWriter(scene, e, folder, about)
             shell = Shell(endpoint, watched_device, wire, recorder, say, patience=args.wait, interrupt=interrupt)
             last.shell = shell
             shell.realtime = granted

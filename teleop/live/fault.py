@@ -16,7 +16,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.law.contract import Method, refusal
 from teleop.live.devices.guarded_device import GuardedDevice
-from teleop.live.records.record import Recorder
+from teleop.live.records.record import RecordWriter
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import one_line
 
@@ -26,7 +26,7 @@ PARTS: dict[CodeType, str] = {
     GuardedDevice.hold.__code__: "the device, given a force,",
     Endpoint.tick.__code__: "the law",
     Endpoint.receive.__code__: "the reading of a packet",
-    **{part.__code__: "the record" for part in (Recorder.add, Recorder.note, Recorder.flush)},
+    **{part.__code__: "the record" for part in (RecordWriter.add, RecordWriter.note, RecordWriter.flush)},
 }
 
 

@@ -13,7 +13,7 @@ from teleop.live.live_line import LiveLine, Say
 from teleop.live.net.wire import DRAIN, SHARE, Wire
 from teleop.live.outcome import Outcome
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.records.record import Recorder
+from teleop.live.records.record import RecordWriter
 from teleop.live.security import LinkSecurity
 from teleop.protocol.connection import Connection
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
@@ -24,7 +24,7 @@ from teleop.simulation.outcome import divergence
 
 
 @dataclass
-class Counts:
+class EndCounts:
     """What a live end has counted. `last`: the last tick that was due; `ran`: the last one that ran."""
 
     last: int
@@ -42,7 +42,7 @@ class Shell:
     """Owns one end. The drivers (`driving`, `lockstep`, `meeting`, `leaving`) call it; it calls none of them."""
 
     def __init__(
-        self, endpoint: Endpoint, device: LiveDevice, wire: Wire, recorder: Recorder, say: Say,
+        self, endpoint: Endpoint, device: LiveDevice, wire: Wire, recorder: RecordWriter, say: Say,
         *, patience: float | None, interrupt: Interrupt,
     ) -> None:
         self.endpoint, self.wire, self.recorder, self.interrupt = endpoint, wire, recorder, interrupt
@@ -52,7 +52,7 @@ class Shell:
         if (deadline := deadline_of(device, endpoint)) is not None:
             endpoint.guard.lapse_after(deadline)
         self.outcome = Outcome()
-        self.counts = Counts(last=-endpoint.every)
+        self.counts = EndCounts(last=-endpoint.every)
         self.live_line = LiveLine(endpoint, say)
         self.security = LinkSecurity()
         self.realtime: dict[str, str] | None = None  # what the system gave of it, if it was asked

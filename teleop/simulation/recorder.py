@@ -8,7 +8,7 @@ from teleop.simulation.tick import row
 from teleop.stages.end import End, Recorder, Run
 
 
-class Rows(Recorder):
+class RowRecorder(Recorder):
     """A row of each end at every tick, handed to the two functions that the run is asked with."""
 
     rows_m: Any

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.recorder import Rows
+from teleop.simulation.recorder import RowRecorder
 from teleop.simulation.specialise import Specialised, specialise
 from teleop.simulation.structure import NAMES, Structure, live_structure, run_of, structure_of, sums_type
 from teleop.simulation.tick import live, loop
@@ -51,7 +51,7 @@ class Lines(NamedTuple):
 
 def loop_of(scene: Scene, bodies: Bodies) -> Callable[..., Any]:
     """The loop of a run in virtual time."""
-    return lines(structure_of(scene), loop, Rows).function({**functions(scene), **bodies.functions()})
+    return lines(structure_of(scene), loop, RowRecorder).function({**functions(scene), **bodies.functions()})
 
 
 def live_of(scene: Scene, e: str) -> Callable[..., Any]:
@@ -140,5 +140,5 @@ def _end_of(law: Any, name: str) -> Callable[..., Any]:
 def rendered(scene: Scene, e: str | None = None) -> str:
     """The lines of a scene's loop as text, or with `e` (m or s) those of its live end."""
     structure = structure_of(scene)
-    made = lines(structure, loop, Rows) if e is None else lines(live_structure(structure, e), live, ends=(e,))
+    made = lines(structure, loop, RowRecorder) if e is None else lines(live_structure(structure, e), live, ends=(e,))
     return made.text() + "\n"

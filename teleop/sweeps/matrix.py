@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from teleop.simulation.result import versions
-from teleop.sweeps.matrix_file import BUILT_IN, METRICS, Block, Row, read_matrix
+from teleop.sweeps.matrix_file import BUILT_IN, METRICS, MatrixBlock, Row, read_matrix
 from teleop.sweeps.runner import sweep
 from teleop.terminal.answer import Answer
 from teleop.terminal.progress import shown_on
@@ -19,7 +19,7 @@ from teleop.terminal.table import columns
 Show = Callable[[int, int], None]
 
 
-class Outcome(NamedTuple):
+class RowOutcome(NamedTuple):
     """A row and what came."""
 
     row: Row
@@ -41,22 +41,22 @@ class Outcome(NamedTuple):
                 f"{self.x_limit} in {self.ticks} ticks{told}")
 
 
-def run_block(block: Block, *, executor: Executor | None = None, out: Path | None = None, show: Show | None = None
-              ) -> list[Outcome]:
+def run_block(block: MatrixBlock, *, executor: Executor | None = None, out: Path | None = None, show: Show | None = None
+              ) -> list[RowOutcome]:
     """Run a block as one sweep in plain Python, in the order of its rows. `out`: the folder of that sweep."""
     rows = block.rows()
     ran = sweep(block.scene, block.axes(), seeds=block.seeds or 1, metrics=METRICS, fixed=block.fixed,
                 engine="plain", executor=executor, out=out, show=show)
     limit = f"x_limit = {block.fixed['x_limit']} m" if "x_limit" in block.fixed else "its x_limit"
-    return [Outcome(rows[came["row"]], came["status"], came["ticks"],
+    return [RowOutcome(rows[came["row"]], came["status"], came["ticks"],
                     {name: came[name] for name in METRICS if name in came}, limit) for came in ran]
 
 
-def run_matrix(blocks: tuple[Block, ...], *, executor: Executor | None = None, out: Path | None = None,
-               show: Show | None = None) -> dict[str, list[Outcome]]:
+def run_matrix(blocks: tuple[MatrixBlock, ...], *, executor: Executor | None = None, out: Path | None = None,
+               show: Show | None = None) -> dict[str, list[RowOutcome]]:
     """Run every block; what came, by the block's name. `out`: a folder that takes the folder of each block's sweep."""
     total, done = sum(len(block.rows()) for block in blocks), 0
-    came: dict[str, list[Outcome]] = {}
+    came: dict[str, list[RowOutcome]] = {}
     for block in blocks:
         def told(here: int, _: int, before: int = done) -> None:
             if show is not None:
@@ -67,7 +67,7 @@ def run_matrix(blocks: tuple[Block, ...], *, executor: Executor | None = None, o
     return came
 
 
-def table(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> str:
+def table(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]]) -> str:
     """What came, a line a block, and a line for each row that is not as expected."""
     lines = [("block", "scene", "rows", "as expected")]
     for block in blocks:
@@ -79,7 +79,7 @@ def table(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> str:
     return "\n".join([columns(lines, left=(0, 1)), last, *wrong])
 
 
-def summary(blocks: tuple[Block, ...], came: Mapping[str, list[Outcome]]) -> dict[str, Any]:
+def summary(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]]) -> dict[str, Any]:
     """The same as JSON can hold it, with every row."""
     every = [outcome for outcomes in came.values() for outcome in outcomes]
     return {
@@ -108,5 +108,5 @@ def command(args: Namespace) -> Answer:
     return answer if args.out is None else answer.kept_in(args.out)
 
 
-def _good(outcomes: list[Outcome]) -> int:
+def _good(outcomes: list[RowOutcome]) -> int:
     return sum(outcome.as_expected for outcome in outcomes)

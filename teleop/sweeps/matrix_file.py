@@ -70,7 +70,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Block:
+class MatrixBlock:
     """Rows of one scene. `read_matrix` makes and checks them."""
 
     name: str
@@ -110,7 +110,7 @@ class Block:
         return axes
 
 
-def read_matrix(path: Path | str = BUILT_IN) -> tuple[Block, ...]:
+def read_matrix(path: Path | str = BUILT_IN) -> tuple[MatrixBlock, ...]:
     """The blocks of a matrix's file, every row checked to make a scene. Raises `Refused`."""
     import tomllib
 
@@ -139,7 +139,7 @@ def _tables(value: object) -> bool:
     return isinstance(value, list) and all(isinstance(each, dict) for each in value)
 
 
-def _block(held: Mapping[str, Any], where: str) -> Block:
+def _block(held: Mapping[str, Any], where: str) -> MatrixBlock:
     where = f"{where} ({held.get('name', held.get('scene', 'without a scene'))})"
     _known(held, KEYS, where)
     for key, example in (("scene", "soft_tissue"), ("laws", None), ("expect", "ok"), ("why", "...")):
@@ -154,7 +154,7 @@ def _block(held: Mapping[str, Any], where: str) -> Block:
     if "losses" in held and "delays" not in held:
         raise Refused(f"{where} has losses and no delays, and its link has both; write delays = [0.0]")
     lists = {key: _listed(key, held[key], where) for key in LISTS if key in held}
-    block = Block(
+    block = MatrixBlock(
         name=name, scene=held["scene"], laws=lists["laws"], delays=lists.get("delays", (None,)),
         losses=lists.get("losses", (None,)), seeds=lists.get("seeds"), fixed=_flat(fixed),
         expect=_expect(held["expect"], where), why=_text(held["why"], "why", where),
@@ -166,7 +166,7 @@ def _block(held: Mapping[str, Any], where: str) -> Block:
     return replace(block, exceptions=tuple(exceptions))
 
 
-def _exempt(held: Mapping[str, Any], block: Block, where: str) -> Exempt:
+def _exempt(held: Mapping[str, Any], block: MatrixBlock, where: str) -> Exempt:
     _known(held, (*LISTS, "expect", "why"), where)
     for key in ("expect", "why"):
         if key not in held:
@@ -241,7 +241,7 @@ def _expect(value: object, where: str) -> str:
     return str(value)
 
 
-def _try(block: Block, where: str) -> None:
+def _try(block: MatrixBlock, where: str) -> None:
     """Refuse a block of which a row would make no scene: nothing runs until all can."""
     try:
         prepare(block.scene, block.axes(), seeds=block.seeds or 1, metrics=METRICS, fixed=block.fixed, engine="plain")

@@ -57,7 +57,7 @@ class RowMaker:
         self._name, self._fixed, self._measures, self._engine = scene, fixed, measures, engine
         self._function = scene_function(scene)
         self._stamps = Stamps(engine)
-        self._known: dict[Any, Known] = {}  # by the law's class, the last one that was worked out in full
+        self._known: dict[Any, KnownScene] = {}  # by the law's class, the last one that was worked out in full
         self._knobs: dict[str, object] | None = None  # those of the row before, and what came of them
         self._before: tuple[Scene, Made | None]
         self._schedules: dict[Any, Schedules] = {}
@@ -98,7 +98,7 @@ class RowMaker:
         known = self._known[kind] = self._worked_out(scene)
         return known.made
 
-    def _worked_out(self, scene: Scene) -> Known:
+    def _worked_out(self, scene: Scene) -> KnownScene:
         """A scene worked out in full."""
         prepared = prepare(scene)
         bodies, there = prepared.bodies, available(scene)
@@ -106,7 +106,7 @@ class RowMaker:
         kernel, flat = kernel_of(prepared, wanted, self._engine, self._stamps.of(prepared))
         tree = None if flat else tree_of(scene, bodies, compiled=False)
         path = path_of(scene, compiled=flat is not None)
-        return Known(prepared, Made(self._group(kernel, scene.ticks, flat), tree, flat, path, {}))
+        return KnownScene(prepared, Made(self._group(kernel, scene.ticks, flat), tree, flat, path, {}))
 
     def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None) -> Group:
         key = id(kernel), ticks, tuple(flat.wholes) if flat else ()
@@ -115,7 +115,7 @@ class RowMaker:
             group = self._groups[key] = Group(kernel, ticks)
         return group
 
-    def _varied(self, known: Known, scene: Scene, changed: frozenset[str]) -> Made | None:
+    def _varied(self, known: KnownScene, scene: Scene, changed: frozenset[str]) -> Made | None:
         """A scene that differs from a known one in these parts; None if it is of another structure."""
         if not changed <= LIGHT:
             return None
@@ -161,7 +161,7 @@ class Made(NamedTuple):
     drawn: dict[int, Schedules]  # of its link, by the seed
 
 
-class Known:
+class KnownScene:
     """A scene that was worked out in full, for those that differ from it in a few parts."""
 
     def __init__(self, prepared: Prepared, made: Made) -> None:

@@ -33,15 +33,15 @@ _WHOLE = {"row": "q", "seed": "Q", "ticks": "q"}  # whole numbers of 64 bits, se
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Column:
+class TableColumn:
     """Numbers, one a row; with `values` they are places in it, for what is text or of several kinds."""
 
     cells: NDArray[Any]
     values: tuple[Any, ...] | None = None
 
-    def at(self, order: NDArray[Any]) -> Column:
+    def at(self, order: NDArray[Any]) -> TableColumn:
         """The rows that `order` names (numbers, or a truth for each)."""
-        return Column(cells=self.cells[order], values=self.values)
+        return TableColumn(cells=self.cells[order], values=self.values)
 
     def read(self, start: int, stop: int) -> list[Any]:
         """Rows start .. stop-1 as Python's own values."""
@@ -174,7 +174,7 @@ class Table:
         for row in rows:
             builder.add(row)
         made = builder.table()
-        self._columns: dict[str, Column] = made._columns
+        self._columns: dict[str, TableColumn] = made._columns
         self.knobs: tuple[str, ...] = made.knobs
         self.metrics: tuple[str, ...] = made.metrics
 
@@ -257,7 +257,7 @@ class Table:
         more = [f"... and {len(self) - SHOWN} more"] if len(self) > SHOWN else []
         return "\n".join([f"{first}: {ended}", columns(lines, left=()), *more])
 
-    def _column(self, name: str) -> Column:
+    def _column(self, name: str) -> TableColumn:
         if name not in self._columns:
             raise Refused(f"the table has no column {name!r}; {nearest(str(name), self._columns)}")
         return self._columns[name]
@@ -311,11 +311,11 @@ class _Growing:
         earlier, self.values = self.cells, []
         self.cells = array("I", [self._place(each) for each in earlier])
 
-    def column(self) -> Column:
+    def column(self) -> TableColumn:
         import numpy as np
 
         values = None if self.values is None else tuple(self.values)
-        return Column(cells=np.array(self.cells, dtype=self.cells.typecode), values=values)
+        return TableColumn(cells=np.array(self.cells, dtype=self.cells.typecode), values=values)
 
     def _place(self, value: Any) -> int:
         key = value if type(value) is str else (type(value), repr(value))
@@ -333,7 +333,7 @@ def _code(value: object) -> str | None:
     return "q" if type(value) is int and -(1 << 63) <= value < 1 << 63 else None
 
 
-def _of(columns: dict[str, Column], knobs: tuple[str, ...], metrics: tuple[str, ...]) -> Table:
+def _of(columns: dict[str, TableColumn], knobs: tuple[str, ...], metrics: tuple[str, ...]) -> Table:
     table = object.__new__(Table)  # without its rows
     table._columns, table.knobs, table.metrics = columns, knobs, metrics
     return table

@@ -25,7 +25,7 @@ from teleop.live.net.address import bound
 from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import WAYS
-from teleop.live.records.record import Recorder
+from teleop.live.records.record import RecordWriter
 from teleop.live.shell import Shell
 from teleop.live.summary import write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
@@ -48,7 +48,7 @@ def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | No
     device = other.pop("device", DEVICES[e](scene))
     parts = {"say": lambda _numbers: None, "patience": PATIENCE, "interrupt": Interrupt(), **other}
     about = {"scene": scene.name, "knobs": {}, "seed": seed or 0, "mode": "live" if seed is None else "lockstep"}
-    return Shell(Endpoint(scene, e, session, inbox), device, wire, Recorder(scene, e, folder, about), **parts)
+    return Shell(Endpoint(scene, e, session, inbox), device, wire, RecordWriter(scene, e, folder, about), **parts)
 
 
 @dataclass

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.live.records.record import Recorder
+from teleop.live.records.record import RecordWriter
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.simulation.structure import columns
@@ -35,7 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     about = {"scene": "hard_wall", "knobs": {"duration": f"{TICKS * 1e-3}"}, "seed": 0, "mode": "live", "command": []}
     for e, name in (("m", "master"), ("s", "slave")):
         (top / name).mkdir()
-        recorder = Recorder(SCENE, e, top / name, about)
+        recorder = RecordWriter(SCENE, e, top / name, about)
         recorder.note(Event(0, "met", "session 1"))
         width = len(columns(SCENE, e))
         for k in range(TICKS):

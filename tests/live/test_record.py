@@ -17,7 +17,7 @@ from teleop.live.records.record import (
     EVENTS,
     EVERY,
     FILE,
-    Recorder,
+    RecordWriter,
     TruncatedRecord,
     fresh_folder,
     read_events,
@@ -39,8 +39,8 @@ def row(k: int) -> tuple[float, ...]:
     return tuple(k + 0.1 * i for i in range(WIDTH))
 
 
-def recorded(folder: Path, count: int, scene: Scene = SCENE) -> Recorder:
-    recorder = Recorder(scene, "m", folder, ABOUT)
+def recorded(folder: Path, count: int, scene: Scene = SCENE) -> RecordWriter:
+    recorder = RecordWriter(scene, "m", folder, ABOUT)
     for k in range(count):
         recorder.add(2 * k, 1000 + k, k - 5, row(k))
     return recorder
@@ -120,7 +120,7 @@ def test_what_happened_is_on_the_disk_at_once_and_a_line_that_was_cut_off_is_lef
 
 
 def test_of_a_killed_end_that_had_joined_late_the_ticks_before_are_not_called_skipped(tmp_path: Path) -> None:
-    recorder = Recorder(SCENE, "m", tmp_path, ABOUT)
+    recorder = RecordWriter(SCENE, "m", tmp_path, ABOUT)
     recorder.note(Event(500, "joined", "the other end was running already"))
     for k in (500, 501, 504):
         recorder.add(k, 0, -1, row(k))
@@ -148,7 +148,7 @@ def test_what_is_no_record_is_refused_in_one_sentence(data: bytes | None, tmp_pa
     assert str(tmp_path) in str(refused.value)
 
 
-def filling(folder: Path, count: int) -> Recorder:
+def filling(folder: Path, count: int) -> RecordWriter:
     """A record whose header went to a disk that has been full ever since."""
     recorder = recorded(folder, 0)
     recorder._file.close()
@@ -239,7 +239,7 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
 def end_of(folder: Path, e: str, ticks: range, events: list[Event], counted: int | None = None) -> Path:
     """An end's folder; `counted`: how many packets of all its run a summary of its own says it sent and received."""
     folder.mkdir()
-    recorder = Recorder(SCENE, e, folder, ABOUT)
+    recorder = RecordWriter(SCENE, e, folder, ABOUT)
     for event in events:
         recorder.note(event)
     width = len(columns(SCENE, e))

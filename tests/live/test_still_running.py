@@ -18,7 +18,7 @@ from teleop import Refused, load_result
 from teleop.__main__ import main
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge, needs_recovery
-from teleop.live.records.record import FILE, Recorder
+from teleop.live.records.record import FILE, RecordWriter
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING
@@ -35,7 +35,7 @@ import sys
 from pathlib import Path
 from teleop.storage.folder import claim
 from teleop.protocol.guard import Event
-from teleop.live.records.record import Recorder
+from teleop.live.records.record import RecordWriter
 from teleop.scene import load_scene
 from teleop.simulation.structure import columns
 
@@ -45,7 +45,7 @@ about = {"scene": "hard_wall", "knobs": {"duration": "60.0"}, "seed": 0, "mode":
 if e == "demo":
     print("there", flush=True)
     sys.stdin.readline()
-recorder = Recorder(scene, e, claimed.path, about)
+recorder = RecordWriter(scene, e, claimed.path, about)
 recorder.note(Event(0, "met", "session 1"))
 print("there", flush=True)
 for line in sys.stdin:  # a number of ticks more
@@ -195,7 +195,7 @@ def test_the_folder_of_a_demo_is_whole_when_neither_end_nor_demo_runs(start: Sta
 
 def test_a_summary_that_was_made_too_early_is_made_again_when_the_record_has_grown(tmp_path: Path) -> None:
     """Where a folder cannot be locked, or was copied while it was written, a process cannot be seen to run."""
-    recorder = Recorder(SCENE, "m", tmp_path, ABOUT)
+    recorder = RecordWriter(SCENE, "m", tmp_path, ABOUT)
     recorder.note(Event(0, "met", "session 1"))
 
     def tick(ticks: range) -> None:
@@ -222,7 +222,7 @@ def test_two_ends_put_together_too_early_are_put_together_again(tmp_path: Path) 
     top, later = tmp_path / "top", {}
     for e, name in NAMES.items():
         (top / name).mkdir(parents=True)
-        later[e] = Recorder(SCENE, e, top / name, ABOUT)
+        later[e] = RecordWriter(SCENE, e, top / name, ABOUT)
         for k in range(750):
             later[e].add(k, 1000, -1, (1e-3,) * len(columns(SCENE, e)))
     assert load_result(top).ticks == 750
@@ -245,7 +245,7 @@ def test_an_end_that_comes_to_its_end_while_it_is_read_is_not_cut_off_there(
     for e, name in NAMES.items():
         folders.append(tmp_path / name)
         folders[-1].mkdir()
-        recorder = Recorder(SCENE, e, folders[-1], ABOUT)
+        recorder = RecordWriter(SCENE, e, folders[-1], ABOUT)
         for k in range(500):
             recorder.add(k, 1000, -1, (1e-3,) * len(columns(SCENE, e)))
         recorder.close()

@@ -13,37 +13,37 @@ from slave.tissue import Tissue
 from teleop import Scene, load_scene
 from teleop.analysis.stability.assess import is_stable, stability
 from teleop.law import BUILT_IN
-from teleop.sweeps.matrix import Outcome, run_block
-from teleop.sweeps.matrix_file import Block, Row, read_matrix
+from teleop.sweeps.matrix import RowOutcome, run_block
+from teleop.sweeps.matrix_file import MatrixBlock, Row, read_matrix
 
 BLOCKS = {block.name: block for block in read_matrix()}
 ROWS = [(block, row) for block in BLOCKS.values() for row in block.rows()]
 LINEAR = ("soft_tissue", "relaxing_tissue", "free_motion")
 
 
-def named(rows: list[tuple[Block, Row]]) -> list[Any]:
+def named(rows: list[tuple[MatrixBlock, Row]]) -> list[Any]:
     return [pytest.param(block, row, id=row.id) for block, row in rows]
 
 
 @cache
-def came(name: str) -> dict[str, Outcome]:
+def came(name: str) -> dict[str, RowOutcome]:
     """A whole block, run once for all of its rows."""
     return {outcome.row.id: outcome for outcome in run_block(BLOCKS[name])}
 
 
-def linear(block: Block, row: Row) -> bool:
+def linear(block: MatrixBlock, row: Row) -> bool:
     """Has the row a loop with roots: a linear law at both ends of a constant delay, and contact without a gap."""
     law = row.law in ("direct", "wave") or block.fixed.get("law.alpha") == 1.0
     return block.scene in LINEAR and law and not row.loss
 
 
-def made(block: Block, row: Row) -> Scene:
+def made(block: MatrixBlock, row: Row) -> Scene:
     own = {} if row.delay is None else {"delay": row.delay}
     return load_scene(block.scene, **{**block.fixed, **own, "law": row.law})
 
 
 @pytest.mark.parametrize(("block", "row"), named(ROWS))
-def test_a_row_ends_as_expected(block: Block, row: Row) -> None:
+def test_a_row_ends_as_expected(block: MatrixBlock, row: Row) -> None:
     outcome = came(block.name)[row.id]
     assert outcome.as_expected, outcome.line()
 
@@ -56,7 +56,7 @@ def test_waves_take_no_more_from_the_link_than_was_put_in(name: str) -> None:
 
 
 @pytest.mark.parametrize(("block", "row"), named([pair for pair in ROWS if linear(*pair)]))
-def test_where_the_loop_is_linear_its_roots_say_the_same(block: Block, row: Row) -> None:
+def test_where_the_loop_is_linear_its_roots_say_the_same(block: MatrixBlock, row: Row) -> None:
     assert is_stable(made(block, row)) == (row.expect == "ok")
 
 

@@ -41,7 +41,7 @@ class TruncatedRecord(UserWarning):
     """A live record ends in the middle of a row."""
 
 
-class Recorder:
+class RecordWriter:
     """Appends an end's rows to `folder/record.bin`. A full disk stops the record, never the loop."""
 
     def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any]) -> None:
@@ -122,7 +122,7 @@ class RecordFile:
         return self.part(start, stop)[:, len(OWN):]
 
 
-class Column:
+class RecordColumn:
     """One of the first columns of a record, which `numpy.asarray` reads as numbers of type `dtype`."""
 
     def __init__(self, rows: RecordFile, at: int, dtype: str) -> None:
@@ -140,7 +140,7 @@ class Column:
         return out
 
 
-def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, Column]:
+def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn]:
     """The header, the rows and the lateness (ns) of each tick of the record in `folder`. Raises `Refused`.
 
     Rows and lateness are read when they are asked for, as they were then: the file may be growing.
@@ -159,11 +159,11 @@ def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, Column]:
     if rest:
         warnings.warn(f"{path} is {rest}: row {count} and what came after it are lost", TruncatedRecord, stacklevel=2)
     rows = RecordFile(path, start, width, count)
-    ticks = np.asarray(Column(rows, 0, "int64"))
-    return header, EndRecord(ticks, rows, Column(rows, 2, "int64")), Column(rows, 1, "float64")
+    ticks = np.asarray(RecordColumn(rows, 0, "int64"))
+    return header, EndRecord(ticks, rows, RecordColumn(rows, 2, "int64")), RecordColumn(rows, 1, "float64")
 
 
-def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Column, list[str]]:
+def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn, list[str]]:
     """The same as `read_record`, with what it warns of as sentences for the summary."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")

@@ -33,7 +33,7 @@ from teleop.protocol.secure.dtls_record import (
     HEAD,
     OVERHEAD,
     Dropped,
-    Record,
+    DtlsRecord,
     packed,
     records,
 )
@@ -68,7 +68,7 @@ class Association:
         self._began = now
         self._again: int | None = None  # when the flight is to be sent again
         self._wait = AGAIN_NS
-        self._flight: list[Record] = []
+        self._flight: list[DtlsRecord] = []
         self._number = 0  # of the next record in the clear
         self._credit = 0  # bytes that came in less those that went out, before the peer is known
 
@@ -182,7 +182,7 @@ class Association:
             return None
         return opened[:-1]
 
-    def _hear_sealed(self, alert: Record) -> None:
+    def _hear_sealed(self, alert: DtlsRecord) -> None:
         """An alert under the keys of DTLS: a farewell, unless it does not open."""
         try:
             self._write(alert.data)
@@ -248,7 +248,7 @@ class Association:
         except SSL.Error:  # there is nothing
             return b""
 
-    def _hear(self, alert: Record) -> None:
+    def _hear(self, alert: DtlsRecord) -> None:
         """An alert in the clear ends nothing, since anybody can send one; it may help to find what is wrong."""
         what = alert.data[-1]
         why = "does not take this end's certificate: check its --peer-fingerprint" if what in _UNTRUSTED else \

@@ -41,7 +41,7 @@ class Dropped(StrEnum):
     OVER = "over"  # came when the association had ended
 
 
-class Record(NamedTuple):
+class DtlsRecord(NamedTuple):
     """One record, its head read."""
 
     type: int
@@ -81,9 +81,9 @@ class Record(NamedTuple):
         return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == VERIFY_REQUEST
 
 
-def records(datagram: bytes) -> list[Record] | None:
+def records(datagram: bytes) -> list[DtlsRecord] | None:
     """The records of a datagram in their order; None if any of it is none. Zero bytes at its end are padding."""
-    found: list[Record] = []
+    found: list[DtlsRecord] = []
     at, size = 0, len(datagram)
     while at < size:
         if size - at <= HEAD.size:
@@ -94,12 +94,12 @@ def records(datagram: bytes) -> list[Record] | None:
         short = length < (1 if epoch == 0 else _LEAST_DATA if kind == DATA else _LEAST_SEALED)
         if not CHANGE <= kind <= DATA or version not in (DTLS_1_0, DTLS_1_2) or short or end > size:
             return found if found and not datagram[at:].strip(b"\0") else None
-        found.append(Record(kind, epoch, upper << 32 | lower, datagram[at:end]))
+        found.append(DtlsRecord(kind, epoch, upper << 32 | lower, datagram[at:end]))
         at = end
     return found or None
 
 
-def packed(flight: Iterable[Record], first: int, *, padded: bool = False) -> tuple[list[bytes], int]:
+def packed(flight: Iterable[DtlsRecord], first: int, *, padded: bool = False) -> tuple[list[bytes], int]:
     """Datagrams of at most `MTU` bytes, records of epoch 0 numbered from `first` on; and the next number.
 
     `padded`: the datagrams are made `MTU` long.

@@ -42,7 +42,7 @@ from teleop.protocol.secure.dtls_record import (
     HEAD,
     VERIFY_REQUEST,
     Dropped,
-    Record,
+    DtlsRecord,
     records,
 )
 from teleop.protocol.secure.keys import Key
@@ -113,7 +113,7 @@ class Gate:
             return None, back
         return association if association.ready else None, back
 
-    def _greet(self, hello: Record, behind: list[Record], came: int, address: Where, now: int) -> list[bytes]:
+    def _greet(self, hello: DtlsRecord, behind: list[DtlsRecord], came: int, address: Where, now: int) -> list[bytes]:
         """Answer a hello: with a cookie, or if it has brought a good one and its proof with an association."""
         brought = hello.cookie
         if brought is None:
@@ -148,7 +148,7 @@ class Gate:
         self._checked[address], self._free_ns = now, free + CHECK_NS
         return True
 
-    def _begin(self, hello: Record, came: int, address: Where, now: int) -> list[bytes]:
+    def _begin(self, hello: DtlsRecord, came: int, address: Where, now: int) -> list[bytes]:
         """An association with the holder of the pinned key, in place of what it began from there before."""
         _forget(self._used, now - 2 * _SLOT_NS)
         self._used[hello.random] = now

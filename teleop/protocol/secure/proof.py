@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509 import load_der_x509_certificate
 
-from teleop.protocol.secure.dtls_record import DTLS_1_2, HANDSHAKE, HEAD, PROOF, Record
+from teleop.protocol.secure.dtls_record import DTLS_1_2, HANDSHAKE, HEAD, PROOF, DtlsRecord
 from teleop.protocol.secure.keys import Key, fingerprint
 
 _BEFORE = b" " * 64 + b"bilateral-teleop hello\0"
@@ -30,12 +30,12 @@ _INSIDE = Struct("!BH")  # the type of the message, bytes of the certificate; th
 _CURVE = ECDSA(SHA256())
 
 
-def proof(key: Key, hello: Record) -> Record:
+def proof(key: Key, hello: DtlsRecord) -> DtlsRecord:
     """The record that goes with `hello`."""
     certificate = key.certificate.public_bytes(Encoding.DER)
     signature = key.private.sign(_signed(hello), _CURVE)
     body = _INSIDE.pack(PROOF, len(certificate)) + certificate + signature
-    return Record(HANDSHAKE, 0, 0, HEAD.pack(HANDSHAKE, DTLS_1_2, 0, 0, 0, len(body)) + body)
+    return DtlsRecord(HANDSHAKE, 0, 0, HEAD.pack(HANDSHAKE, DTLS_1_2, 0, 0, 0, len(body)) + body)
 
 
 class Verifier:
@@ -45,7 +45,7 @@ class Verifier:
         self._peer = peer
         self._public: EllipticCurvePublicKey | None = None  # the peer's, once its certificate has come
 
-    def shown(self, record: Record) -> str | None:
+    def shown(self, record: DtlsRecord) -> str | None:
         """The fingerprint of the certificate in a proof, which any host can show; None if there is none."""
         certificate, _ = _parts(record)
         if not certificate:
@@ -56,7 +56,7 @@ class Verifier:
             self._public = public if isinstance(public, EllipticCurvePublicKey) else None
         return seen
 
-    def is_good(self, record: Record, hello: Record) -> bool:
+    def is_good(self, record: DtlsRecord, hello: DtlsRecord) -> bool:
         """Has the peer signed this hello? It costs 0.1 ms."""
         if self._public is None:
             return False
@@ -67,11 +67,11 @@ class Verifier:
         return True
 
 
-def _signed(hello: Record) -> bytes:
+def _signed(hello: DtlsRecord) -> bytes:
     return _BEFORE + hello.data[HEAD.size :]
 
 
-def _parts(record: Record) -> tuple[bytes, bytes]:
+def _parts(record: DtlsRecord) -> tuple[bytes, bytes]:
     """Certificate and signature; empty where there are none."""
     body = record.data[HEAD.size :]
     if len(body) < _INSIDE.size:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from teleop.protocol.secure.dtls_record import DTLS_1_2, HANDSHAKE, HEAD, MTU, Record, records
+from teleop.protocol.secure.dtls_record import DTLS_1_2, HANDSHAKE, HEAD, MTU, DtlsRecord, records
 
 SHOW = 0xF1  # first byte of the record; no message of DTLS has it
 COOKIE = 32  # bytes
@@ -19,24 +19,24 @@ EXTRA = HEAD.size + 1 + COOKIE  # bytes that a hello may be longer than others w
 _MOST = 256  # hellos whose numbers are remembered
 
 
-def shown(hello: Record, cookie: bytes) -> bytes:
+def shown(hello: DtlsRecord, cookie: bytes) -> bytes:
     """The record that bears `cookie` (32 bytes), in a relay's answer to `hello` and behind the hellos that follow."""
     head = HEAD.pack(HANDSHAKE, DTLS_1_2, 0, hello.number >> 32, hello.number & 0xFFFFFFFF, 1 + len(cookie))
     return head + bytes((SHOW,)) + cookie
 
 
-def is_shown(record: Record) -> bool:
+def is_shown(record: DtlsRecord) -> bool:
     """Does this record bear a relay's cookie?"""
     return (record.type == HANDSHAKE and record.epoch == 0 and len(record.data) == EXTRA
             and record.data[HEAD.size] == SHOW)
 
 
-def cookie_of(found: list[Record]) -> bytes:
+def cookie_of(found: list[DtlsRecord]) -> bytes:
     """The relay's cookie among the records of a hello, empty if there is none."""
     return next((one.data[-COOKIE:] for one in found if is_shown(one)), b"")
 
 
-def without(found: list[Record], size: int) -> bytes:
+def without(found: list[DtlsRecord], size: int) -> bytes:
     """The same hello without it, as long as it was."""
     return b"".join(one.data for one in found if not is_shown(one)).ljust(min(size, MTU), b"\0")
 

@@ -41,8 +41,8 @@ def test_a_flood_through_the_forwarder_is_seen_as_from_the_peer_and_leaves_the_r
 
 def test_rows_say_what_was_asked_beside_what_was_measured() -> None:
     """The bound is of the calm run: twice it, or 0.2 ms more."""
-    calm = flood.Run(p99=(50.0, 300.0), used=(1.0, 1.0), gain=1.0, status="ok", thrown=0.0)
-    under = flood.Run(p99=(60.0, 700.0), used=(0.5, 0.25), gain=0.5, status="stopped", thrown=10.0)
+    calm = flood.FloodRun(p99=(50.0, 300.0), used=(1.0, 1.0), gain=1.0, status="ok", thrown=0.0)
+    under = flood.FloodRun(p99=(60.0, 700.0), used=(0.5, 0.25), gain=0.5, status="stopped", thrown=10.0)
     rows = flood._rows("in the open", {"calm": [calm], **{what: [under] for what in flood.FLOODS}})
     text = "\n".join("|".join(row) for row in rows)
     assert len(rows) == 2 * (1 + len(flood.FLOODS))

@@ -12,7 +12,7 @@ import pytest
 
 from teleop.bench import parts, timing
 from teleop.bench.compiled import compiled
-from teleop.bench.timing import Carried, Late, carried, datagrams, round_trips, ticks
+from teleop.bench.timing import CarriedLoad, Late, carried, datagrams, round_trips, ticks
 from teleop.live.net.address import bound
 from teleop.live.net.wire import Wire
 
@@ -74,7 +74,7 @@ def test_ticks_and_round_trips_are_told_beside_c(c: str) -> None:
 def test_a_relay_is_measured_by_what_comes_out(c: str, tmp_path: Path, ours: bool) -> None:
     datagrams(tmp_path, 100)
     got = carried(c, tmp_path, 1000, 100, ours=ours)
-    assert isinstance(got, Carried)
+    assert isinstance(got, CarriedLoad)
     assert got.lost == 0
     assert 0.0 < got.error.median <= got.error.most
 

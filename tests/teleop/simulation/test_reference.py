@@ -14,7 +14,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
-from teleop.simulation.recorder import Rows
+from teleop.simulation.recorder import RowRecorder
 from teleop.simulation.source import bind, functions, live_of, loop_of
 from teleop.simulation.structure import live_structure, run_of, structure_of
 from teleop.simulation.tick import live, loop
@@ -52,7 +52,7 @@ def test_the_specialised_loop_gives_the_bits_of_the_tick_as_it_stands(name: str)
     bodies = prepare(scene).bodies
     made: dict[str, list[float]] = {"m": [], "s": []}
     told = loop_of(scene, bodies)(*arguments(scene, made))
-    run = run_of(structure_of(scene), Rows())
+    run = run_of(structure_of(scene), RowRecorder())
     bind(run, {**functions(scene), **bodies.functions()})
     stood: dict[str, list[float]] = {"m": [], "s": []}
     assert loop(run, *arguments(scene, stood)) == told

@@ -12,8 +12,8 @@ import pytest
 
 from teleop import Refused, load_scene, run
 from teleop.scene.library import ROOT
-from teleop.sweeps.matrix import Outcome, run_block, run_matrix, summary, table
-from teleop.sweeps.matrix_file import BUILT_IN, Block, Row, read_matrix
+from teleop.sweeps.matrix import RowOutcome, run_block, run_matrix, summary, table
+from teleop.sweeps.matrix_file import BUILT_IN, MatrixBlock, Row, read_matrix
 
 FULL = """
 [[block]]
@@ -63,12 +63,12 @@ expect = "ok"
 why = "passive"
 """
 
-Written = Callable[[str], tuple[Block, ...]]
+Written = Callable[[str], tuple[MatrixBlock, ...]]
 
 
 @pytest.fixture
 def written(tmp_path: Path) -> Written:
-    def read(text: str) -> tuple[Block, ...]:
+    def read(text: str) -> tuple[MatrixBlock, ...]:
         (tmp_path / "m.toml").write_text(text)
         return read_matrix(tmp_path / "m.toml")
 
@@ -127,7 +127,7 @@ class TestWhatIsSaid:
 
     def test_of_what_should_have_diverged(self) -> None:
         row = Row("a-direct", "direct", None, None, 0, "diverged", "too late")
-        line = Outcome(row, "ok", 2000, {"x_err_max": 0.0123}, "x_limit = 0.3 m").line()
+        line = RowOutcome(row, "ok", 2000, {"x_err_max": 0.0123}, "x_limit = 0.3 m").line()
         assert line == ("a-direct: expected diverged (too late), came ok: stayed within x_limit = 0.3 m in 2000 ticks, "
                         "x_err_max 0.0123")
 

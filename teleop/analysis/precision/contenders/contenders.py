@@ -13,7 +13,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.precision.contenders import relaxed
-from teleop.analysis.precision.contenders.methods import Method, Touch, wall_coefficients
+from teleop.analysis.precision.contenders.methods import IntegrationMethod, Touch, wall_coefficients
 from teleop.analysis.precision.contenders.nonlinear import ADVANCE, goes, held_stepped, move_stepped, stepped_force
 from teleop.analysis.precision.contenders.parts import (
     closed,
@@ -72,14 +72,14 @@ def touch_of(plant: Plant, body: MassDamper) -> Touch:
     )
 
 
-def stepped(method: Method, touch: Touch, dt: float, n: int) -> Plant:
+def stepped(method: IntegrationMethod, touch: Touch, dt: float, n: int) -> Plant:
     """A plant that moves by n sub-steps of `method` per tick of dt."""
     if touch.edge == 0.0:
         return Plant(method.move, wall_force, wall_coefficients(method, touch, dt / n, n))
     return Plant(move_repeated, linear_force, (touch.at, touch.k, touch.d, *sub_step(method, touch, dt / n), n))
 
 
-def sub_step(method: Method, touch: Touch, h: float) -> tuple[float, ...]:
+def sub_step(method: IntegrationMethod, touch: Touch, h: float) -> tuple[float, ...]:
     """The matrix of one sub-step of a linear body, in the order of `Linear`: the method applied to unit vectors."""
     bond = touch._replace(side=1.0, at=0.0, edge=-inf, floor=-inf)
     c = wall_coefficients(method, bond, h, 1)
@@ -112,7 +112,7 @@ def gripped(n: int) -> Callable[..., tuple[float, float]]:
     return move
 
 
-def method_bodies(scene: Scene, method: Method, n: int) -> Bodies:
+def method_bodies(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
     """The scene's bodies, moved by n sub-steps of `method` per tick. Refused as in `touch_of`."""
     dt = scene.dt_ns / 1e9
     exact = exact_bodies(scene)

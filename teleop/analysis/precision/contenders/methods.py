@@ -35,7 +35,7 @@ class Touch(NamedTuple):
     floor: float = 0.0
 
 
-class Method(NamedTuple):
+class IntegrationMethod(NamedTuple):
     """A fixed-step method: what it is called, and how it moves a body beside a wall.
 
     `coefficients(touch, h)` are what `move` needs beside the wall itself and the number of sub-steps.
@@ -48,7 +48,7 @@ class Method(NamedTuple):
     move: Move
 
 
-def wall_coefficients(method: Method, touch: Touch, h: float, n: int) -> tuple[Any, ...]:
+def wall_coefficients(method: IntegrationMethod, touch: Touch, h: float, n: int) -> tuple[Any, ...]:
     """What `method.move` computes with, for n sub-steps of h; the first four are what `wall_force` needs."""
     _, _, k, d, side, at, edge, floor = touch
     return side, at, k, d, edge, floor, n, *method.coefficients(touch, h)
@@ -140,7 +140,7 @@ def _push(k: float, d: float, edge: float, floor: float, p: float, u: float) -> 
 # Diagonally implicit methods: one solved stage after the other.
 
 
-class Stage(NamedTuple):
+class ImplicitStage(NamedTuple):
     """The stage `U = u + s a(P, U)`, `P = p + s U`: `U = free_u u + free_f f` without touch, else `stiff_*`."""
 
     k: float
@@ -155,7 +155,7 @@ class Stage(NamedTuple):
 
 
 def solve(c: Any, p: float, u: float, f: float) -> tuple[float, float]:
-    """The stage's (P, U), its contact solved; c is `Stage`.
+    """The stage's (P, U), its contact solved; c is `ImplicitStage`.
 
     The wall's force does not fall where U grows, so there is one solution: out of touch, in contact, or on the
     surface itself, where the damper's force jumps and takes the value between that holds the body there.
@@ -175,7 +175,7 @@ def solve(c: Any, p: float, u: float, f: float) -> tuple[float, float]:
 def _stage(touch: Touch, s: float) -> tuple[float, ...]:
     m, b, k, d, _, _, edge, floor = touch
     free, stiff = 1.0 + s * b / m, 1.0 + s * (b + d) / m + s * s * k / m
-    return tuple(Stage(k, d, edge, floor, s, 1.0 / free, s / m / free, 1.0 / stiff, s / m / stiff))
+    return tuple(ImplicitStage(k, d, edge, floor, s, 1.0 / free, s / m / free, 1.0 / stiff, s / m / stiff))
 
 
 def _backward_euler(c: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
@@ -252,13 +252,13 @@ def _radau(c: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
 
 
 METHODS = (
-    Method("euler", "explicit Euler", 1, _explicit, _euler),
-    Method("semi_implicit_euler", "semi-implicit Euler", 1, _explicit, _semi_implicit),
-    Method("verlet", "velocity Verlet", 2, _explicit, _verlet),
-    Method("rk4", "Runge-Kutta 4", 4, _explicit, _rk4),
-    Method("backward_euler", "backward Euler", 1, lambda t, h: (_stage(t, h),), _backward_euler),
-    Method("midpoint", "implicit midpoint", 2, lambda t, h: (_stage(t, 0.5 * h),), _midpoint),
-    Method("trapezoid", "trapezoid", 2, lambda t, h: (_stage(t, 0.5 * h), t.m, t.b, 0.5 * h), _trapezoid),
-    Method("sdirk2", "SDIRK2", 2, lambda t, h: (_stage(t, GAMMA * h), (1.0 - GAMMA) / GAMMA), _sdirk2),
-    Method("radau", "Radau IIA, two stages", 3, _radau_maps, _radau),
+    IntegrationMethod("euler", "explicit Euler", 1, _explicit, _euler),
+    IntegrationMethod("semi_implicit_euler", "semi-implicit Euler", 1, _explicit, _semi_implicit),
+    IntegrationMethod("verlet", "velocity Verlet", 2, _explicit, _verlet),
+    IntegrationMethod("rk4", "Runge-Kutta 4", 4, _explicit, _rk4),
+    IntegrationMethod("backward_euler", "backward Euler", 1, lambda t, h: (_stage(t, h),), _backward_euler),
+    IntegrationMethod("midpoint", "implicit midpoint", 2, lambda t, h: (_stage(t, 0.5 * h),), _midpoint),
+    IntegrationMethod("trapezoid", "trapezoid", 2, lambda t, h: (_stage(t, 0.5 * h), t.m, t.b, 0.5 * h), _trapezoid),
+    IntegrationMethod("sdirk2", "SDIRK2", 2, lambda t, h: (_stage(t, GAMMA * h), (1.0 - GAMMA) / GAMMA), _sdirk2),
+    IntegrationMethod("radau", "Radau IIA, two stages", 3, _radau_maps, _radau),
 )

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from teleop.analysis.precision.contenders.methods import Method
+from teleop.analysis.precision.contenders.methods import IntegrationMethod
 from teleop.physics.sdirk import BOND, GAMMA, HUNT_CROSSLEY, NOTHING, ON, Core, power, resistance_force, stage
 
 # What takes n sub-steps of h: (equation, depth, speed, f, s, h, n) -> depth, speed.
@@ -154,6 +154,6 @@ ADVANCE: dict[str, Advance] = {
 }
 
 
-def goes(method: Method) -> bool:
+def goes(method: IntegrationMethod) -> bool:
     """True if the method is known on a body that is not piecewise linear."""
     return method.name in ADVANCE

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.precision.contenders.methods import GAMMA, Method
+from teleop.analysis.precision.contenders.methods import GAMMA, IntegrationMethod
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,7 +53,7 @@ def rates(branch: Branch) -> Matrix:
                      [0.0, h / tau, -1.0 / tau, 0.0], [0.0, 0.0, 0.0, 0.0]])
 
 
-def sub_step(method: Method, branch: Branch, step: float) -> Matrix:
+def sub_step(method: IntegrationMethod, branch: Branch, step: float) -> Matrix:
     """One sub-step of (x, v, z, f)."""
     import numpy as np
 
@@ -69,7 +69,7 @@ def sub_step(method: Method, branch: Branch, step: float) -> Matrix:
     return np.asarray((one + drift) @ (one + kick))
 
 
-def stepped(method: Method, branch: Branch, dt: float, n: int) -> Steps:
+def stepped(method: IntegrationMethod, branch: Branch, dt: float, n: int) -> Steps:
     """n sub-steps of a method over dt."""
     rows = sub_step(method, branch, dt / n)[:3].tolist()
     (a11, a12, a13, b1), (a21, a22, a23, b2), (a31, a32, a33, b3) = rows

@@ -11,7 +11,7 @@ import pytest
 from channel.link import parse_link
 from channel.schedule import Stream
 from teleop.protocol.secure.association import Association
-from teleop.protocol.secure.dtls_record import HEAD, MTU, Record, records
+from teleop.protocol.secure.dtls_record import HEAD, MTU, DtlsRecord, records
 from teleop.protocol.secure.gate import BURST, CHECK_NS, CHECKED_NS, Gate
 from teleop.protocol.secure.keys import Key
 from teleop.protocol.secure.proof import Verifier
@@ -59,7 +59,7 @@ class Hostile:
         return HEAD.pack(22, 0xFEFD, 0, 0, self.dice.randrange(1 << 16), 40) + self.dice.randbytes(40)
 
 
-def _parts(datagram: bytes) -> list[Record]:
+def _parts(datagram: bytes) -> list[DtlsRecord]:
     return records(datagram) or []
 
 

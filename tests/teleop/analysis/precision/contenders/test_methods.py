@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.analysis.precision.contenders.contenders import method_bodies, stepped, sub_step, touch_of
-from teleop.analysis.precision.contenders.methods import METHODS, Method, Touch
+from teleop.analysis.precision.contenders.methods import METHODS, IntegrationMethod, Touch
 from teleop.errors import Refused
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
@@ -38,7 +38,7 @@ def bonded(m: float = 0.5, b: float = 1.0, k: float = 2000.0, d: float = 3.0) ->
     return Touch(m, b, k, d, edge=-inf, floor=-inf)
 
 
-def matrix(method: Method, touch: Touch, h: float) -> np.ndarray:
+def matrix(method: IntegrationMethod, touch: Touch, h: float) -> np.ndarray:
     a11, a12, _, a21, a22, _ = sub_step(method, touch, h)
     return np.array([[a11, a12], [a21, a22]])
 
@@ -63,7 +63,7 @@ def test_the_split_methods_keep_area_where_nothing_damps(name: str) -> None:
 
 
 @every_method
-def test_halving_the_step_of_a_bonded_body_shows_the_order(method: Method) -> None:
+def test_halving_the_step_of_a_bonded_body_shows_the_order(method: IntegrationMethod) -> None:
     dt, touch = 0.02, bonded()
     exact = spring_damper(MassDamper(mass=0.5, damping=1.0), dt, k=2000.0, d=3.0, at=0.01)
     want = np.array(exact.move(exact.c, 0.02, 0.3, 4.0)[:2])
@@ -76,7 +76,7 @@ def test_halving_the_step_of_a_bonded_body_shows_the_order(method: Method) -> No
 
 
 @every_method
-def test_the_gripped_master_comes_to_the_exact_one(method: Method) -> None:
+def test_the_gripped_master_comes_to_the_exact_one(method: IntegrationMethod) -> None:
     body, dt = MassDamper(mass=0.1, damping=0.5), 0.01
     held = tuple(grip(body, 0.4, 200.0, 5.0, dt))
     scene = load_scene("canonical", dt=dt)
@@ -91,7 +91,7 @@ def test_the_gripped_master_comes_to_the_exact_one(method: Method) -> None:
 
 
 @every_method
-def test_free_space_has_no_edge_to_touch(method: Method) -> None:
+def test_free_space_has_no_edge_to_touch(method: IntegrationMethod) -> None:
     body = MassDamper(mass=0.5, damping=2.0)
     exact = free_space(body, 1e-3)
     plant = stepped(method, touch_of(exact, body), 1e-3, 4)
@@ -110,7 +110,7 @@ def test_l_stable_methods_are_calm_where_the_step_is_far_too_long(name: str) -> 
 BODY = MassDamper(mass=0.5, damping=1.0)
 
 
-def beside_wall(method: Method, n: int, dt: float, **wanted: float) -> tuple[Plant, Plant]:
+def beside_wall(method: IntegrationMethod, n: int, dt: float, **wanted: float) -> tuple[Plant, Plant]:
     """The exact plant at a wall, and the method's."""
     knobs = {"k": 2e4, "d": 10.0, "at": 0.03, "side": 1.0} | wanted
     exact = wall(BODY, dt, **knobs)
@@ -120,7 +120,7 @@ def beside_wall(method: Method, n: int, dt: float, **wanted: float) -> tuple[Pla
 @every_method
 @pytest.mark.parametrize(("x", "v"), [(0.0295, 0.4), (0.031, -0.5), (0.03001, -0.2), (0.032, 0.1)])
 def test_through_making_and_losing_contact_every_method_comes_to_the_exact_step(
-    method: Method, x: float, v: float
+    method: IntegrationMethod, x: float, v: float
 ) -> None:
     def error(n: int) -> float:
         exact, plant = beside_wall(method, n, 4e-3)
@@ -131,7 +131,7 @@ def test_through_making_and_losing_contact_every_method_comes_to_the_exact_step(
 
 
 @every_method
-def test_the_other_side_is_the_mirror_image(method: Method) -> None:
+def test_the_other_side_is_the_mirror_image(method: IntegrationMethod) -> None:
     _, one = beside_wall(method, 3, 2e-3)
     _, other = beside_wall(method, 3, 2e-3, side=-1.0, at=-0.03)
     for x, v in ((0.0297, 0.3), (0.031, 0.1), (0.031, -2.0)):
@@ -142,7 +142,7 @@ def test_the_other_side_is_the_mirror_image(method: Method) -> None:
 
 
 @every_method
-def test_a_wall_does_not_pull_a_body_that_is_drawn_out_fast(method: Method) -> None:
+def test_a_wall_does_not_pull_a_body_that_is_drawn_out_fast(method: IntegrationMethod) -> None:
     _, plant = beside_wall(method, 2, 1e-4)
     x, v = 0.0301, -1.0  # k p + d v is far below 0
     free = stepped(method, Touch(0.5, 1.0), 1e-4, 2)
@@ -201,7 +201,7 @@ def test_a_run_with_the_exact_bodies_handed_in_is_the_same_run() -> None:
 
 
 @every_method
-def test_bodies_handed_in_are_those_that_move(method: Method) -> None:
+def test_bodies_handed_in_are_those_that_move(method: IntegrationMethod) -> None:
     scene = load_scene("canonical", duration=0.4)
     exact = run(scene).trace
 

@@ -19,7 +19,7 @@ from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop.analysis.precision.contenders import relaxed
 from teleop.analysis.precision.contenders.contenders import method_bodies, stepped, sub_step
-from teleop.analysis.precision.contenders.methods import METHODS, Method, Touch
+from teleop.analysis.precision.contenders.methods import METHODS, IntegrationMethod, Touch
 from teleop.analysis.precision.contenders.nonlinear import ADVANCE, acceleration, goes, kicked
 from teleop.analysis.precision.contenders.outsiders import outsider_bodies
 from teleop.analysis.precision.contenders.parts import closed
@@ -52,7 +52,7 @@ def branch(k1: float = 3000.0) -> Branch:
 
 
 @every_known
-def test_halving_the_step_of_a_ride_in_hunt_crossley_contact_shows_the_order(method: Method) -> None:
+def test_halving_the_step_of_a_ride_in_hunt_crossley_contact_shows_the_order(method: IntegrationMethod) -> None:
     dt, state = 4e-3, (1e-3, 0.05, 20.0, 0.0)
     want = np.array(settle(RIDE, *state, dt, "DOP853")[:2])
 
@@ -64,7 +64,7 @@ def test_halving_the_step_of_a_ride_in_hunt_crossley_contact_shows_the_order(met
 
 
 @every_known
-def test_while_it_slides_one_way_friction_takes_nothing_of_the_order(method: Method) -> None:
+def test_while_it_slides_one_way_friction_takes_nothing_of_the_order(method: IntegrationMethod) -> None:
     dt, core, state = 0.02, (BOND, 0.5, 1.0, 2000.0, 3.0, 1.5, 0.0, 2.0), (-0.03, 0.3, 4.0, 0.1)
     want = np.array(settle(core, *state, dt, "DOP853")[:2])
     assert settle(core, *state, dt, "DOP853").changes == 0
@@ -73,7 +73,7 @@ def test_while_it_slides_one_way_friction_takes_nothing_of_the_order(method: Met
 
 
 @every_method
-def test_halving_the_step_of_a_body_in_tissue_that_relaxes_shows_the_order(method: Method) -> None:
+def test_halving_the_step_of_a_body_in_tissue_that_relaxes_shows_the_order(method: IntegrationMethod) -> None:
     dt = 0.02
     exact = relaxing(BODY, dt, k=2000.0, k1=3000.0, tau=0.01)
     x, v, _, z = exact.move(exact.c, 0.02, 0.3, 4.0, (1.5,))
@@ -86,7 +86,7 @@ def test_halving_the_step_of_a_body_in_tissue_that_relaxes_shows_the_order(metho
 
 
 @every_method
-def test_without_a_branch_it_is_the_same_method_as_on_a_bond(method: Method) -> None:
+def test_without_a_branch_it_is_the_same_method_as_on_a_bond(method: IntegrationMethod) -> None:
     whole = relaxed.sub_step(method, branch(k1=0.0), 2e-3)
     want = sub_step(method, Touch(0.5, 1.0, 2000.0, 0.0, edge=-inf, floor=-inf), 2e-3)
     assert (*whole[0, [0, 1, 3]], *whole[1, [0, 1, 3]]) == pytest.approx(want, rel=1e-12)
@@ -97,7 +97,9 @@ def test_without_a_branch_it_is_the_same_method_as_on_a_bond(method: Method) -> 
 
 @every_known
 @pytest.mark.parametrize("d", [0.0, 10.0])
-def test_at_a_wall_it_is_the_same_method_as_on_one_that_is_piecewise_linear(method: Method, d: float) -> None:
+def test_at_a_wall_it_is_the_same_method_as_on_one_that_is_piecewise_linear(
+    method: IntegrationMethod, d: float
+) -> None:
     dt, n = 2e-3, 4
     plant = stepped(method, Touch(0.5, 1.0, 2e4, d, edge=0.0), dt, n)
     core = (WALL, 0.5, 1.0, 2e4, d, 1.5, 0.0, 0.0)
@@ -107,7 +109,7 @@ def test_at_a_wall_it_is_the_same_method_as_on_one_that_is_piecewise_linear(meth
 
 
 @every_known
-def test_a_body_at_rest_that_friction_can_hold_stays_to_the_bit(method: Method) -> None:
+def test_a_body_at_rest_that_friction_can_hold_stays_to_the_bit(method: IntegrationMethod) -> None:
     core = (NOTHING, 0.5, 1.0, 0.0, 0.0, 1.5, 0.0, 2.0)
     assert ADVANCE[method.name](core, 0.3, 0.0, 1.99, 0.0, 1e-3, 7) == (0.3, 0.0)
     moved = ADVANCE[method.name](core, 0.3, 0.0, -2.5, 0.0, 1e-3, 7)
@@ -115,7 +117,7 @@ def test_a_body_at_rest_that_friction_can_hold_stays_to_the_bit(method: Method) 
 
 
 @every_known
-def test_through_a_stop_every_method_comes_to_where_the_body_stops(method: Method) -> None:
+def test_through_a_stop_every_method_comes_to_where_the_body_stops(method: IntegrationMethod) -> None:
     core, state = (NOTHING, 0.5, 1.0, 0.0, 0.0, 1.5, 0.0, 3.0), (0.0, 0.02, 1.0, 0.0)
     want = settle(core, *state, 0.01, "DOP853").p
     assert ADVANCE[method.name](core, *state, 0.01 / 4096, 4096)[0] == pytest.approx(want, abs=1e-7)
