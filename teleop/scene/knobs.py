@@ -86,8 +86,7 @@ def settle(
         elif key not in known:
             raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, 'link', 'x_limit'])}")
         else:
-            values[key] = read(key, value, known[key].kind)
-            known[key].knob.check(key, values[key])
+            values[key] = read_knob(key, value, known[key])
     missing = [key for key in known if key not in values]
     if missing:
         raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
@@ -103,10 +102,18 @@ def settle(
     return values, of_scene
 
 
+def read_knob(key: str, value: object, own: Declared) -> object:
+    """Convert the value of a knob to its type. Raises `Refused`, also for a value that is out of its bounds."""
+    knob = own.knob
+    if own.kind is float and type(value) is float:  # nearly always
+        return number(key, value, low=knob.low, above=knob.above, high=knob.high, unit=knob.unit)
+    found = read(key, value, own.kind)
+    knob.check(key, found)
+    return found
+
+
 def read(key: str, value: object, hint: Any) -> object:
     """Convert `value`, a text or already of the type, to the type `hint` of the knob `key`. Raises `Refused`."""
-    if hint is float and type(value) is float:  # nearly always
-        return number(key, value)
     kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
     if NoneType in kinds and (value is None or value == "none"):
         return None

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, WrongNumber
 from teleop.law.contract import LawMistake
 from teleop.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from teleop.knob import Declared
 
 
 def load_scene(name: str, /, **knobs: object) -> Scene:
@@ -30,22 +33,56 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
 
 def made_by(function: Callable[..., Any], name: str, knobs: Mapping[str, object]) -> Scene:
     """Make a scene by its function, with its knobs set as `load_scene` sets them. Raises `Refused`."""
-    from teleop.scene.knobs import settle
+    return SceneMaker(function, name, knobs).scene({})
 
-    settled, of_scene = settle(name, function, knobs)
-    try:
-        scene = function(**settled)
-    except Refused as refused:
-        raise _as_typed(refused, name, {key: settled[key] for key in knobs if key in settled}) from None
-    except (Exception, SystemExit) as error:
-        why = f"{type(error).__name__}: {error}"
-        raise Refused(f"scene {name} stopped with {why}; mend it and run again") from error
-    if not isinstance(scene, Scene):
-        raise Refused(f"scene {name!r} returned {type(scene).__name__}; its function must return a teleop.Scene")
-    stem = name.rsplit("/", 1)[-1].removesuffix(".py")
-    shown = {key: shown for key, (shown, _) in of_scene.items()}
-    parts: dict[str, Any] = {key: part for key, (_, part) in of_scene.items()}
-    return _called(replace(scene, **parts) if parts else scene, stem, {**settled, **shown})
+
+class SceneMaker:
+    """Makes scenes by one function. The knobs that are `fixed` in all of them are read and checked once."""
+
+    def __init__(self, function: Callable[..., Any], name: str, fixed: Mapping[str, object]) -> None:
+        self._function, self._name, self._fixed = function, name, fixed
+        self._stem = name.rsplit("/", 1)[-1].removesuffix(".py")
+        self._settled: dict[str, object] = {}  # the function's knobs, with the values of some scene
+        self._shown: dict[str, object] = {}  # the knobs of every scene that are set, as they are shown
+        self._parts: dict[str, Any] = {}  # and what they are
+        self._read: dict[str, Declared] = {}  # the knobs that may differ from those of that scene
+
+    def scene(self, knobs: Mapping[str, object]) -> Scene:
+        """The scene with these knobs besides. Raises `Refused`."""
+        from teleop.scene.knobs import read_knob
+
+        if not self._read or self._read.keys() != knobs.keys():
+            self._settle(knobs)
+            settled = self._settled
+        else:
+            settled = self._settled.copy()
+            for key, value in knobs.items():
+                settled[key] = read_knob(key, value, self._read[key])
+        try:
+            scene = self._function(**settled)
+        except Refused as refused:
+            given = {key: settled[key] for key in (*self._fixed, *knobs) if key in settled}
+            raise _as_typed(refused, self._name, given) from None
+        except (Exception, SystemExit) as error:
+            why = f"{type(error).__name__}: {error}"
+            raise Refused(f"scene {self._name} stopped with {why}; mend it and run again") from error
+        if not isinstance(scene, Scene):
+            raise Refused(f"scene {self._name!r} returned {type(scene).__name__}; its function must return a "
+                          "teleop.Scene")
+        return _called(replace(scene, **self._parts) if self._parts else scene, self._stem, {**settled, **self._shown})
+
+    def _settle(self, knobs: Mapping[str, object]) -> None:
+        """Read and check all knobs; those of later scenes too may differ, where no other knob depends on them."""
+        from teleop.scene.knobs import knobs_of, settle
+
+        self._read = {}
+        self._settled, of_scene = settle(self._name, self._function, {**self._fixed, **knobs})
+        self._shown = {key: shown for key, (shown, _) in of_scene.items()}
+        self._parts = {key: part for key, (_, part) in of_scene.items()}
+        known = knobs_of(self._function)
+        tuned = any(key not in known and key.startswith("law.") for key in self._fixed)
+        if all(key in known and not (key == "law" and tuned) for key in knobs):
+            self._read = {key: known[key] for key in knobs}
 
 
 def _called(scene: Scene, name: str, knobs: Mapping[str, object]) -> Scene:

@@ -121,6 +121,11 @@ def has_shape(name: str, part: object) -> bool:
     return not isinstance(part, type) and all(hasattr(part, each) for each in attributes)
 
 
+def is_known_by_class(name: str, part: object) -> bool:
+    """True if the class of a part, whose shape was looked at, has the attributes that a run uses."""
+    return (name, type(part)) in _WITH_ALL
+
+
 def check_shape(name: str, part: object) -> None:
     """Refuse a part that lacks an attribute which a run uses."""
     if not has_shape(name, part):

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
+from itertools import compress
 from math import copysign
-from operator import attrgetter
+from operator import attrgetter, is_not
 from typing import Any, NamedTuple
 
 from teleop.law import functions_of
 from teleop.scene.library import scene_function
-from teleop.scene.loading import made_by
+from teleop.scene.loading import SceneMaker
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
 from teleop.simulation.prepared import Prepared, prepare
@@ -54,8 +55,8 @@ class RowMaker:
     """Makes the rows of a chunk ready, and gathers them in `groups`."""
 
     def __init__(self, scene: str, fixed: Mapping[str, object], measures: tuple[Measure, ...], engine: str) -> None:
-        self._name, self._fixed, self._measures, self._engine = scene, fixed, measures, engine
-        self._function = scene_function(scene)
+        self._measures, self._engine = measures, engine
+        self._maker = SceneMaker(scene_function(scene), scene, fixed)
         self._stamps = Stamps(engine)
         self._known: dict[Any, KnownScene] = {}  # by the law's class, the last one that was worked out in full
         self._knobs: dict[str, object] | None = None  # those of the row before, and what came of them
@@ -75,7 +76,7 @@ class RowMaker:
         """
         if self._knobs is None or not _same_knobs(self._knobs, knobs):
             self._knobs = None
-            scene = made_by(self._function, self._name, {**self._fixed, **knobs})
+            scene = self._maker.scene(knobs)
             self._before = scene, None if needs_record(self._measures, scene) else self._made(scene)
             self._knobs = knobs
         scene, made = self._before
@@ -168,7 +169,11 @@ class KnownScene:
         self.prepared, self.made = prepared, made
         self._scene = prepared.scene
         values = vars(self._scene)
-        self._parts = [(name, values[name], _is_constant(values[name])) for name in PARTS]
+        self._always = [name for name in PARTS if not same(values[name], values[name])]  # they may change unseen
+        leaves_of = [(name, path) for name in PARTS if name not in self._always for path in _paths(name, values[name])]
+        self._owners, paths = zip(*leaves_of, strict=True)
+        self._get: Callable[[Scene], tuple[Any, ...]] = attrgetter(*paths)
+        self._values = self._get(self._scene)
         slaves = prepared.bodies.slaves
         self._functions = [(plant.move, plant.force) for plant in slaves]
         self._inner = _inner(self._scene)
@@ -181,9 +186,13 @@ class KnownScene:
         """The parts of a scene that have not the very bits of this one's; None if it cannot be varied."""
         if type(scene) is not Scene:
             return None
-        values = vars(scene)
-        return frozenset([name for name, own, constant in self._parts
-                          if not ((values[name] is own and constant) or same(own, values[name]))])
+        try:
+            values = self._get(scene)
+        except AttributeError:  # a part of another class, with other fields
+            before, now = vars(self._scene), vars(scene)
+            return frozenset([name for name in PARTS if not same(before[name], now[name])])
+        others = compress(zip(self._owners, self._values, values, strict=True), map(is_not, self._values, values))
+        return frozenset([*self._always, *[name for name, before, now in others if not same(before, now)]])
 
     def has_functions_of(self, scene: Scene, slaves: list[Any]) -> bool:
         """True if these plants move by the functions of this scene's."""
@@ -237,9 +246,12 @@ def same(a: Any, b: Any) -> bool:
     return True
 
 
-def _is_constant(value: Any) -> bool:
-    """True if a value cannot change: the same object has the same bits."""
-    return same(value, value)
+def _paths(path: str, part: Any) -> list[str]:
+    """Where the values stand that a part consists of, and the classes: a part with the same ones is the same."""
+    if type(part) in ATOMS or type(part) is tuple:
+        return [path]
+    return [f"{path}.__class__", *[each for field in fields(part)
+                                   for each in _paths(f"{path}.{field.name}", getattr(part, field.name))]]
 
 
 _VALUES: dict[type, Callable[[Any], tuple[Any, ...]] | None] = {}

@@ -199,3 +199,23 @@ class TestLoading:
             load_scene(str(tmp_path / "stops.py"))
         with pytest.raises(Refused, match=r"returned int; its function must return a teleop\.Scene"):
             load_scene(str(tmp_path / "other.py"))
+
+
+def test_a_scene_that_is_like_one_which_passed_is_still_checked_where_it_differs() -> None:
+    passed = {"law": Wave(), "master": MassDamper(mass=0.1), "slave": MassDamper(mass=0.5), "dt": 1e-3}
+    Scene(**passed)
+    assert type(Scene(**{**passed, "axes": 1.0}).axes) is int
+    for name, value in {"dt": -1e-3, "observer": -1.0, "axes": True, "start_m": float("nan"), "duration": []}.items():
+        with pytest.raises(Refused, match=name):
+            Scene(**{**passed, name: value})
+
+
+def test_a_part_is_judged_by_itself_where_its_class_does_not_tell() -> None:
+    class Body:
+        def __init__(self, **own: float) -> None:
+            vars(self).update(own)
+
+    made = {"law": Wave(), "master": MassDamper(mass=0.1)}
+    Scene(**made, slave=Body(mass=0.5, damping=1.0, friction=0.0))
+    with pytest.raises(Refused, match="damping"):
+        Scene(**made, slave=Body(mass=0.5))

@@ -9,7 +9,10 @@ import pytest
 
 from channel.delay import Delay
 from slave.wall import Wall
+from teleop.errors import Refused
 from teleop.laws.wave import Wave
+from teleop.scene.library import scene_function
+from teleop.scene.loading import SceneMaker, load_scene
 from teleop.sweeps.chunk import Job, work
 from teleop.sweeps.rows import RowMaker, same
 
@@ -53,6 +56,21 @@ def test_rows_that_differ_in_a_wall_alone_share_all_but_its_numbers() -> None:
     assert first.schedules is second.schedules is third.schedules
     assert len({str(ready.tree[-1].c) for ready in group.rows}) == 3
     assert first.tree[:-1] == second.tree[:-1] == third.tree[:-1]
+
+
+def test_knobs_that_rows_share_are_read_once_and_those_that_differ_in_every_row() -> None:
+    function = scene_function("canonical")
+    maker = SceneMaker(function, "canonical", {"duration": "0.3", "law.K": 400.0, "link": "delay(0.01)", "x_limit": 5})
+    for k_e in (1e3, "2e3", 3):
+        scene = maker.scene({"k_e": k_e})
+        assert scene == load_scene(
+            "canonical", **{"duration": 0.3, "law.K": 400.0, "link": "delay(0.01)", "x_limit": 5.0, "k_e": k_e})
+        assert scene.knobs["k_e"] == float(k_e)
+    for wrong, why in ((-1.0, "k_e must be at least 0 N/m"), ("soft", "k_e must be a number"), (True, "k_e")):
+        with pytest.raises(Refused, match=why):
+            maker.scene({"k_e": wrong})
+    for law in ("wave", Wave(K=1.0)):  # the shared K is that of any law
+        assert maker.scene({"law": law}).law.K == 400.0
 
 
 def test_same_is_to_the_bit() -> None:
