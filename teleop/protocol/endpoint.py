@@ -1,6 +1,6 @@
 """One live end without its sockets: bytes and `now` come in, forces and bytes go out. Sans-IO.
 
-The tick itself is the text of `teleop.simulation.tick`, the same as in virtual time. Around it: the guard, which
+The tick itself is made from `teleop.simulation.tick`, as in virtual time. Around it: the guard, which
 decides how much of the law's force may be held; and the sessions, with each of which the law begins anew. A session
 after the first begins where the end is: its law sees positions from there (a clutch), the record goes on in the
 device's own.
