@@ -70,5 +70,5 @@ def test_the_other_teleop_is_recognised(tmp_path: Path) -> None:
     got = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False,
                          cwd=tmp_path)
     assert got.returncode == 1
-    assert "another project" in got.stderr.splitlines()[-1]
-    assert "pip install bilateral-teleop" in got.stderr.splitlines()[-1]
+    assert "another package called teleop" in got.stderr.splitlines()[-1]
+    assert "install bilateral-teleop" in got.stderr.splitlines()[-1]

@@ -46,7 +46,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (killed / name).mkdir(parents=True)
         (killed / name / "record.bin").write_bytes((sound / "ends" / name / "record.bin").read_bytes())
     for e, name in (("m", "master"), ("s", "slave")):
-        assert pair.shells[e].ticks
+        assert pair.shells[e].counts.ticks
         (killed / name / "events.jsonl").write_text(json.dumps({"k": 3, "what": "safe", "why": "silence"}) + "\n")
     (sound / "end").mkdir()
     (sound / "end" / "record.bin").write_bytes((sound / "ends" / "slave" / "record.bin").read_bytes())

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from teleop.live.driving import ClockDriver
 from teleop.live.process.suspension import LEAST_NS, Suspension, boottime
 from teleop.scene.loading import load_scene
 from teleop.stages.watchdog import Watchdog
@@ -69,7 +70,7 @@ def test_without_such_a_clock_nothing_is_seen_and_with_this_machines_nothing_tha
 
 @pytest.mark.live
 def test_a_live_end_whose_machine_was_suspended_is_safe_at_once_and_goes_on_in_another_session(
-    pair: Callable[..., Any]
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dog = Watchdog(timeout=0.8, ramp=0.05, settle=0.05)
     both = pair(replace(load_scene("canonical", duration=4.0, wall=0.005), link=None, watchdog=dog))
@@ -81,7 +82,14 @@ def test_a_live_end_whose_machine_was_suspended_is_safe_at_once_and_goes_on_in_a
             slept[0] = 5 * S
         return time.monotonic_ns() + slept[0]
 
-    slave.suspension = Suspension(boot)
+    drive = ClockDriver.drive
+
+    async def suspended_once(driver: ClockDriver) -> None:
+        if driver.shell is slave:
+            driver.suspension = Suspension(boot)
+        await drive(driver)
+
+    monkeypatch.setattr(ClockDriver, "drive", suspended_once)
     both.run()
     assert both.errors == {"m": None, "s": None}
     assert both.status() == {"m": "ok", "s": "ok"}

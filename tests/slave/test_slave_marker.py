@@ -11,6 +11,7 @@ import slave
 
 def test_another_teleop_is_told_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "teleop", ModuleType("teleop"))
+    monkeypatch.delitem(sys.modules, "teleop.version", raising=False)
     spec = spec_from_file_location("slave_again", slave.__file__)
     assert spec is not None
     assert spec.loader is not None

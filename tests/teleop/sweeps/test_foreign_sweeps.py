@@ -15,7 +15,7 @@ from teleop.__main__ import main
 from teleop.sweeps.definition import rows_of
 from teleop.sweeps.pictures.layout import thinned
 from teleop.sweeps.pictures.report import summary_of, told_of
-from teleop.sweeps.store import LONGEST, Done, Store
+from teleop.sweeps.store import LONGEST, RowNumbers, Store
 
 DEFINITION: dict[str, Any] = {
     "scene": "soft_tissue", "fixed": {}, "metrics": ["x_err_rms"], "sources": "0", "version": "0.1.0",
@@ -57,7 +57,7 @@ def test_a_row_number_of_1e12_takes_no_terabyte(count: int, tmp_path: Path, peak
 
 
 def test_the_missing_rows_of_a_sweep_with_far_apart_ones_are_still_the_longest_ranges() -> None:
-    done = Done()
+    done = RowNumbers()
     for number in (0, 4095, 4096, 3 * 4096, 10**9):
         done._add(number)
     gaps = [range(1, 4095), range(4097, 3 * 4096), range(3 * 4096 + 1, 10**9)]
