@@ -38,7 +38,7 @@ class Child:
     def __init__(self, name: str, process: asyncio.subprocess.Process) -> None:
         self.name, self.process = name, process
         self.listening: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-        self.listening.add_done_callback(lambda port: port.exception())  # nobody may wait for it any more
+        self.listening.add_done_callback(lambda port: port.exception())  # there may be no task left that waits for it
         self.done: dict[str, Any] | None = None
 
     @classmethod
@@ -210,7 +210,7 @@ async def _conduct(
 
 
 async def _until_over(children: list[Child], watches: list[asyncio.Task[tuple[int, str]]]) -> None:
-    """Until both ends have run. One that dies ends it, for nobody would start it again; raises `Refused` with its name.
+    """Until both ends have run. One that dies ends it, as nothing restarts it: `Refused` with its name.
 
     An end that stops by itself tells the other, which may know more; one that was killed cannot.
     """
@@ -268,7 +268,7 @@ def both_text(live: dict[str, dict[str, Any]]) -> str:
 
 
 def _ran(out: Path) -> bool:
-    """Did an end come to its first tick, or raise something before: is there anything to keep?"""
+    """True if there is anything to keep: an end came to its first tick, or raised something before."""
     for name in NAMES.values():
         if (out / name / fault.FILE).is_file():
             return True

@@ -65,5 +65,5 @@ def _text(error: Any) -> str:
 
 
 def write(error: BaseException, folder: Path) -> None:
-    """The traceback, for whoever mends the part; raises OSError if the disk takes no more."""
+    """The traceback, for the author of the part; raises OSError if the disk takes no more."""
     (folder / FILE).write_text("".join(traceback.format_exception(error)), errors="backslashreplace")

@@ -81,7 +81,7 @@ class LastResort:
                 self._act()
 
     def _may_wait(self) -> bool:
-        """Is there no force that is to be let go: after the run, or, however long it takes, before it?"""
+        """True if there is no force to let go: before the run, however long that takes, or after it."""
         return len(self._names) == 1 if self.shell is None else self.shell.free
 
     def _heeds_the_first(self) -> bool:

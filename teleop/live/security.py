@@ -25,11 +25,11 @@ def options(parser: ArgumentParser) -> None:
 def insecure_option(parser: ArgumentParser) -> None:
     """Let a live process be asked to go beyond this machine without keys."""
     parser.add_argument("--insecure", action="store_true",
-                        help="go beyond this machine without keys: whoever is on the way can read and change all of it")
+                        help="go beyond this machine without keys: any host on the path can read and change all of it")
 
 
 def is_local(at: Address) -> bool:
-    """Is this an address of this machine's loopback, which nothing from elsewhere reaches?"""
+    """True if this is an address of this machine's loopback, which no other host reaches."""
     return at[0].startswith("127.")
 
 
@@ -39,7 +39,7 @@ def tell_insecure(at: Address) -> None:
 
 
 class LinkSecurity:
-    """Whether the link of an end is in the open beyond loopback: `insecure`, as --insecure asked or a relay told."""
+    """The state of a link beyond loopback. `insecure`: without keys, as --insecure allows or a relay reports."""
 
     def __init__(self) -> None:
         self.insecure = False
@@ -81,7 +81,7 @@ def secure_link(e: str, args: Namespace, at: Address) -> tuple[SecureLink | None
 
 
 def _open(at: Address, args: Namespace) -> bool:
-    """Is a link without keys in the open? Refused unless that was asked for, and then said loudly."""
+    """True if a link without keys leaves this machine. `Refused` without --insecure; a warning with it."""
     if is_local(at):
         return False
     if not args.insecure:

@@ -108,7 +108,7 @@ def clock_note(link: LinkEstimates) -> str | None:
 
 
 def holds_on(shell: Shell) -> bool:
-    """Does nothing let go of its device if this process cannot? Simulated devices of stepped ends need nothing."""
+    """True if the device holds its force when this process dies. Simulated devices of stepped ends do not count."""
     return not shell.endpoint.stepped and getattr(shell.device.device, "deadline", None) is None
 
 

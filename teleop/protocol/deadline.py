@@ -21,7 +21,7 @@ GRACE = 0.2  # of the deadline: what an end gets after its watchdog stood still 
 
 
 class Silence:
-    """Whether an end's heartbeat is overdue, asked every `look_ns`. Times are ns of the machine's monotonic clock.
+    """The check, every `look_ns`, that a heartbeat is not overdue. Times are ns of the machine's monotonic clock.
 
     A watchdog that stood still itself cannot tell whether the end did too: both may have been kept from running. So
     after a look that came late the end gets `grace_ns` to renew; but only once for each heartbeat, or a watchdog that
@@ -35,7 +35,7 @@ class Silence:
         self._graced, self._until = 0, 0  # the heartbeat that was given time, and until when
 
     def overdue(self, now: int, beat: int) -> bool:
-        """Is the force to be set to zero? `beat`: when it was renewed last; 0 means that there is no force.
+        """True if the force is to be set to zero. `beat`: when it was renewed last; 0 means that there is no force.
 
         `now` has to be read before `beat` is, so that a pause between the two makes the silence shorter, not longer.
         """

@@ -59,7 +59,7 @@ class PeerClock:
         self._windows: deque[tuple[int, int, int]] = deque(maxlen=WINDOWS)  # the same of each
 
     def add(self, t1: int, held: int, t3: int, t4: int) -> int | None:
-        """One echo, `held` = t3 - t2; its round trip, or None if nobody can have sent it."""
+        """One echo, `held` = t3 - t2; its round trip, or None if it is impossible."""
         rtt = t4 - t1 - held
         if not 0 <= rtt <= MOST_RTT_NS:
             return None

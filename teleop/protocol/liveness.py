@@ -1,4 +1,4 @@
-"""Whether a session is still alive, by what came of the peer's messages and of their echoes of ours. Times are ns.
+"""The life of a session, judged by the peer's messages and by their echoes of ours. Times are ns.
 
 A session is over if nothing came for `renew_ns`, or if this end's own packets did not arrive at the other end for as
 long. Before the first message a link may just be long: the master waits `first_ns` for it, doubled from one session to

@@ -147,7 +147,7 @@ def decode(data: bytes, width: int) -> Packet | Rejection:
             data[_HEAD.size : end], use_list=False, strict_map_key=True, max_bin_len=0, max_ext_len=0,
             max_array_len=MOST_DATA // _FLOAT, max_map_len=MOST_CONTROL // 2, max_str_len=MOST_CONTROL,
         )
-    except Exception:  # a stranger's bytes: whatever msgpack raises over them, they are not a packet
+    except Exception:  # bytes of an unknown sender: whatever msgpack raises over them, they are not a packet
         return Rejection.MALFORMED
     return _checked(_KINDS[kind], fields, width)
 
@@ -289,6 +289,6 @@ def peek(data: bytes) -> tuple[Kind, int] | tuple[None, int]:
         return None, -1
     try:
         seq = unpackb(data[_HEAD.size : _HEAD.size + length], use_list=False)[1]
-    except Exception:  # a stranger's bytes
+    except Exception:  # bytes of an unknown sender
         return None, -1
     return (_KINDS[kind], seq) if type(seq) is int and 0 <= seq <= MOST_SEQ else (None, -1)

@@ -19,11 +19,11 @@ not arrive at the other end for as long, as the echoes of that one say; if it st
 told so. From then on it sends no message of the session and takes none, and only another session releases it. The
 master asks for that under the next number, which tells the slave as well; the slave asks with RENEW. Neither gives up
 the session that is over before it has let go of its device, so that no force is cut off. A slave takes up a master that
-was started anew in the same way. Whoever was running already has the grid: a master that joins a running slave takes
+was started anew in the same way. The end that kept running has the grid: a master that joins a running slave takes
 tick 0 from its WELCOME, a slave that joins a running master is told a tick 0 that has passed. `met` counts sessions;
 with each of them both ends begin their law from rest. Runs that go by packets have no silence to heal: `heals=False`.
 
-A HELLO is as long as its answer at least, so that nobody can have a third party flooded with answers. A START echoes
+A HELLO is as long as its answer at least, so that no sender can have a third party flooded with answers. A START echoes
 the send time of a WELCOME, and counts only if this very slave has sent it: who has not seen that cannot start a
 session, and one that was recorded cannot be played to a slave that was started anew.
 """

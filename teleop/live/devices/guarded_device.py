@@ -127,7 +127,7 @@ class GuardedDevice:
         self._held_well, self.trouble = False, str(error) or type(error).__name__
 
     def dead(self, now: int) -> bool:
-        """Has it failed for so long that it is not worth waiting for?"""
+        """True if it has failed for longer than `DEAD_NS`."""
         return self._sound_ns is not None and now - self._sound_ns > DEAD_NS
 
     @staticmethod

@@ -114,7 +114,7 @@ class WatchedDevice:
 
     @property
     def lets_go(self) -> bool:
-        """Is the force that was held last zero?"""
+        """True if the force that was held last is zero."""
         return not self._words[BEAT]
 
     def release(self) -> None:

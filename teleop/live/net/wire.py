@@ -16,7 +16,7 @@ from teleop.protocol.secure.relayed import Caller
 if TYPE_CHECKING:
     from teleop.protocol.secure.secure_link import Out, SecureLink
 
-# Read at ticks alone, a socket wakes nobody in between, which saves a third of the processor time.
+# Read at ticks alone, a socket wakes no process in between, which saves a third of the processor time.
 DRAIN = 16  # datagrams taken at one tick or wake-up whatever they cost
 SHARE = 0.3  # of a tick that may go into more of them: beyond it a flood would starve the tick
 LONGEST = 8240  # bytes: more than any packet has, sealed or not, so that a longer datagram shows as such
@@ -105,7 +105,7 @@ class Wire:
             self.unsent += 1
 
     def answer(self, data: bytes, address: Address) -> None:
-        """Send to whoever asked, the peer or one who may become it. Sealed, there is nobody but the peer."""
+        """Send to the sender of a datagram: the peer, or a host that may become it. Sealed, to the peer alone."""
         if self.secure_link is not None or address == self.peer:
             self.send(data)
             return

@@ -65,7 +65,7 @@ class Interrupt:
 
     @property
     def again(self) -> bool:
-        """Did a second signal come?"""
+        """True if a second signal has come."""
         return max(self.count, self.seen) > 1
 
     def _note(self, number: int, frame: FrameType | None) -> None:

@@ -84,7 +84,7 @@ class Output(io.RawIOBase):
             return False
 
     def writable(self) -> bool:
-        """Is it for writing? Yes."""
+        """True: it is for writing."""
         return True
 
     def fileno(self) -> int:
@@ -92,7 +92,7 @@ class Output(io.RawIOBase):
         return self._fd
 
     def isatty(self) -> bool:
-        """Is it a terminal?"""
+        """True if it is a terminal."""
         return os.isatty(self._fd)
 
 

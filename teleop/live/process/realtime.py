@@ -25,7 +25,7 @@ def option(parser: ArgumentParser) -> None:
 
 
 def asked(args: Namespace, name: str) -> dict[str, str] | None:
-    """What the system gave of --realtime, said on the terminal too; None if nobody asked."""
+    """The answers of the system to --realtime, printed on the terminal too; None without --realtime."""
     if not args.realtime:
         return None
     told = ask()

@@ -1,4 +1,4 @@
-"""Was the machine suspended: two of Linux's clocks, of which one goes on meanwhile and the other stands still."""
+"""Suspension of the machine, seen by two of Linux's clocks: one counts the time meanwhile, the other does not."""
 
 from __future__ import annotations
 

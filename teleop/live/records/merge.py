@@ -129,7 +129,7 @@ def needs_recovery(folder: Path) -> bool:
         return True
     try:
         made_from = stored_summary(folder).get("recovered")
-    except (OSError, Misshapen):  # whoever reads it says what is wrong with it
+    except (OSError, Misshapen):  # the reader of it names what is wrong with it
         return False
     sizes = _sizes(folder)
     return made_from is not None and None not in sizes.values() and made_from != sizes

@@ -6,8 +6,8 @@
     datagram = association.send(plain)  # None before it is ready
     datagrams = association.due(now)         # unanswered records again; called every few ms until it is ready
 
-Nothing that a peer or a stranger sends raises. A record that is not taken is counted in `dropped` by its cause; an
-association that ends has a sentence in `failure`, and another one has to be begun.
+No datagram raises, of the peer or of an unknown sender. A record that is not taken is counted in `dropped` by its
+cause; an association that ends has a sentence in `failure`, and another one has to be begun.
 
 OpenSSL times the resending of its handshake by a clock of its own that begins at one second. Here it is done by `now`,
 from 50 ms on: the last flight is sent again, its records in the clear under new numbers. Only the end that began
@@ -104,7 +104,7 @@ class Association:
         return sealed
 
     def is_genuine(self, datagram: bytes) -> bool:
-        """Is this one record of data that the other end has sealed, new or a copy?"""
+        """True if this is one record of data that the other end has sealed, new or a copy."""
         return self.data is not None and len(datagram) > OVERHEAD and self.data.is_genuine(datagram)
 
     def due(self, now: int) -> list[bytes]:
@@ -198,7 +198,7 @@ class Association:
                 self._fail(error)
 
     def _is_alive(self) -> bool:
-        """Does OpenSSL wait for more? An error that another association left in its queue is none of ours."""
+        """True if OpenSSL waits for more. An error that another association left in its queue is none of ours."""
         try:
             self._read(1)
         except SSL.WantReadError:
@@ -213,7 +213,7 @@ class Association:
             self._tls.do_handshake()
         except SSL.WantReadError:
             pass
-        except Exception as error:  # a stranger's bytes: whatever is raised over them, it is the association's end
+        except Exception as error:  # bytes of an unknown sender: whatever they raise ends the association
             self._fail(error)
         else:
             self.ready = peer_of(self._tls) == self._peer
@@ -256,9 +256,9 @@ class Association:
         self.hint = f"the other end, it seems, {why}"
 
     def _fail(self, error: Exception) -> None:
-        stranger = seen_by(self._tls)
-        if stranger is not None:
-            self.failure = another_certificate(stranger, self._peer)
+        shown = seen_by(self._tls)
+        if shown is not None:
+            self.failure = another_certificate(shown, self._peer)
             return
         # OpenSSL's reasons are a list of (library, function, reason); they are fixed texts, which quote no bytes.
         told = error.args[0] if isinstance(error, SSL.Error) and error.args else None

@@ -44,7 +44,7 @@ def context(key: Key, peer: str) -> SSL.Context:
     made.use_privatekey(key.private)
 
     def is_pinned(begun: SSL.Connection, certificate: X509, _error: int, depth: int, _fine: int) -> bool:
-        # OpenSSL's own verdict is left aside: nobody signed the certificate, and its dates say nothing.
+        # OpenSSL's own verdict is left aside: no authority signed the certificate, and its dates say nothing.
         seen = _fingerprint(certificate)
         if seen == peer and depth == 0:
             return True
@@ -65,7 +65,7 @@ def connection(settings: SSL.Context) -> SSL.Connection:
 
 
 def first_number() -> int:
-    """A number for the first record of who calls, below 2**47 of 2**48: nobody guesses it, and enough come after it."""
+    """A number for the first record of the end that calls, below 2**47 of 2**48: not guessed, and enough are left."""
     return int.from_bytes(urandom(6), "big") >> 1
 
 

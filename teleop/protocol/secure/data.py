@@ -82,7 +82,7 @@ class DataRecords:
         return plain
 
     def is_genuine(self, record: bytes) -> bool:
-        """Is this a record that the other end has sealed, be it new or a copy?"""
+        """True if this is a record that the other end has sealed, be it new or a copy."""
         try:
             self._open.decrypt(self._open_salt + record[3:11], record[13:], record[:13])
         except InvalidTag:

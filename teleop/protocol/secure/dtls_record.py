@@ -51,12 +51,12 @@ class DtlsRecord(NamedTuple):
 
     @property
     def is_hello(self) -> bool:
-        """Does it begin a handshake, in the clear?"""
+        """True if it begins a handshake, in the clear."""
         return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == CLIENT_HELLO
 
     @property
     def is_proof(self) -> bool:
-        """Does it prove who sent the hello before it?"""
+        """True if it is the proof of the hello before it."""
         return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == PROOF
 
     @property
@@ -77,7 +77,7 @@ class DtlsRecord(NamedTuple):
 
     @property
     def is_request(self) -> bool:
-        """Does it ask for a hello with a cookie? It bears the number of the hello that it answers (RFC 6347, 4.2.1)."""
+        """True if it asks for a hello with a cookie. Its number is that of the hello it answers (RFC 6347, 4.2.1)."""
         return self.type == HANDSHAKE and self.epoch == 0 and self.data[HEAD.size] == VERIFY_REQUEST
 
 

@@ -58,7 +58,7 @@ _BAD_CERTIFICATE = 42
 
 
 def is_for_gate(datagram: bytes) -> bool:
-    """Is it part of a handshake, by its first byte? Data and alerts are for an association that is there."""
+    """True if its first byte is of a handshake. Data and alerts are for an association that is there."""
     return bool(datagram) and datagram[0] in (HANDSHAKE, CHANGE)
 
 
@@ -140,7 +140,7 @@ class Gate:
         return self._begin(hello, came, address, now)
 
     def _may_check(self, address: Where, now: int) -> bool:
-        """Is there time for a signature from this address?"""
+        """True if there is time to check a signature from this address."""
         _forget(self._checked, now - CHECKED_NS)
         free = now if self._free_ns is None else max(now, self._free_ns)
         if address in self._checked or free - now >= BURST * CHECK_NS:

@@ -1,7 +1,7 @@
 """Who an end is: a private key and its certificate in one file, and the fingerprint that the other end pins.
 
 `teleop keygen NAME` writes `NAME.key`, one PEM file that only its owner may read: an EC key on P-256 and a certificate
-that it signed itself. Nobody's signature is asked for: each end is told the other's fingerprint, the SHA-256 of the
+that it signed itself. No authority's signature is needed: each end is told the other's fingerprint, the SHA-256 of the
 certificate, and takes that certificate and no other. So a certificate never runs out, since what an end with a wrong
 clock makes of a date must not decide whether it is let in; a key is replaced by making another and telling the other
 end. The certificate has the same name in it whoever made it, because it crosses the network before the encryption
@@ -183,13 +183,13 @@ def _read(path: Path) -> bytes:
         if not stat.S_ISREG(found.st_mode):
             raise Refused(f"{path} is no file; give the {SUFFIX} file that `teleop keygen` wrote")
         if os.name == "posix" and found.st_uid != os.geteuid():
-            # Whoever owns a file may read and replace it at any time, whatever its mode says.
+            # The owner of a file may read and replace it at any time, whatever its mode says.
             raise Refused(f"{path} is owned by the user with the number {found.st_uid}, and this process runs as user "
                           f"{os.geteuid()}, so its owner can read and replace the key; make one of your own with: "
                           f"teleop keygen NAME, or if the file is yours: sudo chown {os.geteuid()} {path}")
         if os.name == "posix" and found.st_mode & 0o077:
             raise Refused(f"others than its owner may read or change {path}, so it may not be secret any more; make a "
-                          f"new key, or if you know that nobody has: chmod 600 {path}")
+                          f"new key, or if you know that no other user has read it: chmod 600 {path}")
         return os.read(file, _MOST)
     except OSError as error:
         raise Refused(f"cannot read the key file {path} ({error.strerror}); give one that you may read") from None

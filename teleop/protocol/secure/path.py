@@ -44,7 +44,7 @@ class Path:
 
     @property
     def settled(self) -> bool:
-        """Is no other address in question?"""
+        """True if no other address is in question."""
         return self._since is None
 
     def settle(self, address: Where) -> None:

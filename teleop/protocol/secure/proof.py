@@ -1,4 +1,4 @@
-"""The proof beside a hello that brings its cookie: whoever sent it holds the pinned key.
+"""The proof beside a hello that brings its cookie: its sender holds the pinned key.
 
 The hello of DTLS says nothing of its sender, and to begin a handshake costs the end that listens a millisecond and a
 place in its memory. So the end that calls adds a record to the hello that brings the cookie back: its certificate, and
@@ -57,7 +57,7 @@ class Verifier:
         return seen
 
     def is_good(self, record: DtlsRecord, hello: DtlsRecord) -> bool:
-        """Has the peer signed this hello? It costs 0.1 ms."""
+        """True if the peer has signed this hello. The check takes 0.1 ms."""
         if self._public is None:
             return False
         try:

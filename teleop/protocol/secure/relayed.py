@@ -26,7 +26,7 @@ def shown(hello: DtlsRecord, cookie: bytes) -> bytes:
 
 
 def is_shown(record: DtlsRecord) -> bool:
-    """Does this record bear a relay's cookie?"""
+    """True if this record bears a relay's cookie."""
     return (record.type == HANDSHAKE and record.epoch == 0 and len(record.data) == EXTRA
             and record.data[HEAD.size] == SHOW)
 

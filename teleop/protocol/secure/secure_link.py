@@ -7,7 +7,7 @@
     back = link.due(now)                            # every few ms; `back`: (datagram, address) to send
 
 Three associations at most: the one in use, the one that is coming, and the one before, which still opens what was
-under way when the keys changed. The one in use goes on until the coming one is authenticated, so that nobody without
+under way when the keys changed. The one in use goes on until the coming one is authenticated, so that no sender without
 the pinned certificate can end it; a peer that was killed and restarted, at either end, is met again by itself.
 
 The end that calls hears a handshake from the address that it called. Hosts with several addresses answer from any of
@@ -89,12 +89,12 @@ class SecureLink:
 
     @property
     def settled(self) -> bool:
-        """Is it certain, for the time being, that the peer is at `address` and nowhere else?"""
+        """True if it is certain, for the time being, that the peer is at `address` and nowhere else."""
         return self._path.settled
 
     @property
     def ready(self) -> bool:
-        """Is there an association in use?"""
+        """True if an association is in use."""
         return self._use is not None and self._use.failure is None
 
     @property
@@ -203,7 +203,7 @@ class SecureLink:
         return [(data, at) for data in back]  # to where the hello came to its end: a cookie is for the way that it took
 
     def _hears(self, address: Where, now: int) -> bool:
-        """Is the handshake that is coming heard from there?"""
+        """True if the handshake under way is heard from there."""
         if address == self._coming_at or self._elsewhere is None or self._direct:
             return address == self._coming_at
         return address in self._coming_from and now - self._elsewhere > AGAIN_NS
