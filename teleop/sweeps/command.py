@@ -108,11 +108,11 @@ def carry_out(
     address of a dask scheduler whose workers run the rows. `workers`: threads; left out, one for each core.
     """
     from teleop.sweeps.runner import carry_out as run_rows
-    from teleop.sweeps.runner import prepare
+    from teleop.sweeps.runner import plan_sweep
     from teleop.sweeps.store import Store
     wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
     points = _points(axes, seeds, latin, random)
-    plan = prepare(name, points, metrics=wanted, fixed=knobs, engine=engine)
+    plan = plan_sweep(name, points, metrics=wanted, fixed=knobs, engine=engine)
     rows = len(plan.grid)
     if rows > MANY and not yes:
         raise Refused(f"this is {grouped(rows)} rows; write fewer values, or --yes if you mean it")

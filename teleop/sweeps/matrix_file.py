@@ -37,7 +37,7 @@ from teleop.errors import Refused, nearest, number, whole_number
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.storage.files import read_bytes
-from teleop.sweeps.runner import prepare
+from teleop.sweeps.runner import plan_sweep
 
 BUILT_IN = ROOT / "scenarios" / "matrix.toml"
 EXPECTED = ("ok", "diverged")
@@ -244,7 +244,8 @@ def _expect(value: object, where: str) -> str:
 def _try(block: MatrixBlock, where: str) -> None:
     """Refuse a block of which a row would make no scene: nothing runs until all can."""
     try:
-        prepare(block.scene, block.axes(), seeds=block.seeds or 1, metrics=METRICS, fixed=block.fixed, engine="plain")
+        plan_sweep(block.scene, block.axes(), seeds=block.seeds or 1, metrics=METRICS, fixed=block.fixed,
+                   engine="plain")
         for knobs in _points(block.axes()):
             load_scene(block.scene, **{**block.fixed, **knobs})
     except Refused as refused:

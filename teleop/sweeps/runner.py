@@ -78,11 +78,11 @@ def sweep(
     each core. `out`: a folder that rows are appended to as they finish; the same sweep there goes on where it stopped.
     `show` is told rows done and rows in all. Raises `Refused`.
     """
-    plan = prepare(scene, axes, seeds=seeds, metrics=metrics, fixed=fixed, engine=engine)
+    plan = plan_sweep(scene, axes, seeds=seeds, metrics=metrics, fixed=fixed, engine=engine)
     return carry_out(plan, executor=executor, workers=workers, out=out, show=show)
 
 
-def prepare(
+def plan_sweep(
     scene: str | PathLike[str], axes: Mapping[Any, Iterable[Any]] | Grid | None = None, *,
     seeds: int | Iterable[int] = 1, metrics: Sequence[Measure] | None = None,
     fixed: Mapping[str, object] | None = None, engine: str | None = None,

@@ -23,7 +23,7 @@ from teleop.scene.library import ROOT
 from teleop.simulation.result import Result
 from teleop.sweeps import cluster
 from teleop.sweeps.cluster import connected, parse_address
-from teleop.sweeps.runner import carry_out, prepare
+from teleop.sweeps.runner import carry_out, plan_sweep
 from teleop.sweeps.worker import answer, digest_of, sources
 from tests.waiting import PATIENCE, until
 
@@ -378,7 +378,7 @@ class TestAFrailCluster:
                 frail.scheduler.kill()
 
         frail.workers(1)
-        plan = prepare("soft_tissue", LONG, seeds=60, fixed=FIXED)
+        plan = plan_sweep("soft_tissue", LONG, seeds=60, fixed=FIXED)
         with pytest.raises(Refused, match=r"is gone.*the same command goes on"), connected(frail.address) as pool:
             carry_out(plan, executor=pool, out=tmp_path / "s", show=end)
         there = lines(tmp_path / "s")

@@ -21,7 +21,7 @@ from teleop.laws.direct import Direct, Forth
 from teleop.laws.wave import Wave
 from teleop.scene.library import ROOT
 from teleop.simulation.result import Result
-from teleop.sweeps.runner import carry_out, cores, prepare
+from teleop.sweeps.runner import carry_out, cores, plan_sweep
 
 AXES = {"law": ["wave", "direct", "pfra"], "k_e": [100.0, 400.0]}
 FIXED = {"duration": 0.3, "link": "delay(0.01) | uniform(0.02) | bernoulli(0.1)"}
@@ -191,7 +191,7 @@ def test_a_kernel_that_is_asked_for_no_figure_of_its_own_runs_all_the_same(engin
 
 
 def test_a_law_with_a_field_that_is_no_number_runs_in_plain_python_and_the_sweep_says_so() -> None:
-    plan = prepare("soft_tissue", {}, fixed={"law": Moody(), "duration": 0.05}, engine="vector")
+    plan = plan_sweep("soft_tissue", {}, fixed={"law": Moody(), "duration": 0.05}, engine="vector")
     carry_out(plan)
     ((engine, why), count), = plan.ran.items()
     assert (engine, count) == ("plain", 1)
@@ -199,7 +199,7 @@ def test_a_law_with_a_field_that_is_no_number_runs_in_plain_python_and_the_sweep
 
 
 def test_what_numba_cannot_take_is_said_in_its_own_words() -> None:
-    plan = prepare("soft_tissue", {}, fixed={"law": Rooted(), "duration": 0.05}, engine="scalar")
+    plan = plan_sweep("soft_tissue", {}, fixed={"law": Rooted(), "duration": 0.05}, engine="scalar")
     carry_out(plan)
     ((engine, why), _), = plan.ran.items()
     assert engine == "plain"
@@ -208,7 +208,7 @@ def test_what_numba_cannot_take_is_said_in_its_own_words() -> None:
 
 
 def test_figures_that_need_a_record_are_said_to_be_run_in_plain_python() -> None:
-    plan = prepare("canonical", {"k_e": [1e3 + n for n in range(400)]}, metrics=["x_err_rms", "E_fwd_min"])
+    plan = plan_sweep("canonical", {"k_e": [1e3 + n for n in range(400)]}, metrics=["x_err_rms", "E_fwd_min"])
     assert (plan.engine, plan.why) == ("plain", "a metric needs the whole record of a run")
 
 
@@ -258,7 +258,7 @@ def hypot3(x: float, **_: float) -> float:
 
 def test_the_usual_figures_are_those_that_any_law_of_the_grid_has() -> None:
     for laws in (["direct", "wave"], ["wave", "direct"]):
-        assert "E_link_min" in prepare("canonical", {"law": laws}).definition()["metrics"]
+        assert "E_link_min" in plan_sweep("canonical", {"law": laws}).definition()["metrics"]
 
 
 def test_rows_that_grow_dear_are_not_handed_out_by_the_thousand() -> None:
@@ -276,9 +276,9 @@ def test_rows_that_grow_dear_are_not_handed_out_by_the_thousand() -> None:
 
 
 def test_what_a_folder_is_held_to_is_the_value_of_every_knob() -> None:
-    plan = prepare("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)})
-    assert plan.definition() == prepare("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)}).definition()
-    assert plan.definition() != prepare("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=4.0)}).definition()
+    plan = plan_sweep("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)})
+    assert plan.definition() == plan_sweep("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)}).definition()
+    assert plan.definition() != plan_sweep("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=4.0)}).definition()
 
 
 class TestAWrongRequest:
@@ -292,13 +292,13 @@ class TestAWrongRequest:
     ])
     def test_is_refused_before_anything_runs(self, request_: dict[str, Any], words: str) -> None:
         with pytest.raises(Refused, match=words):
-            prepare("soft_tissue", **{"axes": {}, **request_})
+            plan_sweep("soft_tissue", **{"axes": {}, **request_})
 
     def test_without_numba_an_engine_that_needs_it_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
         with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[batch\]'"):
-            prepare("soft_tissue", engine="scalar")
-        assert prepare("satellite", {"delay": [0.1 * i for i in range(100)]}).engine == "plain"
+            plan_sweep("soft_tissue", engine="scalar")
+        assert plan_sweep("satellite", {"delay": [0.1 * i for i in range(100)]}).engine == "plain"
 
 
 class TestTheCommand:
@@ -354,13 +354,13 @@ class TestTheCommand:
 
 class TestWorkers:
     def test_are_as_many_as_this_process_may_use_cores(self) -> None:
-        plan = prepare("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
+        plan = plan_sweep("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
         assert plan.workers == 0
         carry_out(plan)
         assert plan.workers == cores() >= 1
 
     def test_are_those_that_were_asked_for(self) -> None:
-        plan = prepare("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
+        plan = plan_sweep("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
         carry_out(plan, workers=3)
         assert plan.workers == 3
 

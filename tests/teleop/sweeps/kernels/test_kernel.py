@@ -227,8 +227,8 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
 
 SCRIPT = LAW.replace("import gains", "").replace("* PARTS[0] * gains.G", "").replace("{factor}", "50.0").replace(
     "{tuple}", "1.0") + """
-from teleop.sweeps.runner import carry_out, prepare
-plan = prepare("canonical", {"k_e": [1e3, 2e3]}, fixed={"law": Mine(), "duration": 0.1}, engine="scalar")
+from teleop.sweeps.runner import carry_out, plan_sweep
+plan = plan_sweep("canonical", {"k_e": [1e3, 2e3]}, fixed={"law": Mine(), "duration": 0.1}, engine="scalar")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
 

@@ -213,10 +213,10 @@ class TestWhatHasNoLanes:
 
 
 def test_the_engine_of_a_few_rows_is_another_than_that_of_many() -> None:
-    from teleop.sweeps.runner import prepare
+    from teleop.sweeps.runner import plan_sweep
 
     def chosen(rows: int, seconds: float) -> str:
-        return prepare("canonical", {"k_e": [1e3 + n for n in range(rows)]}, fixed={"duration": seconds}).engine
+        return plan_sweep("canonical", {"k_e": [1e3 + n for n in range(rows)]}, fixed={"duration": seconds}).engine
 
     assert [chosen(8, 600.0), chosen(400, 10.0), chosen(400, 0.1)] == ["scalar", "vector", "plain"]
 
