@@ -57,8 +57,8 @@ class Guard:
         self._dt, self._every = dt, every
         self.lapsed = False  # was the force let go by the device before this tick
         self._lapses = float("inf")  # own ticks from one that ran to the next, and it was
-        self._calm = float("inf")
-        self._waits = False  # for the first packet since the cause was over: from that one on calm is counted
+        self._quiet_ticks = float("inf")
+        self._waits = False  # for the first packet since the cause was over: from that one on the quiet ticks count
         self._k = -every  # the last tick that ran
         self._heard = -every  # when a packet came last; silence counts from the start
         self.old, self.oldest = 0, 0.0  # how many messages were too old, and how old the oldest was, s
@@ -78,7 +78,7 @@ class Guard:
         self.tell(k, "session", why)
         if self._c is not None:
             self._k = self._heard = k - self._every
-            self.gain, self._calm, self._waits = 0.0, 0.0, True
+            self.gain, self._quiet_ticks, self._waits = 0.0, 0.0, True
             self._enter(k, "a new session")
 
     @property
@@ -108,15 +108,15 @@ class Guard:
         if got and passed == 1 and self.gain == 1.0 and not self.safe and trouble is None and over is None:
             heard = max(self._heard, k if came is None else min(k, came))
             if self._is_well(unheard, age, (k - heard) // self._every):  # nearly always
-                self._heard, self._calm, self._waits, self.lapsed = heard, self._calm + 1.0, False, False
+                self._heard, self._quiet_ticks, self._waits, self.lapsed = heard, self._quiet_ticks + 1.0, False, False
                 return 1.0
-        patience = self._c.timeout_ticks
+        timeout_ticks = self._c.timeout_ticks
         self.lapsed = passed > self._lapses
         if self.lapsed:
             self.gain = 0.0
         if got:
             self._hear(k, came, age)
-        silent, not_heard = (k - self._heard) // self._every, unheard > patience * self._dt
+        silent, not_heard = (k - self._heard) // self._every, unheard > timeout_ticks * self._dt
         if trouble is None:
             trouble = self._cause_of(k, passed - 1, silent, not_heard, over)
         if trouble is not None:
@@ -126,21 +126,21 @@ class Guard:
             silent = _NEVER
         c = self._c
         if not_heard:  # it is not released before the other end hears this one; what came has settled it all the same
-            self._calm = min(self._calm, c.settle + silent - 1.0)
-        falling = silent > patience or self._calm + 1.0 - silent <= c.settle
+            self._quiet_ticks = min(self._quiet_ticks, c.settle + silent - 1.0)
+        falling = silent > timeout_ticks or self._quiet_ticks + 1.0 - silent <= c.settle
         if falling and passed > 1:
             c = c._replace(step=min(1.0, c.step * passed))
-        self.gain, self._calm = watchdog_step(c, self.gain, self._calm, silent)
-        if self.safe and self._calm - silent > c.settle:
+        self.gain, self._quiet_ticks = watchdog_step(c, self.gain, self._quiet_ticks, silent)
+        if self.safe and self._quiet_ticks - silent > c.settle:
             self.safe, self.cause = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
         return self.gain
 
     def _is_well(self, unheard: float, age: int, silent: int) -> bool:
         """Does full gain stay so, with a message of this age and these silences: all that the rest of `step` asks?"""
-        patience, _, settle, oldest = self._c or (0.0, 0.0, 0.0, 0.0)
-        return (silent <= patience and unheard <= patience * self._dt and age <= oldest * self._every
-                and self._calm + 1.0 - silent > settle)
+        timeout_ticks, _, settle, oldest = self._c or (0.0, 0.0, 0.0, 0.0)
+        return (silent <= timeout_ticks and unheard <= timeout_ticks * self._dt and age <= oldest * self._every
+                and self._quiet_ticks + 1.0 - silent > settle)
 
     def _hear(self, k: int, came: int | None, age: int) -> None:
         """A message is there at tick k, sent `age` ticks ago; what `came` is, see `step`."""
@@ -160,13 +160,13 @@ class Guard:
         """
         assert self._c is not None
         assert self._dog is not None
-        patience = self._c.timeout_ticks
-        if missed > patience or self.lapsed:
+        timeout_ticks = self._c.timeout_ticks
+        if missed > timeout_ticks or self.lapsed:
             return f"a stall: no tick for {missed * self._dt:.3f} s"
         if over is not None:
             return over
-        if silent > patience:
-            if (k - self._old_k) // self._every <= patience:
+        if silent > timeout_ticks:
+            if (k - self._old_k) // self._every <= timeout_ticks:
                 return f"age: messages come more than {self._dog.age:g} s after they were sent"
             return f"silence: no fresh packet for {self._dog.timeout:g} s"
         if not_heard and (not self.safe or str(self.cause).startswith("no answer")):
