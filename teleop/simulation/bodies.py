@@ -31,6 +31,7 @@ class Bodies(NamedTuple):
     instead: Mapping[str, Any] = MappingProxyType({})  # of the functions that the tick's text names, by those names
     inner_m: Any = None  # the master's inner state at the first tick, if it has one
     report_m: Callable[[Any], Mapping[str, float]] | None = None  # what to say of that state afterwards
+    method: str = ""  # METHOD:N of a fixed-step method with N sub-steps a tick; empty: the scene's own steps
 
     def functions(self) -> dict[str, Any]:
         """What the text of a run names of the bodies, by those names."""

@@ -62,6 +62,7 @@ RUN = record({
     "metrics": named(record({"value": real})), "packets": named(packets), "notes": each(text),
 }, {
     "versions": named(text), "command": each(text), "end": one_of("master", "slave"), "master": end, "slave": end,
+    "bodies": text,
     "integration": optional(named(record({
         "error_estimate_max": _ESTIMATE, "error_estimate_sum": _ESTIMATE, "substeps_max": real,
         "ticks_over_tolerance": real, "tolerance": real,

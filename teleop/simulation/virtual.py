@@ -21,16 +21,21 @@ LONG = 100_000  # ticks from which on the rows are kept in a quarter of the memo
 
 
 def run(
-    scene: Scene, *, seed: int = 0, clock: Callable[[], int] | None = None, bodies: Bodies | None = None
+    scene: Scene, *, seed: int = 0, clock: Callable[[], int] | None = None, bodies: Bodies | str | None = None
 ) -> Result:
     """Run `scene` in virtual time.
 
     `seed` (0 .. 2^64-1) keys every random draw of the link. `clock` returns nanoseconds and times the loop
-    alone; without it the result has no run time. `bodies` are others than the exact ones, for comparison. A run
-    that diverges ends early and says so in its status. Raises `Refused`.
+    alone; without it the result has no run time. `bodies` are others than the exact ones, for comparison, or their
+    integrator by name: "semi_implicit_euler:40" has 40 sub-steps a tick. A run that diverges ends early and says so in
+    its status. Raises `Refused`.
     """
     if not isinstance(scene, Scene):
         raise Refused(f"give run a Scene, not {scene!r}; write for example run(load_scene('canonical'))")
+    if isinstance(bodies, str):
+        from teleop.simulation.integrators.named import bodies_of
+
+        bodies = bodies_of(scene, bodies)
     return run_prepared(prepare(scene, bodies), seed=seed, clock=clock)
 
 
@@ -62,6 +67,11 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     packets = counts_of(plans, ran) if ran == scene.ticks else packet_counts(scene, seed, ran)
     reports = integration(scene, bodies, inner)
     notes = standing_notes(scene)
+    if bodies.method:
+        from teleop.simulation.integrators.named import told
+
+        notes += told(bodies)
+        reports["bodies"] = bodies.method
     notes += [f"{capped} ticks had more contact events than are followed in one tick"] * (capped > 0)
     notes += too_old(scene, "master", bwd, ran)
     notes += too_old(scene, "slave", fwd, ran)

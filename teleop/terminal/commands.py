@@ -60,6 +60,8 @@ def _picture(added: ArgumentParser, then: str) -> None:
 
 def _run(added: ArgumentParser) -> None:
     scene_options(added)
+    added.add_argument("--bodies", metavar="METHOD:N", help="move the bodies by N sub-steps a tick of a fixed-step "
+                       "method, for example semi_implicit_euler:40 (see `teleop list bodies`); left out: exactly")
     _out(added, "SCENE")
     _json(added)
     _plot(added, "plot.png")

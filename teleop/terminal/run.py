@@ -27,7 +27,7 @@ def command(args: Namespace) -> Answer:
 
         need_plot()
     with new_folder(args.out, stem(args.scene)) as new:  # before the run: a folder that cannot be written is found now
-        result = run(scene, seed=args.seed, clock=args.nanoseconds)
+        result = run(scene, seed=args.seed, clock=args.nanoseconds, bodies=args.bodies)
         result.write(new.inside, args.typed)
         if args.plot:
             from teleop.terminal.run_plot import draw

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders.parts import is_carried, whole_plants
 from teleop.analysis.precision.reference.agreement import column
 from teleop.physics.plant import move_free, move_gripped
 from teleop.simulation.bodies import Bodies, reference_samples
+from teleop.simulation.integrators.parts import is_carried, whole_plants
 
 if TYPE_CHECKING:
     from teleop.analysis.precision.contenders.contenders import Contender

@@ -13,17 +13,18 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders.contenders import Contender, method_bodies
-from teleop.analysis.precision.contenders.methods import METHODS
-from teleop.analysis.precision.contenders.nonlinear import goes
+from teleop.analysis.precision.contenders.contenders import Contender
 from teleop.analysis.precision.contenders.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
-from teleop.analysis.precision.contenders.parts import closed, slave_of
 from teleop.analysis.precision.costs import run_costs, step_costs
 from teleop.analysis.precision.reference.agreement import Agreement
 from teleop.analysis.precision.reference.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
 from teleop.analysis.precision.reference.truth import Truth, truth_of
 from teleop.errors import Refused
 from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.integrators.methods import METHODS
+from teleop.simulation.integrators.nonlinear import goes
+from teleop.simulation.integrators.parts import closed, slave_of
+from teleop.simulation.integrators.stepped import method_bodies
 from teleop.simulation.metrics import tracking
 from teleop.simulation.virtual import run
 

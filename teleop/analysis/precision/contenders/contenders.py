@@ -1,35 +1,10 @@
-"""The bodies of a scene moved by something else than the stack's own steps, to be measured against them.
-
-A fixed-step method moves the slave and the gripped master. A body that is linear (in free space, bonded, or
-gripped) is a matrix per sub-step for any of them; it is taken n times, since that is what sub-steps are. Bodies
-that are not piecewise linear are those of `nonlinear`, bodies that remember those of `relaxed`.
-"""
+"""A contender: one way to move the bodies of a scene, to be measured against the others."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf
-from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders import relaxed
-from teleop.analysis.precision.contenders.methods import IntegrationMethod, Touch, wall_coefficients
-from teleop.analysis.precision.contenders.nonlinear import ADVANCE, goes, held_stepped, move_stepped, stepped_force
-from teleop.analysis.precision.contenders.parts import (
-    closed,
-    core_of,
-    master_branch,
-    rebuilt,
-    relaxing_branch,
-    slave_of,
-)
-from teleop.errors import Refused
-from teleop.physics.contact import WallStep, move_wall, wall_force
-from teleop.physics.plant import Gripped, MassDamper, Plant, Sprung, linear_force, move_free, move_linear
-from teleop.simulation.bodies import Bodies, exact_bodies
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
+from teleop.simulation.bodies import Bodies
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,89 +29,3 @@ class Contender:
     def key(self) -> str:
         """Its name among all."""
         return f"{self.method}/{self.step}" if self.step else self.method
-
-
-def touch_of(plant: Plant, body: MassDamper) -> Touch:
-    """The equation of `body` that an exact plant solves. Refused for plants that are none of teleop's own."""
-    if plant.move is move_free:
-        return Touch(body.mass, body.damping)
-    if plant.move is move_linear:
-        bond = Sprung(*plant.c)
-        return Touch(body.mass, body.damping, bond.k, bond.d, 1.0, bond.at, -inf, -inf)
-    if plant.move is move_wall:
-        wall = WallStep(*plant.c)
-        return Touch(wall.mass, wall.damping, wall.k, wall.d, wall.side, wall.at, 0.0, 0.0)
-    raise Refused(
-        f"no equation is known for an environment that moves by {plant.move.__name__}; precision compares methods on "
-        "walls, bonded tissue and free space, Hunt-Crossley bodies, the standard linear solid, and these carried along"
-    )
-
-
-def stepped(method: IntegrationMethod, touch: Touch, dt: float, n: int) -> Plant:
-    """A plant that moves by n sub-steps of `method` per tick of dt."""
-    if touch.edge == 0.0:
-        return Plant(method.move, wall_force, wall_coefficients(method, touch, dt / n, n))
-    return Plant(move_repeated, linear_force, (touch.at, touch.k, touch.d, *sub_step(method, touch, dt / n), n))
-
-
-def sub_step(method: IntegrationMethod, touch: Touch, h: float) -> tuple[float, ...]:
-    """The matrix of one sub-step of a linear body, in the order of `Linear`: the method applied to unit vectors."""
-    bond = touch._replace(side=1.0, at=0.0, edge=-inf, floor=-inf)
-    c = wall_coefficients(method, bond, h, 1)
-    first, second = zip(*(method.move(c, *unit)[:2] for unit in ((1, 0, 0), (0, 1, 0), (0, 0, 1))), strict=True)
-    return (*map(float, first), *map(float, second))
-
-
-def move_repeated(c: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
-    """Take the matrix of a linear body's sub-step n times; c is (at, k, d), `Linear`, n."""
-    at, _, _, a11, a12, b1, a21, a22, b2, n = c
-    q = x - at
-    push, kick = b1 * f, b2 * f
-    for _ in range(n):
-        q, v = a11 * q + a12 * v + push, a21 * q + a22 * v + kick
-    return at + q, v, 0
-
-
-def gripped(n: int) -> Callable[..., tuple[float, float]]:
-    """`move_gripped` by n sub-steps; its c is `Gripped` with the matrix of one sub-step in it."""
-
-    def move(c: Any, x: float, v: float, f_m: float, r0: float, r1: float) -> tuple[float, float]:
-        a11, a12, b1, a21, a22, b2, dt, b, _, _, _, _ = c
-        s = (r1 - r0) / dt
-        f = -(f_m + b * s)
-        y, w, push, kick = x - r0, v - s, b1 * f, b2 * f
-        for _ in range(n):
-            y, w = a11 * y + a12 * w + push, a21 * y + a22 * w + kick
-        return r1 + y, s + w
-
-    return move
-
-
-def method_bodies(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
-    """The scene's bodies, moved by n sub-steps of `method` per tick. Refused as in `touch_of`."""
-    dt = scene.dt_ns / 1e9
-    exact = exact_bodies(scene)
-    if not (goes(method) or closed(scene)):
-        raise Refused(f"{method.label} is not known on bodies that are not piecewise linear; take for example sdirk2")
-
-    def moved(still: Plant, environment: Any) -> Plant:
-        if (held := core_of(still)) is not None:
-            return Plant(move_stepped, stepped_force, (*held, ADVANCE[method.name], dt / n, n), ())
-        if (branch := relaxing_branch(still, environment, slave_of(scene))) is not None:
-            return still._replace(move=relaxed.bonded(relaxed.stepped(method, branch, dt, n)))
-        return stepped(method, touch_of(still, slave_of(scene)), dt, n)
-
-    slaves = rebuilt(scene, moved)
-    if scene.master.friction > 0.0:
-        move = held_stepped(exact.master[0], ADVANCE[method.name], dt, n)
-        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move}, inner_m=(), report_m=None)
-    if scene.electrical is not None:
-        own = relaxed.held(relaxed.stepped(method, master_branch(scene), dt, n), dt, scene.master.damping)
-        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": own})
-    if scene.hand is None:
-        body = Touch(scene.master.mass, scene.master.damping)
-        master = stepped(method, body, dt, n)
-        return Bodies(master.c, slaves, {"move_free": master.move})
-    grip = Gripped(*exact.master)
-    matrix = sub_step(method, Touch(grip.mass, grip.b, grip.k, grip.d), dt / n)
-    return Bodies((*matrix, *exact.master[6:]), slaves, {"move_gripped": gripped(n)})

@@ -10,12 +10,12 @@ from importlib.util import find_spec
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders import relaxed
-from teleop.analysis.precision.contenders.contenders import touch_of
-from teleop.analysis.precision.contenders.methods import Touch
-from teleop.analysis.precision.contenders.parts import core_of, rebuilt, relaxing_branch, slave_of
 from teleop.physics.plant import Plant
 from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.integrators import relaxed
+from teleop.simulation.integrators.methods import Touch
+from teleop.simulation.integrators.parts import core_of, rebuilt, relaxing_branch, slave_of
+from teleop.simulation.integrators.stepped import touch_of
 
 if TYPE_CHECKING:
     from teleop.physics.sdirk import Core

@@ -12,18 +12,18 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders.contenders import touch_of
 from teleop.analysis.precision.contenders.outsiders import there
-from teleop.analysis.precision.contenders.parts import inner, slave_of
 from teleop.analysis.precision.reference.deviation import felt
 from teleop.analysis.precision.reference.located import MOST_RADIANS, gripped_touch, located, radians
 from teleop.physics.plant import Gripped, Plant, move_free, move_gripped
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
+from teleop.simulation.integrators.parts import inner, slave_of
+from teleop.simulation.integrators.stepped import touch_of
 from teleop.simulation.metrics import magnitude
 
 if TYPE_CHECKING:
-    from teleop.analysis.precision.contenders.methods import Touch
     from teleop.scene.scene import Scene
+    from teleop.simulation.integrators.methods import Touch
 
 CHANGES, OTHERS = 24, 12  # ticks to look at: those in which contact is made or lost, and more, evenly
 RADAU = 8  # of these also by Radau, which takes far longer

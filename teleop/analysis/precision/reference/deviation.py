@@ -68,7 +68,7 @@ def felt(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
     """
     import numpy as np
 
-    from teleop.analysis.precision.contenders.parts import slave_of
+    from teleop.simulation.integrators.parts import slave_of
 
     body = slave_of(scene)
     m, b, dt = body.mass, body.damping, scene.dt_ns / 1e9

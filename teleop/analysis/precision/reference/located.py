@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
-from teleop.analysis.precision.contenders.methods import Touch
 from teleop.analysis.precision.reference.reference import settle
 from teleop.physics.plant import Gripped
 from teleop.physics.sdirk import BOND, NOTHING, WALL, Core
+from teleop.simulation.integrators.methods import Touch
 
 MOST_RADIANS = 500.0  # of a piece's own motion within a tick that a step-by-step integrator still follows
 

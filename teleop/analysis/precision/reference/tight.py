@@ -9,9 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders import relaxed
-from teleop.analysis.precision.contenders.contenders import touch_of
-from teleop.analysis.precision.contenders.parts import (
+from teleop.analysis.precision.reference.located import gripped_touch, located
+from teleop.analysis.precision.reference.reference import TIGHT, settle
+from teleop.physics.plant import Gripped, Plant
+from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.integrators import relaxed
+from teleop.simulation.integrators.parts import (
     core_of,
     master_branch,
     rebuilt,
@@ -19,10 +22,7 @@ from teleop.analysis.precision.contenders.parts import (
     slave_of,
     stills,
 )
-from teleop.analysis.precision.reference.located import gripped_touch, located
-from teleop.analysis.precision.reference.reference import TIGHT, settle
-from teleop.physics.plant import Gripped, Plant
-from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.integrators.stepped import touch_of
 from teleop.simulation.virtual import run
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.precision.contenders.outsiders import there
-from teleop.analysis.precision.contenders.parts import closed
 from teleop.analysis.precision.reference.agreement import Agreement, agreement, wobbled
 from teleop.analysis.precision.reference.deviation import errors
 from teleop.errors import Refused
+from teleop.simulation.integrators.parts import closed
 from teleop.simulation.virtual import run
 from teleop.terminal.units import si
 
@@ -125,7 +125,7 @@ def _integrated(scene: Scene, seed: int, clock: Callable[[], int], own: Result, 
 
 def _unclosed(scene: Scene) -> int:
     """How many bodies have no closed form."""
-    from teleop.analysis.precision.contenders.parts import core_of, stills
+    from teleop.simulation.integrators.parts import core_of, stills
 
     return (scene.master.friction > 0.0) * scene.axes + sum(core_of(still) is not None for still, _ in stills(scene))
 

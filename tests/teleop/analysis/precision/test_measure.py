@@ -18,8 +18,7 @@ from channel.delay import Delay
 from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.analysis.precision.contenders.contenders import Contender, method_bodies, touch_of
-from teleop.analysis.precision.contenders.methods import METHODS
+from teleop.analysis.precision.contenders.contenders import Contender
 from teleop.analysis.precision.contenders.outsiders import outsider_bodies
 from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
 from teleop.analysis.precision.reference.agreement import agreement, wobbled
@@ -32,6 +31,8 @@ from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.integrators.methods import METHODS
+from teleop.simulation.integrators.stepped import method_bodies, touch_of
 from teleop.simulation.virtual import run
 
 Typed = Callable[..., Any]

@@ -8,7 +8,6 @@ from math import exp, gamma, isnan, log, log1p, pi, sqrt
 import numpy as np
 import pytest
 
-from teleop.analysis.precision.contenders.methods import Touch
 from teleop.analysis.precision.reference.located import located
 from teleop.analysis.precision.reference.reference import settle
 from teleop.analysis.precision.reference.tight import reference_bodies
@@ -17,6 +16,7 @@ from teleop.physics.implicit import implicit_plant
 from teleop.physics.plant import MassDamper, spring_damper
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL
 from teleop.scene.loading import load_scene
+from teleop.simulation.integrators.methods import Touch
 from teleop.simulation.virtual import run
 
 both = pytest.mark.parametrize("solver", ["DOP853", "Radau"])

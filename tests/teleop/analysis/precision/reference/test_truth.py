@@ -18,7 +18,6 @@ import teleop.analysis.precision.reference.truth as truth_module
 from slave.hunt_crossley import HuntCrossley
 from slave.wall import Wall
 from teleop.analysis.precision.contenders.contenders import Contender
-from teleop.analysis.precision.contenders.methods import METHODS
 from teleop.analysis.precision.costs import step_costs
 from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
 from teleop.analysis.precision.reference.agreement import Agreement, wobbled
@@ -30,9 +29,10 @@ from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.virtual import run
-from tests.teleop.analysis.precision.contenders.test_nonlinear import HC, RUBBING, SCENES
 from tests.teleop.analysis.precision.test_measure import entry, quick, same, strike  # noqa: F401 - a fixture
+from tests.teleop.simulation.integrators.test_nonlinear import HC, RUBBING, SCENES
 
 Typed = Callable[..., Any]
 

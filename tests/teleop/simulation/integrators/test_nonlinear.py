@@ -17,13 +17,7 @@ from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.analysis.precision.contenders import relaxed
-from teleop.analysis.precision.contenders.contenders import method_bodies, stepped, sub_step
-from teleop.analysis.precision.contenders.methods import METHODS, IntegrationMethod, Touch
-from teleop.analysis.precision.contenders.nonlinear import ADVANCE, acceleration, goes, kicked
 from teleop.analysis.precision.contenders.outsiders import outsider_bodies
-from teleop.analysis.precision.contenders.parts import closed
-from teleop.analysis.precision.contenders.relaxed import Branch
 from teleop.analysis.precision.reference.reference import settle
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
@@ -31,6 +25,12 @@ from teleop.physics.relaxing import ElectricalDamping, relaxing
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, resistance_force
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.simulation.integrators import relaxed
+from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
+from teleop.simulation.integrators.nonlinear import ADVANCE, acceleration, goes, kicked
+from teleop.simulation.integrators.parts import closed
+from teleop.simulation.integrators.relaxed import Branch
+from teleop.simulation.integrators.stepped import method_bodies, stepped, sub_step
 from teleop.simulation.virtual import run
 from tests.teleop.analysis.precision.test_measure import strike
 
@@ -212,7 +212,7 @@ def test_radau_iia_is_refused_where_its_coupled_stages_are_not_solved() -> None:
 
 def test_a_plant_with_an_inner_state_that_nobody_knows_is_refused() -> None:
     solid = replace(scene("a standard linear solid"), environment=Opaque())
-    with pytest.raises(Refused, match=r"move_relaxing; precision compares methods on walls"):
+    with pytest.raises(Refused, match=r"move_relaxing, so no fixed-step method can; take walls"):
         method_bodies(solid, METHODS[0], 1)
 
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from teleop.analysis.precision.contenders.methods import IntegrationMethod
 from teleop.physics.sdirk import BOND, GAMMA, HUNT_CROSSLEY, NOTHING, ON, Core, power, resistance_force, stage
+from teleop.simulation.integrators.methods import IntegrationMethod
 
 # What takes n sub-steps of h: (equation, depth, speed, f, s, h, n) -> depth, speed.
 Advance = Callable[[Core, float, float, float, float, float, int], tuple[float, float]]

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.precision.contenders.methods import GAMMA, IntegrationMethod
+from teleop.simulation.integrators.methods import GAMMA, IntegrationMethod
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

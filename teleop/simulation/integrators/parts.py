@@ -12,9 +12,9 @@ from teleop.physics.plant import MassDamper, Plant
 from teleop.simulation.bodies import exact_bodies, with_inner
 
 if TYPE_CHECKING:
-    from teleop.analysis.precision.contenders.relaxed import Branch
     from teleop.physics.sdirk import Core
     from teleop.scene.scene import Scene
+    from teleop.simulation.integrators.relaxed import Branch
 
 
 def slave_of(scene: Scene) -> MassDamper:
@@ -111,8 +111,8 @@ def relaxing_branch(still: Plant, environment: Any, body: MassDamper) -> Branch 
     """The equation of a body in tissue that relaxes; None if it is in something else."""
     if still.start is None:
         return None
-    from teleop.analysis.precision.contenders.relaxed import Branch
     from teleop.physics.relaxing import move_relaxing
+    from teleop.simulation.integrators.relaxed import Branch
 
     if still.move is not move_relaxing or not all(hasattr(environment, name) for name in ("k", "k1", "tau")):
         return None
@@ -121,7 +121,7 @@ def relaxing_branch(still: Plant, environment: Any, body: MassDamper) -> Branch 
 
 def master_branch(scene: Scene) -> Branch:
     """The equation of the master where it is damped electrically."""
-    from teleop.analysis.precision.contenders.relaxed import Branch
+    from teleop.simulation.integrators.relaxed import Branch
 
     hand, shunt = scene.hand, scene.electrical
     assert shunt is not None

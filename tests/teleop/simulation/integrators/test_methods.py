@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.analysis.precision.contenders.contenders import method_bodies, stepped, sub_step, touch_of
-from teleop.analysis.precision.contenders.methods import METHODS, IntegrationMethod, Touch
 from teleop.errors import Refused
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
 from teleop.scene.loading import load_scene
 from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
+from teleop.simulation.integrators.stepped import method_bodies, stepped, sub_step, touch_of
 from teleop.simulation.virtual import run
 
 BY_NAME = {method.name: method for method in METHODS}
@@ -228,5 +228,5 @@ def test_an_environment_without_a_known_equation_is_refused() -> None:
         return state[1], state[2], 0
 
     odd = free_space(BODY, 1e-3)._replace(move=my_move)
-    with pytest.raises(Refused, match=r"my_move; precision compares methods on walls, bonded tissue and free space"):
+    with pytest.raises(Refused, match=r"my_move, so no fixed-step method can; take walls"):
         touch_of(odd, BODY)

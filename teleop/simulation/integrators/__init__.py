@@ -1,0 +1,1 @@
+"""Fixed-step methods that can move the bodies of a scene in place of the exact steps."""
