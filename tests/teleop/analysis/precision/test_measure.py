@@ -380,7 +380,7 @@ class TestTheCommand:
         (["canonical", "--rounds", "-2"], ["--rounds"]),
         (["canonical", "--set", "duration=1e5"], ["too many", "--set duration=10"]),
         (["canonical", "--out", "taken"], ["taken", "--out"]), ([], ["SCENE", "--help"]),
-        (["odd.py"], ["sideways", "walls, bonded tissue and free space"]),
+        (["odd.py"], ["sideways", "walls, bonded tissue, free space"]),
     ])
     def test_a_wrong_request_is_one_sentence_and_leaves_nothing(
         self, typed: Typed, tmp_path: Path, arguments: list[str], words: list[str]
