@@ -12,9 +12,10 @@ def main() -> int:
     except ImportError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2
+    from teleop.__main__ import leave
     from teleop.__main__ import main as command_line
 
-    return command_line()
+    return leave(command_line())
 
 
 if __name__ == "__main__":

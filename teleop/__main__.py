@@ -5,13 +5,15 @@ What may be typed is in `teleop.terminal.commands`. Clocks reach the commands fr
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from time import perf_counter, perf_counter_ns
 
 from teleop.terminal.commands import parser
-from teleop.terminal.options import DONE, guarded
+from teleop.terminal.options import DONE, INTERRUPTED, guarded
 
 # Where each command is carried out: a function of the parsed arguments, which returns an `Answer`.
 HOME = {
@@ -37,6 +39,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     return guarded(lambda: _obey(typed))
 
 
+def leave(code: int) -> int:
+    """The exit code; after Ctrl-C the process ends with it here and now, if a thread is still at work.
+
+    At its end Python waits for every thread, and one that compiles cannot be stopped before it is done.
+    """
+    if code == INTERRUPTED:
+        import threading
+
+        if any(not one.daemon for one in threading.enumerate() if one is not threading.main_thread()):
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError, ValueError):
+                    stream.flush()
+            os._exit(code)
+    return code
+
+
 def _obey(typed: Sequence[str]) -> int:
     known = parser()
     args = known.parse_args(typed)
@@ -54,4 +72,4 @@ def _obey(typed: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(leave(main()))

@@ -187,6 +187,7 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
     told = (stop.is_set,) if executor is None else ()  # others may be in other processes
     each, size = 0.0, 1  # s a row, rows of the last chunk
     running: set[Future[ChunkResult]] = set()
+    complete = False
     try:
         while True:
             while len(running) < 2 * (workers := workers_of()):
@@ -200,6 +201,7 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
                 plan.workers = max(plan.workers, workers)
                 running.add(pool.submit(work, job, *told))
             if not running:
+                complete = True
                 return
             for future in wait(running, POLL, FIRST_COMPLETED).done:
                 running.remove(future)
@@ -211,8 +213,8 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
         stop.set()
         for future in running:
             future.cancel()
-        if own:
-            pool.shutdown(cancel_futures=True)
+        if own:  # a job that compiles cannot be stopped: it ends by itself, and what it has compiled is kept
+            pool.shutdown(wait=complete, cancel_futures=True)
 
 
 def cores() -> int:
