@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,27 +12,30 @@ from teleop.simulation.result import RUNNING, stored_summary
 from teleop.storage.folder import new_folder
 from teleop.sweeps.pictures.report import PictureRequest, check_run, report
 from teleop.terminal.answer import Answer
+from teleop.terminal.plotting import asked_formats
 from teleop.terminal.run import answer_of, with_plot
 
 
 def command(args: Namespace) -> Answer:
-    """Show what the folder holds, and draw it where the extra `plot` is there. Raises `Refused`."""
+    """Show what the folder holds, and draw it if asked to. Raises `Refused`."""
     folder = Path(args.run)
     request = PictureRequest(args.picture, args.metric)
+    formats = asked_formats(args, asked=any(request))
     if args.slave is not None:
-        return _both_ends(args)
+        return _both_ends(args, formats)
     if (folder / "sweep.json").is_file():
-        return report(folder, request, quiet=args.json, trust=args.trust)
+        return report(folder, request, formats, trust=args.trust)
     check_run(folder, request)
     result = load_result(folder, trust=args.trust)
     if result.status == RUNNING:
         return answer_of(result, args.typed)
-    if args.json:  # as it is stored, and nothing is drawn
-        return Answer("", {**stored_summary(folder), "path": str(result.path)})
-    return with_plot(answer_of(result, args.typed), result, folder)
+    answer = answer_of(result, args.typed)
+    if args.json:  # as it is stored
+        answer = answer._replace(document={**stored_summary(folder), "path": str(result.path)})
+    return with_plot(answer, result, folder, formats)
 
 
-def _both_ends(args: Namespace) -> Answer:
+def _both_ends(args: Namespace, formats: Sequence[str]) -> Answer:
     """The two ends of a live run that was started by hand, as one run in a new folder."""
     result = merge(scene_of(Path(args.run), trust=args.trust), Path(args.run), Path(args.slave))
     if result.status == RUNNING:
@@ -39,4 +43,4 @@ def _both_ends(args: Namespace) -> Answer:
     with new_folder(args.out, Path(result.scene).name.removesuffix(".py")) as new:
         result.write(new.inside, args.typed)
     result = replace(result, path=new.path)
-    return with_plot(answer_of(result, args.typed), result, new.path)
+    return with_plot(answer_of(result, args.typed), result, new.path, formats)

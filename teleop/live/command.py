@@ -6,20 +6,19 @@ from argparse import Namespace
 
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import knobs_from
-from teleop.terminal.plotting import need_plot
+from teleop.terminal.plotting import asked_formats
 
 
 def demo(args: Namespace) -> Answer:
-    """Run the scene live, as three processes, leave its folder and draw it. Raises `Refused`."""
+    """Run the scene live, as three processes, leave its folder, and draw it if asked to. Raises `Refused`."""
     from teleop.live.demo import demo as run_live
     from teleop.terminal.run import answer_of, stem, with_plot
 
-    if args.plot:
-        need_plot()
+    formats = asked_formats(args)
     result = run_live(args.scene, knobs_from(args), seed=args.seed, out=args.out, stem=stem(args.scene),
                       json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime)
     answer = answer_of(result, args.typed)
-    return answer if result.path is None else with_plot(answer, result, result.path)
+    return answer if result.path is None else with_plot(answer, result, result.path, formats)
 
 
 def keygen(args: Namespace) -> Answer:

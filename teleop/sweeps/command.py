@@ -11,10 +11,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from teleop.errors import Refused
 from teleop.simulation.result import versions
-from teleop.sweeps.pictures.report import PictureRequest, drawn, joined, limits_of, status_rows, summary_of, write
+from teleop.sweeps.pictures.report import (
+    PictureRequest,
+    joined,
+    limits_of,
+    status_rows,
+    summary_of,
+    with_picture,
+    write,
+)
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
-from teleop.terminal.plotting import need_plot
+from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import RowsProgress
 from teleop.terminal.table import facts
 from teleop.terminal.units import grouped
@@ -78,21 +86,19 @@ class Swept(NamedTuple):
 
 def command(args: Namespace) -> Answer:
     """What `teleop sweep` does: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
-    request = PictureRequest(args.picture, args.metric) if args.plot or args.picture or args.metric else None
-    if request is not None:
-        need_plot()
+    picture = PictureRequest(args.picture, args.metric)
+    formats = asked_formats(args, asked=any(picture))
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
                       latin=args.latin, random=args.random, cluster=args.cluster, workers=args.workers,
-                      engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds, request=request,
-                      stream=None if args.json else sys.stderr)
+                      engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds,
+                      request=picture if formats else None, stream=None if args.json else sys.stderr)
     told = swept.write(args.typed)
     answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": told["runs"]}).kept_in(swept.folder)
-    text = answer.text
     if swept.interrupted:
-        text += "\ninterrupted: the same command goes on from here"
-    if request is not None:
-        text += "\n" + drawn(swept.table, swept.folder, told, request, trust=True)
-    return answer._replace(text=text, code=INTERRUPTED if swept.interrupted else DONE)
+        answer = answer._replace(text=f"{answer.text}\ninterrupted: the same command goes on from here")
+    if formats:
+        answer = with_picture(answer, swept.table, swept.folder, told, picture, formats)
+    return answer._replace(code=INTERRUPTED if swept.interrupted else DONE)
 
 
 def carry_out(

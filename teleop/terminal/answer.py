@@ -7,7 +7,7 @@ no bound, is null in it.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,6 +33,18 @@ class Answer(NamedTuple):
     def kept_in(self, folder: Path | str | None) -> Answer:
         """The same answer, which says that its files are in `folder`."""
         return self._replace(text=f"{self.text}\nwritten to {folder}", document={**self.document, "path": str(folder)})
+
+    def with_plots(self, folder: Path, files: Iterable[Path]) -> Answer:
+        """The same answer, which names the `files` of its plots; they are in `folder` by now."""
+        plots = [str(folder / file.name) for file in files]
+        if not plots:
+            return self
+        text = "\n".join([self.text, *(f"plot: {plot}" for plot in plots)])
+        return self._replace(text=text, document={**self.document, "plots": plots})
+
+    def without_plot(self, why: object) -> Answer:
+        """The same answer, which says why no plot was drawn."""
+        return self._replace(text=f"{self.text}\nno plot: {why}")
 
 
 def say(answer: Answer, *, json: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 
-from teleop.terminal.options import Parser, scene_options, whole
+from teleop.terminal.options import FORMATS, Parser, formats, scene_options, whole
 
 EXAMPLES = """\
 examples:
@@ -16,11 +16,11 @@ examples:
   teleop precision hard_wall --set k_e=1e6
   teleop stability soft_tissue --set law=direct --critical k_e
   teleop passivity virtual_coupling --plot
-  teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02
+  teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02 --plot
   teleop sweep soft_tissue --grid law=direct,wave delay=0:0.1:21 k_e=10:1e4:21:log --plot
   teleop matrix
   teleop list hard_wall
-  teleop report runs/hard_wall-1
+  teleop report runs/hard_wall-1 --plot --format pdf
 """
 
 
@@ -49,10 +49,14 @@ def _out(added: ArgumentParser, stem: str) -> None:
 
 
 def _plot(added: ArgumentParser, what: str) -> None:
-    added.add_argument("--plot", action="store_true", help=f"draw {what} too (needs the extra `plot`)")
+    added.add_argument("--plot", action="store_true", help=f"draw {what} into the folder, named with -2, -3, ... where "
+                       "that name is taken (needs the extra `plot`); left out: nothing is drawn")
+    added.add_argument("--format", metavar="FORMATS", type=formats, help=f"of the plot: {', '.join(FORMATS)}, several "
+                       "joined by commas; draws, as --plot does; left out: png")
 
 
-def _picture(added: ArgumentParser, then: str) -> None:
+def _picture(added: ArgumentParser, whose: str = "") -> None:
+    then = f"; draws{whose}, as --plot does"
     added.add_argument("--picture", metavar="KIND", help="stability (how rows ended, over two knobs), metric (one over "
                        f"two knobs) or curves (one over one knob); left out: by what varies and how rows ended{then}")
     added.add_argument("--metric", metavar="NAME", help=f"the metric that it shows; left out: the first{then}")
@@ -100,7 +104,7 @@ def _sweep(added: ArgumentParser) -> None:
     added.add_argument("--yes", action="store_true", help="more than 1e9 rows are meant")
     _json(added)
     _plot(added, "sweep.png")
-    _picture(added, "; draws sweep.png, as --plot does")
+    _picture(added)
 
 
 def _matrix(added: ArgumentParser) -> None:
@@ -115,6 +119,7 @@ def _precision(added: ArgumentParser) -> None:
     scene_options(added)
     _out(added, "SCENE-precision")
     _json(added)
+    _plot(added, "precision.png")
     added.add_argument("--rounds", metavar="N", type=whole,
                        help="how often each is timed; left out: as often, and as many, as fit into a minute")
 
@@ -150,6 +155,7 @@ def _zwidth(added: ArgumentParser) -> None:
     added.add_argument("--range-b", metavar="LOW:HIGH", help="the same of damping (N s/m)")
     _out(added, "SCENE-zwidth")
     _json(added)
+    _plot(added, "plane.png, impedance.png and levers.png")
 
 
 def _list(added: ArgumentParser) -> None:
@@ -171,7 +177,8 @@ def _report(added: ArgumentParser) -> None:
     added.add_argument("--out", metavar="DIR", help="with SLAVE: the new folder to write; default runs/SCENE-NUMBER")
     added.add_argument("--trust", action="store_true", help="run the scene's own file, and read the files, that the "
                        "folder names: for folders of your own, or that you have read")
-    _picture(added, " (of a sweep)")
+    _plot(added, "plot.png or sweep.png")
+    _picture(added, " a sweep")
     _json(added, "print the stored summary and nothing else")
 
 
@@ -201,7 +208,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
     "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
-    "report": ("Show a stored run or sweep again, and draw it if the extra `plot` is there.", _report),
+    "report": ("Show a stored run or sweep again; --plot draws it.", _report),
 }
 
 

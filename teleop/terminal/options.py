@@ -16,6 +16,8 @@ from teleop.errors import Refused, nearest
 
 DONE, FAULT, WRONG, FORCED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes; FORCED: a device's force may still be on
 
+FORMATS = ("png", "pdf", "svg")  # of a plot
+
 
 class Parser(ArgumentParser):
     """An argument parser that refuses in one sentence where argparse would print its usage and exit."""
@@ -122,6 +124,15 @@ def whole(text: str) -> int:
     if not (text.isascii() and text.isdecimal()) or int(text) < 1:
         raise ArgumentTypeError(f"must be a whole number of at least 1, not {text!r}; write for example 3")
     return int(text)
+
+
+def formats(text: str) -> tuple[str, ...]:
+    """The formats of a plot, joined by commas, each once, as argparse's `type`."""
+    named = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",")))
+    if not {*named} <= {*FORMATS}:
+        raise ArgumentTypeError(f"must be one or several of {', '.join(FORMATS)}, joined by commas, not {text!r}; "
+                                "write for example pdf,svg")
+    return named
 
 
 def _seed(text: str) -> int:

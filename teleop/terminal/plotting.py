@@ -1,15 +1,24 @@
-"""Plots: one palette, a new figure, and its PNG file, which is written whole or not at all. Needs the extra `plot`."""
+"""Plots: one palette, a new figure, and its files, each written whole or not at all. Needs the extra `plot`.
+
+One rule for all commands: a plot is drawn only where --plot, or an option that says how it is to look, asks for it; the
+answer names its files; and no file is overwritten.
+"""
 
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from io import BytesIO
+from itertools import count
+from os.path import lexists
+from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
-from teleop.storage.files import replacing
+from teleop.storage.files import read_bytes, replacing
 from teleop.terminal.printable import printable
 
 if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -21,16 +30,28 @@ BROWN, PURPLE = "#8C564B", "#5D3A9B"  # where these are too few
 BLACK, DARK, GREY, PALE = "#000000", "#666666", "#999999", "#D9D9D9"
 FAILS = "#CC0000"  # a criterion that fails, a run that diverged
 
+PNG = ("png",)  # in which a plot is drawn unless it is asked for in another format
+# What each file would hold besides: the version of matplotlib, or the time. The same figure gives the same bytes.
+WITHOUT: dict[str, dict[str, Any]] = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
+WRITTEN: dict[Any, Any] = {"svg.hashsalt": "teleop",  # in place of random names of the parts of an SVG file
+                           "pdf.fonttype": 42}  # letters stay letters, as publishers ask
 
-def drawable() -> bool:
-    """True if the extra `plot` is installed."""
-    return find_spec("matplotlib") is not None
+
+def asked_formats(args: Namespace, *, asked: bool = False) -> tuple[str, ...]:
+    """The formats in which a command is to draw, from --plot and --format; empty: it is to draw nothing.
+
+    `asked`: another of its options asks for a plot. Raises `Refused` without the extra, before anything is computed.
+    """
+    if not (args.plot or args.format or asked):
+        return ()
+    need_plot()
+    return args.format or PNG
 
 
 def need_plot() -> None:
-    """Refuse where nothing can be drawn, before anything is computed."""
-    if not drawable():
-        raise Refused("a plot needs matplotlib: pip install 'bilateral-teleop[plot]', or leave --plot out")
+    """Refuse where nothing can be drawn."""
+    if find_spec("matplotlib") is None:
+        raise Refused("a plot needs matplotlib: pip install 'bilateral-teleop[plot]', or ask for no plot")
 
 
 def new_figure(size: tuple[float, float], title: str = "") -> Figure:
@@ -60,11 +81,44 @@ def literal(text: str, *, most: int = 300) -> str:
     return printable(text, most=most).replace("$", r"\$")
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write `figure` as the PNG file `path`, whole or not at all. Raises `Refused` if it cannot be written."""
+def save(figure: Figure, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
+    """Write `figure` as `path` with the suffix of each format, each file whole or not at all; returns the files.
+
+    No file is overwritten: of NAME, NAME-2, NAME-3, ... the first is taken where each of the files is not there yet, or
+    is this very figure, to the byte. Raises `Refused` if a file cannot be written.
+    """
+    drawn = {each: _drawn(figure, each) for each in formats}
+    for number in count(1):
+        stem = path.name if number == 1 else f"{path.name}-{number}"
+        files = {path.with_name(f"{stem}.{each}"): data for each, data in drawn.items()}
+        if all(not lexists(file) or _holds(file, data) for file, data in files.items()):
+            break
+    for file, data in files.items():
+        if not lexists(file):
+            _write(file, data)
+    return [*files]
+
+
+def _drawn(figure: Figure, kind: str) -> bytes:
+    """The file in memory: the same figure gives the same bytes."""
+    from matplotlib import rc_context
+
+    with rc_context(WRITTEN), BytesIO() as file:
+        figure.savefig(file, format=kind, metadata=WITHOUT[kind])
+        return file.getvalue()
+
+
+def _write(path: Path, data: bytes) -> None:
     try:
         with replacing(path) as file:
-            figure.savefig(file, format="png", metadata={"Software": None})  # the same run gives the same bytes
+            file.write(data)
     except OSError as error:
         why = error.strerror or error
         raise Refused(f"could not write {path} ({why}); make room there, or make it writable") from error
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return read_bytes(path, most=len(data), links=False) == data
+    except OSError:  # larger, a link, a folder, not to be read: something else
+        return False

@@ -14,26 +14,21 @@ from teleop.simulation.virtual import run
 from teleop.storage.folder import new_folder
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import knobs_from
+from teleop.terminal.plotting import asked_formats
 from teleop.terminal.run_table import table
 
-PLOT = "plot.png"
+PLOT = "plot"  # and the suffix of its format
 
 
 def command(args: Namespace) -> Answer:
     """Run the scene in virtual time and leave its folder. Raises `Refused`."""
     scene = load_scene(args.scene, **knobs_from(args))
-    if args.plot:
-        from teleop.terminal.plotting import need_plot
-
-        need_plot()
+    formats = asked_formats(args)
     with new_folder(args.out, stem(args.scene)) as new:  # before the run: a folder that cannot be written is found now
         result = run(scene, seed=args.seed, clock=args.nanoseconds, bodies=args.bodies)
         result.write(new.inside, args.typed)
-        if args.plot:
-            from teleop.terminal.run_plot import draw
-
-            draw(result, new.inside / PLOT)
-    return answer_of(replace(result, path=new.path), args.typed)
+    result = replace(result, path=new.path)
+    return with_plot(answer_of(result, args.typed), result, new.path, formats)
 
 
 def answer_of(result: Result, typed: Sequence[str]) -> Answer:
@@ -44,22 +39,19 @@ def answer_of(result: Result, typed: Sequence[str]) -> Answer:
     return answer.kept_in(result.path)
 
 
-def with_plot(answer: Answer, result: Result, folder: Path) -> Answer:
-    """Draw the run into `folder` where the extra is there; that it cannot be is said and no error.
+def with_plot(answer: Answer, result: Result, folder: Path, formats: Sequence[str]) -> Answer:
+    """Draw a run that is stored in `folder`, in each of `formats`, and name the files.
 
-    What was asked for is done by then.
+    That it cannot be drawn is said and no error: the run is stored by then.
     """
-    from teleop.terminal.plotting import drawable
-
-    if not drawable():
+    if not formats:
         return answer
     from teleop.terminal.run_plot import draw
 
     try:
-        draw(result, folder / PLOT)
+        return answer.with_plots(folder, draw(result, folder / PLOT, formats))
     except Refused as refused:
-        return answer._replace(text=f"{answer.text}\nno plot: {refused}")
-    return answer
+        return answer.without_plot(refused)
 
 
 def stem(scene: str) -> str:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.terminal.plotting import BLUE, DARK, GREEN, ORANGE, RED, SKY, grid_lines, literal, new_figure, save
+from teleop.terminal.plotting import BLUE, DARK, GREEN, ORANGE, PNG, RED, SKY, grid_lines, literal, new_figure, save
 from teleop.terminal.run_table import heading, verdict
 from teleop.terminal.units import PREFIX
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -45,8 +45,8 @@ PANELS = (  # blue at the master's end, red at the slave's
 )
 
 
-def draw(result: Result, path: Path) -> None:
-    """Draw `result` into the PNG file `path`, whole or not at all.
+def draw(result: Result, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
+    """Draw `result` into `path` with the suffix of each format, as `save` does; returns the files.
 
     The energy panel is there if the scene summed any. Several axes share a panel: the first is drawn as for
     one, the others thin. Raises `Refused` if the extra is missing or the file cannot be written.
@@ -60,7 +60,7 @@ def draw(result: Result, path: Path) -> None:
         every[-1].set_xlim(0.0, result.trace["t"][-1] + result.dt)
     every[-1].set_xlabel("time (s)")
     figure.align_ylabels()
-    save(figure, path)
+    return save(figure, path, formats)
 
 
 def _fill(axes: Axes, panel: TracePanel, trace: Mapping[str, Any]) -> None:

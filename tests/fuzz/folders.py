@@ -15,15 +15,13 @@ import shutil
 import signal
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from struct import pack
 from typing import Any
 
 import numpy as np
-
-from teleop.terminal import plotting
 
 ROOM = 3 << 30  # bytes of address space; numpy, matplotlib and their threads take 1.5 GB of it
 GROWS = 400 << 20  # bytes that the resident memory may grow by in all cases together
@@ -235,7 +233,7 @@ def serve(folder: str, first: int, count: int, draw_each: int) -> None:
     kinds = sorted(path.name for path in (place / "sound").iterdir())
     os.chdir(place)
     with redirect_stdout(io.StringIO()):
-        main(["report", str(place / "sound" / kinds[0])])  # what is imported is no matter of a case
+        main(["report", str(place / "sound" / kinds[0]), "--plot"])  # what is imported is no matter of a case
     began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     for number in range(first, first + count):
         troubles = _opened(main, place, kinds[number % len(kinds)], number, draw_each)
@@ -261,11 +259,11 @@ def _opened(main: Callable[[Any], int], place: Path, kind: str, number: int, dra
     words = ["report", str(case)]
     if kind == "ends" and dice.random() < 0.7:
         words = ["report", str(case / "master"), str(case / "slave"), "--out", str(case / "new")]
-    words += ["--json"] * (dice.random() < 0.2)
+    words += ["--json"] * (dice.random() < 0.2) + ["--plot"] * (number % draw_each == 0)
     out, err = io.StringIO(), io.StringIO()
     signal.alarm(SECONDS)
     try:
-        with redirect_stdout(out), redirect_stderr(err), drawing(number % draw_each == 0):
+        with redirect_stdout(out), redirect_stderr(err):
             code: Any = main(words)
     except BaseException as error:  # whatever it is, it is told
         code = f"{type(error).__name__}: {error}"[:500]
@@ -290,17 +288,6 @@ def _opened(main: Callable[[Any], int], place: Path, kind: str, number: int, dra
     if odd:
         troubles.append(f"it ran {odd}")
     return [f"{trouble} ({', '.join(hostile.done)}; {' '.join(words)})" for trouble in troubles]
-
-
-@contextmanager
-def drawing(here: bool) -> Iterator[None]:
-    """With plots, which take most of the time, or as where they cannot be drawn."""
-    has = plotting.drawable
-    plotting.drawable = has if here else lambda: False
-    try:
-        yield
-    finally:
-        plotting.drawable = has
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

@@ -167,9 +167,10 @@ class TestALink:
         folder = record(tmp_path / "m", [0.0, 1.0])
         for name in ("trace.npz", "summary.json", "plot.png", ".plot.png.part"):
             (folder / name).symlink_to(tmp_path / ("nowhere" if name == "summary.json" else "precious"))
-        assert main(["report", str(folder)]) == 0
+        assert main(["report", str(folder), "--plot"]) == 0
         assert not (tmp_path / "nowhere").exists()
-        assert not any((folder / name).is_symlink() for name in ("trace.npz", "summary.json", "plot.png"))
+        assert not any((folder / name).is_symlink() for name in ("trace.npz", "summary.json"))
+        assert (folder / "plot-2.png").is_file()
 
     @pytest.mark.parametrize("name", [FILE, "summary.json"])
     def test_in_place_of_what_report_reads_is_not_followed(self, name: str, tmp_path: Path) -> None:

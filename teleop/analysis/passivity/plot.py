@@ -14,6 +14,7 @@ from teleop.terminal.plotting import (
     FAILS,
     GREEN,
     ORANGE,
+    PNG,
     RED,
     SKY,
     grid_lines,
@@ -23,6 +24,7 @@ from teleop.terminal.plotting import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -35,8 +37,8 @@ STYLES = {"sampled": ("-", 1.4), "continuous": ("--", 1.0)}
 ETA = (-1.3, 4.0)  # shown of Llewellyn's parameter
 
 
-def draw(answer: PassivityAnswer, path: Path) -> None:
-    """Draw `answer` into the PNG file `path`. `Refused` if the extra is missing or it cannot be written."""
+def draw(answer: PassivityAnswer, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
+    """Draw `answer` into `path` with the suffix of each format, as `save` does; returns the files."""
     alone = answer.one is not None and answer.one.behind is None
     title = literal(titled(answer.scene))
     figure = new_figure((9.5, 5.0) if alone else (13.0, 8.5),
@@ -46,7 +48,7 @@ def draw(answer: PassivityAnswer, path: Path) -> None:
         _one(figure, answer.one, data)
     else:
         _two(figure, answer, data)
-    save(figure, path)
+    return save(figure, path, formats)
 
 
 def _frequency(axes: Axes, label: str) -> None:

@@ -16,6 +16,7 @@ from teleop.terminal.plotting import (
     GREY,
     ORANGE,
     PINK,
+    PNG,
     PURPLE,
     RED,
     SKY,
@@ -28,6 +29,7 @@ from teleop.terminal.run_table import heading
 from teleop.terminal.units import si
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -55,8 +57,8 @@ SIZES = (10.0, 7.0, 5.0, 3.5)  # of the marks, from coarse to fine
 PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force on the environment", "N"))
 
 
-def draw(got: Precision, path: Path) -> None:
-    """Draw `got` into the PNG file `path`. Raises `Refused` if the extra is missing or the file cannot be written."""
+def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
+    """Draw `got` into `path` with the suffix of each format, as `save` does; returns the files."""
     reference = "" if got.truth.method == "exact" else (
         f"\nagainst scipy's {got.truth.method} with every change of mode located, good to "
         f"{si(got.truth.off['x_s'], 'm')}, {si(got.truth.off['f_env'], 'N')}")
@@ -75,7 +77,7 @@ def draw(got: Precision, path: Path) -> None:
     figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=9)
     handles, labels = every[1, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right lower", frameon=False, fontsize=9)
-    save(figure, path)
+    return save(figure, path, formats)
 
 
 def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 
 from teleop.analysis.zwidth.assess import assess, span
 from teleop.analysis.zwidth.report import summary, table
@@ -14,16 +15,17 @@ from teleop.storage.strict_json import write_document
 from teleop.terminal.answer import Answer
 from teleop.terminal.interrupt import interrupts_wait
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
-from teleop.terminal.plotting import drawable
+from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import shown_on
 
 
 def command(args: Namespace) -> Answer:
-    """Find the Z-width; leave summary.json and, where the extra is there, its plots in a new folder.
+    """Find the Z-width; leave summary.json and, if asked to, its plots in a new folder.
 
     An interrupt leaves what was found until then: the search stops at once, of the plots the one at hand is finished.
     Raises `Refused`, and KeyboardInterrupt if nothing was found yet.
     """
+    formats = asked_formats(args)
     scene = load_scene(args.scene, **knobs_from(args))
     span_K, span_B = span("--range-k", args.range_k), span("--range-b", args.range_b)
     with new_folder(args.out, f"{scene.name}-zwidth") as new:
@@ -31,18 +33,19 @@ def command(args: Namespace) -> Answer:
             found = assess(scene, span_K=span_K, span_B=span_B, seed=args.seed, show=show)
         with interrupts_wait() as interrupt:
             write_document(new.inside / "summary.json", summary(found, args.typed))
+            plots: list[Path] = []
             missing = []
-            if drawable():
+            if formats:
                 from teleop.analysis.zwidth.plot import PLOTS
 
                 for name, draw in PLOTS.items():
                     if interrupt.came:
                         missing.append(name)
                     else:
-                        draw(found, new.inside / name)
+                        plots += draw(found, new.inside / name, formats)
             if interrupt.came:
                 note = [f"interrupted before it was drawn: {', '.join(missing)}"] if missing else []
                 found = replace(found, interrupted=True, notes=[*found.notes, *note])
                 write_document(new.inside / "summary.json", summary(found, args.typed))
     code = INTERRUPTED if found.interrupted else DONE
-    return Answer(table(found), summary(found, args.typed), code).kept_in(new.path)
+    return Answer(table(found), summary(found, args.typed), code).kept_in(new.path).with_plots(new.path, plots)

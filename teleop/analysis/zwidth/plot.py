@@ -24,6 +24,7 @@ from teleop.terminal.plotting import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -45,7 +46,7 @@ def _new(got: ZWidth, title: str, size: tuple[float, float]) -> Figure:
     return new_figure(size, literal(told + " (interrupted)" * got.interrupted))
 
 
-def _plane(got: ZWidth, path: Path) -> None:
+def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     """The whole stable region, and its corner near the passive one."""
     import numpy as np
 
@@ -73,7 +74,7 @@ def _plane(got: ZWidth, path: Path) -> None:
         grid_lines(axes)
     handles, labels = whole.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    save(figure, path)
+    return save(figure, path, formats)
 
 
 def _regions(axes: Axes, got: ZWidth, far_B: float, far_K: float) -> None:
@@ -110,7 +111,7 @@ def _edge(axes: Axes, edge: Boundary | None, colour: str, line: str, label: str)
         axes.plot([B for B, _ in some], [K for _, K in some], color=colour, linestyle=line, linewidth=1.4, label=label)
 
 
-def _impedance(got: ZWidth, path: Path) -> None:
+def _impedance(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     """Both curves, and what lies between them."""
     import numpy as np
 
@@ -138,10 +139,10 @@ def _impedance(got: ZWidth, path: Path) -> None:
     axes.set_ylabel("impedance (N s/m)")
     grid_lines(axes)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    save(figure, path)
+    return save(figure, path, formats)
 
 
-def _levers(got: ZWidth, path: Path) -> None:
+def _levers(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     """A bar for each lever and metric; the line is the scene as it is."""
     rows = got.rows
     told = [(title, [numbers(row)[key] for row in rows], key) for key, title in PANELS]
@@ -170,7 +171,7 @@ def _levers(got: ZWidth, path: Path) -> None:
         axes.grid(visible=True, axis="x", linewidth=0.4, alpha=0.5)
         axes.set_axisbelow(True)
     every[0, 0].invert_yaxis()
-    save(figure, path)
+    return save(figure, path, formats)
 
 
-PLOTS = {"plane.png": _plane, "impedance.png": _impedance, "levers.png": _levers}
+PLOTS = {"plane": _plane, "impedance": _impedance, "levers": _levers}  # each draws as `save` does

@@ -24,7 +24,7 @@ from teleop.sweeps.pictures.layout import (
     varying,
 )
 from teleop.sweeps.pictures.maps import draw_maps
-from teleop.terminal.plotting import GREY, grid_lines, literal, need_plot, new_figure, save
+from teleop.terminal.plotting import GREY, PNG, grid_lines, literal, need_plot, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,9 +38,9 @@ LINES = 7  # at most, in one panel
 
 def draw(
     table: Table, path: Path, kind: str | None = None, *, metric: str | None = None, title: str = "",
-    units: Mapping[str, str] | None = None, words: Mapping[str, str] | None = None,
-) -> None:
-    """Draw `table` into the PNG file `path`, whole or not at all.
+    units: Mapping[str, str] | None = None, words: Mapping[str, str] | None = None, formats: Sequence[str] = PNG,
+) -> list[Path]:
+    """Draw `table` into `path` with the suffix of each of `formats`, as `save` does; returns the files.
 
     `kind`: "stability" (two knobs as axes, cells coloured by status, or by the share of seeds that end ok, and the
     boundary between them), "metric" (the median over the seeds that end ok), "curves" (a metric over one knob, with
@@ -83,7 +83,7 @@ def draw(
     ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
     told = (title, f"{len(table)} rows: {ended}", *notes, note, left)
     figure.suptitle(literal(" · ".join(part for part in told if part)), fontsize=11)
-    save(figure, path)
+    return save(figure, path, formats)
 
 
 def check(knobs: Sequence[str], numeric: Sequence[str], kind: str | None, metric: str | None, metrics: Sequence[str]

@@ -14,7 +14,7 @@ from teleop.storage.files import read_bytes
 from teleop.storage.folder import is_being_written
 from teleop.storage.strict_json import Misshapen, parse, write_document
 from teleop.terminal.answer import Answer
-from teleop.terminal.plotting import drawable, need_plot
+from teleop.terminal.plotting import PNG
 from teleop.terminal.table import facts
 from teleop.terminal.units import grouped
 
@@ -110,8 +110,9 @@ def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
     return told, f"{facts(said)}\n{table}", table
 
 
-def picture(table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest, *, trust: bool) -> Path:
-    """Draw sweep.png into a sweep's folder; where it is. Raises `Refused` if that cannot be.
+def picture(table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest,
+            formats: Sequence[str] = PNG, *, trust: bool) -> list[Path]:
+    """Draw a sweep into its folder, as sweep.png or in other `formats`; the files. Raises `Refused` if that cannot be.
 
     `trust`: the scene's own file may be run, for the units of its knobs.
     """
@@ -126,34 +127,30 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], request: Pictur
     if "duration" in limits:
         within = f"within {limits['x_limit']:g} m for " if "x_limit" in limits else ""
         words["ok"] = f"ok: {within}{limits['duration']:g} s"
-    draw(table, folder / "sweep.png", request.kind, metric=request.metric, title=Path(name).stem,
-         units=units_of(name, table.knobs) if trust or name in known_scenes() else {}, words=words)
-    return folder / "sweep.png"
+    return draw(table, folder / "sweep", request.kind, metric=request.metric, title=Path(name).stem,
+                units=units_of(name, table.knobs) if trust or name in known_scenes() else {}, words=words,
+                formats=formats)
 
 
-def drawn(table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest, *, trust: bool) -> str:
-    """Draw a sweep and say where; that it cannot be is no error, for its rows are there."""
+def with_picture(answer: Answer, table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest,
+                 formats: Sequence[str]) -> Answer:
+    """Draw a sweep that was just run, and name the files; that it cannot be is no error, for its rows are there."""
     if not len(table):
-        return "no plot: no row is there yet"
+        return answer.without_plot("no row is there yet")
     try:
-        return f"drawn in {picture(table, folder, told, request, trust=trust)}"
+        return answer.with_plots(folder, picture(table, folder, told, request, formats, trust=True))
     except Refused as refused:
-        return f"no plot: {refused}"
+        return answer.without_plot(refused)
 
 
-def report(folder: Path, request: PictureRequest, *, quiet: bool, trust: bool = False) -> Answer:
-    """What `teleop report` says of a sweep, which is drawn if that can be.
+def report(folder: Path, request: PictureRequest, formats: Sequence[str] = (), *, trust: bool = False) -> Answer:
+    """What `teleop report` says of a sweep, which is drawn in `formats`; none: not at all. `trust`: see `picture`.
 
-    A picture that is asked for must be (`Refused`); without a request, and `quiet`, there is none. `trust`: see
-    `picture`.
+    Raises `Refused` if it cannot be drawn.
     """
     told, text, table = told_of(folder)
-    if any(request):
-        need_plot()
-        return Answer(f"{text}\ndrawn in {picture(table, folder, told, request, trust=trust)}", told)
-    if not quiet and drawable() and len(table):
-        text += "\n" + drawn(table, folder, told, request, trust=trust)
-    return Answer(text, told)
+    answer = Answer(text, told)
+    return answer.with_plots(folder, picture(table, folder, told, request, formats, trust=trust)) if formats else answer
 
 
 def check_run(at: Path, request: PictureRequest) -> None:

@@ -121,19 +121,19 @@ class TestThePicture:
         pytest.importorskip("matplotlib")
         asked: list[Any] = []
         monkeypatch.setattr("teleop.sweeps.pictures.picture.draw",
-                            lambda *given, **named: asked.append((given[2], named["metric"])))
+                            lambda *given, **named: asked.append((given[2], named["metric"])) or [given[1]])
         answer = typed("sweep", "soft_tissue", *SHORT, "--grid", "delay=0,0.1", "k_e=1,2", *words)
-        assert answer.out.endswith(f"drawn in {FOLDER / 'sweep.png'}\n")
-        typed("report", str(FOLDER), *(word for word in words if word != "--plot"))
+        assert answer.out.endswith(f"plot: {FOLDER / 'sweep'}\n")
+        typed("report", str(FOLDER), *words)
         assert asked == [(kind, metric)] * 2
 
     def test_that_fails_after_the_rows_costs_nothing_else(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
-        figure = pytest.importorskip("matplotlib.figure")
+        pytest.importorskip("matplotlib")
 
         def forbidden(*_: object, **__: object) -> None:
             raise PermissionError(13, "Permission denied")
 
-        monkeypatch.setattr(figure.Figure, "savefig", forbidden)
+        monkeypatch.setattr(teleop.terminal.plotting, "replacing", forbidden)
         answer = typed("sweep", "soft_tissue", *SHORT, "--grid", "k_e=1,2", "--plot")
         assert answer.code == 0
         assert "no plot: could not write" in answer.out
@@ -148,10 +148,10 @@ class TestReport:
 
     def test_tells_engine_and_why_and_what_it_drew(self, swept: Typed) -> None:
         pytest.importorskip("matplotlib")
-        answer = swept("report", str(FOLDER))
+        answer = swept("report", str(FOLDER), "--plot")
         assert answer.code == 0
         assert "engine   plain: about" in answer.out
-        assert answer.out.endswith(f"drawn in {FOLDER / 'sweep.png'}\n")
+        assert answer.out.endswith(f"plot: {FOLDER / 'sweep.png'}\n")
         assert (FOLDER / "sweep.png").read_bytes().startswith(b"\x89PNG")
 
     def test_with_json_is_the_summary_that_is_there(self, swept: Typed) -> None:
@@ -159,11 +159,16 @@ class TestReport:
         assert json.loads(swept("report", str(FOLDER), "--json").out) == stored
         assert not (FOLDER / "sweep.png").exists()
 
+    def test_with_another_metric_leaves_the_picture_of_the_first(self, swept: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        for metric, name in (("x_err_rms", "sweep.png"), ("f_m_max", "sweep-2.png"), ("x_err_rms", "sweep.png")):
+            assert swept("report", str(FOLDER), "--metric", metric).out.endswith(f"plot: {FOLDER / name}\n")
+
     def test_without_matplotlib_draws_nothing_unless_it_is_asked_to(
         self, swept: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
-        assert "drawn" not in swept("report", str(FOLDER)).out
+        assert "plot" not in swept("report", str(FOLDER)).out
         swept("report", str(FOLDER), "--picture", "curves").assert_refused("pip install")
 
     def test_of_a_picture_that_cannot_be_is_refused(self, swept: Typed) -> None:

@@ -89,10 +89,20 @@ class TestARun:
     def test_without_a_link_counts_no_packets(self, typed: Typed) -> None:
         assert "packets" not in typed("run", "canonical", *SHORT, "--link", "none").out
 
-    def test_with_plot_leaves_a_figure(self, typed: Typed) -> None:
+    def test_draws_only_if_it_is_asked_to_and_names_the_file(self, typed: Typed) -> None:
         pytest.importorskip("matplotlib")
-        assert typed("run", "canonical", *SHORT, "--plot", "--out", "here").code == 0
+        assert "plot" not in typed("run", "canonical", *SHORT, "--out", "plain").out
+        assert {path.name for path in Path("plain").iterdir()} == {"summary.json", "trace.npz"}
+        assert typed("run", "canonical", *SHORT, "--plot", "--out", "here").out.endswith(
+            "written to here\nplot: here/plot.png\n")
         assert Path("here/plot.png").read_bytes().startswith(b"\x89PNG")
+
+    def test_in_another_format_is_drawn_without_being_asked_twice(self, typed: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        told = json.loads(typed("run", "canonical", *SHORT, "--format", "pdf, SVG", "--out", "here", "--json").out)
+        assert told["plots"] == ["here/plot.pdf", "here/plot.svg"]
+        assert Path("here/plot.pdf").read_bytes().startswith(b"%PDF")
+        assert {path.name for path in Path("here").iterdir()} == {"summary.json", "trace.npz", "plot.pdf", "plot.svg"}
 
 
 class TestShow:
@@ -155,27 +165,32 @@ class TestReport:
         first = typed("run", "jittery_wan", *SHORT, "--out", "here").out
         assert typed("report", "here") == (0, first, "")
 
-    def test_draws_the_figure_if_it_can(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_draws_only_if_it_is_asked_to_and_names_the_file(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         pytest.importorskip("matplotlib")
-        typed("run", "canonical", *SHORT, "--out", "here")
+        first = typed("run", "canonical", *SHORT, "--out", "here").out
         with monkeypatch.context() as without:
             without.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
-            assert typed("report", "here").code == 0
-            assert not Path("here/plot.png").exists()
-        assert typed("report", "here").code == 0
-        assert Path("here/plot.png").is_file()
+            typed("report", "here", "--plot").assert_refused("pip install")
+            assert typed("report", "here").out == first
+        assert typed("report", "here").out == first
+        assert not Path("here/plot.png").exists()
+        assert typed("report", "here", "--plot").out == first + "plot: here/plot.png\n"
+        assert json.loads(typed("report", "here", "--json", "--plot").out)["plots"] == ["here/plot.png"]
+        assert {path.name for path in Path("here").iterdir()} == {"summary.json", "trace.npz", "plot.png"}
 
     def test_of_a_folder_that_may_only_be_read_is_given_without_a_figure(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        figure = pytest.importorskip("matplotlib.figure")
+        pytest.importorskip("matplotlib")
         first = typed("run", "canonical", *SHORT, "--out", "here").out
 
         def forbidden(*_: object, **__: object) -> None:
             raise PermissionError(errno.EACCES, "Permission denied")
 
-        monkeypatch.setattr(figure.Figure, "savefig", forbidden)
-        answer = typed("report", "here")
+        monkeypatch.setattr(teleop.terminal.plotting, "replacing", forbidden)
+        answer = typed("report", "here", "--plot")
         assert answer.code == 0
         assert answer.out.startswith(first)
         assert "no plot" in answer.out
@@ -205,9 +220,10 @@ class TestDemo:
         command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep"]
         rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "lockstep": True, "command": command,
                 "realtime": False}
-        if find_spec("matplotlib"):
-            assert Path("runs/hard_wall-1/plot.png").is_file()
+        assert not Path("runs/hard_wall-1/plot.png").exists()
         assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]
+        if find_spec("matplotlib"):
+            assert typed("demo", "--plot").out.endswith("\nplot: runs/hard_wall-2/plot.png\n")
 
 
 class TestHelp:

@@ -352,11 +352,11 @@ class TestTheBudget:
 class TestTheCommand:
     def test_table_files_and_figure(self, typed: Typed, quick: None, tmp_path: Path) -> None:
         pytest.importorskip("matplotlib")
-        got = typed("precision", "canonical", "--set", "duration=0.3", "--rounds", "1", "--out", "here")
+        got = typed("precision", "canonical", "--set", "duration=0.3", "--rounds", "1", "--out", "here", "--plot")
         assert got.code == 0
         for word in ("exact ", "radau/64", "LSODA/1e-06", "not beaten: ", "tracking error", "f_env rms"):
             assert word in got.out
-        assert got.out.endswith("written to here\n")
+        assert got.out.endswith("written to here\nplot: here/precision.png\n")
         assert {path.name for path in (tmp_path / "here").iterdir()} == {"summary.json", "errors.npz", "precision.png"}
         assert (tmp_path / "here" / "precision.png").read_bytes().startswith(b"\x89PNG")
         with np.load(tmp_path / "here" / "errors.npz") as arrays:

@@ -201,9 +201,9 @@ class TestJson:
         assert said(value) == text
 
 
-def left_by(typed: Typed, folder: str) -> set[str]:
+def left_by(typed: Typed, folder: str, *options: str) -> set[str]:
     """The files in the folder, and nothing beside it, after an interrupt of the command."""
-    assert typed("zwidth", "virtual_wall", "--out", folder).code == 130
+    assert typed("zwidth", "virtual_wall", "--out", folder, *options).code == 130
     assert [path.name for path in Path().iterdir()] == [folder]
     return {path.name for path in Path(folder).iterdir()}
 
@@ -224,7 +224,7 @@ class TestCommand:
 
     def test_it_leaves_a_new_folder_with_json_and_plots(self, typed: Typed) -> None:
         pytest.importorskip("matplotlib")
-        answer = typed("zwidth", "virtual_wall")
+        answer = typed("zwidth", "virtual_wall", "--plot")
         assert (answer.code, answer.err) == (0, "")
         assert "253.8" in answer.out
         folder = Path("runs/virtual_wall-zwidth-1")
@@ -249,15 +249,16 @@ class TestCommand:
     ) -> None:
         pytest.importorskip("matplotlib")
 
-        def draw(_: ZWidth, path: Path) -> None:
+        def draw(_: ZWidth, path: Path, __: object) -> list[Path]:
             signal.raise_signal(signal.SIGINT)
-            path.write_bytes(b"whole")
+            path.with_suffix(".png").write_bytes(b"whole")
+            return [path.with_suffix(".png")]
 
-        monkeypatch.setitem(PLOTS, "plane.png", draw)
-        assert left_by(typed, "here") == {"plane.png", "summary.json"}
+        monkeypatch.setitem(PLOTS, "plane", draw)
+        assert left_by(typed, "here", "--plot") == {"plane.png", "summary.json"}
         told = json.loads(Path("here/summary.json").read_text())
         assert told["status"] == "interrupted"
-        assert told["notes"][-1] == "interrupted before it was drawn: impedance.png, levers.png"
+        assert told["notes"][-1] == "interrupted before it was drawn: impedance, levers"
         assert told["z_width_1hz"] == pytest.approx(253.809, abs=1e-3)
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -267,9 +268,9 @@ class TestCommand:
         def fail(*_: object) -> None:
             raise ZeroDivisionError
 
-        monkeypatch.setitem(PLOTS, "plane.png", fail)
+        monkeypatch.setitem(PLOTS, "plane", fail)
         with pytest.raises(ZeroDivisionError):
-            typed("zwidth", "virtual_wall", "--out", "here")
+            typed("zwidth", "virtual_wall", "--out", "here", "--plot")
         assert not list(Path().iterdir())
 
     def test_a_signal_while_the_numbers_are_written_waits(
@@ -307,7 +308,7 @@ every = assess.levers
 assess.levers = lambda scene: islice(every(scene), 1)
 measured.LASTING, measured.TICKS = 0.1, (100, 100)
 from teleop.__main__ import main
-raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here"]))
+raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here", "--plot"]))
 """
 
 
@@ -335,7 +336,7 @@ class TestSignal:
         names = {path.name for path in (tmp_path / "here").iterdir()}
         drawn = names - {"summary.json"}
         assert {seen, "summary.json"} <= names
-        missing = [name for name in ("plane.png", "impedance.png", "levers.png") if name not in drawn]
+        missing = [name for name in ("plane", "impedance", "levers") if f"{name}.png" not in drawn]
         noted = [note for note in told["notes"] if note.startswith("interrupted")]
         assert noted == [f"interrupted before it was drawn: {', '.join(missing)}"] * bool(missing)
         for name in drawn:

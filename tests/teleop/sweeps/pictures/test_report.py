@@ -154,14 +154,15 @@ class TestAFolder:
     def test_is_drawn_with_units_and_limits(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.importorskip("matplotlib")
         asked: list[Any] = []
-        monkeypatch.setattr("teleop.sweeps.pictures.picture.draw", lambda *given, **named: asked.append((given, named)))
+        monkeypatch.setattr("teleop.sweeps.pictures.picture.draw",
+                            lambda *given, **named: asked.append((given, named)) or [given[1]])
         told, _, table = told_of(folder)
         limits = {"x_limit": 0.3, "duration": 5.0}
-        request, drawn_in = PictureRequest("metric", "x_err_max"), folder / "sweep.png"
-        assert picture(table, folder, {**told, "limits": limits}, request, trust=False) == drawn_in
+        request, drawn_in = PictureRequest("metric", "x_err_max"), folder / "sweep"
+        assert picture(table, folder, {**told, "limits": limits}, request, trust=False) == [drawn_in]
         picture(table, folder, told, PictureRequest(), trust=True)
         (first, named), (second, bare) = asked
-        assert first[1:] == (folder / "sweep.png", "metric")
+        assert first[1:] == (drawn_in, "metric")
         assert second[2] is None
         assert named["metric"] == "x_err_max"
         assert named["units"]["k_e"] == "N/m"

@@ -263,9 +263,9 @@ class TestWhatIsTold:
     ) -> None:
         pytest.importorskip("matplotlib")
         (tmp_path / "own.py").write_text(OWN)
-        got = typed("precision", "own.py", "--rounds", "1", "--out", "here")
+        got = typed("precision", "own.py", "--rounds", "1", "--out", "here", "--plot")
         assert got.code == 0
-        assert got.out.endswith("written to here\n")
+        assert got.out.endswith("written to here\nplot: here/precision.png\n")
         assert {path.name for path in (tmp_path / "here").iterdir()} == {"summary.json", "errors.npz", "precision.png"}
         assert json.loads((tmp_path / "here" / "summary.json").read_text())["methods"][0]["name"] == "default"
 

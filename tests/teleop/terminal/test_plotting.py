@@ -1,0 +1,106 @@
+"""The files of a plot: their formats, their names, and that each is written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import teleop.terminal.plotting
+from teleop import Refused
+from teleop.terminal.plotting import asked_formats, new_figure, save
+
+pytest.importorskip("matplotlib")
+FIRST = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
+
+
+def figure(top: float = 1.0) -> Any:
+    """A small figure with text, a line and a filled area; another for each `top`."""
+    made = new_figure((2.0, 1.5), "title")
+    axes = made.subplots()
+    axes.plot([0.0, 1.0], [0.0, top], label="$f_m$")
+    axes.fill_between([0.0, 1.0], [0.0, top])
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 3.0)
+    axes.set_xlabel(f"to {top}")
+    return made
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+class TestFormats:
+    def test_of_nothing_asked_for_there_is_none_and_left_out_it_is_png(self) -> None:
+        assert asked_formats(Namespace(plot=False, format=None)) == ()
+        assert asked_formats(Namespace(plot=True, format=None)) == ("png",)
+        assert asked_formats(Namespace(plot=False, format=None), asked=True) == ("png",)
+        assert asked_formats(Namespace(plot=False, format=("svg",))) == ("svg",)
+
+    def test_each_is_a_file_of_its_kind_and_the_same_figure_gives_the_same_bytes(self, tmp_path: Path) -> None:
+        first = save(figure(), tmp_path / "a", ("png", "pdf", "svg"))
+        second = save(figure(), tmp_path / "b", ("png", "pdf", "svg"))
+        assert [path.name for path in first] == ["a.png", "a.pdf", "a.svg"]
+        for one, other in zip(first, second, strict=True):
+            assert one.read_bytes() == other.read_bytes()
+            assert one.read_bytes().startswith(FIRST[one.suffix[1:]])
+            assert b"Date" not in one.read_bytes()
+
+
+class TestNames:
+    def test_a_second_picture_does_not_overwrite_the_first(self, tmp_path: Path) -> None:
+        first, = save(figure(1.0), tmp_path / "sweep")
+        held = first.read_bytes()
+        assert [path.name for top in (2.0, 3.0) for path in save(figure(top), tmp_path / "sweep")] == [
+            "sweep-2.png", "sweep-3.png"]
+        assert first.read_bytes() == held
+
+    def test_the_same_picture_again_is_the_file_that_is_there(self, tmp_path: Path) -> None:
+        for top in (1.0, 2.0):
+            save(figure(top), tmp_path / "sweep")
+        assert save(figure(2.0), tmp_path / "sweep") == [tmp_path / "sweep-2.png"]
+        assert names(tmp_path) == {"sweep.png", "sweep-2.png"}
+
+    def test_the_formats_of_one_picture_have_one_number(self, tmp_path: Path) -> None:
+        save(figure(1.0), tmp_path / "sweep")
+        save(figure(2.0), tmp_path / "sweep", ("svg", "png"))
+        assert names(tmp_path) == {"sweep.png", "sweep-2.png", "sweep-2.svg"}
+
+    def test_a_link_or_a_folder_of_that_name_stays_and_so_does_what_it_leads_to(self, tmp_path: Path) -> None:
+        (tmp_path / "precious").write_bytes(b"precious")
+        for name in ("plot.png", ".plot.png.part"):
+            (tmp_path / name).symlink_to("precious")
+        (tmp_path / "plot-2.png").mkdir()
+        assert save(figure(), tmp_path / "plot") == [tmp_path / "plot-3.png"]
+        assert (tmp_path / "plot.png").is_symlink()
+        assert (tmp_path / "precious").read_bytes() == b"precious"
+
+
+def test_a_full_disk_leaves_the_old_figure_and_no_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "plot.png").write_bytes(b"the old one")
+
+    class Full:
+        def write(self, _: bytes) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    whole = teleop.terminal.plotting.replacing
+
+    def replacing(path: Path) -> Any:
+        class Half:
+            def __enter__(self) -> Any:
+                self.inner = whole(path)
+                self.inner.__enter__().write(b"half")
+                return Full()
+
+            def __exit__(self, *error: Any) -> Any:
+                return self.inner.__exit__(*error)
+
+        return Half()
+
+    monkeypatch.setattr(teleop.terminal.plotting, "replacing", replacing)
+    with pytest.raises(Refused, match="No space left"):
+        save(figure(), tmp_path / "plot")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"the old one"]
