@@ -29,6 +29,7 @@ BLUE, SKY, GREEN, ORANGE, RED, PINK = "#0072B2", "#56B4E9", "#009E73", "#E69F00"
 BROWN, PURPLE = "#8C564B", "#5D3A9B"  # where these are too few
 BLACK, DARK, GREY, PALE = "#000000", "#666666", "#999999", "#D9D9D9"
 FAILS = "#CC0000"  # a criterion that fails, a run that diverged
+UNDER: dict[str, Any] = {"linewidth": 2.6, "alpha": 0.5}  # beneath a narrow curve: where they coincide both are seen
 
 PNG = ("png",)  # in which a plot is drawn unless it is asked for in another format
 # What each file would hold besides: the version of matplotlib, or the time. The same figure gives the same bytes.

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.terminal.plotting import BLUE, DARK, GREEN, ORANGE, PNG, RED, SKY, grid_lines, literal, new_figure, save
+from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
 from teleop.terminal.run_table import heading, verdict
 from teleop.terminal.units import PREFIX
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
     from teleop.simulation.result import Result
 
+BINS = 400  # at most, of equal length, along the time axis: each is about two pixels wide
+# A curve that goes up and down within its bins so often that its path is this many times their ranges would be drawn as
+# a filled area. Measured of the forces of built-in scenes: 1.0 to 1.6 without loss and jitter, 1.9 to 9 with them.
+JUMPS = 1.75
+AXES = (("x", "-"), ("y", "--"), ("z", ":"))  # their names and lines
+
 
 class TraceCurve(NamedTuple):
-    """How a column of the trace is drawn. The later ones of a panel lie on top."""
+    """How a column of the trace is drawn."""
 
     name: str
     label: str
@@ -26,18 +33,20 @@ class TraceCurve(NamedTuple):
 
 
 class TracePanel(NamedTuple):
-    """One pair of axes: its quantity, its SI unit and its curves."""
+    """One pair of axes: its quantity, its SI unit and its curves. The last curve is narrow and lies over the others."""
 
     quantity: str
     unit: str
     curves: tuple[TraceCurve, ...]
 
 
-PANELS = (  # blue at the master's end, red at the slave's
+PANELS = (  # blue is the master's end, red the slave's; grey what a person or an environment does there
     TracePanel("position", "m", (TraceCurve("x_s", "$x_s$ slave", RED), TraceCurve("x_m", "$x_m$ master", BLUE))),
-    TracePanel("force", "N", (
-        TraceCurve("f_s", "$f_s$ on the slave", ORANGE), TraceCurve("f_env", "$f_{env}$ on the environment", RED),
-        TraceCurve("f_h", "$f_h$ of the hand", SKY), TraceCurve("f_m", "$f_m$ against the hand", BLUE),
+    TracePanel("master's force", "N", (
+        TraceCurve("f_h", "$f_h$ of the hand", DARK), TraceCurve("f_m", "$f_m$ against the hand", BLUE),
+    )),
+    TracePanel("slave's force", "N", (
+        TraceCurve("f_env", "$f_{env}$ on the environment", DARK), TraceCurve("f_s", "$f_s$ on the slave", RED),
     )),
     TracePanel("energy", "J", (
         TraceCurve("E_port", "$E_{port}$ two-port", DARK), TraceCurve("E_link", "$E_{link}$ link", GREEN),
@@ -48,14 +57,14 @@ PANELS = (  # blue at the master's end, red at the slave's
 def draw(result: Result, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
     """Draw `result` into `path` with the suffix of each format, as `save` does; returns the files.
 
-    The energy panel is there if the scene summed any. Several axes share a panel: the first is drawn as for
-    one, the others thin. Raises `Refused` if the extra is missing or the file cannot be written.
+    A panel is there if the trace has one of its columns. A column that jumps is drawn as its mean and its range in each
+    bin, see `binned`. Raises `Refused` if the extra is missing or the file cannot be written.
     """
     panels = [panel for panel in PANELS if any(curve.name in result.trace for curve in panel.curves)]
-    figure = new_figure((9.5, 2.3 * len(panels) + 0.9), f"{literal(heading(result))}\n{literal(verdict(result))}")
+    figure = new_figure((9.5, 2.0 * len(panels) + 0.9), f"{literal(heading(result))}\n{literal(verdict(result))}")
     every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(every, panels, strict=True):
-        _fill(axes, panel, result.trace)
+        _fill(axes, panel, result.trace, result.dt)
     if len(result.trace["t"]):
         every[-1].set_xlim(0.0, result.trace["t"][-1] + result.dt)
     every[-1].set_xlabel("time (s)")
@@ -63,18 +72,67 @@ def draw(result: Result, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     return save(figure, path, formats)
 
 
-def _fill(axes: Axes, panel: TracePanel, trace: Mapping[str, Any]) -> None:
+def _fill(axes: Axes, panel: TracePanel, trace: Mapping[str, Any], dt: float) -> None:
     has = [curve for curve in panel.curves if curve.name in trace]
     thousands = _thousands([trace[curve.name] for curve in has])
+    told: list[tuple[Any, str]] = []  # in the legend: a curve above those that it lies over
     for curve in has:
-        column = trace[curve.name] * 10.0 ** (-3 * thousands)
-        for axis, values in enumerate([column] if column.ndim == 1 else column.T):
-            first = axis == 0
-            axes.plot(trace["t"], values, color=curve.colour, linewidth=1.2 if first else 0.5,
-                      label=curve.label if first else None)
+        lines: list[tuple[Any, str]] = []
+        under = UNDER if curve is not has[-1] else {"linewidth": 1.2}
+        for name, style, values in _axes_of(trace[curve.name] * 10.0 ** (-3 * thousands)):
+            label = f"{curve.label}, {name}" if name else curve.label
+            shown: dict[str, Any] = {"color": curve.colour, "linestyle": style, **under}
+            bins = binned(trace["t"], values)
+            if bins is None:
+                (line,) = axes.plot(trace["t"], values, **shown)
+                lines.append((line, label))
+            else:
+                (mean,) = axes.plot(bins.t, bins.mean, **shown)
+                band = axes.fill_between(bins.t, bins.least, bins.greatest, color=curve.colour, alpha=0.22, linewidth=0)
+                lines.append(((band, mean), f"{label}:\nmean and range over {1e3 * dt * bins.ticks:g} ms"))
+        told = [*lines, *told]
     axes.set_ylabel(f"{panel.quantity} ({PREFIX[thousands]}{panel.unit})")
     grid_lines(axes)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9, reverse=True)
+    axes.legend(*zip(*told, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+
+
+def _axes_of(column: NDArray[Any]) -> Iterator[tuple[str, str, NDArray[Any]]]:
+    """Name, line and values of each axis; that of a scene with a single one has no name."""
+    if column.ndim == 1:
+        yield "", "-", column
+    else:
+        yield from ((name, line, values) for (name, line), values in zip(AXES, column.T, strict=False))
+
+
+class Bins(NamedTuple):
+    """A column summed up over bins of equal length (the last may be shorter): arrays of one number for each bin."""
+
+    ticks: int  # in a bin
+    t: NDArray[Any]  # s, of its middle
+    mean: NDArray[Any]
+    least: NDArray[Any]
+    greatest: NDArray[Any]
+
+
+def binned(t: NDArray[Any], values: NDArray[Any]) -> Bins | None:
+    """A column (ticks,) that jumps, summed up over at most `BINS` bins; None if it can be drawn tick by tick.
+
+    It jumps if its path, the sum of the sizes of its steps, is more than `JUMPS` times the sum of its ranges in the
+    bins: a column that only rises or falls in each bin has a path as long as its ranges.
+    """
+    import numpy as np
+
+    ticks = -(-len(values) // BINS)
+    if ticks < 3 or not np.isfinite(values).all():
+        return None
+    begin = np.arange(0, len(values), ticks)
+    count = np.diff(begin, append=len(values))
+    least, greatest = np.minimum.reduceat(values, begin), np.maximum.reduceat(values, begin)
+    with np.errstate(over="ignore"):  # of a run that diverged
+        if not np.abs(np.diff(values)).sum() > JUMPS * (greatest - least).sum():
+            return None
+        mean = np.add.reduceat(values, begin) / count
+    return Bins(ticks, np.add.reduceat(t, begin) / count, mean, least, greatest)
 
 
 def _thousands(columns: list[Any]) -> int:

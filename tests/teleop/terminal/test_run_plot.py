@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,28 +11,22 @@ import numpy as np
 import pytest
 
 import teleop.terminal.plotting
+import teleop.terminal.run_plot
 from teleop import Refused, Result, load_scene, run
-from teleop.terminal.run_plot import draw
+from teleop.terminal.run_plot import binned, draw
 
 figures = pytest.importorskip("matplotlib.figure")
 
 
 @pytest.fixture
-def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """`drawn(result)` draws it and returns matplotlib's figure, to be looked into."""
     made: list[Any] = []
-    save = figures.Figure.savefig
-
-    def remember(figure: Any, *rest: Any, **named: Any) -> None:
-        made.append(figure)
-        save(figure, *rest, **named)
-
-    monkeypatch.setattr(figures.Figure, "savefig", remember)
+    monkeypatch.setattr(teleop.terminal.run_plot, "save", lambda figure, *_: made.append(figure) or [])
 
     def look(result: Result) -> Any:
-        draw(result, tmp_path / "plot")
-        assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
-        return made[-1]
+        assert draw(result, tmp_path / "plot") == []
+        return made.pop()
 
     return look
 
@@ -43,18 +36,22 @@ def wave() -> Result:
     return run(load_scene("canonical", duration=0.3))
 
 
+@pytest.fixture(scope="module")
+def lossy() -> Result:
+    return run(load_scene("hard_wall", link="delay(0.05) | bernoulli(0.1)", duration=3.0), seed=1)
+
+
 def labels(axes: Any) -> list[str]:
-    return [text.get_text().split()[0] for text in axes.get_legend().get_texts()]
+    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 class TestWhatIsDrawn:
     def test_positions_forces_and_energies_share_the_time_axis(self, drawn: Any, wave: Result) -> None:
-        position, force, energy = drawn(wave).axes
-        assert labels(position) == ["$x_m$", "$x_s$"]
-        assert set(labels(force)) == {"$f_h$", "$f_m$", "$f_s$", "$f_{env}$"}
-        assert labels(energy) == ["$E_{link}$", "$E_{port}$"]
-        assert energy.get_xlabel() == "time (s)"
-        for axes in (position, force, energy):
+        panels = drawn(wave).axes
+        assert [[label.split()[0] for label in labels(panel)] for panel in panels] == [
+            ["$x_m$", "$x_s$"], ["$f_m$", "$f_h$"], ["$f_s$", "$f_{env}$"], ["$E_{link}$", "$E_{port}$"]]
+        assert panels[-1].get_xlabel() == "time (s)"
+        for axes in panels:
             assert axes.get_xlim() == pytest.approx((0.0, 0.3))
 
     def test_the_title_names_scene_law_and_status(self, drawn: Any, wave: Result) -> None:
@@ -63,32 +60,72 @@ class TestWhatIsDrawn:
             assert word in title
 
     def test_the_lines_are_the_trace_in_the_unit_of_the_label(self, drawn: Any, wave: Result) -> None:
-        figure = drawn(wave)
-        factor = {"position (mm)": 1e3, "force (N)": 1.0, "energy (mJ)": 1e3}
-        names = {"x_m": 0, "x_s": 0, "f_h": 1, "f_m": 1, "f_s": 1, "f_env": 1, "E_link": 2, "E_port": 2}
-        for name, panel in names.items():
-            axes = figure.axes[panel]
-            label = "${}_{{{}}}$".format(*name.split("_")) if len(name) > 3 else f"${name}$"
-            line = next(line for line in axes.get_lines() if str(line.get_label()).startswith(label))
-            np.testing.assert_array_equal(line.get_xdata(), wave.trace["t"])
-            np.testing.assert_allclose(line.get_ydata(), wave.trace[name] * factor[axes.get_ylabel()])
+        units = ("position (mm)", "master's force (N)", "slave's force (N)", "energy (mJ)")
+        names = (("x_s", "x_m"), ("f_h", "f_m"), ("f_env", "f_s"), ("E_port", "E_link"))
+        for axes, unit, columns in zip(drawn(wave).axes, units, names, strict=True):
+            assert axes.get_ylabel() == unit
+            for line, name in zip(axes.get_lines(), columns, strict=True):
+                np.testing.assert_array_equal(line.get_xdata(), wave.trace["t"])
+                np.testing.assert_allclose(line.get_ydata(), wave.trace[name] * (1e3 if "(m" in unit else 1.0))
+
+    def test_where_two_curves_coincide_both_are_seen_the_lower_one_wider_and_paler(
+        self, drawn: Any, wave: Result
+    ) -> None:
+        for axes in drawn(wave).axes:
+            under, over = axes.get_lines()
+            assert under.get_zorder() <= over.get_zorder()  # drawn in this order
+            assert under.get_linewidth() > 2.0 * over.get_linewidth()
+            assert under.get_alpha() < 1.0
+            assert over.get_alpha() is None
+            assert under.get_color() != over.get_color()
 
     def test_a_scene_without_energy_has_no_such_panel(self, drawn: Any) -> None:
-        assert len(drawn(run(load_scene("canonical", duration=0.1, energy=False))).axes) == 2
+        assert len(drawn(run(load_scene("canonical", duration=0.1, energy=False))).axes) == 3
 
-    def test_of_several_axes_the_first_is_the_strong_line(self, drawn: Any, wave: Result) -> None:
+    def test_of_three_axes_the_legend_names_x_y_and_z_of_each_quantity(self, drawn: Any, wave: Result) -> None:
         three = np.stack([wave.trace["x_m"]] * 3, axis=1)
-        lines = drawn(replace(wave, trace={**wave.trace, "x_m": three})).axes[0].get_lines()
-        mine = [line for line in lines if line.get_color() == lines[-1].get_color()]
-        assert len(mine) == 3
-        assert [line.get_linewidth() > 1.0 for line in mine] == [True, False, False]
-        assert len(labels(lines[0].axes)) == 2
+        position = drawn(replace(wave, trace={**wave.trace, "x_m": three})).axes[0]
+        assert labels(position) == ["$x_m$ master, x", "$x_m$ master, y", "$x_m$ master, z", "$x_s$ slave"]
+        assert [line.get_linestyle() for line in position.get_lines()[1:]] == ["-", "--", ":"]
+        assert [handle.get_linestyle() for handle in position.get_legend().get_lines()] == ["-", "--", ":", "-"]
 
-    def test_a_run_that_diverged_or_never_began_is_drawn_too(self, drawn: Any, wave: Result) -> None:
+    def test_a_run_that_diverged_or_never_began_is_drawn_too(self, wave: Result, tmp_path: Path) -> None:
         wild = wave.trace["x_m"].copy()
         wild[-3:] = 1e300, np.inf, np.nan
-        drawn(replace(wave, trace={**wave.trace, "x_m": wild}))
-        drawn(replace(wave, trace={name: column[:0] for name, column in wave.trace.items()}))
+        assert draw(replace(wave, trace={**wave.trace, "x_m": wild}), tmp_path / "wild")
+        assert draw(replace(wave, trace={name: column[:0] for name, column in wave.trace.items()}), tmp_path / "none")
+
+
+class TestUnderLoss:
+    def test_a_force_that_jumps_each_tick_covers_no_other_curve(self, drawn: Any, lossy: Result) -> None:
+        force = drawn(lossy).axes[1]
+        assert [label.partition(":\n")[2] for label in labels(force)] == ["mean and range over 8 ms"] * 2
+        for line in force.get_lines():  # no curve goes up and down within two pixels
+            assert len(line.get_xdata()) == 375
+        assert [band.get_alpha() < 0.3 for band in force.collections] == [True, True]
+
+    def test_its_mean_and_its_range_are_those_of_the_ticks_in_each_bin(self, lossy: Result) -> None:
+        bins = binned(lossy.trace["t"], lossy.trace["f_m"])
+        assert bins is not None
+        ticks = lossy.trace["f_m"].reshape(-1, bins.ticks)
+        np.testing.assert_allclose(bins.mean, ticks.mean(axis=1), rtol=1e-12)
+        np.testing.assert_array_equal(bins.least, ticks.min(axis=1))
+        np.testing.assert_array_equal(bins.greatest, ticks.max(axis=1))
+        np.testing.assert_allclose(bins.t, lossy.trace["t"].reshape(-1, bins.ticks).mean(axis=1))
+
+    def test_a_curve_that_does_not_jump_is_drawn_tick_by_tick(self, drawn: Any, lossy: Result) -> None:
+        for axes, place in ((drawn(lossy).axes[0], 1), (drawn(lossy).axes[2], 0)):
+            assert len(axes.get_lines()[place].get_xdata()) == 3000
+        t = np.arange(10_000) * 1e-3
+        for smooth in (np.sin(t), np.sin(30.0 * t), np.maximum(np.sin(30.0 * t) - 0.5, 0.0)):  # contacts too
+            assert binned(t, smooth) is None
+
+    def test_the_last_bin_may_be_shorter(self) -> None:
+        jumps = np.arange(1001) % 2.0
+        bins = binned(np.arange(1001.0), jumps)
+        assert bins is not None
+        assert (bins.ticks, len(bins.mean)) == (3, 334)
+        assert (bins.mean[-1], bins.least[-1], bins.greatest[-1]) == (0.5, 0.0, 1.0)
 
 
 class TestTheFile:
