@@ -11,7 +11,7 @@ def strike(result: Result) -> float:
     """The greatest rise of the hand's force within 10 ms, N."""
     f_m = result.trace["f_m"].reshape(len(result.trace["t"]), -1)  # one row a tick, one column an axis
     span = round(0.01 / result.dt)
-    return float(np.abs(f_m[span:] - f_m[:-span]).max())
+    return float(np.abs(f_m[span:] - f_m[:-span]).max(initial=0.0))  # of a shorter run 0
 
 
 def work(result: Result) -> float:

@@ -180,7 +180,7 @@ class Method(NamedTuple):
     def first_line(self) -> str:
         """Where the method begins, " (path:line)"; nothing if it is no Python function."""
         function = self.function
-        return "" if function is None else _place(function.__code__.co_filename, function.__code__.co_firstlineno)
+        return "" if function is None else file_line(function.__code__.co_filename, function.__code__.co_firstlineno)
 
     def return_line(self, arguments: tuple[Any, ...]) -> str:
         """Where the method returns for `arguments`, " (path:line)": it is called once more, and watched."""
@@ -192,7 +192,7 @@ class Method(NamedTuple):
 
         def on_return(frame: FrameType, event: str, arg: object) -> Any:  # noqa: ARG001
             if event == "return":
-                places.append(_place(frame.f_code.co_filename, frame.f_lineno))
+                places.append(file_line(frame.f_code.co_filename, frame.f_lineno))
             return on_return
 
         end = getattr(self.law, self.name)
@@ -213,7 +213,7 @@ class Method(NamedTuple):
         roles = dict(zip(names, (*takes, "over"), strict=False))
         roles = {name: role for name, role in roles.items() if role == "self" or role in kinds}
         for line, text in _faults_of(code, tuple(roles.items()), tuple(kinds.items()), RETURNS[self.name]):
-            raise LawMistake(f"{self.label}{_place(code.co_filename, line)} {text}")
+            raise LawMistake(f"{self.label}{file_line(code.co_filename, line)} {text}")
 
 
 @lru_cache(maxsize=256)
@@ -334,7 +334,7 @@ def refusal(law: Any, error: BaseException) -> LawMistake | None:
         if method is None and (method := methods.get(frame.f_code)) is not None:
             file = frame.f_code.co_filename
         if method is not None and frame.f_code.co_filename == file:
-            place = _place(file, line)
+            place = file_line(file, line)
     return None if method is None else method.in_words(error, place)
 
 
@@ -366,7 +366,7 @@ def _found_again(law: Any, work: Callable[..., Any], *arguments: Any) -> LawMist
             try:
                 judge_answer(method.name, answer, _kinds(law).get(method.name), finite=False)
             except Wrong as wrong:
-                found.append(LawMistake(f"{method.label}{_place(frame.f_code.co_filename, frame.f_lineno)} {wrong}"))
+                found.append(LawMistake(f"{method.label}{file_line(frame.f_code.co_filename, frame.f_lineno)} {wrong}"))
         return on_return
 
     _traced(on_call, work, *arguments)
@@ -449,7 +449,7 @@ def _shown(value: object) -> str:
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
-def _place(file: str, line: int) -> str:
+def file_line(file: str, line: int) -> str:
     """A line of a file, " (path:line)", the path from the current folder if it is in there."""
     try:
         near = relpath(file, getcwd())
@@ -463,6 +463,6 @@ def _class_place(law: Any) -> str:
     from inspect import getsourcefile, getsourcelines
 
     try:
-        return _place(getsourcefile(type(law)) or "", getsourcelines(type(law))[1])
+        return file_line(getsourcefile(type(law)) or "", getsourcelines(type(law))[1])
     except (OSError, TypeError):
         return next((place for name in RETURNS if hasattr(law, name) and (place := Method(law, name).first_line())), "")

@@ -16,13 +16,13 @@ from teleop.errors import Refused
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import of_plan
 from teleop.simulation.virtual import run
-from teleop.sweeps.engine import WHOLE, Measure
+from teleop.sweeps.engine import OF_PLAN, WHOLE, Measure
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, figures
+from teleop.sweeps.own_metric import MetricMistake, asked
 from teleop.sweeps.rows import Group, Ready, RowMaker
 from teleop.sweeps.shared import TICKS, Schedules
 
 Row = dict[str, Any]
-OF_PLAN = frozenset(("fresh_fwd", "fresh_bwd", "T_fwd_mean", "T_fwd_max", "T_bwd_mean", "T_bwd_max"))
 _PREPARING = Lock()
 
 
@@ -39,9 +39,10 @@ class Job(NamedTuple):
 class ChunkResult(NamedTuple):
     """What a job came to: its rows, how many which engine ran, and the time that took."""
 
-    rows: list[Row]
+    rows: list[Row]  # with a mistake those until then
     ran: Counter[tuple[str, str]]  # by engine, and why it was not the one that was asked for
     seconds: float
+    mistake: MetricMistake | None = None  # of a metric of the user's own, which ends the sweep
 
 
 class Stopped(Exception):
@@ -54,7 +55,7 @@ def work(job: Job, stopped: Callable[[], bool] | None = None) -> ChunkResult:
     rows: dict[int, Row] = {number: {"row": number, "seed": seed, **knobs} for number, knobs, seed in job.rows}
     ran: Counter[tuple[str, str]] = Counter()
     with _PREPARING:  # under the GIL, one thread at a time; meanwhile the others run the kernels of what they prepared
-        groups = _prepared(job, rows, ran, stopped)
+        groups, mistake = _prepared(job, rows, ran, stopped)
     for group in groups:
         for batch in _batches(group):
             if stopped is not None and stopped():
@@ -67,12 +68,16 @@ def work(job: Job, stopped: Callable[[], bool] | None = None) -> ChunkResult:
                 plainly = [one for one in job.rows if one[0] in again]
                 rows |= {row["row"]: row for row in work(job._replace(rows=plainly, engine="plain"), stopped).rows}
                 ran["plain", str(why)] += len(batch)
-    return ChunkResult(list(rows.values()), ran, perf_counter() - began)
+    done = list(rows.values()) if mistake is None else [row for row in rows.values() if "status" in row]
+    return ChunkResult(done, ran, perf_counter() - began, mistake)
 
 
 def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], stopped: Callable[[], bool] | None
-              ) -> list[Group]:
-    """The rows of a job, those of one kernel together; what is refused or needs a record has its result already."""
+              ) -> tuple[list[Group], MetricMistake | None]:
+    """The rows of a job, those of one kernel together; what is refused or needs a record has its result already.
+
+    With them the mistake of a metric of the user's own, after which no row is made ready.
+    """
     maker = RowMaker(job.scene, job.fixed, job.measures, job.engine)
     for number, knobs, seed in job.rows:
         row = rows[number]
@@ -83,9 +88,11 @@ def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], sto
             if scene is not None:
                 _tell(row, *_recorded(scene, seed, job.measures, row))
                 ran["plain", WHOLE if job.engine != "plain" else ""] += 1
+        except MetricMistake as mistake:
+            return maker.groups, mistake
         except Refused as refused:  # bodies and paths have refusals of their own
             _refuse(row, refused)
-    return maker.groups
+    return maker.groups, None
 
 
 def _tell(row: Row, status: str, ticks: int, told: dict[str, float]) -> None:
@@ -180,16 +187,12 @@ def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
 
 
 def _recorded(scene: Scene, seed: int, measures: Sequence[Measure], row: Row) -> tuple[str, int, dict[str, float]]:
-    """A whole run, for figures that need its record; of a figure that fails `row` has the sentence."""
+    """A whole run, for figures that need its record. Raises `MetricMistake`."""
     result = run(scene, seed=seed)
     told = {}
     for one in measures:
-        if isinstance(one, str):
-            if one in result.metrics:
-                told[one] = result.metrics[one]
-        else:
-            try:
-                told[one.__name__] = float(one(result))
-            except Exception as error:  # the user's own code: one row's failure is no reason to lose the others
-                row["sentence"] = f"metric {one.__name__} stopped with {type(error).__name__}: {error}"
+        if not isinstance(one, str):
+            told[one.__name__] = asked(one, result, row)
+        elif one in result.metrics:
+            told[one] = result.metrics[one]
     return result.status, result.ticks, told

@@ -219,8 +219,8 @@ def _checked(done: ChunkResult, fn: Work, job: Job, worker: str) -> ChunkResult:
     asked = {row[0]: row for row in job.rows}
     for i, row in enumerate(done.rows):
         if row["status"] == "refused":
-            mine = fn(job._replace(rows=[asked[row["row"]]], engine="plain")).rows[0]
-            if mine["status"] != "refused":
+            mine = next(iter(fn(job._replace(rows=[asked[row["row"]]], engine="plain")).rows), None)
+            if mine is None or mine["status"] != "refused":
                 raise Refused(f"the worker {worker} refuses row {row['row']}, which can be run here: "
                               f"{row.get('sentence')} (give a file by its whole path, on a disk that all share)")
             done.rows[i] = mine

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite, prod
 from pathlib import Path
 from sys import maxsize
@@ -19,6 +19,11 @@ from teleop.sweeps.grid import plain
 
 DEFINITION = "sweep.json"
 PART = f".{DEFINITION}.part"
+METRIC_SOURCES = "metric_sources"  # of each metric of the user's own, the digest of its code
+EDITED = {  # what a difference in a digest means, and what to type
+    "sources": "the scene's file or a law was edited since its rows were run (sources)",
+    METRIC_SOURCES: "metric {name} was edited since its rows were run",
+}
 MOST_COLUMNS = 1000  # knobs, and metrics
 _ABSENT = object()
 _LISTED = either(each(anything), record({"count": whole(low=0)}))  # of many values the definition has the digest
@@ -81,12 +86,19 @@ def _is_empty(folder: Path) -> bool:
     return all(is_part(path, DEFINITION) for path in folder.iterdir())
 
 
-def _define(folder: Path, definition: Mapping[str, Any]) -> IO[bytes] | None:
+def defined_anew(folder: Path, definition: Mapping[str, Any]) -> IO[bytes]:
+    """Put another definition in the place of the one in `folder`, which this process has locked; its own lock."""
+    file = _define(folder, definition, anew=True)
+    assert file is not None
+    return file
+
+
+def _define(folder: Path, definition: Mapping[str, Any], *, anew: bool = False) -> IO[bytes] | None:
     """Write the definition beside and rename it, its lock with it; None if another process came first."""
     part = folder / PART
     file = locked(part, "a+b")
     try:
-        if _is_empty(folder):
+        if anew or _is_empty(folder):
             file.truncate(0)
             file.write(json.dumps(json.loads(text(definition)), indent=1).encode() + b"\n")
             file.flush()
@@ -123,11 +135,28 @@ def rows_of(definition: Mapping[str, Any]) -> int:
     return min(prod(each["count"] if isinstance(each, dict) else len(each) for each in lists), maxsize)
 
 
+def with_edits(there: Mapping[str, Any], wanted: Mapping[str, Any], mended: Sequence[str], has_rows: bool
+               ) -> dict[str, Any]:
+    """The definition `there` with the digests that a wanted one may change: of `mended` metrics, or of all."""
+    made, own = dict(there), METRIC_SOURCES
+    if not has_rows and "sources" in there:
+        made["sources"] = wanted.get("sources")
+    if isinstance(there.get(own), dict) and isinstance(wanted.get(own), dict):
+        made[own] = {name: wanted[own].get(name, digest) if name in mended or not has_rows else digest
+                     for name, digest in there[own].items()}
+    return made
+
+
 def check_same(folder: Path, there: object, wanted: object) -> None:
     """Raise `Refused`, naming the first difference, if the definition in `folder` is not the wanted one."""
     for name, old, new in _differences("", there, wanted):
         was, now = ("absent" if value is _ABSENT else _short(value) for value in (old, new))
         free = next(numbered(folder.parent, folder.name))
+        digest, _, metric = name.partition(".")
+        if digest in EDITED and _ABSENT not in (old, new):
+            keep = f"; where that changes none of these rows, keep them by mended=[{metric!r}]" if metric else ""
+            raise Refused(f"{folder} holds another sweep: {EDITED[digest].format(name=metric)}; write --out '{free}' "
+                          f"for one of its own{keep}")
         raise Refused(f"{folder} holds another sweep: {name or DEFINITION} is {was} there and {now} here; write "
                       f"--out '{free}', or ask for the same sweep to go on with it")
 

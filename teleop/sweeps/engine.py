@@ -24,6 +24,7 @@ from teleop.simulation.prepared import Prepared, prepare
 from teleop.sweeps.kernels.digest import constants
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, LinkSchedule, NotCompiled, figures, names_of, plain, tree_of
 from teleop.sweeps.kernels.leaves import Leaves, leaves
+from teleop.sweeps.kernels.measures import KEPT as KEPT_ALONG
 from teleop.sweeps.shared import path_of
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ FALLBACK = {"vector": "scalar", "scalar": "plain"}
 WORTH = 4.0  # s of plain Python above which compiling is worth its time
 PLAIN = 4e-6  # s a tick, about
 FEW = 16  # rows that are not worth putting side by side
+STAMPED = frozenset(("E_fwd_min", "E_bwd_min"))  # a run with waves and energies alone has them
+OF_PLAN = frozenset(("fresh_fwd", "fresh_bwd", "T_fwd_mean", "T_fwd_max", "T_bwd_mean", "T_bwd_max"))  # of its schedule
 WHOLE = "a metric needs the whole record of a run"
 KEPT = 64  # kernels
 
@@ -67,14 +70,15 @@ def choose(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measur
 
 def needs_record(measures: Sequence[Measure], scene: Scene) -> bool:
     """True if one of these metrics needs the whole record of a run, so that no kernel gives it."""
-    own, stamped = _kinds(tuple(measures))
-    return own or (stamped and scene.energy and scene.has_waves)
+    recorded, stamped = _kinds(tuple(measures))
+    return recorded or (stamped and scene.energy and scene.has_waves)
 
 
 @lru_cache(maxsize=256)
 def _kinds(measures: tuple[Measure, ...]) -> tuple[bool, bool]:
-    """Is one of these metrics a function, and one an energy that is compared with the sender's stamp."""
-    return any(not isinstance(one, str) for one in measures), bool({"E_fwd_min", "E_bwd_min"} & {*measures})
+    """Is one of these metrics none that a sweep works out as it goes, and one an energy compared with its stamp."""
+    without_record = {*KEPT_ALONG, *OF_PLAN, *STAMPED}
+    return any(one not in without_record for one in measures), not STAMPED.isdisjoint(measures)
 
 
 def kernel_of(prepared: Prepared, measures: tuple[str, ...], engine: str, stamp: object = None

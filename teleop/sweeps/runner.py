@@ -19,6 +19,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work
+from teleop.sweeps.definition import METRIC_SOURCES
 from teleop.sweeps.engine import Measure, choose
 from teleop.sweeps.grid import Grid, counted, grid, listed, plain
 from teleop.sweeps.kernels.digest import digest, file_digest, sources
@@ -46,7 +47,7 @@ class Sweep:
     measures: tuple[Measure, ...]
     engine: str
     why: str  # the engine
-    sources: str = ""  # a digest of what of the sweep is the user's own: scene file, laws, metrics
+    sources: str = ""  # a digest of what of the sweep is the user's own: scene file and laws
     ran: Counter[tuple[str, str]] = field(default_factory=Counter)  # rows by engine, and why it was not the one above
     workers: int = 0  # threads that rows are run by at a time; 0 before any was run
 
@@ -54,10 +55,11 @@ class Sweep:
         """What the folder of this sweep is held to."""
         from teleop.version import __version__
 
+        own = {one.__name__: digest(sources([one])) for one in self.measures if not isinstance(one, str)}
         return {
             "scene": self.scene, "fixed": {key: plain(listed(key, [value])[0]) for key, value in self.fixed.items()},
             "grid": self.grid.definition(), "metrics": _names(self.measures), "sources": self.sources,
-            "version": __version__,
+            "version": __version__, **({METRIC_SOURCES: own} if own else {}),
         }
 
 
@@ -65,7 +67,7 @@ def sweep(
     scene: str | PathLike[str], axes: Mapping[Any, Iterable[Any]] | Grid | None = None, *,
     seeds: int | Iterable[int] = 1, metrics: Sequence[Measure] | None = None,
     fixed: Mapping[str, object] | None = None, engine: str | None = None, executor: Executor | None = None,
-    workers: int | None = None, out: Path | str | None = None, show: Show | None = None,
+    workers: int | None = None, out: Path | str | None = None, show: Show | None = None, mended: Sequence[str] = (),
 ) -> Table:
     """Run `scene` (a name, or the path of a file) at every point of a grid and with every seed.
 
@@ -76,10 +78,11 @@ def sweep(
     `Result`, which cost a whole record. `engine`: plain, scalar or vector; left out, by the amount of work and what is
     installed. `executor`: any of concurrent.futures; left out, threads. `workers`: how many it has; left out, one for
     each core. `out`: a folder that rows are appended to as they finish; the same sweep there goes on where it stopped.
-    `show` is told rows done and rows in all. Raises `Refused`.
+    `show` is told rows done and rows in all. A function among `metrics` that raises, or returns no number, ends the
+    sweep; `mended` names those that were edited since and do not change the rows that are in `out`. Raises `Refused`.
     """
     plan = plan_sweep(scene, axes, seeds=seeds, metrics=metrics, fixed=fixed, engine=engine)
-    return carry_out(plan, executor=executor, workers=workers, out=out, show=show)
+    return carry_out(plan, executor=executor, workers=workers, out=out, show=show, mended=mended)
 
 
 def plan_sweep(
@@ -103,7 +106,7 @@ def plan_sweep(
     read = {key: first.knobs[key] for key, value in fixed.items()
             if isinstance(value, str) and isinstance(first.knobs.get(key), bool | int | float)}
     return Sweep(scene=scene, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen, why=why,
-                 sources=_own_sources(scene, [one.law for one in (first, *others)], measures))
+                 sources=_own_sources(scene, [one.law for one in (first, *others)]))
 
 
 def _of_each_law(name: str, points: Grid, fixed: Mapping[str, object]) -> list[Scene]:
@@ -138,22 +141,23 @@ def _names(measures: Iterable[Measure]) -> list[str]:
     return [one if isinstance(one, str) else one.__name__ for one in measures]
 
 
-def _own_sources(name: str, laws: Iterable[Any], measures: Iterable[Measure]) -> str:
-    """A digest of the scene file, laws and metrics that are the user's own; the others go by the version."""
+def _own_sources(name: str, laws: Iterable[Any]) -> str:
+    """A digest of the scene file and laws that are the user's own; the others go by the version."""
     texts = [file_digest(Path(name))] if name.endswith(".py") else []
     own = [law for law in laws if not type(law).__module__.startswith("teleop.laws.")]
     functions = [getattr(type(law), end) for law in own for end in ENDS if hasattr(type(law), end)]
-    for part in (*functions, *[one for one in measures if not isinstance(one, str)]):
+    for part in functions:
         texts += sources([part])
     return digest(texts) if texts else ""
 
 
 def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | None = None,
-              out: Path | str | None = None, show: Show | None = None) -> Table:
+              out: Path | str | None = None, show: Show | None = None, mended: Sequence[str] = ()) -> Table:
     """Run what is not done yet of a sweep, see `sweep`. Raises `Refused`."""
     most = cores() if workers is None else counted("workers", workers)
-    total = len(plan.grid)
-    store = None if out is None else Store.open(Path(out), plan.definition())
+    total, definition = len(plan.grid), plan.definition()
+    _check_mended(mended, definition.get(METRIC_SOURCES, ()))
+    store = None if out is None else Store.open(Path(out), definition, mended)
     builder = TableBuilder(plan.grid.knobs, tuple(_names(plan.measures)))
     try:
         done = 0 if store is None else len(store.done)
@@ -169,10 +173,20 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | N
             done += len(finished.rows)
             if show is not None:
                 show(done, total)
+            if finished.mistake is not None:
+                raise finished.mistake
         return builder.table() if store is None else store.table()
     finally:
         if store is not None:
             store.close()
+
+
+def _check_mended(mended: Sequence[str], own: Iterable[str]) -> None:
+    if isinstance(mended, str):
+        raise Refused(f"mended is a list of names, not {mended!r}; write mended=[{mended!r}]")
+    for name in mended:
+        if name not in own:
+            raise Refused(f"mended names {name!r}, which is no function among the metrics; leave it out")
 
 
 def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None, most: int
@@ -206,7 +220,7 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
             for future in wait(running, POLL, FIRST_COMPLETED).done:
                 running.remove(future)
                 done = future.result()
-                spent = done.seconds / len(done.rows)
+                spent = done.seconds / max(1, len(done.rows))
                 each = max(spent, each / 8.0)  # the first may have compiled
                 yield done
     finally:

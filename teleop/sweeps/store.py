@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from errno import EFBIG
 from io import FileIO
@@ -27,11 +27,13 @@ from teleop.sweeps.definition import (
     STRICT,
     begun,
     check_same,
+    defined_anew,
     locked,
     no_link,
     read_definition,
     rows_of,
     text,
+    with_edits,
 )
 
 if TYPE_CHECKING:
@@ -118,12 +120,15 @@ class Store:
         self.folder, self.definition, self.done = folder, definition, RowNumbers()
         self._most = rows_of(definition)
         self._file: FileIO | None = None  # none: only looked at
-        self._lock: IO[bytes] | None = None
+        self._locks: list[IO[bytes]] = []
         self._size = 0  # bytes of whole lines
 
     @classmethod
-    def open(cls, folder: Path | str, definition: Mapping[str, Any]) -> Store:
+    def open(cls, folder: Path | str, definition: Mapping[str, Any], mended: Sequence[str] = ()) -> Store:
         """Make `folder` for the sweep of this definition, or open it to go on where it stopped.
+
+        `mended`: metrics of the user's own that may have been edited since. Before there is a row, all that is the
+        user's own may.
 
         Raises `Refused` if the folder holds something else or another sweep (naming the first difference), if
         another process writes there, or if it cannot be written to.
@@ -132,11 +137,14 @@ class Store:
         try:
             lock = begun(at, definition)
             there = read_definition(at)
-            check_same(at, there, wanted)
-            store = cls(at, there)
-            store._lock = lock or locked(at / DEFINITION, "r+b")
+            check_same(at, with_edits(there, wanted, mended, _has_bytes(at / ROWS)), wanted)
+            store = cls(at, wanted)
+            store._locks.append(lock or locked(at / DEFINITION, "r+b"))
             try:
                 store._mend()
+                if read_definition(at) != wanted:
+                    check_same(at, with_edits(there, wanted, mended, bool(store.done)), wanted)  # others had the folder
+                    store._locks.append(defined_anew(at, wanted))  # the first is held on to: others may have it open
             except BaseException:
                 store.close()
                 raise
@@ -204,9 +212,9 @@ class Store:
             with suppress(OSError):
                 os.fsync(self._file.fileno())
             self._file.close()
-        if self._lock is not None:
-            self._lock.close()
-        self._file = self._lock = None
+        for file in self._locks:
+            file.close()
+        self._file, self._locks = None, []
 
     def __enter__(self) -> Store:
         return self
@@ -249,6 +257,10 @@ class Store:
         self._file, self._size = FileIO(path, "a", opener=no_link), whole
         if self._file.tell() != whole:
             self._file.truncate(whole)
+
+
+def _has_bytes(path: Path) -> bool:
+    return path.is_file() and path.stat().st_size > 0
 
 
 def _row(line: bytes) -> dict[str, Any] | None:

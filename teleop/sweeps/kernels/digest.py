@@ -62,7 +62,7 @@ def _texts(part: Any, seen: set[int], *, source: bool = True, names: tuple[str, 
                 if name in vars(part):
                     yield from _texts(vars(part)[name], seen, source=source, names=names)
     elif isinstance(part, FunctionType | type):
-        if id(part) in seen or part.__module__.partition(".")[0] in VERSIONED:
+        if id(part) in seen or (part.__module__ or "").partition(".")[0] in VERSIONED:
             return
         seen.add(id(part))
         if isinstance(part, FunctionType):

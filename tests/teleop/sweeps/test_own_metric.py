@@ -1,0 +1,170 @@
+"""Metrics of a user's own: one that raises or returns no number ends the sweep, which goes on once it is mended."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop import Refused, Result, load_scene, run, sweep
+from teleop.simulation.metrics import UNITS
+from teleop.sweeps import engine as engines
+from teleop.sweeps.own_metric import MetricMistake, Raised, asked
+
+FIXED = {"duration": 0.1}
+STIFFNESS = {"k_e": [50.0, 100.0, 150.0]}
+ROW = {"row": 4, "seed": 7, "law": "wave", "k_e": 50.0}
+HERE = r"\(.*test_own_metric\.py:\d+\)"
+
+
+class Fussy(Exception):
+    """Such an exception cannot be made again of its text."""
+
+    def __init__(self, k_e: float, *, limit: float) -> None:
+        super().__init__(f"{k_e} N/m is above {limit}")
+
+
+def soft_only(result: Result) -> float:
+    """A figure that some rows do not have."""
+    k_e = float(str(result.parameters["k_e"]))
+    if k_e > 120.0:
+        raise Fussy(k_e, limit=120.0)
+    return k_e
+
+
+class TestOneThatRaises:
+    @pytest.mark.parametrize("engine", [None, "plain", "scalar", "vector"])
+    def test_left_a_blank_cell_and_now_ends_the_sweep(self, engine: str | None) -> None:
+        words = f"metric soft_only {HERE} raised Fussy: 150.0 N/m is above 120.0, in row 2 .k_e=150.0, seed=0.; mend it"
+        with pytest.raises(Refused, match=words) as refused:
+            sweep("soft_tissue", STIFFNESS, fixed=FIXED, metrics=["x_err_rms", soft_only], engine=engine)
+        cause = refused.value.__cause__
+        assert isinstance(cause, Fussy)
+        assert cause.__traceback__ is not None
+
+    def test_in_another_process_is_told_with_its_traceback_there(self) -> None:
+        with ProcessPoolExecutor(1) as pool, pytest.raises(MetricMistake, match=r"raised Fussy: 150\.0") as refused:
+            sweep("soft_tissue", STIFFNESS, fixed=FIXED, metrics=[soft_only], executor=pool)
+        assert isinstance(refused.value.__cause__, Raised)
+        assert "raise Fussy(k_e, limit=120.0)" in str(refused.value.__cause__)
+
+    def test_keeps_every_row_before_it_also_those_of_its_own_chunk(self, tmp_path: Path) -> None:
+        with pytest.raises(MetricMistake):
+            sweep("soft_tissue", {"k_e": [50.0 + n for n in range(100)]}, fixed=FIXED, metrics=[soft_only], workers=1,
+                  out=tmp_path / "s")
+        written = [json.loads(line) for line in (tmp_path / "s/rows.jsonl").read_text().splitlines()]
+        assert [row["row"] for row in written] == [*range(71)]  # 50 to 120 N/m
+        assert [row["soft_only"] for row in written] == [row["k_e"] for row in written]
+
+    def test_that_wants_to_exit_is_told_too(self) -> None:
+        def leaves(result: Result) -> float:
+            raise SystemExit(result.ticks)
+
+        with pytest.raises(MetricMistake, match=r"raised SystemExit: 100, in row 0"):
+            sweep("soft_tissue", fixed=FIXED, metrics=[leaves])
+
+
+class TestOneThatReturnsNoNumber:
+    @pytest.mark.parametrize("value", [None, "0.5", np.zeros(3), [1.0], 1j])
+    def test_was_a_blank_cell_or_a_guess_and_is_refused(self, value: object) -> None:
+        def odd(result: Result) -> Any:  # noqa: ARG001 - of no run in particular
+            return value
+
+        words = rf"metric odd {HERE} returned .*no number .*in row 4 \(law=wave, k_e=50"
+        with pytest.raises(MetricMistake, match=words):
+            asked(odd, run(load_scene("soft_tissue", **FIXED)), ROW)
+
+    @pytest.mark.parametrize("value", [2, np.float32(2.0), np.int64(2), np.array(2.0), 2.0])
+    def test_takes_numbers_of_any_kind(self, value: Any) -> None:
+        assert asked(lambda _: value, run(load_scene("soft_tissue", **FIXED)), ROW) == 2.0
+
+    def test_says_by_nan_that_a_row_has_none(self) -> None:
+        def none(result: Result) -> float:
+            return float("nan") if result.ticks else 0.0
+
+        row, = sweep("soft_tissue", fixed=FIXED, metrics=[none])
+        assert "none" not in row
+
+
+def edited(text: str) -> Callable[[Result], float]:
+    """The metric `rate`, with another text."""
+    names: dict[str, Any] = {}
+    exec(f"def rate(result):\n    {text}", names)
+    made = names["rate"]
+    assert isinstance(made, FunctionType)
+    return made
+
+
+FAILS = "return 1.0 / (result.parameters['k_e'] - 100.0)"
+MENDED = "k = result.parameters['k_e'] - 100.0; return 1.0 / (k or 1.0)"
+
+
+class TestAfterTheMend:
+    def swept(self, text: str, folder: Path, executor: Executor | None = None, **named: Any) -> Any:
+        return sweep("soft_tissue", STIFFNESS, fixed=FIXED, metrics=[edited(text)], workers=1, out=folder,
+                     executor=executor, **named)
+
+    def test_the_sweep_goes_on_where_it_was_told_that_its_rows_stay(self, tmp_path: Path) -> None:
+        with pytest.raises(MetricMistake, match=r"division by zero, in row 1 .*mended=\['rate'\]"):
+            self.swept(FAILS, tmp_path / "s")
+        with pytest.raises(Refused, match=r"metric rate was edited .*--out '.*s-1' .*mended=\['rate'\]"):
+            self.swept(MENDED, tmp_path / "s")
+        assert self.swept(MENDED, tmp_path / "s", mended=["rate"])["rate"].tolist() == [-1.0 / 50.0, 1.0, 1.0 / 50.0]
+        assert len(self.swept(MENDED, tmp_path / "s")) == 3  # the folder is held to the mended one from now on
+        with pytest.raises(Refused, match="metric rate was edited"):
+            self.swept(FAILS, tmp_path / "s")
+
+    def test_a_sweep_without_a_row_goes_on_without_a_word(self, tmp_path: Path) -> None:
+        for text in ("return result.ticks / 0", "return result.missing"):
+            with pytest.raises(MetricMistake, match="in row 0"):
+                self.swept(text, tmp_path / "s")
+        assert len(self.swept("return 1.0", tmp_path / "s")) == 3
+
+    @pytest.mark.parametrize(("names", "words"), [("rate", r"mended=\['rate'\]"), (["x_err_rms"], "no function")])
+    def test_only_functions_of_the_sweep_are_mended(self, names: Any, words: str, tmp_path: Path) -> None:
+        with pytest.raises(Refused, match=words):
+            self.swept("return 1.0", tmp_path / "s", mended=names)
+        assert not (tmp_path / "s").exists()
+
+    def test_another_process_cannot_write_while_the_definition_changes(self, tmp_path: Path) -> None:
+        with pytest.raises(MetricMistake):
+            self.swept(FAILS, tmp_path / "s")
+        refused = []
+
+        def also(done: int, _: int) -> None:
+            if done == 1:
+                with pytest.raises(Refused, match="another process is writing"):
+                    self.swept(MENDED, tmp_path / "s")
+                refused.append(done)
+
+        self.swept(MENDED, tmp_path / "s", mended=["rate"], show=also)
+        assert refused
+
+
+def test_a_metric_of_the_package_without_lines_in_the_kernels_was_a_blank_column(monkeypatch: pytest.MonkeyPatch
+                                                                                  ) -> None:
+    """Such a one takes the whole record, as a function does."""
+    engines._kinds.cache_clear()
+    monkeypatch.setattr(engines, "KEPT_ALONG", {})
+    row, = sweep("soft_tissue", fixed=FIXED, metrics=["f_m_max"])
+    engines._kinds.cache_clear()
+    assert row["f_m_max"] == run(load_scene("soft_tissue", **FIXED)).metrics["f_m_max"]
+
+
+def test_every_metric_has_a_column_where_its_run_has_it() -> None:
+    row, = sweep("soft_tissue", fixed=FIXED, metrics=[*UNITS])
+    single = run(load_scene("soft_tissue", **FIXED)).metrics
+    assert {name: row[name] for name in UNITS if name in row} == {**single}
+
+
+def test_a_mistake_is_the_same_after_a_journey() -> None:
+    mistake = MetricMistake("metric x returned None")
+    assert str(pickle.loads(pickle.dumps(mistake))) == str(mistake)
+    assert pickle.loads(pickle.dumps(mistake)).__cause__ is None
