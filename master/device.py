@@ -21,6 +21,7 @@ class SimulatedMaster:
     """
 
     deadline = DEADLINE
+    scene_body = True
 
     def __init__(self, scene: Scene) -> None:
         has = structure_of(scene).m.has

@@ -17,6 +17,7 @@ class SimulatedSlave:
     """
 
     deadline = DEADLINE
+    scene_body = True
 
     def __init__(self, scene: Scene) -> None:
         self._plants = slave_plants(scene)

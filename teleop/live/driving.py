@@ -9,7 +9,7 @@ import time
 from teleop.live.leaving import leave, let_go
 from teleop.live.listening import Listening
 from teleop.live.lockstep import by_packets
-from teleop.live.meeting import meet
+from teleop.live.meeting import first_reading, meet
 from teleop.live.process.suspension import Suspension, boottime
 from teleop.live.process.ticker import Alarm
 from teleop.live.shell import Shell
@@ -18,7 +18,7 @@ from teleop.protocol.session import FINISHED
 
 
 async def run(shell: Shell, *, spin_ns: int = 0) -> None:
-    """The whole run: first exchange, ticks, farewell; then `shell.outcome` says how it ended.
+    """The whole run: first reading, first exchange, ticks, farewell; then `shell.outcome` says how it ended.
 
     `spin_ns`: how long before a tick this end wakes, to wait for it awake. Whatever is raised on the way ends the run:
     see `teleop.live.fault`.
@@ -27,7 +27,7 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
     loop.add_reader(shell.wire.sock, shell.guarded, shell.drain)
     try:
         gc.collect()  # now: between the first exchange and tick 0 there are 10 ms at most
-        if await meet(shell):
+        if await first_reading(shell) and await meet(shell):
             gc.freeze()  # what is here stays: no collection has to look at it again
             used, began = time.process_time_ns(), time.monotonic_ns()
             loop.remove_reader(shell.wire.sock)

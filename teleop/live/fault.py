@@ -26,7 +26,8 @@ PARTS: dict[CodeType, str] = {
     GuardedDevice.hold.__code__: "the device, given a force,",
     Endpoint.tick.__code__: "the law",
     Endpoint.receive.__code__: "the reading of a packet",
-    **{part.__code__: "the record" for part in (RecordWriter.add, RecordWriter.note, RecordWriter.flush)},
+    **{part.__code__: "the record"
+       for part in (RecordWriter.begin, RecordWriter.add, RecordWriter.note, RecordWriter.flush)},
 }
 
 

@@ -1,10 +1,11 @@
-"""The first exchange of a live end, until the run begins or it is clear that there will be none."""
+"""What a live end does before its run: the first reading of its device, and the first exchange with the other end."""
 
 from __future__ import annotations
 
 import asyncio
 import time
 
+from teleop.errors import Refused
 from teleop.live import fault
 from teleop.live.net.address import shown
 from teleop.live.shell import Shell
@@ -12,6 +13,28 @@ from teleop.protocol.session import FINISHED
 
 HINT_NS = 2_000_000_000  # of waiting for a peer, and the terminal is told what may be wrong
 EARLY_NS = 10_000_000  # so long before tick 0 the exchange is over at the latest
+
+
+async def first_reading(shell: Shell) -> bool:
+    """Read the device, before the other end is asked for anything, and begin the record; False if there is no run.
+
+    A device that cannot be read yet is asked again, for as long as one that fails during a run.
+    """
+    try:
+        while shell.device.read(0, now := time.monotonic_ns()) is None:
+            if shell.device.dead(now):
+                shell.outcome.end("refused", f"the device cannot be read: {shell.device.trouble}")
+            elif shell.interrupt.name is not None:
+                shell.stop(f"it was asked to stop ({shell.interrupt.name})")
+            if shell.outcome.over.is_set():
+                return False
+            await asyncio.sleep(0.005)
+        shell.endpoint.senses(bool(shell.device.sensor))
+    except Refused as refused:
+        shell.outcome.end("refused", str(refused))
+        return False
+    shell.recorder.begin(shell.device.force_source)
+    return True
 
 
 async def meet(shell: Shell) -> bool:

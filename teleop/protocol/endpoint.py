@@ -15,6 +15,9 @@ from dataclasses import replace
 from math import isfinite
 from typing import Any, NamedTuple
 
+from teleop.errors import Refused
+from teleop.law import law_name
+from teleop.law import messages as message_types
 from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import Guard
 from teleop.protocol.held_force import HeldForce
@@ -41,7 +44,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import Plan
 from teleop.simulation.source import live_of
-from teleop.simulation.structure import columns
+from teleop.simulation.structure import NAMES, SENSED, columns, structure_of
 
 Axes = tuple[float, ...]
 SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
@@ -86,7 +89,7 @@ class Tick(NamedTuple):
 
     force: Axes  # to hold until the next tick, N
     datagram: bytes | None  # to send; None if the message is not finite
-    row: tuple[float, ...]  # for the record; its columns are `columns(scene, e)`
+    row: tuple[float, ...]  # for the record; its columns are `columns(scene, e, sensor)`
     played: int  # the packet played at this tick, or -1
 
 
@@ -131,12 +134,10 @@ class Endpoint:
         self.held = HeldForce(scene, e, self.every, self.guard)
         self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
         self._shifted = 0  # ns that the grid was moved by
-        self._live = live_of(self.own, e)  # now: at tick 0 there is no time for it
+        self._live: Any = None
         self._started: Any = None
         law: Any = scene.law
         self._axes = range(scene.axes)
-        from teleop.law import messages as message_types
-
         forth, back = message_types(law, dt)
         self._rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
         self.hears, self._sends = (Kind.BACK, Kind.FORTH) if e == "m" else (Kind.FORTH, Kind.BACK)
@@ -144,12 +145,7 @@ class Endpoint:
         self._width = self._rx_width * scene.axes
         most = max(self._rx_width, tx_width) * scene.axes
         self._size = check_size(scene.wire_size, most, energy=scene.energy)
-        names = columns(scene, e)
-        stamps = [f"E_in_{'fwd' if e == 'm' else 'bwd'}", f"E_out_{'bwd' if e == 'm' else 'fwd'}"]
-        flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
-        self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
         self._newest_wins = not self.stepped and not isinstance(scene.playout, Fixed)
-        self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
         wave = ("w" if e == "m" else "u") if scene.has_waves else None
         self._rates = Resampling(self._rx_type, wave, mine=self.every)
         self._dt, self._dt_ns = dt, scene.dt_ns
@@ -158,6 +154,21 @@ class Endpoint:
     def way(self) -> Any:
         """One-way delays towards this end, ns."""
         return self.link.way
+
+    def senses(self, sensor: bool) -> None:
+        """Make this end's tick for a device with or without a force `sensor`, before the first: then there is no time.
+
+        Raises `Refused` if the law reads a force that nothing tells.
+        """
+        scene, e = self.scene, self.e
+        if getattr(structure_of(scene), e).has.sensed and not sensor:
+            raise Refused(_no_force(scene, e))
+        self._live = live_of(self.own, e, sensor)
+        names = columns(scene, e, sensor)
+        stamps = [f"E_in_{'fwd' if e == 'm' else 'bwd'}", f"E_out_{'bwd' if e == 'm' else 'fwd'}"]
+        flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
+        self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
+        self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
@@ -264,6 +275,8 @@ class Endpoint:
 
     def _begin(self, k: int, reading: Reading) -> None:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
+        if self._live is None:
+            self.senses(reading.f is not None)
         first, self._met = self._met == 1 and self._started is None, self.session.met
         self.held.begin(k)
         x = reading.x
@@ -347,3 +360,15 @@ class Endpoint:
         echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))
         stamp = None if self._E_in is None or not isfinite(row[self._E_in]) else float(row[self._E_in])
         return encode(Packet(self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp), self._size)
+
+
+def _no_force(scene: Scene, e: str) -> str:
+    """Why a law that reads the external force at the end `e` does not run with a device that senses none."""
+    whose = {"m": "the hand's force", "s": "the force on the environment"}[e]
+    other = "--set law=wave" if "law" in scene.knobs else "law=Wave() in the scene"
+    cures = [f"take a law that reads none, with {other} at both ends"]
+    if e == "m":
+        observer = "--set observer=200" if "observer" in scene.knobs else "observer=200.0 in the scene"
+        cures.insert(0, f"have an observer estimate it, with {observer} at both ends")
+    return (f"the law {law_name(scene.law)} reads {whose}, {SENSED[e]}, and the {NAMES[e]}'s device senses none: its "
+            f"reading has f=None; have it read f, in N, or {', or '.join(cures)}")

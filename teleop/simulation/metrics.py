@@ -31,6 +31,7 @@ MEANING = {
 
 
 TINY = 1e-300
+_ERRORS = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}  # mine, theirs, what played theirs
 
 
 def metrics(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
@@ -58,8 +59,8 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
         age = _ages(trace, seq, dt)
         if age is not None:
             out |= _delays(way, age, ticks)
-    if "x_m" in trace and "x_s" in trace:
-        for name in ("x_err", "f_err"):
+    for name, (mine, theirs, _) in _ERRORS.items():
+        if mine in trace and theirs in trace:
             out |= _worst(name, _error(scene, trace, name))
     forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
     out |= {f"{name}_max": _greatest(trace[name]) for name in forces}
@@ -98,7 +99,7 @@ def tracking(scene: Scene, trace: Mapping[str, Any]) -> dict[str, NDArray[np.flo
 
 def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.float64]:
     """One of the two errors of `tracking`."""
-    mine, theirs, seq = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}[name]
+    mine, theirs, seq = _ERRORS[name]
     dt = scene.dt_ns / 1e9
     lag = _lag(_ages(trace, seq, dt), dt)
     x, other = trace[mine], trace[theirs]

@@ -54,9 +54,9 @@ def loop_of(scene: Scene, bodies: Bodies) -> Callable[..., Any]:
     return lines(structure_of(scene), loop, RowRecorder).function({**functions(scene), **bodies.functions()})
 
 
-def live_of(scene: Scene, e: str) -> Callable[..., Any]:
-    """The generator of a live end, m or s."""
-    return lines(live_structure(structure_of(scene), e), live, ends=(e,)).function(functions(scene))
+def live_of(scene: Scene, e: str, sensor: bool | None = None) -> Callable[..., Any]:
+    """The generator of a live end, m or s. `sensor`: does its device sense the external force, see `live_structure`."""
+    return lines(live_structure(structure_of(scene), e, sensor), live, ends=(e,)).function(functions(scene))
 
 
 @lru_cache(maxsize=64)

@@ -73,12 +73,16 @@ def sums_type(law: Any, e: str, dt: float) -> Any:
     return type(getattr(law, f"{NAMES[e]}_sums")(state, still, rx))
 
 
-def live_structure(structure: Structure, e: str) -> Structure:
-    """That of a live end, whose force is multiplied by its guard's gain whether there is a watchdog or not."""
+def live_structure(structure: Structure, e: str, sensor: bool | None = None) -> Structure:
+    """That of a live end, whose force is multiplied by its guard's gain whether there is a watchdog or not.
+
+    `sensor`: does its device sense the external force; None: it does where a run in virtual time works it out.
+    """
     own: EndStructure = getattr(structure, e)
     names = {"watchdog", *[stage.name for stage in own.stages]}
     stages = tuple([place.stage() for place in STAGES if place.name in names])
-    alone = own._replace(has=own.has._replace(live=True), stages=stages)
+    felt = own.has.felt if sensor is None else sensor
+    alone = own._replace(has=own.has._replace(live=True, felt=felt), stages=stages)
     return structure._replace(m=alone) if e == "m" else structure._replace(s=alone)
 
 
@@ -113,6 +117,10 @@ def end_columns(e: End) -> list[Column]:
     return [x, v, *before, *felt, f, *after]
 
 
-def columns(scene: Scene, e: str) -> list[str]:
-    """The names of one end's record, in order; one with @ stands once for each axis."""
-    return [column.name for column in end_columns(getattr(run_of(structure_of(scene), Recorder()), e))]
+def columns(scene: Scene, e: str, sensor: bool | None = None) -> list[str]:
+    """The names of one end's record, in order; one with @ stands once for each axis.
+
+    `sensor`: does the device of a live end sense the external force; None: as in virtual time.
+    """
+    structure = structure_of(scene) if sensor is None else live_structure(structure_of(scene), e, sensor)
+    return [column.name for column in end_columns(getattr(run_of(structure, Recorder()), e))]

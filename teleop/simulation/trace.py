@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import nan
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from teleop.simulation.prepared import Prepared, prepare
+from teleop.simulation.structure import SENSED
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,12 +31,18 @@ class Rows(Protocol):
         ...
 
 
+# Where an end's external force (f_h or f_env) is from: the device's sensor, at every tick; or the scene's own bodies,
+# which tell it after the run; or it is not known.
+ForceSource = Literal["sensor", "bodies", "unknown"]
+
+
 class EndRecord(NamedTuple):
     """What one end wrote down: the ticks it ran, its rows, the packets it played."""
 
     ticks: Any  # whole numbers, one for each row
     rows: Sequence[float] | Rows  # flat floats, or what reads them
     played: Any | None  # the packet played at each of these ticks, or -1; None without a link
+    force: ForceSource | None = None  # of a live end; None: a run in virtual time, whose bodies are the scene's own
 
 
 class Columns(Mapping[str, Any]):
@@ -76,18 +83,20 @@ def seconds(ticks: Any, dt_ns: int) -> NDArray[np.float64]:
 
 
 def end_columns(prepared: Prepared, e: str, record: EndRecord) -> Columns:
-    """The columns of one end (m or s) as arrays of shape (rows,), or (rows, axes) where there are several axes."""
+    """The columns of one end (m or s) as arrays of shape (rows,), or (rows, axes) where there are several axes.
+
+    The external force is there if it was recorded, or if the scene's own bodies tell it.
+    """
     import numpy as np
 
     table = _Table(prepared, e, record)
     makers: dict[str, Callable[[], NDArray[Any]]] = {name: partial(table.column, name) for name in table.places}
     if record.played is not None:
         makers[f"seq_{e}"] = lambda: np.array(record.played, dtype=np.int64)
-    until = _until(prepared, record.ticks)
-    if e == "m" and "f_h" not in makers:
-        makers["f_h"] = partial(_hand_force, until or prepared, table, known=until is not None)
-    if e == "s" and "f_env" not in makers:
-        makers["f_env"] = partial(_touch, until or prepared, table, known=until is not None)
+    if SENSED[e] not in makers and record.force in (None, "bodies"):
+        until = _until(prepared, record.ticks)
+        of_bodies = _hand_force if e == "m" else _touch
+        makers[SENSED[e]] = partial(of_bodies, until or prepared, table, known=until is not None)
     return Columns(makers)
 
 
@@ -157,7 +166,7 @@ class _Table:
     def __init__(self, prepared: Prepared, e: str, record: EndRecord) -> None:
         import numpy as np
 
-        names = prepared.columns(e)
+        names = prepared.columns(e, None if record.force is None else record.force == "sensor")
         widths = [prepared.scene.axes if "@" in name else 1 for name in names]
         ends = np.add.accumulate(widths).tolist()
         self.places = {name.removesuffix("@"): slice(end - width, end)

@@ -23,14 +23,15 @@ SCENE = load_scene("hard_wall", duration=1.0)
 
 def header(e: str = "m", **other: Any) -> dict[str, Any]:
     return {"end": e, "dt_ns": 10**6, "axes": 1, "scene": "hard_wall", "knobs": KNOBS, "seed": 0, "mode": "live",
-            "command": ["python"], "every": 1, "columns": header_columns(SCENE, e), **other}
+            "command": ["python"], "every": 1, "force": "bodies", "columns": header_columns(SCENE, e, "bodies"),
+            **other}
 
 
 def record(folder: Path, ticks: list[float], head: object = None, e: str = "m", last: bytes = b"") -> Path:
     """A record with a row of zeros at each of these ticks."""
     folder.mkdir(parents=True, exist_ok=True)
     head = header(e) if head is None else head
-    width = len(header_columns(SCENE, e))
+    width = len(header_columns(SCENE, e, "bodies"))
     rows = array("d", [value for k in ticks for value in (k, 0.0, -1.0, *[0.0] * (width - 3))])
     (folder / FILE).write_bytes(json.dumps(head).encode() + b"\n" + rows.tobytes() + last)
     return folder
@@ -125,7 +126,7 @@ class TestAScene:
             load_result("m", trust=True)
 
     @pytest.mark.parametrize("change", [
-        {"columns": [*header_columns(SCENE, "m")[:-1], "other"]}, {"axes": 3}, {"dt_ns": 2 * 10**6},
+        {"columns": [*header_columns(SCENE, "m", "bodies")[:-1], "other"]}, {"axes": 3}, {"dt_ns": 2 * 10**6},
         {"knobs": {"energy": "false"}},
     ])
     def test_that_is_another_than_the_records_is_not_taken_for_it(self, change: dict[str, Any]) -> None:
@@ -138,7 +139,7 @@ class TestAScene:
     {"end": "x"}, {"end": None}, {"end": ["m"]}, {"dt_ns": "1"}, {"dt_ns": 0}, {"dt_ns": 10**300}, {"axes": 10**9},
     {"scene": 3}, {"scene": {}}, {"knobs": []}, {"knobs": {"duration": [1]}}, {"seed": -1}, {"seed": 1 << 64},
     {"mode": "virtual"}, {"columns": 5}, {"columns": []}, {"columns": ["k", "late_ns", "seq"]}, {"columns": [1] * 9},
-    {"columns": ["x"] * 101}, {"every": 0}, {"every": 10**9}, {"command": "rm"}, {"command": [1]},
+    {"columns": ["x"] * 101}, {"every": 0}, {"every": 10**9}, {"force": "felt"}, {"command": "rm"}, {"command": [1]},
 ])
 def test_a_header_of_wrong_types_is_one_sentence(change: dict[str, Any], tmp_path: Path) -> None:
     record(tmp_path, [0.0, 1.0], header(**change))

@@ -97,13 +97,26 @@ def test_a_device_that_fails_for_long_is_given_up_and_one_that_comes_back_is_not
     guarded = GuardedDevice(device, 1)
     guarded.read(0, 0)
     device.reads = OSError("gone")
-    guarded.read(1, DEAD_NS)
-    assert not guarded.dead(DEAD_NS)
-    guarded.read(2, DEAD_NS + 1)
-    assert guarded.dead(DEAD_NS + 1)
+    first = 10 * DEAD_NS  # however long nobody asked it: before the first exchange an end may wait for hours
+    guarded.read(1, first)
+    assert not guarded.dead(first + DEAD_NS)
+    guarded.read(2, first + DEAD_NS + 1)
+    assert guarded.dead(first + DEAD_NS + 1)
     device.reads = WELL
-    guarded.read(3, DEAD_NS + 2)
-    assert not guarded.dead(DEAD_NS + 2)
+    guarded.read(3, first + DEAD_NS + 2)
+    assert not guarded.dead(first + DEAD_NS + 2)
+
+
+@pytest.mark.parametrize("senses", [True, False])
+def test_a_device_whose_sensor_comes_or_goes_is_in_trouble_and_not_a_type_error(senses: bool) -> None:
+    device = Device()
+    with_force, without = WELL, WELL._replace(f=None)
+    device.reads = with_force if senses else without
+    guarded = GuardedDevice(device, 1)
+    assert guarded.read(0, 0) == device.reads
+    device.reads = without if senses else with_force
+    assert guarded.read(1, MS) is None
+    assert "a device has a force sensor or none" in str(guarded.trouble)
 
 
 def test_anything_else_that_it_raises_is_a_bug_and_not_swallowed() -> None:

@@ -36,6 +36,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for e, name in (("m", "master"), ("s", "slave")):
         (top / name).mkdir()
         recorder = RecordWriter(SCENE, e, top / name, about)
+        recorder.begin("bodies")
         recorder.note(Event(0, "met", "session 1"))
         width = len(columns(SCENE, e))
         for k in range(TICKS):

@@ -41,6 +41,7 @@ def row(k: int) -> tuple[float, ...]:
 
 def recorded(folder: Path, count: int, scene: Scene = SCENE) -> RecordWriter:
     recorder = RecordWriter(scene, "m", folder, ABOUT)
+    recorder.begin("bodies")
     for k in range(count):
         recorder.add(2 * k, 1000 + k, k - 5, row(k))
     return recorder
@@ -121,6 +122,7 @@ def test_what_happened_is_on_the_disk_at_once_and_a_line_that_was_cut_off_is_lef
 
 def test_of_a_killed_end_that_had_joined_late_the_ticks_before_are_not_called_skipped(tmp_path: Path) -> None:
     recorder = RecordWriter(SCENE, "m", tmp_path, ABOUT)
+    recorder.begin("bodies")
     recorder.note(Event(500, "joined", "the other end was running already"))
     for k in (500, 501, 504):
         recorder.add(k, 0, -1, row(k))
@@ -240,6 +242,7 @@ def end_of(folder: Path, e: str, ticks: range, events: list[Event], counted: int
     """An end's folder; `counted`: how many packets of all its run a summary of its own says it sent and received."""
     folder.mkdir()
     recorder = RecordWriter(SCENE, e, folder, ABOUT)
+    recorder.begin("bodies")
     for event in events:
         recorder.note(event)
     width = len(columns(SCENE, e))

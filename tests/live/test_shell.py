@@ -389,11 +389,17 @@ def test_an_end_whose_tick_0_was_moved_far_ahead_heeds_an_interrupt(pair: Make) 
 # Records that cannot be written
 
 
-def test_a_full_disk_stops_the_record_and_not_the_loop(pair: Make) -> None:
+def test_a_full_disk_stops_the_record_and_not_the_loop(pair: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     both = pair(SCENE)
     recorder = both.shells["s"].recorder
-    recorder._file.close()
-    recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
+    begin = recorder.begin
+
+    def full(force: Any) -> None:
+        begin(force)
+        recorder._file.close()
+        recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
+
+    monkeypatch.setattr(recorder, "begin", full)
     both.run()
     assert both.status() == {"m": "ok", "s": "ok"}
     assert both.shells["s"].counts.ticks + both.shells["s"].counts.skipped == SCENE.ticks

@@ -46,6 +46,7 @@ if e == "demo":
     print("there", flush=True)
     sys.stdin.readline()
 recorder = RecordWriter(scene, e, claimed.path, about)
+recorder.begin("bodies")
 recorder.note(Event(0, "met", "session 1"))
 print("there", flush=True)
 for line in sys.stdin:  # a number of ticks more
@@ -196,6 +197,7 @@ def test_the_folder_of_a_demo_is_whole_when_neither_end_nor_demo_runs(start: Sta
 def test_a_summary_that_was_made_too_early_is_made_again_when_the_record_has_grown(tmp_path: Path) -> None:
     """Where a folder cannot be locked, or was copied while it was written, a process cannot be seen to run."""
     recorder = RecordWriter(SCENE, "m", tmp_path, ABOUT)
+    recorder.begin("bodies")
     recorder.note(Event(0, "met", "session 1"))
 
     def tick(ticks: range) -> None:
@@ -223,6 +225,7 @@ def test_two_ends_put_together_too_early_are_put_together_again(tmp_path: Path) 
     for e, name in NAMES.items():
         (top / name).mkdir(parents=True)
         later[e] = RecordWriter(SCENE, e, top / name, ABOUT)
+        later[e].begin("bodies")
         for k in range(750):
             later[e].add(k, 1000, -1, (1e-3,) * len(columns(SCENE, e)))
     assert load_result(top).ticks == 750
@@ -246,6 +249,7 @@ def test_an_end_that_comes_to_its_end_while_it_is_read_is_not_cut_off_there(
         folders.append(tmp_path / name)
         folders[-1].mkdir()
         recorder = RecordWriter(SCENE, e, folders[-1], ABOUT)
+        recorder.begin("bodies")
         for k in range(500):
             recorder.add(k, 1000, -1, (1e-3,) * len(columns(SCENE, e)))
         recorder.close()

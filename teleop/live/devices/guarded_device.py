@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from teleop.errors import DeviceError, Refused, number
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
+from teleop.simulation.trace import ForceSource
 
 DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
 _FLOAT = frozenset((float,))
@@ -27,11 +28,15 @@ class LiveDevice(Protocol):
     What cannot be read or held raises `DeviceError`, or an OSError: the end is safe until it can again. Both functions
     are called from one thread, but for one case: where one of them does not return, a second signal has `hold` called
     with zeros from another thread. It should then not wait without a bound for a lock that the first call has.
+
+    An attribute `scene_body` that is true says that it simulates the scene's own body: a force that it does not sense
+    is then worked out from its motion after the run. Of any other device there is the force that it senses, or none.
     """
 
     def read(self, k: int) -> Reading:
         """What it reads at tick k; the force held since the last reading acted until now.
 
+        Tick 0 is asked for more than once: before the first exchange, and before the run. After that k only grows.
         A number may be of any real type (int, numpy's scalars); what is none (bool, str, None, complex) is refused.
         """
         ...
@@ -68,9 +73,10 @@ class GuardedDevice:
         self.trouble: str | None = None
         self.forced = False  # has it been given a force, and not taken zero since
         self.closed = False  # is it given zero alone from now on
+        self.sensor: bool | None = None  # does it sense the external force; None before its first reading
         self._zero = (0.0,) * axes
-        self._held_well, self._known = True, False
-        self._sound_ns: int | None = None  # when it was last well, or first asked
+        self._held_well = True
+        self._failing_ns: int | None = None  # since when; None while it is well
 
     def read(self, k: int, now: int) -> Reading | None:
         """What it reads at tick k, in floats; None: it could not, or a velocity, a force or NaN among it is not finite.
@@ -78,8 +84,14 @@ class GuardedDevice:
         A position that is infinite is let through: it is a body that has left, which ends the run. Raises `Refused` if
         its first reading is not made of numbers; a later one that is not is no reading.
         """
-        if self._sound_ns is None:
-            self._sound_ns = now
+        reading = self._read(k)
+        if reading is None or not self._held_well:
+            self._failing_ns = now if self._failing_ns is None else self._failing_ns
+        else:
+            self.trouble = self._failing_ns = None
+        return reading
+
+    def _read(self, k: int) -> Reading | None:
         try:
             reading = self.device.read(k)
         except (DeviceError, OSError) as error:
@@ -88,17 +100,25 @@ class GuardedDevice:
         try:
             reading = _in_floats(reading, len(self._zero))
         except Refused as refused:
-            if not self._known:
+            if self.sensor is None:
                 raise
             self.trouble = str(refused)
             return None
-        self._known = True
         if not self.trusted and not self._is_sound(reading):
             self.trouble = "what it reads is not finite"
             return None
-        if self._held_well:
-            self.trouble, self._sound_ns = None, now
+        if (reading.f is not None) is not self.sensor:
+            if self.sensor is not None:
+                self.trouble = (f"it read {'f=None' if self.sensor else 'a force f'} where its first reading had "
+                                f"{'a force f' if self.sensor else 'f=None'}; a device has a force sensor or none")
+                return None
+            self.sensor = reading.f is not None
         return reading
+
+    @property
+    def force_source(self) -> ForceSource:
+        """Where the external force at this end is from, as its record says it; known from its first reading on."""
+        return "sensor" if self.sensor else "bodies" if getattr(self.device, "scene_body", False) else "unknown"
 
     def hold(self, force: Axes) -> bool:
         """Have it hold `force` (N, per axis); True if it took that.
@@ -128,7 +148,7 @@ class GuardedDevice:
 
     def dead(self, now: int) -> bool:
         """True if it has failed for longer than `DEAD_NS`."""
-        return self._sound_ns is not None and now - self._sound_ns > DEAD_NS
+        return self._failing_ns is not None and now - self._failing_ns > DEAD_NS
 
     @staticmethod
     def _is_sound(reading: Reading) -> bool:

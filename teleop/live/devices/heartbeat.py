@@ -74,6 +74,7 @@ class WatchedDevice:
 
     def __init__(self, device: LiveDevice, deadline: float, page: mmap) -> None:
         self.device, self.deadline = device, deadline
+        self.scene_body = getattr(device, "scene_body", False)
         self._words: Any = memoryview(page).cast("q")
 
     def read(self, k: int) -> Reading:

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 
 UNRELEASED = "unreleased"  # the status of a run whose device did not take zero force
 NAMES = {"m": "master", "s": "slave"}
+UNSENSED = {
+    "m": "the device has no force sensor, so there is no f_h",
+    "s": "the device has no force sensor, so there is no f_env, nor a force error, which compares f_m with it",
+}
 WAYS = {"m": ("fwd", "bwd"), "s": ("bwd", "fwd")}  # the direction an end sends in, and the other
 
 
@@ -30,6 +34,8 @@ def end_result(
     """
     trace = Columns({"t": lambda: seconds(record.ticks, scene.dt_ns), **end_columns(prepare(scene), e, record).makers,
                      f"late_{e}": lambda: _scaled(late, 1e9)})
+    if record.force == "unknown":
+        notes = [*notes, UNSENSED[e]]
     own = {
         "status": status, "sentence": sentence, "ticks": len(record.ticks), **told,
         "late_us": spread_us(lateness(record.ticks, late, scene.dt_ns, first, every)),

@@ -10,6 +10,7 @@ from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.scene import MOST_TICKS, Scene
 from teleop.simulation.structure import columns
 from teleop.simulation.summary_shape import MOST_SEED
+from teleop.simulation.trace import ForceSource
 from teleop.storage.strict_json import Misshapen, each, named, one_of, parse, record, text, whole
 
 OWN = ("k", "late_ns", "seq")  # columns before the end's
@@ -19,14 +20,16 @@ _LARGEST = float(1 << 53)  # a whole number that a float holds exactly
 _HEADER = record({
     "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=3), "scene": text,
     "knobs": named(text), "seed": whole(low=0, high=MOST_SEED), "mode": one_of("live", "lockstep"),
-    "columns": each(text, most=100),
+    "columns": each(text, most=100), "force": one_of("sensor", "bodies", "unknown"),
 }, {"every": whole(low=1, high=MOST_EVERY), "command": each(text)})
 
 
-def header_columns(scene: Scene, e: str) -> list[str]:
+def header_columns(scene: Scene, e: str, force: ForceSource) -> list[str]:
     """The columns of the record of the end `e`, each once per axis where it has axes."""
-    names = [n for name in columns(scene, e) for n in ([name] * scene.axes if "@" in name else [name])]
-    return [*OWN, *[name.removesuffix("@") for name in names]]
+    found = list(OWN)
+    for name in columns(scene, e, force == "sensor"):
+        found += [name.removesuffix("@")] * (scene.axes if "@" in name else 1)
+    return found
 
 
 def read_header(file: BinaryIO) -> dict[str, Any]:
@@ -68,7 +71,7 @@ def sound_rows(file: BinaryIO, width: int) -> tuple[int, str]:
 
 def check_fits(scene: Scene, header: dict[str, Any], ticks: Sequence[int], folder: object) -> None:
     """Refuse a record that cannot be of a run of `scene`: other columns, or ticks that the run does not have."""
-    own = (scene.dt_ns, scene.axes, header_columns(scene, header["end"]))
+    own = (scene.dt_ns, scene.axes, header_columns(scene, header["end"], header["force"]))
     if own != (header["dt_ns"], header["axes"], header["columns"]):
         raise Refused(f"the record in {folder} is not of the scene {scene.name} as it is here: its tick, axes or "
                       "columns are others; install the release that wrote it, or give another folder")

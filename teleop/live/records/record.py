@@ -22,7 +22,7 @@ from teleop.live.records.header import OWN, header_columns, read_header, sound_r
 from teleop.protocol.guard import Event
 from teleop.scene.scene import Scene
 from teleop.simulation.summary_shape import EVENT
-from teleop.simulation.trace import EndRecord, blocks
+from teleop.simulation.trace import EndRecord, ForceSource, blocks
 from teleop.storage.files import open_regular, read_bytes
 from teleop.storage.folder import claim
 from teleop.storage.strict_json import Misshapen, parse_line
@@ -46,16 +46,20 @@ class RecordWriter:
 
     def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any]) -> None:
         """`about` says which run this is, as `merge` reads it: scene, knobs, seed, mode, command."""
-        header = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about,
-                  "columns": header_columns(scene, e)}
         self.trouble: str | None = None
+        self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about}
+        self._scene, self._e, self._folder = scene, e, folder
         self._rows: list[float] = []
         self._count = 0
-        self._file: BinaryIO = (folder / FILE).open("wb")
+        self._file: BinaryIO | None = None
+        self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
+
+    def begin(self, force: ForceSource) -> None:
+        """Write the header, before the first tick. `force`: where the end's external force is from."""
+        header = {**self._about, "force": force, "columns": header_columns(self._scene, self._e, force)}
+        self._file = (self._folder / FILE).open("wb")
         self._file.write(json.dumps(header).encode() + b"\n")
         self._file.flush()
-        self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
-        self._events = folder / EVENTS
 
     def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
         """One tick."""
@@ -69,7 +73,7 @@ class RecordWriter:
         if self.trouble is not None:
             return
         try:
-            with self._events.open("a") as file:
+            with (self._folder / EVENTS).open("a") as file:
                 file.write(json.dumps(event._asdict()) + "\n")
         except OSError as error:
             self.trouble = f"the record of events stopped at row {self._count}: {error.strerror or error}"
@@ -77,7 +81,7 @@ class RecordWriter:
     def flush(self) -> None:
         """Hand what there is to the system."""
         rows, self._rows = array("d", self._rows), []
-        if self.trouble is not None:
+        if self.trouble is not None or self._file is None:
             return
         if sys.byteorder == "big":
             rows.byteswap()
@@ -91,7 +95,8 @@ class RecordWriter:
         """Write the rest."""
         self.flush()
         try:
-            self._file.close()
+            if self._file is not None:
+                self._file.close()
         except OSError as error:
             self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
 
@@ -160,7 +165,8 @@ def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn]:
         warnings.warn(f"{path} is {rest}: row {count} and what came after it are lost", TruncatedRecord, stacklevel=2)
     rows = RecordFile(path, start, width, count)
     ticks = np.asarray(RecordColumn(rows, 0, "int64"))
-    return header, EndRecord(ticks, rows, RecordColumn(rows, 2, "int64")), RecordColumn(rows, 1, "float64")
+    record = EndRecord(ticks, rows, RecordColumn(rows, 2, "int64"), header["force"])
+    return header, record, RecordColumn(rows, 1, "float64")
 
 
 def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn, list[str]]:
