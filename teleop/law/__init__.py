@@ -104,9 +104,22 @@ def find_law(name: str) -> Callable[..., Any]:
 
 def law_name(law: object) -> str:
     """The name under which `find_law` finds this law; of a law that is not built in the name of its class."""
-    kind = type(law)
+    return name_of_law(type(law))
+
+
+def name_of_law(kind: type[Any]) -> str:
+    """The same of the law's class."""
+    return _built_in_name(kind) or kind.__name__
+
+
+def is_built_in(law: object) -> bool:
+    """True if the law comes with this package."""
+    return _built_in_name(type(law)) is not None
+
+
+def _built_in_name(kind: type[Any]) -> str | None:
     where = f"{kind.__module__}:{kind.__name__}"
-    return next((name for name, place in BUILT_IN.items() if place == where), kind.__name__)
+    return next((name for name, place in BUILT_IN.items() if place == where), None)
 
 
 def start_at(x: float, v: float, f: float, dt: float) -> At:

@@ -7,7 +7,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
-from teleop.law import law_name
+from teleop.law import is_built_in, law_name
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
@@ -75,10 +75,9 @@ def _own_source(law: object) -> str:
     """What stands in the file of a law that does not come with this package; built-in ones go by version."""
     from pathlib import Path
 
-    from teleop.law import BUILT_IN
     from teleop.version import __version__
 
-    if law_name(law) in BUILT_IN:
+    if is_built_in(law):
         return __version__
     end: Any = getattr(type(law), "slave", None) or type(law).force  # type: ignore[attr-defined]  # one of both
     source = Path(end.__code__.co_filename)

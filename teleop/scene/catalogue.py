@@ -18,8 +18,8 @@ from teleop.scene.library import ROOT, built_in_scenes, import_bundled, known_sc
 from teleop.stages.velocity.named import ESTIMATORS
 
 MEANINGS = {  # of knobs that declare nothing, by their type
-    "Law": "control law: direct, pfra, wave or one of a plug-in",
-    "OnePortLaw": "law that renders by itself: virtual_coupling, virtual_wall or one of a plug-in",
+    "Law": "control law: direct, pfra, wave, one of a plug-in, or FILE.py:CLASS",
+    "OnePortLaw": "law that renders by itself: virtual_coupling, virtual_wall, one of a plug-in, or FILE.py:CLASS",
     "Zero | Hold | Fixed": "zero, hold, or fixed:SECONDS from sending to playing",
     "VelocityEstimator": "backward_difference(), low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1) and others",
 }

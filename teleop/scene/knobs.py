@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import lru_cache
 from inspect import Parameter, signature
 from numbers import Real
@@ -14,9 +14,10 @@ from typing import Any, get_args, get_type_hints
 
 from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
 from teleop.knob import UNDECLARED, Declared, declared
-from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, law_name
-from teleop.scene.library import import_bundled
+from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
+from teleop.scene.own_law import file_law, file_named
 from teleop.scene.playout import Fixed, Hold, Zero
+from teleop.scene.wide import WIDE, read_link
 
 _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
@@ -67,7 +68,7 @@ def _kind(name: str, default: Any) -> Any:
 def settle(
     name: str, function: Callable[..., Any], given: Mapping[str, object]
 ) -> tuple[dict[str, object], dict[str, tuple[object, Any]]]:
-    """Values of a scene's own knobs, and of `link` and `x_limit`, which every scene has, as (shown, value) if given.
+    """Values of a scene's own knobs; and of those knobs of `WIDE` that are given, as (shown, value).
 
     Raises `Refused` for an unknown knob, for a value that is none or out of the knob's bounds, and for a knob that sets
     the scene's own link where that link is replaced: it would be turned, shown, and change nothing.
@@ -75,22 +76,23 @@ def settle(
     known = knobs_of(function)
     values: dict[str, Any] = {key: found.default for key, found in known.items() if found.default is not ...}
     of_scene: dict[str, tuple[object, Any]] = {}
-    of_law: dict[str, object] = {}
+    of_law = {key.removeprefix("law."): value for key, value in given.items() if key.startswith("law.")}
+    of_law = of_law if "law" in known else {}
     for key, value in given.items():
-        if key.startswith("law.") and "law" in known:
-            of_law[key.removeprefix("law.")] = value
-        elif key == "link" and key not in known:
-            of_scene[key] = _link(value)
-        elif key == "x_limit" and key not in known:
-            of_scene[key] = (limit := _number(key, value, whole=False, vector=False)), limit
-        elif key not in known:
-            raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, 'link', 'x_limit'])}")
-        else:
+        if key == "law" and of_law and isinstance(value, str):
+            values[key] = _named_law(value, of_law)
+        elif key in known:
             values[key] = read_knob(key, value, known[key])
+        elif key == "link":
+            of_scene[key] = read_link(value)
+        elif key in WIDE:
+            of_scene[key] = (found := read_knob(key, value, WIDE[key])), found
+        elif key.removeprefix("law.") not in of_law:
+            raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, *WIDE])}")
     missing = [key for key in known if key not in values]
     if missing:
         raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
-    if of_law:
+    if of_law and not isinstance(given.get("law"), str):
         values["law"] = _tuned(values["law"], of_law)
     if "link" in of_scene:
         for key in given:
@@ -172,24 +174,59 @@ def _is_law(value: object) -> bool:
 
 def _law(key: str, value: object) -> object:
     if isinstance(value, str):
-        return find_law(value)()
+        return _named_law(value, {})
     if not _is_law(value):
         raise Refused(f"{key} must be a law or the name of one, not {value!r}; write {key}=wave")
     return value
 
 
+def _named_law(text: str, changes: Mapping[str, object]) -> Any:
+    """The law of a name, or of a file of the user's own, with its own numbers but for the changes."""
+    kind = file_law(text) if file_named(text) else _find_law(text)
+    values = _numbers_of_law(kind, changes)
+    try:
+        return kind(**values)
+    except WrongNumber as wrong:
+        raise _of_the_law(wrong, values) from None
+    except Refused:
+        raise
+    except Exception as error:
+        own = fields(kind) if is_dataclass(kind) else ()
+        needs = [f.name for f in own if f.init and f.default is f.default_factory is MISSING and f.name not in values]
+        if needs:
+            raise Refused(f"law {name_of_law(kind)} needs {' and '.join(needs)}: add --set law.{needs[0]}=VALUE, or "
+                          "write a default into its file") from None
+        raise Refused(f"law {name_of_law(kind)} cannot be made ({error}); write it as a dataclass of numbers, "
+                      "@dataclass(frozen=True, kw_only=True)") from error
+
+
+def _find_law(name: str) -> Any:
+    try:
+        return find_law(name)
+    except Refused as refused:
+        raise Refused(f"{refused}; a law in a file of your own is FILE.py or FILE.py:CLASS") from None
+
+
 def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
-    own = [f.name for f in fields(law)]
+    values = _numbers_of_law(type(law), changes)
+    try:
+        return replace(law, **values)
+    except WrongNumber as wrong:
+        raise _of_the_law(wrong, values) from None
+
+
+def _of_the_law(wrong: WrongNumber, values: Mapping[str, object]) -> WrongNumber:
+    return wrong.called(f"law.{wrong.name}") if wrong.name in values else wrong
+
+
+def _numbers_of_law(kind: Any, changes: Mapping[str, object]) -> dict[str, object]:
+    own = [f.name for f in fields(kind)] if is_dataclass(kind) else []
     for key in changes:
         if key not in own:
             whose = [name for name in BUILT_IN if key in [f.name for f in fields(find_law(name))]]  # type: ignore[arg-type]  # laws are dataclasses
             also = f" (law {' and '.join(whose)} has)" if whose else ""
-            raise Refused(f"law {law_name(law)} has no knob {key!r}{also}; {nearest(key, own)}")
-    values = {key: _number(f"law.{key}", value, whole=False, vector=False) for key, value in changes.items()}
-    try:
-        return replace(law, **values)
-    except WrongNumber as wrong:
-        raise wrong.called(f"law.{wrong.name}") from None
+            raise Refused(f"law {name_of_law(kind)} has no knob {key!r}{also}; {nearest(key, own)}")
+    return {key: _number(f"law.{key}", value, whole=False, vector=False) for key, value in changes.items()}
 
 
 def _playout(key: str, value: object) -> Zero | Hold | Fixed:
@@ -204,12 +241,3 @@ def _playout(key: str, value: object) -> Zero | Hold | Fixed:
         with suppress(ValueError):
             return Fixed(float(rest[0]), gaps[rest[1]] if len(rest) > 1 else Zero())
     raise Refused(f"{key} is zero, hold, fixed:SECONDS or fixed:SECONDS:hold, not {value!r}; write {key}=fixed:0.1")
-
-
-def _link(value: object) -> tuple[str, Any]:
-    module = import_bundled("channel.link")
-    if value is None or value == "none":
-        return "none", None
-    if isinstance(value, str):
-        return value, module.parse_link(value)
-    return module.describe(value), value  # what is no link, the scene refuses

@@ -1,9 +1,10 @@
 """Library of scenes: those shipped beside this package, those of plug-ins, those at a path.
 
-A scene's file imports `master`, `slave` and `channel`, and modules that lie beside it. Two finders on `sys.meta_path`
-make that possible without a change of `sys.path`. The first one finds the packages of this distribution beside
-`teleop`, so that a folder `scenarios` or a file `master.py` where the command is typed shadows nothing. The last one
-finds the modules beside the scenes' files that were loaded, after all that is installed.
+A file of the user's own, with a scene or a law, imports `master`, `slave` and `channel`, and modules that lie beside
+it. Two finders on `sys.meta_path` make that possible without a change of `sys.path`. The first one finds the packages
+of this distribution beside `teleop`, so that a folder `scenarios` or a file `master.py` where the command is typed
+shadows nothing. The last one finds the modules beside the user's own files that were loaded, after all that is
+installed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from importlib import import_module
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.naming import find, known
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 GROUP = "teleop.scenes"  # of entry points
 PACKAGES = ("master", "slave", "channel", "scenarios")  # of this distribution, beside teleop
 ROOT = Path(__file__).resolve().parents[2]  # holds teleop and PACKAGES
-_FOLDERS: list[str] = []  # of the scenes' files that were loaded, the newest first
+OWN = "teleop_file_"  # begins the names of the modules of the user's own files
+_FOLDERS: list[str] = []  # of the user's own files that were loaded, the newest first
+_LOADED: dict[str, OwnFile] = {}  # by the name of the module
 
 
 class BundledFinder:
@@ -39,12 +42,12 @@ class BundledFinder:
         return PathFinder.find_spec(name, [str(ROOT)], target) if path is None and name in PACKAGES else None
 
 
-class SceneFolderFinder:
-    """Finder of the modules that lie beside the scenes' files that were loaded."""
+class OwnFolderFinder:
+    """Finder of the modules that lie beside the user's own files that were loaded."""
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: Any = None) -> ModuleSpec | None:
-        """The module `name` in the folder of the newest scene that has one."""
+        """The module `name` in the folder of the newest file that has one."""
         return PathFinder.find_spec(name, _FOLDERS, target) if path is None and _FOLDERS else None
 
 
@@ -64,7 +67,7 @@ def prefer_bundled() -> None:
     """
     if BundledFinder not in sys.meta_path:
         sys.meta_path.insert(0, BundledFinder)
-        sys.meta_path.append(SceneFolderFinder)
+        sys.meta_path.append(OwnFolderFinder)
     for package in PACKAGES:
         if package in sys.modules:
             origin = getattr(sys.modules[package], "__file__", None) or ""
@@ -74,7 +77,7 @@ def prefer_bundled() -> None:
 
 
 def scene_folders() -> list[str]:
-    """Folders of the scenes' files that were loaded, the newest first: another process looks for modules there too."""
+    """Folders of the user's own files that were loaded, the newest first: another process finds modules there too."""
     return list(_FOLDERS)
 
 
@@ -93,9 +96,10 @@ def scene_function(name: str) -> Callable[..., Scene]:
 
     Raises `Refused` for an unknown name, and for a file that cannot be loaded or has no function `scene`.
     """
-    prefer_bundled()  # the hands, robots and effects that a scene file imports must be ours too
+    prefer_bundled()  # the hands, robots and effects that a scene imports must be ours too
     if name.endswith(".py"):
-        module = _from_path(Path(name))
+        named = ", ".join(built_in_scenes())
+        module = own_module(Path(name), "a scene", f"a scene is named ({named}) or a path to a .py file")
     else:
         module = find("scene", GROUP, {stem: f"scenarios.{stem}" for stem in built_in_scenes()}, name)
     function = getattr(module, "scene", None)
@@ -104,29 +108,47 @@ def scene_function(name: str) -> Callable[..., Scene]:
     return function  # type: ignore[no-any-return]  # what it returns is checked when it has run
 
 
-def _from_path(path: Path) -> Any:
+class OwnFile(NamedTuple):
+    """A Python file of the user's own, as it was when it was loaded."""
+
+    path: Path
+    digest: str  # of its content: the first 12 digits of its SHA-256
+
+
+def own_file(thing: type | Callable[..., Any]) -> OwnFile | None:
+    """The file of the user's own that a class or a function was loaded from; None if it comes from a package."""
+    return _LOADED.get(thing.__module__)
+
+
+def own_module(path: Path, what: str, hint: str) -> Any:
+    """Load a Python file of the user's own that has `what`, "a scene" for example.
+
+    Raises `Refused` if it cannot be read or loaded; `hint` says how `what` is named if there is no such file.
+    """
+    prefer_bundled()  # the hands, robots and effects that it imports must be ours
     try:
         source = read_bytes(path)
     except FileNotFoundError:
-        named = ", ".join(built_in_scenes())
-        raise Refused(f"there is no file {path}; a scene is named ({named}) or a path to a .py file") from None
+        raise Refused(f"there is no file {path}; {hint}") from None
     except OSError as error:
-        raise Refused(f"the scene {path} cannot be read ({error.strerror or error}); give the path of a .py "
-                      "file") from None
+        raise Refused(f"{path} cannot be read ({error.strerror or error}); give the path of a .py file with "
+                      f"{what}") from None
     # One module for each content of each file: all that ask have the same law, and an edited file is another.
     content = f"{path.resolve()}\0".encode() + source
-    name = f"teleop_scene_{path.stem}_{sha256(content).hexdigest()[:12]}"
+    name = f"{OWN}{path.stem}_{sha256(content).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
     spec = spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    if spec is None or spec.origin is None:
         raise Refused(f"{path} cannot be loaded as Python")
     _let_import_from(path)
     module = sys.modules[name] = module_from_spec(spec)
+    _LOADED[name] = OwnFile(Path(spec.origin), sha256(source).hexdigest()[:12])
     try:
-        spec.loader.exec_module(module)
+        # What was read is what is run: Python's own loader may take the compiled code of an earlier content.
+        exec(compile(source, spec.origin, "exec", dont_inherit=True), module.__dict__)
     except BaseException as error:
-        del sys.modules[name]
+        del sys.modules[name], _LOADED[name]
         if isinstance(error, Refused) or not isinstance(error, Exception | SystemExit):
             raise
         raise Refused(f"{path} stopped with {type(error).__name__}: {error}; mend it and run again") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, WrongNumber
@@ -17,9 +16,10 @@ if TYPE_CHECKING:
 def load_scene(name: str, /, **knobs: object) -> Scene:
     """Make the scene `name` (built in, of a plug-in, or a path ending in .py) with its knobs set.
 
-    `law` may be a law or a law's name; `law.FIELD` sets one of the law's own numbers; `x_limit` (m), beyond which a run
-    has diverged, is a knob of every scene, and so is `link`, which takes a link
-    or its text and replaces the scene's. Values may be texts, as on the command line. Raises `Refused`.
+    `law` may be a law, a law's name, or "FILE.py:CLASS" for one in a file; `law.FIELD` sets one of the law's own
+    numbers. Knobs of every scene are `x_limit` (m), beyond which a run has diverged, `scale_x` and `scale_f`, the
+    slave's metres and newtons for one of the master's, and `link`, which takes a link or its text and replaces the
+    scene's. Values may be texts, as on the command line. Raises `Refused`.
 
     >>> load_scene("canonical", delay=0.1).name
     'canonical'
@@ -44,12 +44,13 @@ class SceneMaker:
         self._stem = name.rsplit("/", 1)[-1].removesuffix(".py")
         self._settled: dict[str, object] = {}  # the function's knobs, with the values of some scene
         self._shown: dict[str, object] = {}  # the knobs of every scene that are set, as they are shown
-        self._parts: dict[str, Any] = {}  # and what they are
+        self._wide: dict[str, Any] = {}  # and their values
         self._read: dict[str, Declared] = {}  # the knobs that may differ from those of that scene
 
     def scene(self, knobs: Mapping[str, object]) -> Scene:
         """The scene with these knobs besides. Raises `Refused`."""
         from teleop.scene.knobs import read_knob
+        from teleop.scene.wide import with_wide
 
         if not self._read or self._read.keys() != knobs.keys():
             self._settle(knobs)
@@ -69,7 +70,8 @@ class SceneMaker:
         if not isinstance(scene, Scene):
             raise Refused(f"scene {self._name!r} returned {type(scene).__name__}; its function must return a "
                           "teleop.Scene")
-        return _called(replace(scene, **self._parts) if self._parts else scene, self._stem, {**settled, **self._shown})
+        scene = with_wide(scene, self._wide) if self._wide else scene
+        return _called(scene, self._stem, {**settled, **self._shown})
 
     def _settle(self, knobs: Mapping[str, object]) -> None:
         """Read and check all knobs; those of later scenes too may differ, where no other knob depends on them."""
@@ -78,7 +80,7 @@ class SceneMaker:
         self._read = {}
         self._settled, of_scene = settle(self._name, self._function, {**self._fixed, **knobs})
         self._shown = {key: shown for key, (shown, _) in of_scene.items()}
-        self._parts = {key: part for key, (_, part) in of_scene.items()}
+        self._wide = {key: value for key, (_, value) in of_scene.items()}
         known = knobs_of(self._function)
         tuned = any(key not in known and key.startswith("law.") for key in self._fixed)
         if all(key in known and not (key == "law" and tuned) for key in knobs):

@@ -1,8 +1,8 @@
 """Scenes that a stored folder names: opening a folder of others runs no code of theirs and reads no other file.
 
-A folder says which scene was run, with which knobs. A scene that is installed may be made again from that. A scene in a
-file of its own is code, and a knob or an effect that names a file has this machine read it: both only for a reader who
-says that the folder is to be trusted.
+A folder says which scene was run, with which knobs. A scene that is installed may be made again from that. A scene or a
+law in a file of its own is code, and a knob or an effect that names a file has this machine read it: all of these only
+for a reader who says that the folder is to be trusted.
 """
 
 from __future__ import annotations
@@ -49,10 +49,14 @@ def check_installed(name: str) -> None:
 def _check_no_file(name: str, knobs: Mapping[str, object]) -> None:
     from teleop.scene.knobs import knobs_of
     from teleop.scene.library import scene_function
+    from teleop.scene.own_law import file_named
 
     kinds = {key: get_args(found.kind) if isinstance(found.kind, UnionType) else (found.kind,)
              for key, found in knobs_of(scene_function(name)).items()}
     for key, value in knobs.items():
+        if isinstance(value, str) and file_named(value):  # of a law, whatever its knob is called
+            raise Refused(f"the folder's scene {name} has {key}={value[:200]}, which is a file with code, so it is not "
+                          f"run; {CURE}")
         names_a_file = Path in kinds.get(key, ()) or (key == "link" and ("'" in str(value) or '"' in str(value)))
         if names_a_file:
             raise Refused(f"the folder's scene {name} has {key}={str(value)[:200]}, which names a file of this "

@@ -120,15 +120,21 @@ def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
 
 
 def parameters(scene: Scene) -> dict[str, object]:
-    """The scene's knobs as JSON can hold them; the law by its name and numbers."""
+    """The scene's knobs as JSON can hold them; the law by its name and numbers, one of the user's own by its file too.
+
+    Of that file there are its path and the first 12 digits of its SHA-256.
+    """
     from dataclasses import fields, is_dataclass
 
     from teleop.law import law_name
+    from teleop.scene.library import own_file
 
     plain: dict[str, object] = {}
     for key, value in {**scene.knobs, "law": scene.law}.items():
         if key == "law" and is_dataclass(value):
-            plain[key] = {"name": law_name(value), **{f.name: getattr(value, f.name) for f in fields(value)}}
+            own = own_file(type(value))
+            source = {} if own is None else {"file": str(own.path), "sha256": own.digest}
+            plain[key] = {"name": law_name(value), **source, **{f.name: getattr(value, f.name) for f in fields(value)}}
         else:
             plain[key] = value if isinstance(value, int | float | str | list | tuple | None) else str(value)
     return plain

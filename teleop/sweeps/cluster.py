@@ -18,6 +18,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
+from teleop.scene.own_law import file_named
 from teleop.sweeps.worker import answer, digest_of, sources
 
 if TYPE_CHECKING:
@@ -200,18 +201,29 @@ class _Call:
 def _packed(fn: Work, job: Job) -> bytes:
     import cloudpickle
 
-    scene = None
     if job.scene.endswith(".py"):
-        path = str(Path(job.scene).absolute())
-        digest = digest_of(path)
-        if digest is None:
-            raise Refused(f"there is no file {path} any more; put it back: {GOES_ON}")
-        job, scene = job._replace(scene=path), (path, digest)
+        job = job._replace(scene=str(Path(job.scene).absolute()))
+    files = files_of(job)
     try:
-        return pickle.dumps(_Call(sources(), scene, cloudpickle.dumps((fn, job))))
+        return pickle.dumps(_Call(sources(), files, cloudpickle.dumps((fn, job))))
     except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
         raise Refused(f"this sweep cannot be sent to a worker ({error}); leave that out of its knobs and metrics, or "
                       f"run on this machine") from error
+
+
+def files_of(job: Job) -> list[tuple[str, str]]:
+    """The files of the user's own that have the scene and the laws of a job, with the digest of each.
+
+    Raises `Refused` if one of them is gone.
+    """
+    own = {file_named(value) for knobs in (job.fixed, *[knobs for _, knobs, _ in job.rows]) for value in knobs.values()
+           if isinstance(value, str)}
+    found = []
+    for path in sorted({*own, job.scene if job.scene.endswith(".py") else ""} - {""}):
+        if (digest := digest_of(path)) is None:
+            raise Refused(f"there is no file {path} any more; put it back: {GOES_ON}")
+        found.append((path, digest))
+    return found
 
 
 def _checked(done: ChunkResult, fn: Work, job: Job, worker: str) -> ChunkResult:

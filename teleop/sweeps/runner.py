@@ -15,6 +15,8 @@ from threading import Event
 from typing import Any
 
 from teleop.errors import Refused, nearest
+from teleop.law import is_built_in
+from teleop.scene.library import own_file
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
@@ -143,8 +145,10 @@ def _names(measures: Iterable[Measure]) -> list[str]:
 
 def _own_sources(name: str, laws: Iterable[Any]) -> str:
     """A digest of the scene file and laws that are the user's own; the others go by the version."""
-    texts = [file_digest(Path(name))] if name.endswith(".py") else []
-    own = [law for law in laws if not type(law).__module__.startswith("teleop.laws.")]
+    scene = Path(name).absolute() if name.endswith(".py") else None
+    texts = [] if scene is None else [file_digest(scene)]
+    own = [law for law in laws if not is_built_in(law)]
+    texts += [file.digest for file in map(own_file, map(type, own)) if file is not None and file.path != scene]
     functions = [getattr(type(law), end) for law in own for end in ENDS if hasattr(type(law), end)]
     for part in functions:
         texts += sources([part])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -11,11 +12,11 @@ from teleop.scene.library import ROOT, beside
 from teleop.storage.files import read_bytes
 
 
-def answer(version: str, scene: tuple[str, str] | None, packed: bytes) -> tuple[str, bytes | str]:
+def answer(version: str, files: Sequence[tuple[str, str]], packed: bytes) -> tuple[str, bytes | str]:
     """What a worker does with a chunk: its address, and the rows as bytes or the sentence why there are none.
 
-    `version`: the sources (see `sources`) that the rows are to be made by. `scene`: path and digest of a scene's file
-    that is not built in. Nothing of `packed` is opened before both agree.
+    `version`: the sources (see `sources`) that the rows are to be made by. `files`: path and digest of each file with a
+    scene or a law that is not built in. Nothing of `packed` is opened before both agree.
     """
     import cloudpickle
     from distributed import get_worker
@@ -24,9 +25,10 @@ def answer(version: str, scene: tuple[str, str] | None, packed: bytes) -> tuple[
     if sources() != version:
         return at, (f"the worker {at} has teleop {sources()}, not {version} as here; install the same there and start "
                     f"it again")
-    if scene is not None and digest_of(scene[0]) != scene[1]:
-        has = "no file" if digest_of(scene[0]) is None else "another file"
-        return at, f"the worker {at} has {has} {scene[0]}; put the scene on a disk that all share, or copy it there"
+    for path, digest in files:
+        if (here := digest_of(path)) != digest:
+            has = "no file" if here is None else "another file"
+            return at, f"the worker {at} has {has} {path}; put that of here on a disk that all share, or copy it there"
     function, job = pickle.loads(packed)
     try:
         return at, cloudpickle.dumps(function(job))
@@ -49,7 +51,7 @@ def sources() -> str:
 
 
 def digest_of(path: str) -> str | None:
-    """What is in a scene's file and those beside it that it imports, in short; none if it cannot be read."""
+    """What is in a file and those beside it that it imports, in short; none if it cannot be read."""
     from hashlib import sha256
 
     try:

@@ -44,7 +44,8 @@ def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: b
     )
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[],
-        help="a knob of the scene, its law (law=pfra) or a knob of the law (law.b=4); may be repeated",
+        help="a knob of the scene, its law (law=pfra, or law=FILE.py for one of your own) or a knob of the law "
+        "(law.b=4); may be repeated",
     )
     if seed:
         parser.add_argument(

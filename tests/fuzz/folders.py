@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from teleop.scene.library import OWN
+
 ROOM = 3 << 30  # bytes of address space; numpy, matplotlib and their threads take 1.5 GB of it
 GROWS = 400 << 20  # bytes that the resident memory may grow by in all cases together
 SECONDS = 30  # that a case may take, on a machine that has other things to do
@@ -284,7 +286,7 @@ def _opened(main: Callable[[Any], int], place: Path, kind: str, number: int, dra
     if _contents(outside) != before or (place / "ran").exists():
         troubles.append("it touched what is outside")
         (place / "ran").unlink(missing_ok=True)
-    odd = [name for name in sys.modules if name.startswith("teleop_scene_")]
+    odd = [name for name in sys.modules if name.startswith(OWN)]
     if odd:
         troubles.append(f"it ran {odd}")
     return [f"{trouble} ({', '.join(hostile.done)}; {' '.join(words)})" for trouble in troubles]

@@ -22,7 +22,8 @@ from teleop import Refused, sweep
 from teleop.scene.library import ROOT
 from teleop.simulation.result import Result
 from teleop.sweeps import cluster
-from teleop.sweeps.cluster import connected, parse_address
+from teleop.sweeps.chunk import Job
+from teleop.sweeps.cluster import connected, files_of, parse_address
 from teleop.sweeps.runner import carry_out, plan_sweep
 from teleop.sweeps.worker import answer, digest_of, sources
 from tests.waiting import PATIENCE, until
@@ -269,16 +270,27 @@ class TestAnAddress:
 
 class TestAWorker:
     def test_of_other_sources_gives_no_rows(self, rig: Rig) -> None:
-        _, said = rig.client.submit(answer, "0.0.1 (abc)", None, b"", pure=False).result()
+        _, said = rig.client.submit(answer, "0.0.1 (abc)", [], b"", pure=False).result()
         assert "not 0.0.1 (abc) as here" in said
         assert sources() in said
 
     @pytest.mark.parametrize(("there", "has"), [("own.py", "another file"), ("none.py", "no file")])
-    def test_without_the_scenes_file_gives_no_rows(self, there: str, has: str, rig: Rig, tmp_path: Path) -> None:
+    def test_without_the_file_of_the_scene_or_law_gives_no_rows(
+        self, there: str, has: str, rig: Rig, tmp_path: Path
+    ) -> None:
         (tmp_path / "own.py").write_text(OWN)
         path = str(tmp_path / there)
-        _, said = rig.client.submit(answer, sources(), (path, "digest"), b"", pure=False).result()
+        _, said = rig.client.submit(answer, sources(), [(path, "digest")], b"", pure=False).result()
         assert f"has {has} {path}; put" in said
+
+    def test_is_told_the_files_of_the_scene_and_of_each_law(self, tmp_path: Path) -> None:
+        (tmp_path / "law_mine.py").write_text("K = 1.0\n")
+        scene, law = str(tmp_path / "own.py"), str(tmp_path / "law_mine.py")
+        job = Job(scene, {}, [(0, {"law": "wave"}, 0), (1, {"law": f"{law}:Mine"}, 0)], (), "plain")
+        with pytest.raises(Refused, match=r"no file .*own\.py any more"):
+            files_of(job)
+        (tmp_path / "own.py").write_text(OWN)
+        assert files_of(job) == [(law, digest_of(law)), (scene, digest_of(scene))]
 
     def test_with_another_law_beside_the_scenes_file_has_another_file(self, tmp_path: Path) -> None:
         (tmp_path / "mine.py").write_text("from law_mine import Law\n")

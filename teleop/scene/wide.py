@@ -1,0 +1,45 @@
+"""Knobs that every scene takes beside its own: each replaces a part of the scene that its function made.
+
+Where a scene has a knob of the same name, that one is set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from teleop.knob import Declared, Knob
+from teleop.scene.library import import_bundled
+from teleop.scene.scene import Scene
+
+_SCALES = ("scale_x", "scale_f")
+WIDE = {
+    "x_limit": Declared(float, Scene.x_limit, Knob(
+        "m", "position beyond which a run has diverged, of master and slave", above=0.0)),
+    "scale_x": Declared(float, 1.0, Knob("", "metres of the slave for one metre of the master", above=0.0)),
+    "scale_f": Declared(float, 1.0, Knob("", "newtons of the slave for one newton of the master", above=0.0)),
+    "link": Declared("Link | None", "the scene's", Knob(
+        "", "link in place of the scene's, as --link takes it; none: no link")),
+}
+
+
+def read_link(value: object) -> tuple[str, Any]:
+    """A link as it is shown, and the link. Raises `Refused`."""
+    module = import_bundled("channel.link")
+    if value is None or value == "none":
+        return "none", None
+    if isinstance(value, str):
+        return value, module.parse_link(value)
+    return module.describe(value), value  # what is no link, the scene refuses
+
+
+def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """The scene with knobs of `WIDE` set. Raises `Refused`."""
+    parts = {key: value for key, value in values.items() if key not in _SCALES}
+    scales = {key: value for key, value in values.items() if key in _SCALES}
+    if scales:
+        from teleop.stages.scaling import Scaling
+
+        parts["scaling"] = replace(scene.scaling or Scaling(), **scales)
+    return replace(scene, **parts)

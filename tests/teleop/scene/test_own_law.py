@@ -1,0 +1,192 @@
+"""A law in a file of its own, named where a law is named: `law=FILE.py:CLASS`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from hashlib import sha256
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from teleop import Refused, load_scene, run, sweep
+from teleop.protocol.manifest import manifest_difference, manifest_of
+from teleop.scene.library import ROOT
+from teleop.scene.trust import asks_for_trust, stored_scene
+from teleop.simulation.bodies import exact_bodies
+from tests.teleop.conftest import Answer
+
+Typed = Callable[..., Answer]
+EXAMPLE = (ROOT / "scenarios" / "examples" / "law.py").read_text()
+MINE = """
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+from teleop import At
+
+class Forth(NamedTuple):
+    x: float
+
+class Back(NamedTuple):
+    x: float
+
+@dataclass(frozen=True, kw_only=True)
+class PositionPosition:
+    K: float = 100.0
+    B: float = 4.0
+    claims: ClassVar[frozenset[str]] = frozenset()
+    def master_start(self, at: At): return (), Back(at.x)
+    def slave_start(self, at: At): return (), Forth(at.x)
+    def master(self, s, at: At, rx: Back): return self.K * (at.x - rx.x) + self.B * at.v, Forth(at.x), s
+    def slave(self, s, at: At, rx: Forth): return self.K * (rx.x - at.x) - self.B * at.v, Back(at.x), s
+"""
+ONE_PORT = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+@dataclass(frozen=True, kw_only=True)
+class Spring:
+    K: float
+    claims: ClassVar[frozenset[str]] = frozenset()
+    def start(self, at): return ()
+    def force(self, s, at): return self.K * at.x, s
+"""
+SHORT = ["--set", "duration=0.5"]
+
+
+@pytest.fixture(autouse=True)
+def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder in which all is typed, with law_mine.py and others in it."""
+    (tmp_path / "law_mine.py").write_text(MINE)
+    (tmp_path / "two.py").write_text(MINE + MINE[MINE.index("@dataclass"):].replace("PositionPosition", "Softer"))
+    (tmp_path / "spring.py").write_text(ONE_PORT)
+    (tmp_path / "none.py").write_text("from teleop import Wave\nK = 3\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+class TestOnTheCommandLine:
+    def test_runs_with_its_knobs_and_the_summary_has_its_file_and_digest(self, typed: Typed, written: Path) -> None:
+        assert typed("run", "hard_wall", "--set", "law=law_mine.py", "--set", "law.K=150", *SHORT).code == 0
+        law = json.loads((written / "runs/hard_wall-1/summary.json").read_text())["parameters"]["law"]
+        digest = sha256(MINE.encode()).hexdigest()[:12]
+        assert law == {"name": "PositionPosition", "K": 150.0, "B": 4.0, "file": str(written / "law_mine.py"),
+                       "sha256": digest}
+        assert "law PositionPosition" in typed("report", "runs/hard_wall-1").out
+
+    @pytest.mark.parametrize("law", ["law_mine.py", "law_mine.py:PositionPosition", "./law_mine.py", "two.py:Softer"])
+    def test_is_the_law_that_a_script_would_give(self, law: str) -> None:
+        own: dict[str, object] = {}
+        exec(compile(MINE, "own", "exec", dont_inherit=True), own)
+        mine = own["PositionPosition"](K=150.0)  # type: ignore[operator]
+        assert (run(load_scene("hard_wall", law=law, duration=0.5, **{"law.K": "150"})).trace["x_s"].tobytes()
+                == run(load_scene("hard_wall", law=mine, duration=0.5)).trace["x_s"].tobytes())
+
+    def test_the_example_script_can_be_named_as_it_stands(self, written: Path) -> None:
+        (written / "law.py").write_text(EXAMPLE)
+        assert load_scene("soft_tissue", law="law.py", **{"law.cutoff": 2.0}).law.cutoff == 2.0
+
+    def test_a_number_without_a_default_is_given_by_its_knob(self) -> None:
+        assert load_scene("virtual_wall", law="spring.py", **{"law.K": "3"}).law.K == 3.0
+        with pytest.raises(Refused, match=r"law Spring needs K: add --set law\.K=VALUE"):
+            load_scene("virtual_wall", law="spring.py")
+
+    @pytest.mark.parametrize(("law", "words"), [
+        ("nope.py", "there is no file nope.py"), ("nope.py:Law", "there is no file nope.py"),
+        ("law_mine.py:Mine", "no class 'Mine'; there are: PositionPosition"),
+        ("two.py", "2 laws; write law=two.py:PositionPosition or law=two.py:Softer"),
+        ("two.py:Softly", "did you mean Softer"), ("law_mine.py:Back", "Back in law_mine.py is no law"),
+        ("none.py", "none.py has no law: a class with the methods master_start, master"),
+        ("none.py:K", "K in none.py is no law: it is no class; there are: no laws"),
+        ("law_mine", "a law in a file of your own is FILE.py or FILE.py:CLASS"),
+        ("spring.py", "law Spring needs K"), ("bad.py", "bad.py stopped with ZeroDivisionError"),
+    ])
+    def test_what_names_no_law_is_refused_and_nothing_is_written(
+        self, law: str, words: str, typed: Typed, written: Path
+    ) -> None:
+        (written / "bad.py").write_text("1 / 0\n")
+        typed("run", "hard_wall", "--set", f"law={law}").assert_refused(words)
+        assert not (written / "runs").exists()
+
+    @pytest.mark.parametrize("words", [
+        ["stability", "soft_tissue"], ["show", "tick", "soft_tissue"], ["sweep", "soft_tissue", "--grid", "delay=0,1"],
+    ], ids=" ".join)
+    def test_goes_wherever_a_law_goes(self, words: list[str], typed: Typed) -> None:
+        assert typed(*words, "--set", "law=law_mine.py", *SHORT).code == 0
+
+    def test_an_edit_within_the_same_second_and_of_the_same_length_is_seen(self, written: Path) -> None:
+        """Python's own loader took the compiled code of the first content for the second."""
+        gains = []
+        for gain in ("100.0", "200.0"):
+            (written / "law_mine.py").write_text(MINE.replace("100.0", gain))
+            gains.append(load_scene("hard_wall", law="law_mine.py").law.K)
+        assert gains == [100.0, 200.0]
+        assert not (written / "__pycache__").exists()
+
+
+class TestInASweep:
+    AXES = {"law": ["direct", "law_mine.py:PositionPosition"], "delay": [0.0, 0.02]}  # noqa: RUF012
+    FIXED = {"duration": 0.2}  # noqa: RUF012
+
+    def test_rows_are_the_runs_also_in_processes_of_their_own(self) -> None:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            table = sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", executor=pool)
+        for row in table:
+            alone = run(load_scene("soft_tissue", law=row["law"], delay=row["delay"], **self.FIXED))
+            assert row["x_err_rms"] == alone.metrics["x_err_rms"]
+
+    @pytest.mark.parametrize(("old", "new"), [
+        ("+ self.B * at.v,", "- self.B * at.v,"), ("K: float = 100", "K: float = 200")])
+    def test_another_content_is_another_sweep(self, old: str, new: str, written: Path) -> None:
+        sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
+        sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
+        (written / "law_mine.py").write_text(MINE.replace(old, new))
+        with pytest.raises(Refused, match="sources is"):
+            sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
+
+    def test_another_content_is_another_kernel(self, written: Path) -> None:
+        pytest.importorskip("numba")
+        from teleop.sweeps.kernels.compiled import module_text
+
+        names = set()
+        for text in (MINE, MINE, MINE.replace("+ self.B * at.v,", "- self.B * at.v,")):
+            (written / "law_mine.py").write_text(text)
+            scene = load_scene("soft_tissue", law="law_mine.py")
+            names.add(module_text(scene, exact_bodies(scene), ["x_err_rms"], "scalar")[1])
+        assert len(names) == 2
+
+
+class TestOfAnotherEnd:
+    def test_the_same_file_elsewhere_goes_together_and_another_content_does_not(self, written: Path) -> None:
+        def told(folder: str, text: str) -> dict[str, str]:
+            (written / folder).mkdir()
+            (written / folder / "law_mine.py").write_text(text)
+            return manifest_of(load_scene("hard_wall", law=f"{folder}/law_mine.py"))
+
+        one = told("one", MINE)
+        assert manifest_difference(one, told("copy", MINE)) is None
+        edited = manifest_difference(one, told("edited", MINE.replace("+ self.B", "- self.B")))
+        assert edited is not None
+        assert edited.startswith("law source is law_mine.py (")
+
+    def test_a_class_called_as_a_law_of_the_package_is_compared_by_its_source_all_the_same(self, written: Path) -> None:
+        """Two different laws called `wave` went together: their sources were taken for those of the release."""
+        (written / "one.py").write_text(MINE.replace("PositionPosition", "wave"))
+        assert manifest_of(load_scene("hard_wall", law="one.py"))["law source"].startswith("one.py (")
+
+
+class TestOfAStoredFolder:
+    @pytest.mark.parametrize("law", ["law_mine.py", "law_mine.py:PositionPosition", "/somewhere/else.py"])
+    def test_is_run_for_who_trusts_the_folder_alone(self, law: str) -> None:
+        assert asks_for_trust("hard_wall", {"law": law})
+        with pytest.raises(Refused, match=r"which is a file with code, so it is not run; .* add --trust"):
+            stored_scene("hard_wall", {"law": law}, trust=False)
+
+    def test_is_made_again_with_trust(self) -> None:
+        assert stored_scene("hard_wall", {"law": "law_mine.py", "law.K": "3"}, trust=True).law.K == 3.0
+
+    def test_a_sweep_is_shown_without_it(self, typed: Typed, written: Path) -> None:
+        sweep("soft_tissue", {"law": ["direct", "law_mine.py"]}, fixed={"duration": 0.1}, engine="plain", out="kept")
+        (written / "law_mine.py").write_text("raise AssertionError('run by a report')\n")
+        assert "law_mine.py" in typed("report", "kept").out
