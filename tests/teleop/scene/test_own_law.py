@@ -142,7 +142,7 @@ class TestInASweep:
         sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
         sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
         (written / "law_mine.py").write_text(MINE.replace(old, new))
-        with pytest.raises(Refused, match="sources is"):
+        with pytest.raises(Refused, match="a law was edited"):
             sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
 
     def test_another_content_is_another_kernel(self, written: Path) -> None:
