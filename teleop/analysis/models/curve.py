@@ -25,22 +25,27 @@ class Curve(NamedTuple):
     closed: bool  # does it end on the real axis, or at infinity
 
 
+def reach(radius: float) -> float:
+    """The radius at which `circle` runs: from the unit circle on, `EDGE` farther outside."""
+    return radius + EDGE if radius >= 1.0 else radius
+
+
 def circle(radius: float, indent: float) -> Curve:
     """|z| = `radius`; the unit circle and what is as near to it passes z = 1 at the distance `indent`."""
     import numpy as np
 
-    reach = radius + EDGE if radius >= 1.0 else radius
-    if not 1.0 <= reach < 1.0 + indent:
-        return Curve(lambda t: reach * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z) > reach, True)
-    turn = acos(((reach - 1.0) * (reach + 1.0) - indent * indent) / (2.0 * indent))
+    far = reach(radius)
+    if not 1.0 <= far < 1.0 + indent:
+        return Curve(lambda t: far * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z) > far, True)
+    turn = acos(((far - 1.0) * (far + 1.0) - indent * indent) / (2.0 * indent))
     leave = float(np.angle(1.0 + indent * np.exp(1j * turn)))
 
     def point(t: Any) -> Points:
         around = 1.0 + indent * np.exp(1j * turn * np.minimum(t, 1.0))
-        along: Points = np.where(t <= 1.0, around, reach * np.exp(1j * (leave + (pi - leave) * (t - 1.0))))
+        along: Points = np.where(t <= 1.0, around, far * np.exp(1j * (leave + (pi - leave) * (t - 1.0))))
         return along
 
-    return Curve(point, 2.0, np.log, lambda z: (np.abs(z) > reach) & (np.abs(z - 1.0) > indent), True)
+    return Curve(point, 2.0, np.log, lambda z: (np.abs(z) > far) & (np.abs(z - 1.0) > indent), True)
 
 
 def about_one(indent: float) -> Curve:

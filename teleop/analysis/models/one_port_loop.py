@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from teleop.analysis.models.margins import Mode
+    from teleop.analysis.models.roots import Mode
 
     Matrix = NDArray[np.float64]
 
@@ -163,6 +163,7 @@ def margins(scene: Scene) -> Margins:
     """Roots and margins of a scene without a slave."""
     from teleop.analysis.models import margins as of_two
     from teleop.analysis.models.loop import sampled_loop
+    from teleop.analysis.models.roots import dominant
 
     linear = opened(scene)
     if linear is None:
@@ -174,7 +175,7 @@ def margins(scene: Scene) -> Margins:
         unstable, (resting, mode) = unstable_roots(whole), _dominant(whole)
     else:
         unstable, resting = sampled_loop(linear).outside(linear.round_trip), of_two.integrators(linear)
-        mode = of_two.dominant(linear, resting)
+        mode = dominant(linear, resting)
     return Margins(unstable, resting, mode, of_two.gain_margin(linear), of_two.critical_round_trip(linear, 0), None)
 
 
@@ -202,7 +203,7 @@ def _dominant(loop: OnePort) -> tuple[int, Mode | None]:
     """Roots at rest, and the greatest of the others as a motion."""
     import numpy as np
 
-    from teleop.analysis.models.margins import Mode
+    from teleop.analysis.models.roots import Mode
 
     roots = loop.roots()
     moving = roots[np.abs(roots - 1.0) > AT_REST]

@@ -19,7 +19,7 @@ from teleop.errors import Refused, number
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from teleop.analysis.models.margins import Mode
+    from teleop.analysis.models.roots import Mode
 
 PLACES = 33  # of a range that are tried before it is halved
 HALVED = 5  # times: a step of 1.25 to 1.007
@@ -36,7 +36,7 @@ class Stability:
     back: int  # ticks
     dt: float  # s
     mode: Mode | None  # the root of greatest magnitude apart from the integrators; None: nothing moves for long
-    gain_margin: float | None  # the factor on the loop's gain that changes the verdict; None: see `margins`
+    gain_margin: float | None  # the factor on the loop's gain that changes the verdict, 1 if any more does; None: none
     critical_round_trip: int | None  # ticks, the least at which the loop is unstable; None: stable at every delay
     alone: bool = False  # no slave: all delays are those of the computation, `forth` in all
     tried: int | None = None  # ticks up to which a critical delay was looked for; None: any
@@ -87,7 +87,8 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
     """
     from teleop.analysis.models.linear import linear_scene
     from teleop.analysis.models.loop import sampled_loop
-    from teleop.analysis.models.margins import critical_round_trip, dominant, gain_margin, integrators
+    from teleop.analysis.models.margins import critical_round_trip, gain_margin, integrators
+    from teleop.analysis.models.roots import dominant
 
     if scene.slave is None:
         return _one_port(scene)

@@ -182,7 +182,9 @@ def _roots(found: Stability) -> list[tuple[str, str]]:
     rows.append(("delay margin", first))
     gain = found.gain_margin
     said = "none: no factor from 1e-6 to 1e6 changes the verdict"
-    if gain is not None:
+    if gain == 1.0:
+        said = "exactly 1 (0 dB): with any more gain what rests at z = 1 moves away by itself"
+    elif gain is not None:
         said = f"{gain:.5g} ({20.0 * log10(gain):+.3g} dB)"
     return [*rows, ("gain margin", said)]
 

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import teleop.analysis.models.margins
+import teleop.analysis.models.roots
 from teleop.analysis.models.curve import circle
 from teleop.analysis.models.linear import LinearScene, StateSpace
-from teleop.analysis.models.loop import Loop, sampled_loop, transfer
-from teleop.analysis.models.margins import critical_round_trip, dense, dominant, gain_margin, integrators
+from teleop.analysis.models.loop import Loop, open_poles, sampled_loop, transfer
+from teleop.analysis.models.margins import critical_round_trip, gain_margin, integrators
+from teleop.analysis.models.roots import dense, dominant, greatest
 
 
 def random_end(dice: np.random.Generator, states: int, into: int, out: int, radius: float) -> StateSpace:
@@ -149,11 +150,79 @@ class TestTheMargins:
         roots = roots_of(linear)
         greatest = roots[np.abs(roots).argmax()]
         for most in (400, 0):
-            monkeypatch.setattr(teleop.analysis.models.margins, "MOST_STATES", most)
+            monkeypatch.setattr(teleop.analysis.models.roots, "MOST_STATES", most)
             mode = dominant(linear, 0)
             assert mode is not None
             assert abs(mode.z) == pytest.approx(abs(greatest), abs=1e-7)
             assert np.abs(roots - mode.z).min() < 1e-6
+
+
+class TestTheRootsOfALongDelay:
+    @pytest.mark.parametrize("seed", range(14))
+    def test_have_the_dominant_one_whenever_the_count_has_one(self, seed: int) -> None:
+        """Ends at random and 400 to 40,000 ticks; on every other seed the gain's peak is within 1e-6 to 0.1 of 1."""
+        dice = np.random.default_rng(seed)
+        delay = int(10.0 ** dice.uniform(2.6, 4.6))
+        linear = random_loop(seed)._replace(forth=delay // 2, back=delay - delay // 2)
+        linear = scaled(linear, 10.0 ** dice.uniform(-1.0, 1.0))
+        if seed % 2:
+            peak = np.exp(sampled_loop(linear).samples[2].real.max())
+            linear = scaled(linear, (1.0 + 10.0 ** dice.uniform(-6.0, -1.0)) / peak)
+        growing = sampled_loop(linear).outside(delay)
+        mode = dominant(linear, integrators(linear))
+        assert mode is not None
+        level = float(np.log(np.abs(mode.z)))
+        assert (level > 0.0) == (growing > 0)
+        near = 1e-4 * abs(level) + 3e-11
+        assert sampled_loop(linear, np.exp(level + near)).outside(delay) == 0
+        assert sampled_loop(linear, np.exp(level - near)).outside(delay) > 0
+        if np.abs(open_poles(linear.master, linear.slave)).max() < 1.0:  # beside one that grows all is nearly singular
+            assert least_singular(linear, mode.z) < 1e-8
+
+    @pytest.mark.parametrize("seed", [55, 72, 103])
+    def test_are_those_of_greatest_magnitude_among_the_eigenvalues(
+        self, seed: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(teleop.analysis.models.roots, "MOST_STATES", 0)
+        linear = scaled(random_loop(seed)._replace(forth=50, back=72), 0.5)
+        own = roots_of(linear)
+        found = greatest(linear, 30)
+        assert found.complete
+        assert 28 <= len(found.z) <= 30
+        sizes = np.sort(np.abs(own))[::-1][:len(found.z)]
+        assert np.sort(np.abs(found.z))[::-1] == pytest.approx(sizes, abs=1e-7)
+        assert np.abs(own[:, None] - found.z).min(axis=0).max() < 1e-7
+
+
+def least_singular(linear: LinearScene, z: complex) -> float:
+    """Of I - z^-d P_m(z) P_s(z) and of both ends' zI - A: 0 where z is a root."""
+    loop = transfer(linear.master, np.array([z]))[0] @ transfer(linear.slave, np.array([z]))[0]
+    each = [np.eye(len(loop)) - loop * np.exp(-linear.round_trip * np.log(z)),
+            *(z * np.eye(len(end.A)) - end.A for end in (linear.master, linear.slave))]
+    return float(min(np.linalg.svd(one)[1].min() / max(1.0, np.abs(one).max()) for one in each))
+
+
+class TestAGainMarginOfWhatRests:
+    @pytest.mark.parametrize("delay", [4, 700])
+    def test_was_the_distance_of_the_curve_from_1(self, delay: int) -> None:
+        """l(1) = 1: a root rests at z = 1 and leaves the unit circle with any more gain."""
+        lag = StateSpace(np.array([[0.9]]), np.ones((1, 1)), np.array([[0.1]]), np.zeros((1, 1)))
+        unit = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
+        linear = LinearScene(lag, unit, 1, delay - 1, 1e-3)
+        assert integrators(linear) == 1
+        assert gain_margin(linear) == 1.0
+        if delay < 100:  # of which the eigenvalues are quick
+            assert np.abs(roots_of(scaled(linear, 1.0 + 1e-6))).max() > 1.0 + 1e-9
+
+    def test_that_no_gain_moves_is_that_of_the_other_roots(self) -> None:
+        """The same beside a free mass, whose position is not sent: 1/l is reached at half the gain."""
+        free = np.array([[1.0, 1e-3], [0.0, 0.99]])
+        A = np.block([[free, np.zeros((2, 1))], [np.zeros((1, 2)), np.array([[0.9]])]])
+        master = StateSpace(A, np.array([[0.0], [1e-3], [1.0]]), np.array([[0.0, 0.0, 0.05]]), np.zeros((1, 1)))
+        unit = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
+        linear = LinearScene(master, unit, 2, 2, 1e-3)
+        assert integrators(linear) == 1
+        assert gain_margin(linear) == pytest.approx(2.0, abs=1e-3)
 
 
 def scaled(linear: LinearScene, gain: float) -> LinearScene:

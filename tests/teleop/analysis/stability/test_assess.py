@@ -20,6 +20,7 @@ from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop import Refused, Scene, load_scene, run
 from teleop.analysis.models.continuous import Continuous, continuous
+from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.stability.assess import critical, is_stable, lowest, stability
 from teleop.analysis.stability.swing import swing
 from teleop.errors import number
@@ -195,7 +196,7 @@ class TestTheDelayMargin:
         found = stability(scene)
         assert (found.verdict, found.critical_round_trip) == ("stable", None)
         assert found.integrators == 1  # two hands that agree on a force may stand anywhere
-        assert found.gain_margin == pytest.approx(1.0, abs=1e-6)  # so that any more makes it wander off
+        assert found.gain_margin == 1.0  # so that any more makes it wander off
 
 
 def handles_link(forth: int, back: int) -> Any:
@@ -276,6 +277,52 @@ class TestALongDelay:
         assert 90 < found.unstable < 2 * 4.3 * 20.0
         assert found.mode is not None
         assert 0.5 / 20.0 < found.mode.growth < 1.0 / 20.0
+
+
+    def test_had_twenty_two_growing_roots_and_no_dominant_mode(self) -> None:
+        scene = load_scene("soft_tissue", law="direct", delay=10.0, k_e=100.0, **{"law.K": 2000.0})
+        found = stability(scene)
+        assert found.unstable == 22
+        assert found.mode is not None
+        assert found.mode.z == pytest.approx(greatest_of_direct(scene), abs=1e-13)
+        assert round(found.mode.frequency, 3) == 3.017
+        assert round(found.mode.growth, 4) == 0.0020
+
+    @pytest.mark.parametrize("seed", range(8))
+    def test_has_the_dominant_mode_that_its_equation_has(self, seed: int) -> None:
+        """Tissue, coupling and 0.3 to 16 s of delay at random; the edge of stability among them."""
+        dice = np.random.default_rng(seed)
+        knobs = {"k_e": 10.0 ** dice.uniform(1.0, 3.0), "law.K": 10.0 ** dice.uniform(2.5, 3.5)}
+        scene = load_scene("soft_tissue", law="direct", delay=10.0 ** dice.uniform(-0.5, 1.2), **knobs)
+        if seed % 2:
+            edge = stability(scene).gain_margin
+            assert edge is not None
+            hand = replace(scene.hand, k=scene.hand.k * edge) if scene.hand else None
+            scene = replace(scene, hand=hand)
+        found = stability(scene)
+        assert found.mode is not None
+        assert found.mode.z == pytest.approx(greatest_of_direct(scene), abs=1e-12)
+        assert (found.mode.growth > 0.0) == (found.unstable > 0)
+
+
+def greatest_of_direct(scene: Scene) -> complex:
+    """The greatest root of `z^d = l(z)`: rate = (log l(e^rate) + 2 pi i n)/d, again and again, for each n."""
+    linear = linear_scene(scene)
+    d, ends = linear.round_trip, (linear.master, linear.slave)
+
+    def log_l(rates: Any) -> Any:
+        product = 1.0
+        for A, B, C, D in ends:
+            inner = np.linalg.inv(np.exp(rates)[:, None, None] * np.eye(len(A)) - A)
+            product = (C @ inner @ B + D) if isinstance(product, float) else product @ (C @ inner @ B + D)
+        return np.log(np.trace(product, axis1=1, axis2=2))  # of one field back: the only eigenvalue that is not 0
+
+    turns = np.arange(int(8.0 * d * linear.dt))  # up to 8 Hz
+    rates = 2j * np.pi * turns / d
+    for _ in range(80):
+        logs = log_l(rates)
+        rates = (logs + 2j * np.pi * np.round(((d * rates - logs) / (2j * np.pi)).real)) / d
+    return complex(np.exp(rates[rates.real.argmax()]))
 
 
 class TestACriticalValue:
