@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
 from teleop.simulation.metrics import UNITS
-from teleop.terminal.plotting import BLACK, BLUE, GREEN, ORANGE, PALE, PINK, RED, SKY, literal
+from teleop.terminal.plotting import BLACK, BLUE, BROWN, GREEN, ORANGE, PALE, PINK, PURPLE, RED, SKY, YELLOW, literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 _WAYS = 1_000_000  # to choose the values that are shown
 PANELS = 6  # at most, in one picture
 WITHOUT = ("refused", "none ended ok", "no such metric")  # what a point without a median may be
-STATUS = {"ok": SKY, "diverged": RED, "none ended ok": RED, "refused": PALE}
-OTHER = ORANGE  # whatever else: stopped
+# Told apart by who does not see red, green or blue too.
+STATUS = {"ok": SKY, "limit cycle": YELLOW, "unstable": PURPLE, "diverged": RED, "none ended ok": RED, "refused": PALE}
+OTHER = BROWN  # whatever else: stopped
 TEXTS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, BLACK)
 DECADES = 100.0  # a metric whose values are this far apart gets a log scale
 

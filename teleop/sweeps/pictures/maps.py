@@ -28,17 +28,20 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 CELLS = 4_000_000  # of a map; of more, which no picture has room for, the points are drawn as those of a sample
+VECTOR_CELLS = 10_000  # of a map in a vector format; more are an image in it, for each is a path that a reader draws
 
 
 def _edges(axis: Any, values: tuple[Any, ...]) -> NDArray[Any]:
-    """The edges of cells: midway between neighbours on the axis as drawn, the outer cells symmetric."""
+    """The edges of cells: midway between neighbours on the axis as drawn; the outer cells end at the outer values.
+
+    So the map ends where the grid does: nothing was run beyond, and there may be nothing, as with a delay below 0.
+    """
     import numpy as np
 
     there = axis.get_transform()
     at = there.transform(np.array(values, dtype=float))
-    middle = (at[1:] + at[:-1]) / 2.0
-    edges = np.concatenate([[2.0 * at[0] - middle[0]], middle, [2.0 * at[-1] - middle[-1]]])
-    return np.asarray(there.inverted().transform(edges))
+    middle = there.inverted().transform((at[1:] + at[:-1]) / 2.0)
+    return np.concatenate([values[:1], middle, values[-1:]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -148,7 +151,9 @@ def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, found: _Found, paint: NDA
     picture, good = np.ones((len(y.values), len(x.values), 4)), np.full((len(y.values), len(x.values)), np.nan)
     picture[found.y, found.x] = paint
     good[found.y, found.x] = np.where(np.isfinite(found.share), found.share >= 0.5, np.nan)
-    axes.pcolormesh(across, up, picture, shading="flat")
+    axes.pcolormesh(across, up, picture, shading="flat", rasterized=picture.size > 4 * VECTOR_CELLS)
+    axes.set_xlim(across[0], across[-1])
+    axes.set_ylim(up[0], up[-1])
     axes.set_facecolor("white")
     lines = [((across[i + 1], up[j]), (across[i + 1], up[j + 1])) for j, i in np.argwhere(np.abs(np.diff(good)) > 0.0)]
     lines += [((across[i], up[j + 1]), (across[i + 1], up[j + 1]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Sequence
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 
 import teleop.terminal.plotting
 from teleop import Refused
+from teleop.sweeps.pictures.layout import OTHER, STATUS
 from teleop.sweeps.pictures.picture import draw
 from teleop.sweeps.table import Table
 
@@ -79,7 +80,34 @@ def legend(figure: Any) -> list[str]:
 
 
 def colour(name: str) -> Any:
-    return colors.to_rgba({"ok": "#56B4E9", "diverged": "#D55E00", "refused": "#D9D9D9", "stopped": "#E69F00"}[name])
+    return colors.to_rgba({"ok": "#56B4E9", "diverged": "#D55E00", "refused": "#BDBDBD", "stopped": "#8C564B"}[name])
+
+
+# Linear RGB as it is seen without the cones for red, green or blue (Machado, Oliveira & Fernandes 2009, severity 1).
+SEEN = {
+    "all cones": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    "no red": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "no green": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "no blue": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+XYZ = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]  # of linear sRGB
+
+
+def lab(name: str, cones: str) -> Any:
+    """CIE 1976 L*a*b* of a colour, as it is seen."""
+    rgb = np.array(colors.to_rgb(name))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    x, y, z = np.array(XYZ) @ np.clip(np.array(SEEN[cones]) @ linear, 0.0, 1.0) / [0.9505, 1.0, 1.089]
+    fx, fy, fz = (np.cbrt(v) if v > 216.0 / 24389.0 else (24389.0 / 27.0 * v + 16.0) / 116.0 for v in (x, y, z))
+    return np.array([116.0 * fy - 16.0, 500.0 * (fx - fy), 200.0 * (fy - fz)])
+
+
+@pytest.mark.parametrize("cones", SEEN)
+def test_every_status_has_a_colour_of_its_own_for_colour_blind_readers_too(cones: str) -> None:
+    assert {"ok", "limit cycle", "unstable", "diverged", "refused"} <= STATUS.keys()
+    every = {*STATUS.values(), OTHER, "#FFFFFF"}  # white: no row
+    for one, other in combinations(sorted(every), 2):
+        assert np.linalg.norm(lab(one, cones) - lab(other, cones)) > 20.0, (one, other)
 
 
 class TestAStabilityMap:
@@ -93,11 +121,25 @@ class TestAStabilityMap:
         (axes,) = panels(figure)
         found = {tuple(map(tuple, np.round(segment, 6))) for segment in boundary(axes)}
         between = round(10.0**2.5, 6), round(10.0**1.5, 6)  # on a log axis the middle is the geometric mean
-        upright = {((0.05, between[0]), (0.05, round(10.0**3.5, 6))), ((0.15, between[1]), (0.15, between[0]))}
+        upright = {((0.05, between[0]), (0.05, 1000.0)), ((0.15, between[1]), (0.15, between[0]))}
         level = {((0.05, between[0]), (0.15, between[0])),
-                 ((0.15, between[1]), (0.25, between[1])), ((0.25, between[1]), (0.35, between[1]))}
+                 ((0.15, between[1]), (0.25, between[1])), ((0.25, between[1]), (0.3, between[1]))}
         assert found == upright | level
         assert legend(figure) == ["ok", "diverged", "boundary"]
+
+    @pytest.mark.parametrize(("delays", "scaled"), [
+        ((0.0, 0.1, 0.2, 0.3), "linear"), ((0.0, 0.02, 0.1, 0.12), "linear"), ((0.01, 0.1, 1.0), "log"),
+        ((0.0, 0.01, 0.1, 1.0), "symlog"), ((0.1, 0.2), "linear"), ((-2.0, 1.0, 3.0), "linear"),
+    ])
+    def test_no_cell_reaches_past_the_grid(self, drawn: Any, delays: tuple[float, ...], scaled: str) -> None:
+        for which, knobs in enumerate(({"delay": delays, "k_e": STIFFNESSES}, {"k_e": STIFFNESSES, "delay": delays})):
+            (axes,) = panels(drawn(rows(knobs, lambda _, delay, **__: "ok" if delay < 0.15 else "diverged")))
+            (cells,) = (each for each in axes.collections if type(each).__name__ == "QuadMesh")
+            edges = np.unique(cells.get_coordinates()[..., which])
+            assert (axes.get_xscale(), axes.get_yscale())[which] == scaled
+            assert (axes.get_xlim(), axes.get_ylim())[which] == (edges[0], edges[-1]) == (delays[0], delays[-1])
+            for low, value, high in zip(edges[:-1], delays, edges[1:], strict=True):  # each value is in its cell
+                assert low <= value <= high
 
     def test_has_no_boundary_beside_what_never_ran(self, drawn: Any) -> None:
         figure = drawn(rows({"delay": DELAYS, "k_e": STIFFNESSES}, lambda _, k_e, **__:
@@ -186,8 +228,7 @@ class TestTheAxes:
         (axes,) = panels(drawn(rows({"delay": DELAYS, "k": values}, lambda *_, **__: "ok")))
         assert axes.get_yscale() == scale
         assert axes.get_xscale() == "linear"
-        low, high = axes.get_ylim()
-        assert low < min(values) < max(values) < high
+        assert axes.get_ylim() == (min(values), max(values))
 
     def test_are_the_two_knobs_with_most_values_in_their_order(self, drawn: Any) -> None:
         figure = drawn(rows({"n": (1, 2), "k_e": STIFFNESSES, "delay": DELAYS}, lambda *_, **__: "ok"))
