@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from teleop.errors import Refused
 from teleop.live.records.merge import load_result, merge, scene_of
 from teleop.simulation.result import RUNNING, stored_summary
 from teleop.storage.folder import new_folder
@@ -24,8 +25,10 @@ def command(args: Namespace) -> Answer:
     if args.slave is not None:
         return _both_ends(args, formats)
     if (folder / "sweep.json").is_file():
-        return report(folder, request, formats, trust=args.trust)
+        return report(folder, request, formats, trust=args.trust, rows=args.rows)
     check_run(folder, request)
+    if args.rows is not None:
+        raise Refused(f"{folder} holds a run, which has no rows to show; leave --rows out")
     result = load_result(folder, trust=args.trust)
     if result.status == RUNNING:
         return answer_of(result, args.typed)

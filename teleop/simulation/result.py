@@ -35,9 +35,12 @@ def versions(*also: str) -> dict[str, str]:
     return found
 
 
-def head(*, status: str, sentence: str, scene: str, mode: str, parameters: Mapping[str, object], seed: int,
-         command: Sequence[str], dt: float, also: Sequence[str] = ()) -> dict[str, Any]:
-    """The keys that the JSON document of every command about a scene begins with; dt in s."""
+def head(*, status: str, sentence: str, scene: str, mode: str, parameters: Mapping[str, object], seed: int | None,
+         command: Sequence[str], dt: float | None, also: Sequence[str] = ()) -> dict[str, Any]:
+    """The keys that the JSON document of every command about a scene begins with; dt in s.
+
+    Of several runs `parameters`, `seed` and `dt` say what all have in common; None where they differ.
+    """
     return {"status": status, "sentence": sentence, "scene": scene, "mode": mode, "parameters": dict(parameters),
             "seed": seed, "versions": versions(*also), "command": list(command), "dt": dt}
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from teleop.errors import Refused
-from teleop.simulation.result import versions
+from teleop.simulation.result import head, parameters
 from teleop.sweeps.pictures.report import (
     PictureRequest,
     joined,
     limits_of,
+    report_of,
+    sentence_of,
     status_rows,
     summary_of,
     with_picture,
@@ -28,6 +30,7 @@ from teleop.terminal.table import facts
 from teleop.terminal.units import grouped
 
 if TYPE_CHECKING:
+    from teleop.scene.scene import Scene
     from teleop.sweeps.cluster import Cluster
     from teleop.sweeps.grid import Grid
     from teleop.sweeps.runner import Sweep
@@ -50,13 +53,17 @@ class Swept(NamedTuple):
 
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
         """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
-        compilers = () if all(engine == "plain" for engine, _ in self.plan.ran) else ("numba", "llvmlite")
+        plan = self.plan
+        compilers = () if all(engine == "plain" for engine, _ in plan.ran) else ("numba", "llvmlite")
+        seeds, knobs = plan.grid.seeds, plan.grid.knobs
         return {
-            "status": "interrupted" if self.interrupted else "done", "mode": "sweep",
-            **self.plan.definition(), "versions": versions(*compilers), "command": list(command),
-            "rows": len(self.plan.grid), "done": len(self.table), "ran": self.ran, "counts": self.table.counts(),
-            "engine": self.plan.engine, "why": self.plan.why, "workers": self.plan.workers,
-            "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in self.plan.ran.items()],
+            **head(status="interrupted" if self.interrupted else "done", scene=plan.scene, mode="sweep",
+                   sentence=sentence_of(self.table, len(plan.grid)), parameters=in_common(plan.first, knobs),
+                   seed=seeds[0] if len(seeds) == 1 else None, command=command,
+                   dt=None if "dt" in knobs else plan.first.dt_ns / 1e9, also=compilers),
+            **plan.definition(), "rows": len(plan.grid), "done": len(self.table), "ran": self.ran,
+            "counts": self.table.counts(), "engine": plan.engine, "why": plan.why, "workers": plan.workers,
+            "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in plan.ran.items()],
             "seconds": self.seconds, "interrupted": self.interrupted, "path": str(self.folder),
             "limits": dict(self.limits),
             "cluster": self.cluster and {"address": self.cluster[0], "workers": self.cluster[1]},
@@ -81,7 +88,7 @@ class Swept(NamedTuple):
         rows += [("", f"{count} rows by {engine}: {why}") for (engine, why), count in self.plan.ran.items() if why]
         if self.cluster is not None:
             rows.append(("cluster", f"{self.cluster[0]}, rows by {self.cluster[1]} of its workers"))
-        return f"{facts(rows)}\n{self.table}"
+        return f"{facts(rows)}\n{self.table.text(all_by=report_of(self.folder, len(self.table)))}"
 
 
 def command(args: Namespace) -> Answer:
@@ -152,8 +159,17 @@ def carry_out(
                 line.end()
         seconds = clock() - began
     where = None if pool is None else (pool.address, len(pool.workers))
-    limits = limits_of(plan.scene, {**plan.fixed, **plan.grid.point(0)[0]}, plan.grid.knobs)
+    limits = limits_of(plan.first, plan.grid.knobs)
     return Swept(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
+
+
+def in_common(first: Scene, turned: Collection[str]) -> dict[str, object]:
+    """The parameters that all rows of a sweep have: those of the first row without the knobs that are `turned`."""
+    found = {name: value for name, value in parameters(first).items() if name not in turned}
+    law = found.get("law")
+    if isinstance(law, dict):
+        found["law"] = {name: value for name, value in law.items() if f"law.{name}" not in turned}
+    return found
 
 
 def _check_picture(plan: Sweep, request: PictureRequest) -> None:

@@ -75,8 +75,12 @@ def table(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]])
     every = [outcome for outcomes in came.values() for outcome in outcomes]
     lines.append(("in all", "", str(len(every)), str(_good(every))))
     wrong = [outcome.line() for outcome in every if not outcome.as_expected]
-    last = f"{len(wrong)} of {len(every)} rows not as expected:" if wrong else f"all {len(every)} rows as expected"
+    last = _verdict(len(every), len(wrong)) + ":" * bool(wrong)
     return "\n".join([columns(lines, left=(0, 1)), last, *wrong])
+
+
+def _verdict(rows: int, wrong: int) -> str:
+    return f"{wrong} of {rows} rows not as expected" if wrong else f"all {rows} rows as expected"
 
 
 def summary(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]]) -> dict[str, Any]:
@@ -100,9 +104,11 @@ def command(args: Namespace) -> Answer:
     with shown_on(None if args.json else sys.stderr, args.seconds, float(rows)) as show:
         came = run_matrix(blocks, out=None if args.out is None else Path(args.out),
                           show=lambda done, of: show(float(done), f"{done} of {of} rows"))
+    told = summary(blocks, came)
     document = {
-        "status": "done", "matrix": str(path), "mode": "matrix", "versions": versions(), "command": list(args.typed),
-        "seconds": args.seconds() - began, "path": None, **summary(blocks, came),
+        "status": "done", "sentence": _verdict(told["rows"], len(told["unexpected"])), "matrix": str(path),
+        "mode": "matrix", "versions": versions(), "command": list(args.typed),
+        "seconds": args.seconds() - began, "path": None, **told,
     }
     answer = Answer(table(blocks, came), document)
     return answer if args.out is None else answer.kept_in(args.out)

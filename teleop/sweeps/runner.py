@@ -44,6 +44,7 @@ class Sweep:
     """A sweep and how far it has come."""
 
     scene: str
+    first: Scene  # that of the first row
     grid: Grid
     fixed: Mapping[str, object]
     measures: tuple[Measure, ...]
@@ -107,8 +108,8 @@ def plan_sweep(
     # As the scene has it, so that "0.30" and 0.3 are the same sweep.
     read = {key: first.knobs[key] for key, value in fixed.items()
             if isinstance(value, str) and isinstance(first.knobs.get(key), bool | int | float)}
-    return Sweep(scene=scene, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen, why=why,
-                 sources=_own_sources(scene, [one.law for one in (first, *others)]))
+    return Sweep(scene=scene, first=first, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen,
+                 why=why, sources=_own_sources(scene, [one.law for one in (first, *others)]))
 
 
 def _of_each_law(name: str, points: Grid, fixed: Mapping[str, object]) -> list[Scene]:

@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from teleop.errors import Refused, nearest
 from teleop.storage.files import replacing_text
-from teleop.sweeps.grid import plain
+from teleop.sweeps.grid import counted, plain
 from teleop.terminal.printable import printable
 from teleop.terminal.table import columns
 
@@ -247,14 +247,23 @@ class Table:
 
     def __str__(self) -> str:
         """How many rows ended how, and the first of them."""
+        return self.text()
+
+    def text(self, rows: int | None = None, *, all_by: str = "") -> str:
+        """How many rows ended how, and the first `rows` of them, left out a few.
+
+        `all_by`: what the last line says to type for all of them; left out, a call of this.
+        """
+        shown = min(SHOWN if rows is None else counted("rows", rows), len(self))
         first = f"{len(self)} rows, {len(self.knobs)} knobs, {len(self.metrics)} metrics"
         if not len(self):
             return first
         ended = ", ".join(f"{count} {printable(status)}" for status, count in self.counts().items())
         names = [name for name in self._columns if name != "sentence"]
-        rows = self._values(names, min(SHOWN, len(self)))
-        lines = [[printable(name, most=60) for name in names], *([*map(_short, values)] for _, values in rows)]
-        more = [f"... and {len(self) - SHOWN} more"] if len(self) > SHOWN else []
+        cells = self._values(names, shown)
+        lines = [[printable(name, most=60) for name in names], *([*map(_short, values)] for _, values in cells)]
+        to_type = all_by or f"print(table.text({len(self)}))"
+        more = [f"... and {len(self) - shown} more: {to_type}"] if len(self) > shown else []
         return "\n".join([f"{first}: {ended}", columns(lines, left=()), *more])
 
     def _column(self, name: str) -> TableColumn:

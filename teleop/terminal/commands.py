@@ -179,6 +179,7 @@ def _report(added: ArgumentParser) -> None:
                        "folder names: for folders of your own, or that you have read")
     _plot(added, "plot.png or sweep.png")
     _picture(added, " a sweep")
+    added.add_argument("--rows", metavar="N", type=whole, help="of a sweep: show its first N rows; left out: a few")
     _json(added, "print the stored summary and nothing else")
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
@@ -19,6 +20,7 @@ from teleop.terminal.table import facts
 from teleop.terminal.units import grouped
 
 if TYPE_CHECKING:
+    from teleop.scene.scene import Scene
     from teleop.sweeps.table import Table
 
 SUMMARY = "summary.json"
@@ -92,8 +94,23 @@ def status_rows(table: Table) -> list[tuple[str, str]]:
     return rows
 
 
-def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
-    """What a sweep's folder holds: as JSON can hold it, as text, and its rows. It may still be growing."""
+def sentence_of(table: Table, rows: int | None) -> str:
+    """How many of a sweep's rows are done, and how they ended."""
+    counts = ", ".join(f"{grouped(count)} {status}" for status, count in table.counts().items())
+    of = "" if rows is None else f" of {grouped(rows)}"
+    return f"{grouped(len(table))}{of} rows done: {counts or 'none'}"
+
+
+def report_of(folder: Path, rows: int) -> str:
+    """The command that shows so many rows of a sweep's folder."""
+    return f"teleop report {quote(str(folder))} --rows {rows}"
+
+
+def told_of(folder: Path, shown: int | None = None) -> tuple[dict[str, Any], str, Table]:
+    """What a sweep's folder holds: as JSON can hold it, as text, and its rows. It may still be growing.
+
+    `shown`: the rows that the text has; left out, the first few.
+    """
     from teleop.sweeps.store import Store
 
     store = Store.look(folder)
@@ -107,7 +124,8 @@ def told_of(folder: Path) -> tuple[dict[str, Any], str, Table]:
         said.append(("engine", f"{told['engine']}: {told.get('why')}"))
     calls = len(told.get("runs", ()))
     said += [("", f"{calls} calls ran rows; {SUMMARY} has each")] if calls > 1 else []
-    return told, f"{facts(said)}\n{table}", table
+    told["sentence"] = sentence_of(table, told.get("rows"))
+    return told, f"{facts(said)}\n{table.text(shown, all_by=report_of(folder, len(table)))}", table
 
 
 def picture(table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest,
@@ -143,12 +161,13 @@ def with_picture(answer: Answer, table: Table, folder: Path, told: Mapping[str, 
         return answer.without_plot(refused)
 
 
-def report(folder: Path, request: PictureRequest, formats: Sequence[str] = (), *, trust: bool = False) -> Answer:
+def report(folder: Path, request: PictureRequest, formats: Sequence[str] = (), *, trust: bool = False,
+           rows: int | None = None) -> Answer:
     """What `teleop report` says of a sweep, which is drawn in `formats`; none: not at all. `trust`: see `picture`.
 
-    Raises `Refused` if it cannot be drawn.
+    `rows`: how many it shows; left out, the first few. Raises `Refused` if it cannot be drawn.
     """
-    told, text, table = told_of(folder)
+    told, text, table = told_of(folder, rows)
     answer = Answer(text, told)
     return answer.with_plots(folder, picture(table, folder, told, request, formats, trust=trust)) if formats else answer
 
@@ -166,9 +185,6 @@ def check_run(at: Path, request: PictureRequest) -> None:
         raise Refused(f"{at} holds a run, which has one plot; leave --picture and --metric out")
 
 
-def limits_of(scene: str, knobs: Mapping[str, Any], turned: Sequence[str]) -> dict[str, float]:
+def limits_of(first: Scene, turned: Collection[str]) -> dict[str, float]:
     """What every row of a sweep runs for (s) and may not pass (m), as its first row has it; without what is turned."""
-    from teleop.scene.loading import load_scene
-
-    made = load_scene(scene, **knobs)
-    return {key: getattr(made, key) for key in ("duration", "x_limit") if key not in turned}
+    return {key: getattr(first, key) for key in ("duration", "x_limit") if key not in turned}

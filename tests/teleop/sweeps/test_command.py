@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from shlex import split
 from typing import Any
 
 import pytest
@@ -97,6 +98,21 @@ class TestWhatIsTold:
         assert "no plot: no row is there yet" in out
         assert "the same command goes on" in out
         assert json.loads((FOLDER / "summary.json").read_text())["runs"] == []
+
+
+class TestTheRowsThatAreNotShown:
+    def test_had_no_word_on_how_to_see_them(self, typed: Typed) -> None:
+        said = typed("sweep", "soft_tissue", "--grid", "k_e=1:9:9", *SHORT, "--out", "my rows").out
+        line = next(line for line in said.splitlines() if line.startswith("... and"))
+        assert line == "... and 3 more: teleop report 'my rows' --rows 9"
+        every = typed(*split(line.partition("teleop ")[2])).out
+        assert [line.split()[2] for line in every.splitlines()[-9:]] == [str(k_e) for k_e in range(1, 10)]
+        assert "... and 7 more: teleop report 'my rows' --rows 9" in typed("report", "my rows", "--rows", "2").out
+
+    def test_are_of_a_sweep_alone(self, typed: Typed) -> None:
+        typed("run", "local", *SHORT, "--out", "one")
+        typed("report", "one", "--rows", "3").assert_refused("holds a run", "leave --rows out")
+        typed("report", "one", "--rows", "0").assert_refused("at least 1")
 
 
 class TestThePicture:

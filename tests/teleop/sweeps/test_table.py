@@ -260,7 +260,11 @@ class TestText:
         assert lines[0] == "10 rows, 3 knobs, 2 metrics: 9 ok, 1 diverged"
         assert lines[1].split() == ["row", "seed", *KNOBS, "status", "ticks", *METRICS]
         assert lines[3].split() == ["1", "0", "0.1", "wave", "1", "ok", "10", "0.3333"]
-        assert lines[-1] == "... and 4 more"
+        assert lines[-1] == "... and 4 more: print(table.text(10))"
+        assert len(table.text(10).splitlines()) == 12
+        assert table.text(3).splitlines()[-1] == "... and 7 more: print(table.text(10))"
+        with pytest.raises(Refused, match="rows must be a whole number from 1"):
+            table.text(0)
         assert len(lines) == 9
         assert len({line.rfind(" ", 0, 20) for line in lines[2:-1]}) == 1
 

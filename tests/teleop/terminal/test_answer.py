@@ -29,6 +29,22 @@ def test_every_document_about_a_scene_begins_alike(typed: Callable[..., Any], wo
     assert told["dt"] == 1e-3
 
 
+def test_the_document_of_a_sweep_had_no_head(typed: Callable[..., Any]) -> None:
+    """What differs between its rows is null, or left out of the parameters."""
+    words = ("sweep", "local", "--set", "duration=0.05", "--json")
+    told = json.loads(typed(*words, "--grid", "k_e=100,200").out)
+    assert [*told][:len(HEAD)] == HEAD
+    assert (told["scene"], told["mode"], told["seed"], told["dt"]) == ("local", "sweep", 0, 1e-3)
+    assert told["sentence"] == "2 of 2 rows done: 2 ok"
+    single = json.loads(typed("run", "local", "--set", "duration=0.05", "--json").out)
+    assert told["parameters"] == {name: value for name, value in single["parameters"].items() if name != "k_e"}
+    several = json.loads(typed(*words, "--grid", "dt=1e-3,5e-4", "law.b=1,2", "--seeds", "2", "--out", "b").out)
+    assert (several["seed"], several["dt"]) == (None, None)
+    assert "dt" not in several["parameters"]
+    assert "b" not in several["parameters"]["law"]
+    assert [*json.loads(typed("report", "b", "--json").out)][:len(HEAD)] == HEAD
+
+
 @pytest.mark.parametrize("words", [
     ("run", "local", "--set", "duration=0.05"), ("stability", "soft_tissue", "--set", "delay=0.005"),
     ("passivity", "virtual_wall"),

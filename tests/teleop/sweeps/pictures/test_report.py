@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from teleop import Refused, sweep
+from teleop import Refused, load_scene, sweep
 from teleop.scene.library import built_in_scenes
 from teleop.sweeps.pictures.report import (
     PictureRequest,
@@ -125,8 +125,9 @@ class TestUnits:
 
 
 def test_limits_are_those_of_the_scene_unless_they_are_turned() -> None:
-    assert limits_of("soft_tissue", {"x_limit": 0.3}, ()) == {"duration": 10.0, "x_limit": 0.3}
-    assert limits_of("soft_tissue", {"x_limit": 0.3}, ("x_limit",)) == {"duration": 10.0}
+    first = load_scene("soft_tissue", x_limit=0.3)
+    assert limits_of(first, ()) == {"duration": 10.0, "x_limit": 0.3}
+    assert limits_of(first, ("x_limit",)) == {"duration": 10.0}
 
 
 class TestAFolder:
