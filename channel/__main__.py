@@ -18,7 +18,7 @@ from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import both_ends
-from teleop.terminal.options import Parser, guarded, knobs_from, scene_options
+from teleop.terminal.options import Parser, guarded, knobs_from, realtime_option, scene_options
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,7 +32,7 @@ def _run(argv: list[str]) -> int:
     parser.add_argument("--listen", metavar="HOST:PORT", required=True, help="where the master sends to")
     parser.add_argument("--peer", metavar="HOST:PORT", required=True, help="where the slave listens")
     security.insecure_option(parser)
-    realtime.option(parser)
+    realtime_option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     args = parser.parse_args(argv)
     scene = both_ends(load_scene(args.scene, **knobs_from(args)))

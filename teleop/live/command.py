@@ -16,7 +16,8 @@ def demo(args: Namespace) -> Answer:
 
     formats = asked_formats(args)
     result = run_live(args.scene, knobs_from(args), seed=args.seed, out=args.out, stem=stem(args.scene),
-                      json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime)
+                      json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime,
+                      rate=args.rate, spin=args.spin)
     answer = answer_of(result, args.typed)
     return answer if result.path is None else with_plot(answer, result, result.path, formats)
 

@@ -16,8 +16,10 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.live import fault
+from teleop.live.live_line import live_text
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
 from teleop.live.records.record import fresh_folder, read_noted
@@ -129,20 +131,23 @@ def _die_with_parent() -> None:
 
 def demo(
     scene_name: str, knobs: dict[str, str], *, seed: int, out: str | None, stem: str, json: bool, lockstep: bool,
-    command: list[str], realtime: bool = False,
+    command: list[str], realtime: bool = False, rate: float | None = None, spin: bool = False,
 ) -> Result:
     """Run a scene live on loopback and write its folder, `out` or runs/STEM-N. Raises `Refused`.
 
-    `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself.
+    `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself. `rate` (Hz)
+    and `spin` are those of both ends, `realtime` is of all three processes.
     """
     scene = both_ends(load_scene(scene_name, **knobs))
+    ticks_of(scene, rate, lockstep=lockstep)  # refused here, before a process is started
     options = [scene_name, "--seed", str(seed)]
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
     options += ["--realtime"] * realtime
+    ticking = ["--lockstep"] * lockstep + ["--spin"] * spin + ([] if rate is None else ["--rate", repr(rate)])
     with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as (folder, keep):
         try:
-            channel = asyncio.run(_conduct(scene, options, folder, interrupt, show=not json, lockstep=lockstep))
+            channel = asyncio.run(_conduct(scene, options, folder, interrupt, ticking, show=not json))
         except Refused as refused:
             raise Refused(f"{refused}; what was recorded is in {folder}" if _ran(folder) else str(refused)) from refused
         finally:
@@ -156,9 +161,9 @@ def demo(
 
 
 async def _conduct(
-    scene: Scene, options: list[str], out: Path, interrupt: Interrupt, *, show: bool, lockstep: bool
+    scene: Scene, options: list[str], out: Path, interrupt: Interrupt, ticking: list[str], *, show: bool
 ) -> dict[str, Any]:
-    """Start the processes, watch them to their end; what the channel counted."""
+    """Start the processes, watch them to their end; what the channel counted. `ticking`: options of the ends alone."""
     live: dict[str, dict[str, Any]] = {}
     children: list[Child] = []
     watches: list[asyncio.Task[tuple[int, str]]] = []
@@ -181,15 +186,14 @@ async def _conduct(
                     if child.name != "channel":
                         child.interrupt(interrupt.name)
 
-    stepping = ["--lockstep"] * lockstep
     beside = [asyncio.create_task(pass_on()), *([asyncio.create_task(_line(scene, live))] if show else [])]
     try:
-        slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *stepping)
+        slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *ticking)
         port = await slave.port()
-        if not lockstep:
+        if "--lockstep" not in ticking:
             channel = await start("channel", "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
             port = await channel.port()
-        await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *stepping)
+        await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *ticking)
         await _until_over(children, watches)
     except Refused:
         if interrupt.name is None or _ran(out):
@@ -243,28 +247,11 @@ async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
             if done != seen:
                 seen, since = done, now
             if done:  # the start-up is no part of the rate
-                progress.show(min(done + (now - since) / scene.dt, scene.ticks), now, both_text(live))
+                text = live_text(*[live[e] for e in "ms" if e in live])
+                progress.show(min(done + (now - since) / scene.dt, scene.ticks), now, text)
             await asyncio.sleep(0.1)
     finally:
         progress.end()
-
-
-def both_text(live: dict[str, dict[str, Any]]) -> str:
-    """The live numbers of both ends, master/slave, short enough for a terminal of 80 columns.
-
-    >>> m = {"x": 0.0573, "f": 0.41, "delay": 0.051, "gain": 1.0}
-    >>> both_text({"m": m, "s": {**m, "x": 0.03, "gain": 0.2}})
-    'x 57.3/30.0 mm  f 0.4/0.4 N  51/51 ms  watchdog s 20%'
-    """
-    ends = [live[e] for e in ("m", "s") if e in live]
-    delays = [f"{one['delay'] * 1e3:.0f}" if one["delay"] is not None else "-" for one in ends]
-    parts = [
-        "x " + "/".join(f"{one['x'] * 1e3:.1f}" for one in ends) + " mm",
-        "f " + "/".join(f"{one['f']:.1f}" for one in ends) + " N", "/".join(delays) + " ms",
-    ]
-    parts += [f"watchdog {e} {live[e]['gain']:.0%}" for e in ("m", "s")
-              if e in live and live[e]["gain"] is not None and live[e]["gain"] < 1.0]
-    return "  ".join(parts)
 
 
 def _ran(out: Path) -> bool:

@@ -20,23 +20,35 @@ from teleop.live.devices.guarded_device import LiveDevice
 from teleop.live.devices.heartbeat import watched
 from teleop.live.driving import run
 from teleop.live.lastresort import LastResort
+from teleop.live.live_line import live_text
 from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.net.wire import Wire
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES, UNRELEASED
 from teleop.live.records.record import RecordWriter, fresh_folder
 from teleop.live.shell import Shell
 from teleop.live.summary import UNWATCHED, holds_on, write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
-from teleop.protocol.guard import UNNAMED
-from teleop.protocol.manifest import MOST_EVERY, manifest_of
+from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.scene.trust import asks_for_trust
 from teleop.storage.strict_json import written
-from teleop.terminal.options import DONE, FAULT, FORCED, WRONG, complain, guarded, knobs_from, scene_options
+from teleop.terminal.options import (
+    DONE,
+    FAULT,
+    FORCED,
+    WRONG,
+    complain,
+    guarded,
+    knobs_from,
+    realtime_option,
+    scene_options,
+    tick_options,
+)
 
 if TYPE_CHECKING:
     from teleop.protocol.secure.secure_link import SecureLink
@@ -130,31 +142,8 @@ def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
         manifest["seed"] = str(args.seed)  # by the clock, the channel alone draws
         inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
     session = Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None,
-                      every=_every(scene, args), heals=not args.lockstep)
+                      every=ticks_of(scene, args.rate, lockstep=args.lockstep), heals=not args.lockstep)
     return Endpoint(scene, e, session, inbox)
-
-
-def _every(scene: Scene, args: Namespace) -> int:
-    """At every how many ticks of the scene this end ticks. Raises `Refused`."""
-    if args.rate is None:
-        return 1
-    number("--rate", args.rate, above=0.0)
-    every: int = round(1.0 / (args.rate * scene.dt))
-    if every > MOST_EVERY:
-        raise Refused(f"--rate {args.rate:g} is less than a {MOST_EVERY}th of the scene's {1.0 / scene.dt:g} Hz; "
-                      "set the scene's dt instead")
-    if every < 1 or abs(every * args.rate * scene.dt - 1.0) > 1e-6:
-        own = 1.0 / scene.dt
-        raise Refused(f"--rate {args.rate:g} is no whole part of the scene's {own:g} Hz; write for example --rate "
-                      f"{own / 2:g}, or set the scene's dt")
-    if args.lockstep and every != 1:
-        raise Refused("--lockstep runs both ends at the scene's own rate; leave out --rate")
-    dog = scene.watchdog or UNNAMED
-    if every * scene.dt > dog.timeout:
-        raise Refused(f"--rate {args.rate:g} sends a message every {every * scene.dt:g} s, which the other end takes "
-                      f"for silence: its watchdog's timeout is {dog.timeout:g} s; write a higher --rate, or a longer "
-                      "timeout in the scene")
-    return every
 
 
 def _parser(e: str) -> ArgumentParser:
@@ -176,14 +165,9 @@ def _parser(e: str) -> ArgumentParser:
                         help="tick by packets instead of by the clock: both ends step together, and the run equals the "
                         "one in virtual time bit for bit (both ends need it, and the same --seed); for simulated "
                         "devices, since a force is held while packets are waited for")
-    parser.add_argument("--rate", metavar="HZ", type=float,
-                        help="tick at this rate, a whole part of the scene's; the law gets that tick, and the other "
-                        "end may keep its own")
     security.options(parser)
-    realtime.option(parser)
-    parser.add_argument("--spin", action="store_true",
-                        help="wake a little before each tick and wait for it awake: on time to microseconds, for a "
-                        "share of a core")
+    tick_options(parser)
+    realtime_option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     parser.add_argument("--quiet", action="store_true", help="no live line")
     return parser
@@ -243,25 +227,3 @@ class _Progress:
     def end(self) -> None:
         """Go on below it."""
         self._bar.end()
-
-
-def live_text(numbers: dict[str, Any]) -> str:
-    """The live numbers as a person reads them, what matters most first: a terminal may cut the rest."""
-    delay = numbers["delay"]
-    parts = [] if numbers["cause"] is None else [f"SAFE {numbers['gain']:.0%}, {numbers['cause'].split(':')[0]}"]
-    parts += [f"x {numbers['x'] * 1e3:z.1f} mm", f"f {numbers['f']:z.1f} N"]
-    if delay is None:
-        return "  ".join([*parts, "nothing heard"])
-    rtt = "" if numbers["rtt"] is None else f" rtt {_ms(numbers['rtt'])}"
-    loss = numbers["loss"]
-    parts += [f"loss {loss:.1%}" if loss < 0.01 else f"loss {loss:.0%}"] if loss >= 0.0005 else []
-    return "  ".join([*parts, f"delay {_ms(delay)}{rtt} jitter {_ms(numbers['jitter'])} ms"])
-
-
-def _ms(seconds: float) -> str:
-    """In ms, as many digits as say something.
-
-    >>> _ms(0.00012), _ms(0.0501), _ms(0.1004)
-    ('0.1', '50', '100')
-    """
-    return f"{seconds * 1e3:.1f}" if seconds < 0.01 else f"{seconds * 1e3:.0f}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 
-from teleop.terminal.options import FORMATS, Parser, formats, scene_options, whole
+from teleop.terminal.options import FORMATS, Parser, formats, realtime_option, scene_options, tick_options, whole
 
 EXAMPLES = """\
 examples:
@@ -78,8 +78,8 @@ def _demo(added: ArgumentParser) -> None:
     _plot(added, "plot.png")
     added.add_argument("--lockstep", action="store_true",
                        help="step both ends together over UDP: bit for bit what `teleop run` gives")
-    added.add_argument("--realtime", action="store_true",
-                       help="ask the system for SCHED_FIFO, locked memory and no garbage collection in all three")
+    tick_options(added)
+    realtime_option(added)
 
 
 def _sweep(added: ArgumentParser) -> None:

@@ -58,6 +58,22 @@ def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: b
     )
 
 
+def realtime_option(parser: ArgumentParser) -> None:
+    """Let a live command take --realtime."""
+    parser.add_argument("--realtime", action="store_true",
+                        help="ask the system for SCHED_FIFO, locked memory and no garbage collection; say what it gave")
+
+
+def tick_options(parser: ArgumentParser) -> None:
+    """Let a live command take --rate and --spin, for the ticks of its ends."""
+    parser.add_argument("--rate", metavar="HZ", type=float,
+                        help="tick at this rate, a whole part of the scene's; the law gets that tick, and the other "
+                        "end may keep its own")
+    parser.add_argument("--spin", action="store_true",
+                        help="wake a little before each tick and wait for it awake: on time to microseconds, for a "
+                        "share of a core")
+
+
 def knobs_from(args: Namespace) -> dict[str, str]:
     """The knobs that were given, as texts: those of --set, the last one counts, and --link as `link`."""
     knobs: dict[str, str] = {}

@@ -31,13 +31,17 @@ class Progress:
         self._first: tuple[float, float] | None = None  # what was done at the first call, and when
 
     def show(self, done: float, now_s: float, text: str = "") -> None:
-        """`done` of the total is done at `now_s` (s, of any clock that does not go back); `text` follows."""
+        """`done` of the total is done at `now_s` (s, of any clock that does not go back); `text` follows.
+
+        The time left gives way to a text that leaves no room for it.
+        """
         first, began = self._first = self._first or (done, now_s)
         if not self._line.is_due(now_s, done >= self._total):
             return
         part = min(max(done / self._total, 0.0), 1.0) if self._total > 0.0 else 1.0
         left = "" if done <= first else f"{(now_s - began) * max(0.0, self._total - done) / (done - first):.1f} s left"
-        self._line.write(part, "  ".join(word for word in (f"{part:4.0%}", left, text) if word))
+        self._line.write(part, *("  ".join(filter(None, words)) for words in (
+            (f"{part:4.0%}", left, text), (f"{part:4.0%}", text))))
 
     def end(self) -> None:
         """Leave the line as it stands and go on below it."""

@@ -100,6 +100,16 @@ def test_a_stepped_demo_is_the_virtual_run_to_the_bit(knobs: dict[str, str], tmp
         assert written["x_s"].tobytes() == virtual.trace["x_s"].tobytes()
 
 
+def test_a_demo_refused_the_rate_and_the_spin_that_its_ends_take(command: Start, tmp_path: Path) -> None:
+    code, out, err = command("scenarios", "demo", *ONE, "--rate", "500", "--spin", "--out", "out").end()
+    assert (code, err) == (0, "")
+    assert "ran to its end, 500 ticks of 0.002 s" in out
+    for name in ("master", "slave"):
+        typed = json.loads((tmp_path / "out" / name / "summary.json").read_text())["command"]
+        assert typed[typed.index("--rate") + 1] == "500.0"
+        assert "--spin" in typed
+
+
 def test_an_interrupted_demo_saves_what_there_is_and_leaves_nobody_behind(command: Start, tmp_path: Path) -> None:
     one = command("scenarios", "demo", *LONG, "--out", "out", "--json")
     started = until_all_run(one, tmp_path)
@@ -167,6 +177,7 @@ def test_a_scene_may_print_what_it_likes(command: Start, tmp_path: Path) -> None
 @pytest.mark.parametrize(("arguments", "words"), [
     (("nowhere",), ["nowhere"]),
     (("hard_wall", "--set", "k_e=-1"), ["k_e"]),
+    (("hard_wall", "--rate", "300"), ["--rate 300 is no whole part of the scene's 1000 Hz"]),
     (("hard_wall", "--out", "/dev/null/x"), ["cannot write to /dev/null/x"]),
     (("canonical", "--set", "law=pfra", "--link", "dely(1)"), ["dely"]),
 ])

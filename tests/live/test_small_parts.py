@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from teleop.errors import Refused
-from teleop.live.end import live_text
+from teleop.live.live_line import live_text
 from teleop.live.net.address import address, bound, peer_address, shown
 from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
@@ -219,6 +219,18 @@ def test_the_live_line_fits_a_terminal_and_says_first_that_an_end_is_safe(cause:
     else:
         assert line.startswith(f"SAFE 37%, {cause.split(':')[0]}  x ")
     assert live_text({**numbers, "delay": None, "cause": None}).endswith("nothing heard")
+
+
+def test_the_line_of_both_ends_says_what_the_line_of_one_does() -> None:
+    """The demo's had neither loss nor round trip nor jitter, and no cause of a safe state."""
+    master = {"end": "m", "x": 0.0573, "f": 0.41, "delay": 0.051, "rtt": 0.1004, "jitter": 0.019, "loss": 0.004,
+              "gain": 1.0, "cause": None}
+    slave = {**master, "end": "s", "x": 0.03, "delay": 0.05, "jitter": 0.02, "loss": 0.0}
+    assert live_text(master, slave) == \
+        "x 57.3/30.0 mm  f 0.4/0.4 N  loss 0.4%  delay 51/50 rtt 100 jitter 20 ms"
+    safe = live_text(master, {**slave, "gain": 0.2, "cause": "silence", "delay": None, "rtt": None})
+    assert safe.startswith("slave SAFE 20%, silence  x ")
+    assert "delay 51/- rtt 100" in safe
 
 
 @pytest.mark.parametrize(("name", "options"), [

@@ -10,18 +10,12 @@ import ctypes
 import gc
 import os
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Callable
 
 SPIN_NS = 150_000  # how long before a tick `--spin` wakes: more than it takes to wake a process, nearly always
 PRIORITY = 50  # of 1 .. 99: above all that is not real-time, below what the kernel itself runs on threads
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
-
-
-def option(parser: ArgumentParser) -> None:
-    """Let a live command take --realtime."""
-    parser.add_argument("--realtime", action="store_true",
-                        help="ask the system for SCHED_FIFO, locked memory and no garbage collection; say what it gave")
 
 
 def asked(args: Namespace, name: str) -> dict[str, str] | None:

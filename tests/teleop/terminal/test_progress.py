@@ -84,6 +84,16 @@ class TestProgressOnATerminal:
         assert stream.lines() == [" 50%  1.0 s left  critical k_e, 3 of 7"]
 
 
+    def test_leaves_out_the_time_left_where_it_leaves_no_room_for_the_text(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        stream = narrow(monkeypatch, 40)
+        progress = Progress(stream, 10)
+        progress.show(0, 0.0)
+        progress.show(5, 1.0, "critical k_e of law wave, 3 of 7")
+        assert stream.lines() == [" 50%  critical k_e of law wave, 3 of 7"]
+
+
 def narrow(monkeypatch: pytest.MonkeyPatch, columns: int) -> Terminal:
     """A terminal so many columns wide."""
     stream = Terminal()

@@ -1,0 +1,31 @@
+"""The rate at which a live end ticks, a whole part of its scene's."""
+
+from __future__ import annotations
+
+from teleop.errors import Refused, number
+from teleop.protocol.guard import UNNAMED
+from teleop.protocol.manifest import MOST_EVERY
+from teleop.scene.scene import Scene
+
+
+def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool) -> int:
+    """The ticks of the scene to one of an end that ticks at `rate` (Hz); None: the scene's own. Raises `Refused`."""
+    if rate is None:
+        return 1
+    number("--rate", rate, above=0.0)
+    every: int = round(1.0 / (rate * scene.dt))
+    if every > MOST_EVERY:
+        raise Refused(f"--rate {rate:g} is less than a {MOST_EVERY}th of the scene's {1.0 / scene.dt:g} Hz; "
+                      "set the scene's dt instead")
+    if every < 1 or abs(every * rate * scene.dt - 1.0) > 1e-6:
+        own = 1.0 / scene.dt
+        raise Refused(f"--rate {rate:g} is no whole part of the scene's {own:g} Hz; write for example --rate "
+                      f"{own / 2:g}, or set the scene's dt")
+    if lockstep and every != 1:
+        raise Refused("--lockstep runs both ends at the scene's own rate; leave out --rate")
+    dog = scene.watchdog or UNNAMED
+    if every * scene.dt > dog.timeout:
+        raise Refused(f"--rate {rate:g} sends a message every {every * scene.dt:g} s, which the other end takes "
+                      f"for silence: its watchdog's timeout is {dog.timeout:g} s; write a higher --rate, or a longer "
+                      "timeout in the scene")
+    return every
