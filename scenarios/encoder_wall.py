@@ -18,7 +18,8 @@ def scene(
     v_min: knob.ControllerRest = 0.0,
     step: Annotated[float | None, Knob(
         "m", "encoder step: 1024 lines on a 10 mm drum; none: no encoder", above=0.0)] = 2.0 * pi * 0.010 / 1024.0,
-    f_max: Annotated[float, Knob("N", "most force of wall and controller together", low=0.0)] = 2.0,
+    f_max: Annotated[float | None, Knob(
+        "N", "most force of wall and controller together; none: any", low=0.0)] = 2.0,
     dt: knob.Tick = 1e-3,
     duration: knob.Duration = 1.5,
 ) -> Scene:
@@ -37,7 +38,7 @@ def scene(
             encoder=None if step is None else Encoder(step=step), velocity=BackwardDifference(), every=every,
         ),
         passivity=passivity,
-        cap=Cap(f_max=f_max),
+        cap=Cap.of(f_max=f_max),
         start_m=0.029,
         energy=True,
         dt=dt,

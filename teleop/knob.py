@@ -98,11 +98,12 @@ def check_knobs(part: Any) -> None:
 
 
 LinkDelay = Annotated[float, Knob("s", "delay of the link, each way", low=0.0, link=True)]
-Timeout = Annotated[float, Knob("s", "silence after which the watchdogs ramp the force to zero", above=0.0)]
+Timeout = Annotated[float | None, Knob(
+    "s", "silence after which the watchdogs ramp the force to zero; none: no watchdog", above=0.0)]
 MessageAge = Annotated[float | None, Knob(
     "s", "age from which on a message that is played is no sign of the other end; none: at any age", above=0.0)]
-MostForce = Annotated[float, Knob("N", "most force of either end", low=0.0)]
-MostSlew = Annotated[float, Knob("N/s", "most change of either force", above=0.0)]
+MostForce = Annotated[float | None, Knob("N", "most force of either end; none: any", low=0.0)]
+MostSlew = Annotated[float | None, Knob("N/s", "most change of either force; none: any, also a jump", above=0.0)]
 MostSpeed = Annotated[float | None, Knob(
     "m/s", "speed from which on an end only brakes; none: it drives at any speed", low=1e-9)]
 PowerBudget = Annotated[float | None, Knob(

@@ -7,6 +7,7 @@ the energy budget. What is left is the force that is held, and what the law is t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import number
@@ -27,30 +28,42 @@ class Cap:
     At the end of a live run the force goes to zero within `slew` and `v_max`. The work that it does on that way, at
     most |f| ramp/2 + f^2/(2 slew) times the speed, is not counted against `power`.
 
-    `slew`, `v_max` and `power` are left out with None. For the last two see `limit_speed` and `limit_power`, which
-    say what they promise and when.
+    Each is left out with None. For the last two see `limit_speed` and `limit_power`, which say what they promise and
+    when.
     """
 
-    f_max: float
+    f_max: float | None = None
     slew: float | None = None
     v_max: float | None = None
     power: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "f_max", number("f_max", self.f_max, low=0.0))
         for name, value, low, above in (
-                ("slew", self.slew, None, 0.0), ("v_max", self.v_max, 1e-9, None), ("power", self.power, None, 0.0)):
+                ("f_max", self.f_max, 0.0, None), ("slew", self.slew, None, 0.0),
+                ("v_max", self.v_max, 1e-9, None), ("power", self.power, None, 0.0)):
             if value is not None:
                 object.__setattr__(self, name, number(name, value, low=low, above=above))
 
+    @classmethod
+    def of(cls, *, f_max: float | None = None, slew: float | None = None, v_max: float | None = None,
+           power: float | None = None) -> Cap | None:
+        """The cap with these limits; None without any, so that a scene has no cap."""
+        none = f_max is slew is v_max is power is None
+        return None if none else cls(f_max=f_max, slew=slew, v_max=v_max, power=power)
+
+    @property
+    def most(self) -> float:
+        """The greatest force, N; inf where `f_max` is left out."""
+        return inf if self.f_max is None else self.f_max
+
     def limits(self, dt: float) -> CapLimits:
         """What `cap` computes with."""
-        return CapLimits(self.f_max, float("inf") if self.slew is None else self.slew * dt)
+        return CapLimits(self.most, inf if self.slew is None else self.slew * dt)
 
     def speed(self) -> SpeedLimits | None:
         """What `limit_speed` computes with."""
         return None if self.v_max is None else SpeedLimits(
-            self.v_max, 1.0 / ((1.0 - FADES_FROM) * self.v_max), self.f_max)
+            self.v_max, 1.0 / ((1.0 - FADES_FROM) * self.v_max), self.most)
 
     def budget(self, dt: float) -> BudgetLimits | None:
         """What `spend`, `refill` and `limit_power` compute with."""

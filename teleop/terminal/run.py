@@ -14,7 +14,6 @@ from teleop.simulation.virtual import run
 from teleop.storage.folder import new_folder
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import knobs_from
-from teleop.terminal.plotting import asked_formats
 from teleop.terminal.run_table import table
 
 PLOT = "plot"  # and the suffix of its format
@@ -23,7 +22,11 @@ PLOT = "plot"  # and the suffix of its format
 def command(args: Namespace) -> Answer:
     """Run the scene in virtual time and leave its folder. Raises `Refused`."""
     scene = load_scene(args.scene, **knobs_from(args))
-    formats = asked_formats(args)
+    formats: Sequence[str] = ()
+    if args.plot or args.format:
+        from teleop.terminal.plotting import asked_formats
+
+        formats = asked_formats(args)
     with new_folder(args.out, stem(args.scene)) as new:  # before the run: a folder that cannot be written is found now
         result = run(scene, seed=args.seed, clock=args.nanoseconds, bodies=args.bodies)
         result.write(new.inside, args.typed)

@@ -132,7 +132,7 @@ def _unknown(scene: Scene, device: Device, E: Impedance, *, spring: bool, damped
             known = spring and plain
         else:
             small = damped is False and scene.master.friction == 0.0 and device.encoder is None
-            known = small or (stepped is False and plain and cap.f_max > step)
+            known = small or (stepped is False and plain and cap.most > step)
         left += [] if known else ["cap"]
     if damped is None and stepped is not False:
         left.append("electrical damping")
