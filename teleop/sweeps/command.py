@@ -124,6 +124,8 @@ def carry_out(
     from teleop.sweeps.runner import plan_sweep
     from teleop.sweeps.store import Store
     wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
+    if wanted == []:
+        raise Refused(f"--metrics {metrics} names none; write for example --metrics x_err_rms,f_m_max, or leave it out")
     points = _points(axes, seeds, latin, random)
     plan = plan_sweep(name, points, metrics=wanted, fixed=knobs, engine=engine)
     rows = len(plan.grid)

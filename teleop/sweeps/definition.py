@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite, prod
 from pathlib import Path
@@ -157,8 +158,17 @@ def check_same(folder: Path, there: object, wanted: object) -> None:
             keep = f"; where that changes none of these rows, keep them by mended=[{metric!r}]" if metric else ""
             raise Refused(f"{folder} holds another sweep: {EDITED[digest].format(name=metric)}; write --out '{free}' "
                           f"for one of its own{keep}")
-        raise Refused(f"{folder} holds another sweep: {name or DEFINITION} is {was} there and {now} here; write "
+        raise Refused(f"{folder} holds another sweep: {_as_typed(name, wanted)} is {was} there and {now} here; write "
                       f"--out '{free}', or ask for the same sweep to go on with it")
+
+
+def _as_typed(name: str, wanted: Any) -> str:
+    """A place in a definition as somebody calls it who has typed the sweep."""
+    found = re.fullmatch(r"grid\.axes\[(\d+)\]\.values[.\w]*(?:\[(\d+)\].*)?", name)
+    if found is not None:
+        knobs = ",".join(wanted["grid"]["axes"][int(found[1])]["knobs"])
+        return f"value {int(found[2]) + 1} of {knobs}" if found[2] else f"the list of values of {knobs}"
+    return "the number of seeds" if name == "grid.seeds.count" else name.removeprefix("fixed.") or DEFINITION
 
 
 def _differences(name: str, old: Any, new: Any) -> Iterator[tuple[str, object, object]]:

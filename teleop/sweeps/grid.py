@@ -42,7 +42,8 @@ class Grid:
                 if not isinstance(name, str) or not name.strip():
                     raise Refused(f'a knob is called by a text, not {name!r}; write for example {{"delay": [0.1]}}')
                 if name in OWN:
-                    other = "write seeds=30" if name == "seed" else "give the scene's knob another name"
+                    seeds = "write seeds=30, or type --seeds 30"
+                    other = seeds if name == "seed" else "give the scene's knob another name"
                     raise Refused(f"{name} is a column of every row and cannot be a knob of the grid too; {other}")
             for point in points:
                 if len(point) != len(names):

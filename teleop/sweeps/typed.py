@@ -57,7 +57,7 @@ def parse_ranges(texts: Sequence[str]) -> dict[str, Range | list[Any]]:
         if not (more and _is_number(first)):
             ranges[written] = [_value(written, part) for part in parts]
         elif len(parts) == 1 and _is_number(more[0]) and more[1:] in ([], ["log"]):
-            ranges[written] = _range(written, parts[0])
+            ranges[written] = _range(written, parts[0], first, more[0], log=len(more) == 2)
         else:
             raise Refused(f"{written}={','.join(parts)} is not LOW:HIGH or LOW:HIGH:log; write for example "
                           f"{written}=0:0.5, or {written}=1e2:1e6:log by equal ratios")
@@ -118,14 +118,13 @@ def _values(name: str, text: str) -> list[Any]:
     if not (count.isascii() and count.isdecimal() and len(count) < 10 and 2 <= int(count) <= MOST_VALUES):
         raise Refused(f"{name}={text} must have a whole number of values from 2 to {MOST_VALUES}, both ends included, "
                       f"not {count!r}; write for example {name}={first}:{more[0]}:51")
-    return _range(name, ":".join([first, more[0], *more[2:]])).values(int(count))
+    return _range(name, text, first, more[0], log=len(more) == 3).values(int(count))
 
 
-def _range(name: str, text: str) -> Range:
-    """LOW:HIGH or LOW:HIGH:log."""
-    low, high, *log = text.split(":")
+def _range(name: str, text: str, low: str, high: str, *, log: bool) -> Range:
+    """The range from `low` to `high` that was typed as `text`."""
     try:
-        return Range(float(low), float(high), log=bool(log))
+        return Range(float(low), float(high), log=log)
     except Refused as refused:
         raise Refused(f"{name}={text}: {refused}") from None
 

@@ -38,6 +38,22 @@ class TestTheGrid:
             "10 000 000 000 rows", "--yes")
 
 
+    @pytest.mark.parametrize(("words", "said"), [
+        (["k_e=1", "--metrics", ","], "--metrics , names none"), (["seed=1,2"], "type --seeds 30"),
+        (["k_e=0:1:3:log"], "k_e=0:1:3:log: the range 0:1 by equal ratios"),  # it was told without its number of values
+    ])
+    def test_that_was_taken_for_something_else_is_refused(self, typed: Typed, words: list[str], said: str) -> None:
+        typed("sweep", "soft_tissue", "--grid", *words, *SHORT).assert_refused(said)
+        assert not Path("runs").exists()
+
+    def test_that_differs_from_that_of_the_folder_was_told_by_its_place_in_a_file(self, typed: Typed) -> None:
+        typed("sweep", "soft_tissue", "--grid", "k_e=1,2", *SHORT)
+        for words, said in ((("k_e=1,3", *SHORT), "value 2 of k_e is 2 there and 3 here"),
+                            (("k_e=1,2", "--set", "duration=0.2"), "sweep: duration is 0.1 there and 0.2 here"),
+                            (("k_e=1,2", *SHORT, "--seeds", "2"), "the number of seeds is 1 there and 2 here")):
+            typed("sweep", "soft_tissue", "--grid", *words).assert_refused(said)
+
+
 class TestWhatIsTold:
     def test_of_refused_rows_is_why(self, typed: Typed) -> None:
         answer = typed("sweep", "soft_tissue", "--grid", "k_e=1,-1,-2", "d_e=1,2", *SHORT)

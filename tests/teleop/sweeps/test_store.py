@@ -281,11 +281,11 @@ def changed(values: list[float], **more: object) -> dict[str, Any]:
 class TestAnotherSweep:
     @pytest.mark.parametrize(("other", "said"), [
         ({**WHAT, "scene": "canonical"}, 'scene is "soft_tissue" there and "canonical" here'),
-        ({**WHAT, "fixed": {"duration": "2.0"}}, 'fixed.duration is "1.0" there and "2.0" here'),
-        ({**WHAT, "fixed": {}}, 'fixed.duration is "1.0" there and absent here'),
-        (changed([0.0, 0.2]), "grid.axes[0].values[1] is 0.1 there and 0.2 here"),
-        (changed([0.0, 0.2], version="9"), "grid.axes[0].values[1] is 0.1 there and 0.2 here"),
-        (changed([0.0]), "grid.axes[0].values is [0.0,0.1] (2 values) there and [0.0] (1 values) here"),
+        ({**WHAT, "fixed": {"duration": "2.0"}}, 'sweep: duration is "1.0" there and "2.0" here'),
+        ({**WHAT, "fixed": {}}, 'sweep: duration is "1.0" there and absent here'),
+        (changed([0.0, 0.2]), "value 2 of delay is 0.1 there and 0.2 here"),
+        (changed([0.0, 0.2], version="9"), "value 2 of delay is 0.1 there and 0.2 here"),
+        (changed([0.0]), "the list of values of delay is [0.0,0.1] (2 values) there and [0.0] (1 values) here"),
         ({**WHAT, "more": None}, "more is absent there and null here"),
         (without("version"), 'version is "0.1.0" there and absent here'),
     ], ids=lambda value: value[:20] if isinstance(value, str) else "")

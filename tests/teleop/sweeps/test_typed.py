@@ -87,7 +87,7 @@ class TestTyped:
         ("delay=0:0.5:0", ("whole number of values from 2", "delay=0:0.5:51")), ("delay=0:0.5:1", ("from 2",)),
         ("delay=0:0.5:2.5", ("from 2",)), ("delay=0:0.5:-3", ("from 2",)), ("delay=0:0.5:", ("from 2",)),
         ("delay=0:0.5:" + "9" * 5000, ("from 2",)),
-        ("delay=0:0:5", ("delay=0:0", "single value")), ("k_e=0:1e6:9:log", ("k_e=0:1e6:log", "above 0")),
+        ("delay=0:0:5", ("delay=0:0", "single value")), ("k_e=0:1e6:9:log", ("k_e=0:1e6:9:log", "above 0")),
         ("delay=nan", ("delay must be finite",)), ("delay=0,inf", ("delay must be finite",)),
         ("delay=0:inf:5", ("finite",)), ("delay=1e999", ("finite",)), ("delay=nan:1:5", ("finite",)),
         ("delay=1 delay=2", ("delay is in the grid twice", "delay=")), ("delay,delay=1/2", ("twice",)),
