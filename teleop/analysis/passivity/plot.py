@@ -154,8 +154,11 @@ def _needed(axes: Axes, one: RenderedImpedance, data: dict[str, Any]) -> None:
     f, need = data["frequency"], data["needed_damping"]
     axes.plot(f, need, color=BLUE, label="damping that the held force asks for")
     axes.axhline(one.damping, color=GREEN, label="the device's damping $b$")
-    axes.fill_between(f, one.damping, need, where=list(need > one.damping), color=FAILS, alpha=0.15, linewidth=0.0,
-                      label="more than that" if np.any(need > one.damping) else None)
+    has = data.get("damping_with_shunt", np.full_like(f, one.damping))
+    if "damping_with_shunt" in data:
+        axes.plot(f, has, color=GREEN, linestyle="--", label="with the shunt of its motor")
+    axes.fill_between(f, has, need, where=list(need > has), color=FAILS, alpha=0.15, linewidth=0.0,
+                      label="more than that" if np.any(need > has) else None)
     axes.axhline(0.0, color=DARK, linewidth=0.6)
     _frequency(axes, "damping (N s/m)")
     _legend(axes)

@@ -25,7 +25,8 @@ UNITS = {
     "every": "ticks", "stiffness": "N/m", "quantised_stiffness": "N/m", "encoder_friction": "N",
     "touched_stiffness": "N/m", "alpha_e": "N s/m", "delta": "N s/m", "gamma": "N s/m", "alpha_miller": "N s/m",
     "alpha_max": "N s/m", "alpha_by_integrator": "N s/m", "needed_for_passive": "N s/m", "needed_alone": "N s/m",
-    "bands": "Hz", "eta_min": "1", "eta_min_frequency": "Hz", "free_impedance": "N s/m", "felt_stiffness": "N/m",
+    "added_damping": "N s/m", "bands": "Hz", "eta_min": "1", "eta_min_frequency": "Hz", "free_impedance": "N s/m",
+    "felt_stiffness": "N/m",
 }
 
 
@@ -180,11 +181,12 @@ def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, A
 
 
 def _one_numbers(one: RenderedImpedance) -> dict[str, Any]:
-    behind = one.behind
+    behind, shunt = one.behind, one.verdict.shunt
     return {
         "damping": one.damping, "needed_damping": finite(one.needed.damping), "frequency": one.needed.frequency,
         "delay": one.d, "every": one.every, "stiffness": one.stiffness,
         "quantised_stiffness": one.quantised, "encoder_friction": one.verdict.asked,
+        "shunt": shunt and {"added_damping": shunt.adds, "needed_damping": shunt.needs, "frequency": shunt.frequency},
         "coupling": behind and {
             "alpha_e": finite(behind.alpha.alpha), "alpha_e_frequency": behind.alpha.frequency, "delta": one.damping,
             "gamma": behind.gamma, "alpha_miller": behind.miller, "alpha_max": behind.most,
@@ -212,6 +214,10 @@ def curves(answer: PassivityAnswer) -> dict[str, Any]:
     if answer.one is not None:
         f = np.geomspace(answer.low, answer.high, 2000)
         found = {"frequency": f, "needed_damping": answer.one.curve(f)}
+        if answer.one.verdict.shunt is not None:
+            from teleop.analysis.models.law_parts import effective_damping
+
+            found["damping_with_shunt"] = effective_damping(answer.scene, 2.0 * np.pi * answer.one.T * f)
         if answer.one.behind is not None:
             from teleop.analysis.models.coupling import gap
 

@@ -39,6 +39,14 @@ if TYPE_CHECKING:
     from teleop.scene.scene import Scene
 
 
+class Shunt(NamedTuple):
+    """What the shunt of the motor adds where the damping that there is and the damping needed are closest."""
+
+    adds: float  # N s/m
+    needs: float  # N s/m, of all the damping there
+    frequency: float  # Hz, of that place; 0: from slow motion on
+
+
 class Verdict(NamedTuple):
     """Whether a one-port is passive, and why."""
 
@@ -47,22 +55,24 @@ class Verdict(NamedTuple):
     left_out: tuple[str, ...]  # the parts with which it is not known
     asked: float | None  # N of Coulomb friction, enough for the encoder; None: there is none, or no bound is known
     spring: bool  # is a spring alone what is rendered
+    shunt: Shunt | None  # None: there is none, it is not called on, or not known
 
 
 def verdict(scene: Scene, E: Impedance, needed: Needed) -> Verdict:
     """Judge a scene without a slave, given its linear controller E(z) and the damping that it needs."""
     T, device = scene.dt_ns / 1e9, scene.device_m or Device()
     spring, asked = is_spring(E, T) and not isinstance(scene.law, VirtualCoupling), _asked(scene)
-    damped, stepped = _damped(scene, E, needed, device), _stepped(scene, device, asked, spring)
+    (damped, shunt), stepped = _damped(scene, E, needed, device), _stepped(scene, device, asked, spring)
     passive = None if stepped is None else damped is True and stepped
     if not damped:
         passive = False
     left = _unknown(scene, device, E, spring=spring, damped=damped, stepped=stepped)
-    said = _sentence(scene, needed, passive, damped, stepped, asked)
+    said = _sentence(scene, needed, passive, damped, stepped, asked, shunt)
     if left:
         them = "it" if len(left) == 1 else "them"
-        return Verdict(None, f"not known with its {' and '.join(left)}; without {them} {said}", left, asked, spring)
-    return Verdict(passive, said, (), asked, spring)
+        said = f"not known with its {' and '.join(left)}; without {them} {said}"
+        return Verdict(None, said, left, asked, spring, shunt)
+    return Verdict(passive, said, (), asked, spring, shunt)
 
 
 def is_spring(E: Impedance, T: float) -> bool:
@@ -90,19 +100,25 @@ def _asked(scene: Scene) -> float | None:
     return float(0.5 * device.encoder.step * (law.K * of_K + law.B * of_B))
 
 
-def _damped(scene: Scene, E: Impedance, needed: Needed, device: Device) -> bool | None:
-    """True if there is damping enough for the held force; None: not known, with the shunt of the motor."""
+def _damped(scene: Scene, E: Impedance, needed: Needed, device: Device) -> tuple[bool | None, Shunt | None]:
+    """True if there is damping enough for the held force, None if that is not known; and the part of a shunt in it.
+
+    The shunt counts where the damping of the device alone is not enough.
+    """
     b = scene.master.damping
     enough = b >= needed.damping * (1.0 - 1e-9)
     if enough or scene.electrical is None or scene.electrical.b == 0.0 or not isfinite(needed.damping):
-        return enough
+        return enough, None
     if device.every > 1 or b == 0.0:
-        return None
+        return None, None
+    import numpy as np
+
     from teleop.analysis.models.law_parts import effective_damping
 
     T, d = scene.dt_ns / 1e9, device.delay
     share = highest(lambda th: sampled.damping_curve(E, T, th, d=d) / effective_damping(scene, th), d + 1)
-    return share.value <= 1.0 + 1e-9
+    has, at = float(effective_damping(scene, np.array([share.th]))[0]), sampled.frequency(share, T)
+    return share.value <= 1.0 + 1e-9, Shunt(has - b if at > 0.0 else 0.0, share.value * has, at)
 
 
 def _stepped(scene: Scene, device: Device, asked: float | None, spring: bool) -> bool | None:
@@ -140,15 +156,18 @@ def _unknown(scene: Scene, device: Device, E: Impedance, *, spring: bool, damped
 
 
 def _sentence(scene: Scene, needed: Needed, passive: bool | None, damped: bool | None, stepped: bool | None,
-              asked: float | None) -> str:
+              asked: float | None, shunt: Shunt | None) -> str:
     if not isfinite(needed.damping):
         return "not passive with any damping: the law's stiffness is negative"
     b, fc = scene.master.damping, scene.master.friction
     word = {True: "passive", False: "not passive", None: "not known"}[passive]
-    shunt = passive and b < needed.damping * (1.0 - 1e-9)
-    more = " and what the shunt of its motor adds" if shunt else ""
     where = f"most at {si(needed.frequency, 'Hz')}" if needed.frequency > 0.0 else "from slow motion on"
-    has = f"the device has {b:.4g} N s/m{more} and needs {needed.damping:.4g} N s/m, {where}"
+    has = f"the device has {b:.4g} N s/m and needs {needed.damping:.4g} N s/m, {where}"
+    if shunt is not None:
+        where = f"at {si(shunt.frequency, 'Hz')}" if shunt.frequency > 0.0 else "in slow motion"
+        why = "they are closest" if damped else "most is missing"
+        has = (f"the device has {b:.4g} N s/m, to which the shunt of its motor adds {shunt.adds:.4g} N s/m, and needs "
+               f"{shunt.needs:.4g} N s/m {where}, where {why}")
     if scene.device_m is None or scene.device_m.encoder is None:
         return f"{word}: {has}"
     if stepped is False and fc == 0.0:

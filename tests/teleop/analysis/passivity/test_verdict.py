@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import logm
 
 from teleop import load_scene
 from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.report import ask, summary, table
 from teleop.analysis.zwidth.passive import passive_region
+from teleop.physics.relaxing import relaxing_master
 from teleop.scene.scene import Scene
 from teleop.stages.force_cap import Cap
 
@@ -73,6 +75,52 @@ class TestAgreesWithTheZWidth:
         slow = load_scene("virtual_coupling", b_e=10.0, every=2, **own)
         assert one_port(slow).passive is None
         assert one_port(slow).left_out == ("electrical damping",)
+
+
+class TestAShunt:
+    def test_was_left_out_of_what_the_device_has(self) -> None:
+        """Of a wall that is damped too much it is the frequency where the two differ most that decides."""
+        got = one_port(load_scene("virtual_wall", b_e=0.5, **{"law.K": 400.0, "law.B": 1.5})).verdict
+        assert got.sentence == ("not passive: the device has 0.8 N s/m, to which the shunt of its motor adds "
+                                "0.4998 N s/m, and needs 1.7 N s/m at 500 Hz, where most is missing")
+        slow = one_port(load_scene("virtual_wall", b_e=1.0, **{"law.K": 3210.0})).verdict
+        assert slow.sentence == ("not passive: the device has 0.8 N s/m, to which the shunt of its motor adds 0 N s/m, "
+                                 "and needs 1.605 N s/m in slow motion, where most is missing")
+        told = summary(ask(load_scene("virtual_wall", b_e=1.0, **{"law.K": 3210.0})))
+        assert told["shunt"] == {"added_damping": 0.0, "needed_damping": pytest.approx(1.605), "frequency": 0.0}
+
+    @pytest.mark.parametrize(("K", "B", "delay", "cutoff"), [
+        (400.0, 1.5, 0, 10.0), (900.0, 0.4, 1, 40.0), (1200.0, 0.7, 0, 150.0),
+    ])
+    def test_adds_what_the_integral_over_all_that_a_sample_mixes_gives(
+        self, K: float, B: float, delay: int, cutoff: float
+    ) -> None:
+        """Colgate and Schenkel's condition summed by hand, the damping measured on the stage's own exact steps."""
+        scene = load_scene("virtual_wall", b_e=2.0, cutoff=cutoff, delay=delay, **{"law.K": K, "law.B": B})
+        assert scene.electrical is not None
+        device = relaxing_master(scene.master, 0.0, 0.0, 0.0, T, b_e=scene.electrical.b, cutoff=cutoff)
+        th = np.linspace(0.0, np.pi, 400)[1:]
+        w = (th[:, None] + 2.0 * np.pi * np.arange(-20, 21)) / T  # beyond, r is constant
+        r = real_impedance(device.c[:12], w)
+        far = 1.0 / (2.0 * np.sin(th / 2.0)) ** 2 * T * T - (1.0 / w**2).sum(axis=1)
+        b_eff = ((1.0 / w**2).sum(axis=1) + far) / ((1.0 / (r * w**2)).sum(axis=1) + far / r[:, -1])
+        z = np.exp(1j * th)
+        needed = -(z ** -(delay + 1.0) * (K * T / (1.0 - 1.0 / z) + B)).real
+        worst = int((needed / b_eff).argmax())
+        got = one_port(scene)
+        assert got.passive is bool((needed <= b_eff).all())
+        assert got.verdict.shunt is not None
+        assert got.verdict.shunt.adds == pytest.approx(b_eff[worst] - 0.8, rel=2e-3, abs=3e-3)
+        assert got.verdict.shunt.needs == pytest.approx(needed[worst], rel=2e-3)
+
+
+def real_impedance(step: Any, w: Any) -> Any:
+    """Re f/v (N s/m) at w (rad/s) of the continuous system whose exact step over T is `step`, rows of (A, b)."""
+    whole = np.vstack([np.array(step, dtype=float).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+    rate = logm(whole).real / T
+    inner = 1j * np.asarray(w)[..., None, None] * np.eye(3) - rate[:3, :3]
+    v: Any = np.linalg.solve(inner, rate[:3, 3:] + 0j)[..., 1, 0]
+    return (1.0 / v).real
 
 
 class TestEncoder:
