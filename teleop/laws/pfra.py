@@ -15,8 +15,14 @@ with sat[a,b]{x} = max(a, min(x, b)), eps = 1e-12 N^2, and f_h from a force sens
 (teleop.stages.observer). <.,.> runs over all axes, so this end couples them. alpha = 1 is direct force
 reflection, bit for bit on finite inputs (up to the sign of a zero).
 
-Claims: nothing of the ledgers. With alpha = 0: <f_m, f_h> >= 0 and |f_m| <= |f_h|, so the reflection
-never moves a master that no hand holds, at any gain and any delay.
+Claims: nothing of the ledgers. With alpha = 0: <f_m, f_h> >= 0 and |f_m| <= |f_h|, at any gain and any delay, f_h
+what the sensor or the observer says. So a master at rest is not moved while that is 0: one that no hand has held yet,
+or with a force sensor one that none holds. The observer forgets a hand that has let go within about 1/L, L its
+bandwidth (1/s). Until then the reflection may move the master, by an impulse of at most the integral of |f_h_hat|,
+
+    sum |f_m| dt <= |f_h_hat| dt/(1 - exp(-L dt)), near |f_h_hat|/L,
+
+and a master of damping b by at most this over b, however large f_env is.
 """
 
 from __future__ import annotations

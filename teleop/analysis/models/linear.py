@@ -70,7 +70,7 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
     for name in ("device_m", "device_s"):
         if (device := getattr(scene, name)) is not None and device.every > 1:
             raise Refused(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant; "
-                          f"{INSTEAD}, or set every=1")
+                          f"{INSTEAD}, or {without(scene, 'set every=1', every='1')}")
     forth, back = link_ticks(scene, seed)
     return LinearScene(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
 
@@ -85,17 +85,19 @@ def about_rest(scene: Scene) -> Scene:
 def refuse_nonlinear_parts(scene: Scene) -> None:
     """Refuse a cap, an encoder, friction, a passivity controller, and an environment that is not linear."""
     if scene.cap is not None:
-        raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or leave the cap out")
+        leave = without(scene, "leave the cap out", f_max="none", slew="none", v_max="none", power="none")
+        raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")
     if scene.passivity is not None:
         raise Refused("a passivity controller is not linear, so its scene has no eigenvalues; "
-                      f"{INSTEAD}, or leave it out")
+                      f"{INSTEAD}, or {without(scene, 'leave it out', cap='none')}")
     for device in (scene.device_m, scene.device_s):
         if device is not None and device.encoder is not None:
-            raise Refused(f"an encoder is not linear, so its scene has no eigenvalues; {INSTEAD}, or leave it out")
+            raise Refused("an encoder is not linear, so its scene has no eigenvalues; "
+                          f"{INSTEAD}, or {without(scene, 'leave it out', step='none')}")
     for body in (scene.master, scene.slave):
         if body is not None and body.friction > 0.0:
-            raise Refused(f"Coulomb friction is not linear, so its scene has no eigenvalues; {INSTEAD}, or set "
-                          "friction=0")
+            leave = without(scene, "set friction=0", friction="0", friction_m="0", friction_s="0")
+            raise Refused(f"Coulomb friction is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")
     for environment, plant in zip(scene.environments, exact_bodies(scene).slaves, strict=False):
         def respond(at: Sequence[float], plant: Any = plant) -> list[float]:
             if plant.start is None:
@@ -106,6 +108,14 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
         if environment is not None and matrix(respond, 3 + len(plant.start or ())) is None:
             raise Refused(f"{type(environment).__name__} is not linear, so the scene has no eigenvalues; {INSTEAD}, "
                           "or put a bonded tissue in its place (the scene soft_tissue has one)")
+
+
+def without(scene: Scene, words: str, **knobs: str) -> str:
+    """What to type so that a part is left out of a scene, of those `knobs` that it has and has in use; else `words`."""
+    own = {name: scene.knobs.get(name) for name in knobs}
+    typed = [f"--set {name}={value}" for name, value in knobs.items()
+             if own[name] is not None and (value == "none" or own[name] != float(value))]
+    return f"leave it out with {' '.join(typed)}" if typed else words
 
 
 def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:

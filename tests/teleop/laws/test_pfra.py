@@ -141,7 +141,7 @@ def test_alpha_1_is_direct_reflection_in_a_whole_run(axes: int, observer: float 
 @given(kf=st.floats(0.0, 1e6), delay=st.floats(0.0, 0.3), push=st.floats(0.001, 0.05),
        observer=st.sampled_from([None, 50.0, 200.0]), axes=st.sampled_from([1, 3]), seed=st.integers(0, 99))
 @settings(max_examples=25)
-def test_a_master_that_nobody_holds_is_never_moved(
+def test_a_master_at_rest_that_no_hand_has_held_is_never_moved(
     kf: float, delay: float, push: float, observer: float | None, axes: int, seed: int
 ) -> None:
     """The slave starts inside a wall that throws it out; alpha = 0, any gain, any delay, even a held message."""
@@ -215,6 +215,26 @@ def test_after_letting_go_the_impulse_is_at_most_what_the_observer_still_remembe
     impulse, memory, _ = let_go(L, f_env, f_h_hat, body=MassDamper(mass=mass, damping=damping), speed=speed)
     assert impulse <= memory * (1.0 + 1e-12)
     assert memory == pytest.approx(f_h_hat * 1e-3 / (1.0 - exp(-L * 1e-3)), rel=1e-6)
+
+
+def test_a_master_that_no_hand_holds_was_said_never_to_move_and_did_after_letting_go() -> None:
+    """At rest it stays while f_h_hat is 0; let go at 5 N it goes as far as the impulse over b, less with a larger L."""
+    body = MassDamper(mass=0.1, damping=0.5)
+    assert let_go(50.0, 5.0, 0.0, body=body) == (0.0, 0.0, 0.0)
+    went = []
+    for L in (50.0, 200.0):
+        for f_env in (5.0, 5e3):
+            impulse, memory, x = let_go(L, f_env, 5.0, body=body)
+            assert 0.0 < impulse <= memory * (1.0 + 1e-12)
+            assert 1e-3 < abs(x) <= memory / body.damping * (1.0 + 1e-9)
+            assert memory == pytest.approx(5.0 * 1e-3 / (1.0 - exp(-L * 1e-3)), rel=1e-9)
+        went.append(abs(x))
+    assert went[1] < 0.3 * went[0]
+
+
+def test_with_a_force_sensor_a_master_that_is_let_go_coasts_as_if_there_were_no_reflection() -> None:
+    sent = [reflected(PFRA(kf=1e6), (f_env,), (0.0,))[0] for f_env in (5.0, -5.0)]
+    assert sent == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("L", [50.0, 200.0])

@@ -197,7 +197,7 @@ def test_guards_guard(cases: list[Case]) -> None:
 
 
 def test_projected_force_is_never_above_the_hands_and_moves_nobody(cases: list[Case]) -> None:
-    """PFRA with alpha = 0: |f_m| <= |f_h|; a master at rest that nobody holds stays where it is, to the bit."""
+    """PFRA with alpha = 0: |f_m| <= |f_h|; a master at rest that no hand has held stays where it is, to the bit."""
 
     def holds(case: Case) -> bool:
         if case.row["law"] != "pfra" or case.row["alpha"] or case.scene.cap:

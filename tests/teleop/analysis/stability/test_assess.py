@@ -515,7 +515,9 @@ class TestTheCommand:
 
     @pytest.mark.parametrize(("arguments", "words"), [
         (["canonical"], ["Wall", "--time", "tissue"]),
-        (["hard_wall"], ["cap", "--time"]),
+        (["hard_wall"], ["cap", "--time", "leave it out with --set f_max=none --set slew=none"]),
+        (["encoder_wall", "--set", "f_max=none"], ["leave it out with --set step=none"]),
+        (["virtual_wall", "--set", "friction=0.1"], ["--set friction=0"]),
         (["soft_tissue", "--set", "law=pfra"], ["pfra", "--time", "alpha=1"]),
         (["soft_tissue", "--link", "delay(0.05) | bernoulli(0.1)"], ["ticks", "--link"]),
         (["soft_tissue", "--critical", "k_x"], ["k_x", "did you mean k_e?"]),
