@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import pi, sin
 from typing import TYPE_CHECKING
 
-from teleop.errors import Refused, number
+from teleop.errors import Refused, number, number_of
 
 if TYPE_CHECKING:
     from teleop.scene.parts import Reference, Vector
@@ -121,6 +121,6 @@ def along(name: str, value: Vector, axes: int) -> tuple[float, ...]:
     if not isinstance(value, tuple):
         return entries + (0.0,) * (axes - 1)
     if len(entries) != axes:
-        raise Refused(f"{name}={value} has {len(entries)} entries, the scene has axes={axes}; write "
-                      "a number, which means along the first axis, or one entry for each")
+        raise Refused(f"{name}={value} has {number_of(len(entries), 'entry', 'entries')}, the scene has axes={axes}; "
+                      "write a number, which means along the first axis, or one entry for each")
     return entries

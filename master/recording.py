@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from zlib import crc32
 
-from teleop.errors import Refused, number
+from teleop.errors import Refused, number, number_of
 from teleop.storage.files import read_bytes
 
 Row = tuple[float, ...]
@@ -74,8 +74,8 @@ def read(path: str) -> tuple[Row, ...]:
         width = width or len(row)
         if len(row) != width or width not in (2, 4):
             right = width if width in (2, 4) else "2 or 4"
-            raise Refused(f"{path} line {at}: {len(row)} columns in place of {right}; complete or remove the "
-                          f"line: {FORM}")
+            raise Refused(f"{path} line {at}: {number_of(len(row), 'column')} in place of {right}; complete or remove "
+                          f"the line: {FORM}")
         if rows and row[0] <= rows[-1][0]:
             raise Refused(f"{path} line {at}: t = {row[0]:g} s does not come after {rows[-1][0]:g} s; sort "
                           "the rows by time and keep one for each instant")

@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from teleop.errors import number_of
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import facts
 
@@ -66,7 +67,7 @@ def command(args: Namespace) -> Answer:
     """Answer of `teleop doctor`: the findings; with --clear the kernels are removed first."""
     removed = clear() if args.clear else 0
     found = findings()
-    said = f"{removed} kernels removed\n{text(found)}" if args.clear else text(found)
+    said = f"{number_of(removed, 'kernel')} removed\n{text(found)}" if args.clear else text(found)
     return Answer(said, {**found, "removed": removed})
 
 

@@ -48,6 +48,24 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"did you mean {' or '.join(close)}?" if close else f"there are: {', '.join(names)}"
 
 
+def plural(count: float, one: str, many: str = "") -> str:
+    """The noun that stands behind `count`: `one`, or `many`, which left out is `one` with an s.
+
+    >>> plural(1, "row"), plural(2, "row"), plural(0, "axis", "axes")
+    ('row', 'rows', 'axes')
+    """
+    return one if count == 1 else many or f"{one}s"
+
+
+def number_of(count: float, one: str, many: str = "") -> str:
+    """A count and its noun, see `plural`.
+
+    >>> number_of(1, "contact"), number_of(2, "contact")
+    ('1 contact', '2 contacts')
+    """
+    return f"{count} {plural(count, one, many)}"
+
+
 def number(name: str, value: object, *, low: float | None = None, above: float | None = None,
            high: float | None = None, unit: str = "") -> float:
     """Convert `value` to a float. Raises `Refused` if it is no finite number in the range.

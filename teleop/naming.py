@@ -15,7 +15,7 @@ from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, nearest, number_of
 
 
 def known(group: str, built_in: Mapping[str, str]) -> dict[str, str]:
@@ -104,7 +104,7 @@ class PartKind:
         usage = self._usage(name, made)
         in_place = [knob for knob, (_, by_name) in knobs.items() if not by_name]
         if len(node.args) > len(in_place) or any(isinstance(arg, ast.Starred) for arg in node.args):
-            raise Refused(f"{name} takes at most {len(in_place)} arguments without their names: {usage}")
+            raise Refused(f"{name} takes at most {number_of(len(in_place), 'argument')} without their names: {usage}")
         given = dict(zip(in_place, node.args, strict=False))
         for keyword in node.keywords:
             if keyword.arg is None or keyword.arg in given or keyword.arg not in knobs:

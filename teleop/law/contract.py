@@ -28,7 +28,7 @@ from types import CodeType, FrameType, FunctionType
 from typing import Any, NamedTuple
 from weakref import WeakSet
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, nearest, number_of
 from teleop.law import At, functions_of
 
 RETURNS = {
@@ -245,7 +245,7 @@ def _faults(lines: list[dis.Instruction], roles: dict[str, str], kinds: dict[str
         elif now.opname == "COPY" and role == "self" and after is not None and after.opname == "LOAD_ATTR":  # +=
             yield line, f"changes the law, {_loaded(before)}.{after.argval}; {REMEMBER}"
         elif now.opname == "RETURN_VALUE" and before.opname == "BUILD_TUPLE" and before.argval != len(returns) > 1:
-            yield line, f"returns {before.argval} values; write return {', '.join(returns)}"
+            yield line, f"returns {number_of(before.argval, 'value')}; write return {', '.join(returns)}"
 
 
 def _loaded(one: dis.Instruction) -> str:
@@ -269,7 +269,7 @@ def judge_answer(name: str, answer: Any, kinds: Mapping[str, type] | None = None
     if not isinstance(parts, tuple) or (len(parts) != len(names) and hasattr(parts, "_fields")):
         raise Wrong(f"returns {_shown(answer)} of type {type(answer).__name__}; write return {', '.join(names)}")
     if len(parts) != len(names):
-        raise Wrong(f"returns {len(parts)} values, {_shown(answer)}; write return {', '.join(names)}")
+        raise Wrong(f"returns {number_of(len(parts), 'value')}, {_shown(answer)}; write return {', '.join(names)}")
     for what, part in zip(names, parts, strict=True):
         _judge_part(what, part, exact=exact)
         kind = None if kinds is None else kinds.get(what)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from teleop.errors import number_of
 from teleop.law.contract import not_finite
 from teleop.live import fault
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadline_of
@@ -185,4 +186,5 @@ class Shell:
         missed = f", {counts.skipped} of them skipped" if counts.skipped else ""
         joined = f"joined at t = {counts.first * scene.dt_ns / 1e9:.3f} s and " if counts.first else ""
         due = -(-(scene.ticks - counts.first) // self.endpoint.every)
-        self.outcome.end("ok", f"{joined}ran to its end, {due} ticks of {self.endpoint.own.dt:g} s{missed}")
+        ran = f"{joined}ran to its end, {number_of(due, 'tick')} of {self.endpoint.own.dt:g} s"
+        self.outcome.end("ok", ran + missed)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from teleop.errors import Refused, number, whole_number
+from teleop.errors import Refused, number, number_of, whole_number
 from teleop.law import law_name, messages
 from teleop.law.contract import check_contract
 from teleop.scene.parts import Environment, Hand, LinkLike, Vector, check_shape, has_shape, is_known_by_class
@@ -105,8 +105,8 @@ class Scene:
                     isinstance(each, type) or not (hasattr(each, "resistance") or hasattr(each, "path"))):
                 check_shape("environment", each)
         if len(environments) != self.axes:
-            raise Refused(f"environment names {len(environments)} axes, the scene has {self.axes}; "
-                          "write None for an axis that touches nothing")
+            raise Refused(f"environment names {number_of(len(environments), 'axis', 'axes')}, the scene has "
+                          f"{self.axes}; write None for an axis that touches nothing")
 
     def _check_ends(self) -> None:
         """Refuse a law with other ends than the scene, and parts of a slave in a scene without one."""
@@ -172,8 +172,9 @@ class Scene:
             return (number(name, value),)
         values = value if isinstance(value, tuple) else (value, *[0.0] * (self.axes - 1))
         if len(values) != self.axes:
-            raise Refused(f"{name} has {len(values)} entries, the scene has {self.axes} axes; "
-                          "write a number, which means along the first axis, or one entry for each")
+            raise Refused(f"{name} has {number_of(len(values), 'entry', 'entries')}, the scene has "
+                          f"{number_of(self.axes, 'axis', 'axes')}; write a number, "
+                          "which means along the first axis, or one entry for each")
         return tuple(number(name, entry) for entry in values)
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from teleop.errors import number_of, plural
 from teleop.law.contract import not_finite
 from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
@@ -26,7 +27,7 @@ def verdict(scene: Scene, trace: dict[str, Any], ran: int, end: Any) -> tuple[st
         name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
         return "diverged", divergence(scene, lost[name], not_finite(scene.law, name))
     if end is None:
-        return "ok", f"ran to its end, {ran} ticks of {scene.dt:g} s"
+        return "ok", f"ran to its end, {number_of(ran, 'tick')} of {scene.dt:g} s"
     far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]
     return "diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} m")
 
@@ -59,9 +60,11 @@ def too_old(scene: Scene, end: str, plan: Plan | None, ran: int) -> list[str]:
 def age_note(end: str, count: int, most: float, age: float) -> str:
     """The sentence for messages that were too old for the watchdog of an end."""
     enough = f"{2.0 * most:.2g}"
-    return (f"{count} messages were more than the watchdog's age of {age:g} s old when the {end} played them, up to "
-            f"{most:g} s, so it let go; for a link as long as that type --set age={enough}, or in a scene of your own "
-            f"watchdog=Watchdog(age={enough}); with none in place of a number a message may be of any age")
+    were = f"{number_of(count, 'message')} {plural(count, 'was', 'were')}"
+    return (f"{were} more than the watchdog's age of {age:g} s old when the {end} played "
+            f"{plural(count, 'it', 'them')}, up to {most:g} s, so it let go; for a link as long as that type --set "
+            f"age={enough}, or in a scene of your own watchdog=Watchdog(age={enough}); "
+            "with none in place of a number a message may be of any age")
 
 
 def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tuple[Any, ...]]) -> dict[str, Any]:
@@ -81,6 +84,6 @@ def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tupl
 
 def over_tolerance(reports: dict[str, Any]) -> list[str]:
     """The notes on the ends whose integration was not within the scene's tolerance at every tick."""
-    return [f"{own['ticks_over_tolerance']} ticks of the {end} are not within {own['tolerance']:g} m: the figures "
-            "may be off by the estimate; a smaller dt may help"
-            for end, own in reports.get("integration", {}).items() if own.get("ticks_over_tolerance")]
+    return [f"{number_of(over, 'tick')} of the {end} {plural(over, 'is', 'are')} not within {own['tolerance']:g} m: "
+            "the figures may be off by the estimate; a smaller dt may help"
+            for end, own in reports.get("integration", {}).items() if (over := own.get("ticks_over_tolerance"))]

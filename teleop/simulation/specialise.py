@@ -28,6 +28,7 @@ from operator import add
 from types import FunctionType, MethodType
 from typing import Any, NamedTuple
 
+from teleop.errors import number_of
 from teleop.simulation.expressions import Expressions, Frame, Known, NotSpecialised, Value, location, of_structure
 from teleop.stages.record import Record, declared
 
@@ -279,7 +280,8 @@ class _Writer(Expressions):
         place = self.frame.place or (location(node) if own.__code__.co_filename != self.file else None)
         frame = Frame(own, max([each.suffix for each in records], key=len), place)
         if len(values) != len(frame.arguments):
-            raise self.refused(f"{own.__qualname__} takes {len(frame.arguments)} arguments, not {len(values)}")
+            takes = number_of(len(frame.arguments), "argument")
+            raise self.refused(f"{own.__qualname__} takes {takes}, not {len(values)}")
         lines, before, line = self.definition(own), len(self.out), self.line
         self.frames.append(frame)
         for name, value in zip(frame.arguments, values, strict=True):

@@ -6,7 +6,7 @@ from array import array
 from collections.abc import Callable
 from typing import Any
 
-from teleop.errors import Refused
+from teleop.errors import Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
@@ -72,7 +72,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
 
         notes += told(bodies)
         reports["bodies"] = bodies.method
-    notes += [f"{capped} ticks had more contact events than are followed in one tick"] * (capped > 0)
+    notes += [f"{number_of(capped, 'tick')} had more contact events than are followed in one tick"] * (capped > 0)
     notes += too_old(scene, "master", bwd, ran)
     notes += too_old(scene, "slave", fwd, ran)
     notes += over_tolerance(reports)

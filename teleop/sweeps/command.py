@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
-from teleop.errors import Refused
+from teleop.errors import Refused, number_of, plural
 from teleop.simulation.result import head, parameters
 from teleop.sweeps.pictures.report import (
     PictureRequest,
@@ -78,14 +78,16 @@ class Swept(NamedTuple):
     def text(self) -> str:
         """The sweep in a few lines."""
         rate = f", {self.ran / self.seconds:.3g} rows a second" if self.seconds > 0.0 and self.ran else ""
-        threads = f", in {self.plan.workers} thread{'s' * (self.plan.workers > 1)}" if self.ran else ""
+        threads = f", in {number_of(self.plan.workers, 'thread')}" if self.ran else ""
+        count = len(self.plan.grid)
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
-        rows = [("sweep", f"{self.plan.scene}, {grouped(len(self.plan.grid))} rows of {turned}"),
+        rows = [("sweep", f"{self.plan.scene}, {grouped(count)} {plural(count, 'row')} of {turned}"),
                 *status_rows(self.table)]
         found = not self.ran and len(self.table) == len(self.plan.grid)
         rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if found else
                      f"{self.plan.engine}: {self.plan.why}{threads}{rate}"))
-        rows += [("", f"{count} rows by {engine}: {why}") for (engine, why), count in self.plan.ran.items() if why]
+        rows += [("", f"{number_of(ran, 'row')} by {engine}: {why}")
+                 for (engine, why), ran in self.plan.ran.items() if why]
         if self.cluster is not None:
             rows.append(("cluster", f"{self.cluster[0]}, rows by {self.cluster[1]} of its workers"))
         return f"{facts(rows)}\n{self.table.text(all_by=report_of(self.folder, len(self.table)))}"

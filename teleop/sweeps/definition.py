@@ -11,7 +11,7 @@ from pathlib import Path
 from sys import maxsize
 from typing import IO, Any
 
-from teleop.errors import Refused
+from teleop.errors import Refused, number_of
 from teleop.storage import strict_json as stored
 from teleop.storage.files import is_part, read_bytes
 from teleop.storage.folder import claim, lock, numbered
@@ -184,7 +184,7 @@ def _differences(name: str, old: Any, new: Any) -> Iterator[tuple[str, object, o
 
 def _short(value: object) -> str:
     line = text(value)
-    many = f" ({len(value)} values)" if isinstance(value, (list, dict)) else ""
+    many = f" ({number_of(len(value), 'value')})" if isinstance(value, (list, dict)) else ""
     return (line if len(line) <= 60 else line[:57] + "...") + many
 
 

@@ -9,6 +9,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from teleop.errors import number_of
 from teleop.simulation.result import versions
 from teleop.sweeps.matrix_file import BUILT_IN, METRICS, MatrixBlock, Row, read_matrix
 from teleop.sweeps.runner import sweep
@@ -38,7 +39,7 @@ class RowOutcome(NamedTuple):
         ended = "stayed within" if self.status == "ok" else "was not finite or passed"
         told = "".join(f", {name} {value:.3g}" for name, value in self.figures.items())
         return (f"{self.row.id}: expected {self.row.expect} ({self.row.why}), came {self.status}: {ended} "
-                f"{self.x_limit} in {self.ticks} ticks{told}")
+                f"{self.x_limit} in {number_of(self.ticks, 'tick')}{told}")
 
 
 def run_block(block: MatrixBlock, *, executor: Executor | None = None, out: Path | None = None, show: Show | None = None
@@ -80,7 +81,8 @@ def table(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]])
 
 
 def _verdict(rows: int, wrong: int) -> str:
-    return f"{wrong} of {rows} rows not as expected" if wrong else f"all {rows} rows as expected"
+    every = number_of(rows, "row")
+    return f"{wrong} of {every} not as expected" if wrong else f"all {every} as expected"
 
 
 def summary(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]]) -> dict[str, Any]:
@@ -103,7 +105,7 @@ def command(args: Namespace) -> Answer:
     began = args.seconds()
     with shown_on(None if args.json else sys.stderr, args.seconds, float(rows)) as show:
         came = run_matrix(blocks, out=None if args.out is None else Path(args.out),
-                          show=lambda done, of: show(float(done), f"{done} of {of} rows"))
+                          show=lambda done, of: show(float(done), f"{done} of {number_of(of, 'row')}"))
     told = summary(blocks, came)
     document = {
         "status": "done", "sentence": _verdict(told["rows"], len(told["unexpected"])), "matrix": str(path),

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import NoneType
 from typing import IO, TYPE_CHECKING, Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, nearest, number_of
 from teleop.storage.files import replacing_text
 from teleop.sweeps.grid import counted, plain
 from teleop.terminal.printable import printable
@@ -255,7 +255,8 @@ class Table:
         `all_by`: what the last line says to type for all of them; left out, a call of this.
         """
         shown = min(SHOWN if rows is None else counted("rows", rows), len(self))
-        first = f"{len(self)} rows, {len(self.knobs)} knobs, {len(self.metrics)} metrics"
+        first = ", ".join(f"{number_of(len(each), noun)}" for each, noun in (
+            (self, "row"), (self.knobs, "knob"), (self.metrics, "metric")))
         if not len(self):
             return first
         ended = ", ".join(f"{count} {printable(status)}" for status, count in self.counts().items())

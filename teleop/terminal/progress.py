@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
+from teleop.errors import plural
 from teleop.terminal.units import duration, grouped, two_digits
 
 Show = Callable[[float, str], None]  # how much is done, and a text
@@ -96,7 +97,8 @@ class RowsProgress:
             a_second = (done - came[0][0]) / (now_s - came[0][1])
             rate = f"{two_digits(a_second)} rows/s"
             left = f"{duration((total - done) / a_second)} left" if done < total else ""
-        texts = [[f"{count} rows", rate, left], [f"{count} rows", left or rate], [count, left or rate], [count]]
+        rows = f"{count} {plural(total, 'row')}"
+        texts = [[rows, rate, left], [rows, left or rate], [count, left or rate], [count]]
         self._line.write(done / total if total else 1.0, *("  ".join(filter(None, words)) for words in texts))
 
     def end(self) -> None:

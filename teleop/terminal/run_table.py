@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+from teleop.errors import number_of
 from teleop.terminal.table import facts
 from teleop.terminal.units import si
 
@@ -113,8 +114,8 @@ def _safe(result: Result) -> Iterator[str]:
         told = [event for event in own.get("events") or () if event.get("what") in ("safe", "joined")]
         for event in told[:_MOST_EVENTS]:
             yield f"{end}: {event['what']} at t = {event['k'] * result.dt:.3f} s, {event['why']}"
-        if len(told) > _MOST_EVENTS:
-            yield f"{end}: and {len(told) - _MOST_EVENTS} times more, see its events.jsonl"
+        if (more := len(told) - _MOST_EVENTS) > 0:
+            yield f"{end}: and {number_of(more, 'time')} more, see its events.jsonl"
 
 
 def _late_ticks(result: Result) -> Iterator[str]:
@@ -127,9 +128,10 @@ def _late_ticks(result: Result) -> Iterator[str]:
 def _integration(result: Result) -> Iterator[str]:
     for end, own in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
         text = f"{end}: error estimated at {si(float(own['error_estimate_max']), 'm')} a tick"
-        text += f" ({si(float(own['error_estimate_sum']), 'm')} in all), up to {own['substeps_max']} sub-steps"
+        text += f" ({si(float(own['error_estimate_sum']), 'm')} in all), "
+        text += f"up to {number_of(own['substeps_max'], 'sub-step')}"
         over = own["ticks_over_tolerance"]
-        yield text + (f"; {over} ticks above {si(own['tolerance'], 'm')}" if over else "")
+        yield text + (f"; {number_of(over, 'tick')} above {si(own['tolerance'], 'm')}" if over else "")
 
 
 def _per_tick(result: Result) -> Iterator[str]:

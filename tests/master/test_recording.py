@@ -83,7 +83,7 @@ def test_the_file_is_read_once_and_only_named_in_the_text(write: Write) -> None:
 @pytest.mark.parametrize(("text", "says"), [
     ("", "holds no motion"),
     ("t, x\n# nothing came\n", "holds no motion"),
-    ("t, x\n0, 1\n0.1\n", "line 3: 1 columns in place of 2"),
+    ("t, x\n0, 1\n0.1\n", "line 3: 1 column in place of 2"),
     ("t, x, y, z\n0, 1, 2\n", "line 2: 3 columns in place of 4"),
     ("t, x\n0, 1, 2, 3\n", "line 2: 4 columns in place of 2"),
     ("0, 1, 2\n", "line 1: 3 columns in place of 2 or 4"),

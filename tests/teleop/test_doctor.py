@@ -40,7 +40,7 @@ def test_as_json_it_has_versions_and_sizes(typed: Callable[..., Any], cache: Pat
 
 
 def test_it_clears_the_kernels_and_nothing_else(typed: Callable[..., Any], cache: Path) -> None:
-    assert typed("doctor", "--clear").out.startswith("1 kernels removed")
+    assert typed("doctor", "--clear").out.startswith("1 kernel removed")
     assert [path.name for path in cache.rglob("*") if path.is_file()] == ["notes.txt"]
     assert json.loads(typed("doctor", "--json").out)["kernels"]["modules"] == 0
 

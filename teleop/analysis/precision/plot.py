@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.precision.contenders.outsiders import TOLERANCES
 from teleop.analysis.precision.measure import SUBSTEPS
+from teleop.errors import number_of
 from teleop.terminal.plotting import (
     BLACK,
     BLUE,
@@ -64,7 +65,7 @@ def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]
         f"{si(got.truth.off['x_s'], 'm')}, {si(got.truth.off['f_env'], 'N')}")
     scipys = "" if all(e.contender.rtol is None for e in got.entries) else (
         f"; scipy: rtol {', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}")
-    counts = f"({got.result.ticks} ticks, {got.contacts} contacts)"
+    counts = f"({number_of(got.result.ticks, 'tick')}, {number_of(got.contacts, 'contact')})"
     marks = f"marks from large to small: {', '.join(map(str, SUBSTEPS))} sub-steps per tick{scipys}"
     title = f"{literal(heading(got.result))}: error against run time {counts}\n{marks}{reference}"
     figure = new_figure((13.0, 9.5), title)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
+from teleop.errors import number_of
 from teleop.terminal.answer import finite, scene_head
 from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts
@@ -47,7 +48,7 @@ def _row(e: Entry) -> tuple[str, ...]:
 def _said(e: Entry) -> str:
     """What must not be overlooked, then who beats it."""
     words = ["diverged"] * (e.status != "ok")
-    words += [f"missed {e.missed} contact{'s' * (e.missed > 1)}"] * (e.missed > 0)
+    words += [f"missed {number_of(e.missed, 'contact')}"] * (e.missed > 0)
     words += [f"beaten by {e.beaten_by}"] if e.beaten_by else []
     return ", ".join(words)
 
@@ -56,7 +57,8 @@ def _facts(got: Precision) -> list[tuple[str, str]]:
     first, others = got.entries[0], got.entries[1:]
     beaten = sum(e.beaten_by == first.key for e in others)
     told = [
-        ("run", f"{heading(got.result)}, {got.result.ticks} ticks, {got.contacts} contacts, seed {got.seed}"),
+        ("run", f"{heading(got.result)}, {number_of(got.result.ticks, 'tick')}, {number_of(got.contacts, 'contact')}, "
+                f"seed {got.seed}"),
         ("status", f"{got.result.status}: {got.result.sentence}"),
         ("verdict", verdict(got)),
         ("beaten means", f"another is at least as accurate in x_s and f_env and more than {FASTER:g} times faster; "

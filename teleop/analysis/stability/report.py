@@ -7,7 +7,7 @@ from math import floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.stability.assess import Change, Critical, Stability, critical, lowest, rests, stability
-from teleop.errors import Refused
+from teleop.errors import Refused, number_of, plural
 from teleop.terminal.answer import scene_head, titled
 from teleop.terminal.ranges import typed_number, typed_range
 from teleop.terminal.table import facts
@@ -43,7 +43,7 @@ class StabilityAnswer(NamedTuple):
         found = self.found
         if not isinstance(found, Stability):
             return f"{found.verdict}: {found.sentence}"
-        count = "no root" if not found.unstable else "1 root" if found.unstable == 1 else f"{found.unstable} roots"
+        count = f"{found.unstable or 'no'} {plural(found.unstable or 1, 'root')}"
         return f"{found.verdict}: {count} outside the unit circle"
 
 
@@ -169,12 +169,12 @@ def _roots(found: Stability) -> list[tuple[str, str]]:
                      f"{abs(mode.growth):.4g} 1/s, damping ratio {mode.damping:.4g}"))
     trip, edge, dt = found.round_trip, found.critical_round_trip, found.dt
     if found.alone:
-        rows.append(("computation", f"{trip} ticks late, {si(trip * dt, 's')}"))
+        rows.append(("computation", f"{number_of(trip, 'tick')} late, {si(trip * dt, 's')}"))
     else:
-        rows.append(("round trip", f"{found.forth} + {found.back} = {trip} ticks, {si(trip * dt, 's')}"))
-    first = "none: stable at every delay" if found.tried is None else f"none up to {found.tried} ticks"
+        rows.append(("round trip", f"{found.forth} + {found.back} = {number_of(trip, 'tick')}, {si(trip * dt, 's')}"))
+    first = "none: stable at every delay" if found.tried is None else f"none up to {number_of(found.tried, 'tick')}"
     if edge is not None:
-        first = f"{edge} ticks, {si(edge * dt, 's')}, is the least unstable"
+        first = f"{number_of(edge, 'tick')}, {si(edge * dt, 's')}, is the least unstable"
     if edge == 0:
         first = "unstable without any delay"
     elif edge == 2 and not found.alone:

@@ -21,6 +21,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from teleop.errors import number_of, plural
+
 END_S = 2.0  # s in all that the last words of a process wait for their reader
 _ANEW = os.O_WRONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _installed: list[Output] = []
@@ -114,7 +116,8 @@ def live() -> Iterator[None]:
         for output in _installed:
             output.wait(END_S)
         if missing := sum(output.dropped for output in _installed):
-            print(f"teleop: {missing} messages on the output were dropped, since its reader did not take them in time",
+            were = f"{number_of(missing, 'message')} on the output {plural(missing, 'was', 'were')} dropped"
+            print(f"teleop: {were}, since its reader did not take {plural(missing, 'it', 'them')} in time",
                   file=sys.stderr)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, nearest, number_of
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod
 from teleop.simulation.integrators.stepped import method_bodies
@@ -47,5 +47,5 @@ def told(bodies: Bodies) -> list[str]:
         return []
     name, _, count = bodies.method.partition(":")
     label = next(m.label for m in METHODS if m.name == name)
-    return [f"the bodies moved by {label}, {count} sub-steps a tick, in place of the exact steps: the figures have the "
-            f"error of that method"]
+    return [f"the bodies moved by {label}, {number_of(int(count), 'sub-step')} a tick, in place of the exact steps: "
+            f"the figures have the error of that method"]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, nearest, number_of
 from teleop.sweeps.pictures.layout import (
     TEXTS,
     Panel,
@@ -81,7 +81,7 @@ def draw(
             axes.set_xlabel(axes_knobs[0].label)
             axes.tick_params(axis="x", labelbottom=True)
     ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
-    told = (title, f"{len(table)} rows: {ended}", *notes, note, left)
+    told = (title, f"{number_of(len(table), 'row')}: {ended}", *notes, note, left)
     figure.suptitle(literal(" · ".join(part for part in told if part)), fontsize=11)
     return save(figure, path, formats)
 

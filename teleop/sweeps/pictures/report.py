@@ -7,7 +7,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.errors import Refused
+from teleop.errors import Refused, plural
 from teleop.scene.catalogue import units_of
 from teleop.simulation.result import has_record
 from teleop.storage import strict_json as stored
@@ -86,11 +86,12 @@ def status_rows(table: Table) -> list[tuple[str, str]]:
     for label, refused in (("refused", True), ("metrics", False)):
         every = [*sentences(table, refused=refused).items()]
         for i, (sentence, count) in enumerate(every[:SENTENCES]):
-            rows.append(("" if i else label, f"{grouped(count)} row{'s' * (count > 1)}: {sentence}"))
+            rows.append(("" if i else label, f"{grouped(count)} {plural(count, 'row')}: {sentence}"))
         if len(every) > SENTENCES:
             rest = every[SENTENCES:]
-            rows.append(("", f"and {grouped(len(rest))} more sentence{'s' * (len(rest) > 1)} in "
-                             f"{grouped(sum(count for _, count in rest))} rows, which rows.jsonl has"))
+            count = sum(count for _, count in rest)
+            rows.append(("", f"and {grouped(len(rest))} more {plural(len(rest), 'sentence')} in {grouped(count)} "
+                             f"{plural(count, 'row')}, which rows.jsonl has"))
     return rows
 
 
@@ -118,7 +119,7 @@ def told_of(folder: Path, shown: int | None = None) -> tuple[dict[str, Any], str
     told = {**summary_of(folder), **store.definition, "done": len(table), "counts": table.counts(), "path": str(folder)}
     if "scene" not in told:
         raise Refused(f"{folder} holds a sweep of no scene; give the folder that `teleop sweep` printed")
-    rows = f"{grouped(told['rows'])} rows" if "rows" in told else "rows"
+    rows = f"{grouped(told['rows'])} {plural(told['rows'], 'row')}" if "rows" in told else "rows"
     said = [("sweep", f"{told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"), *status_rows(table)]
     if "engine" in told:
         said.append(("engine", f"{told['engine']}: {told.get('why')}"))

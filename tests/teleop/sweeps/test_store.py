@@ -285,7 +285,7 @@ class TestAnotherSweep:
         ({**WHAT, "fixed": {}}, 'sweep: duration is "1.0" there and absent here'),
         (changed([0.0, 0.2]), "value 2 of delay is 0.1 there and 0.2 here"),
         (changed([0.0, 0.2], version="9"), "value 2 of delay is 0.1 there and 0.2 here"),
-        (changed([0.0]), "the list of values of delay is [0.0,0.1] (2 values) there and [0.0] (1 values) here"),
+        (changed([0.0]), "the list of values of delay is [0.0,0.1] (2 values) there and [0.0] (1 value) here"),
         ({**WHAT, "more": None}, "more is absent there and null here"),
         (without("version"), 'version is "0.1.0" there and absent here'),
     ], ids=lambda value: value[:20] if isinstance(value, str) else "")

@@ -105,6 +105,13 @@ class TestARun:
         assert {path.name for path in Path("here").iterdir()} == {"summary.json", "trace.npz", "plot.pdf", "plot.svg"}
 
 
+def test_one_tick_one_row_and_one_knob_are_told_in_the_singular(typed: Typed) -> None:
+    assert "ran to its end, 1 tick of 0.001 s" in typed("run", "canonical", "--set", "duration=0.001").out
+    swept = typed("sweep", "canonical", "--set", "duration=0.001", "--grid", "k_e=1", "--metrics", "f_m_max")
+    for words in ("1 row of k_e", "1 row, 1 knob, 1 metric: 1 ok\n"):
+        assert words in swept.out
+
+
 class TestShow:
     def test_prints_the_loop_of_a_scene_as_python_that_compiles(self, typed: Typed) -> None:
         out = typed("show", "tick", "hard_wall").out

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from teleop.analysis.precision.contenders.outsiders import there
 from teleop.analysis.precision.reference.deviation import felt
 from teleop.analysis.precision.reference.located import MOST_RADIANS, gripped_touch, located, radians
+from teleop.errors import number_of
 from teleop.physics.plant import Gripped, Plant, move_free, move_gripped
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
 from teleop.simulation.integrators.parts import inner, slave_of
@@ -88,7 +89,7 @@ def _said(ticks: int, changes: int, every: Mapping[str, list[tuple[float, float]
     x, v = (max(a, b) for a, b in zip(differences.get("DOP853", (0.0, 0.0)), least, strict=True))
     sentence = f"{ticks} ticks ({changes} with a change of mode), one step each from the same state"
     if given_up:
-        sentence += f" ({given_up} times an integrator gave up)"
+        sentence += f" ({number_of(given_up, 'time')} an integrator gave up)"
     return Agreement(sentence=sentence, x=x, v=v, differences=differences, ticks=ticks, changes=changes)
 
 
