@@ -7,63 +7,63 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, nearest
-from teleop.knob import Declared, Knob, knobs_of_fields
+from teleop.knob import Declared, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.naming import known
 from teleop.scene.knobs import knobs_of
-from teleop.scene.library import ROOT, built_in_scenes, import_bundled, known_scenes, scene_function
+from teleop.scene.library import ROOT, built_in_scenes, import_bundled, known_scenes, own_module, scene_function
+from teleop.scene.own_law import file_law, file_named, laws_in
+from teleop.scene.wide import WIDE
 from teleop.stages.velocity.named import ESTIMATORS
 
-MEANINGS = {  # of knobs that declare nothing, by their type
-    "Law": "control law: direct, pfra, wave, one of a plug-in, or FILE.py:CLASS",
-    "OnePortLaw": "law that renders by itself: virtual_coupling, virtual_wall, one of a plug-in, or FILE.py:CLASS",
-    "Zero | Hold | Fixed": "zero, hold, or fixed:SECONDS from sending to playing",
-    "VelocityEstimator": "backward_difference(), low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1) and others",
-}
+
+class Named(NamedTuple):
+    """A scene, a law, an effect or a velocity estimator: what it is, its knobs, and how they are set."""
+
+    kind: str
+    name: str
+    meaning: str
+    knobs: Mapping[str, Declared]
+    how: str
 
 
-def overview() -> str:
-    """List scenes, laws, effects and velocity estimators with a line each; no scene or law of a plug-in is imported."""
-    effects = import_bundled("channel.link").known_effects()
+def names() -> dict[str, dict[str, str]]:
+    """All names by their kind, each with its meaning; no scene or law of a plug-in is imported."""
     laws = known_laws()
-    parts = {
-        "scenes": [(name, _scene_line(name)) for name in known_scenes()],
-        "laws": [(name, _law_line(name, laws[name])) for name in sorted(laws)],
-        "effects": [(name, _line(_load(effects[name]))) for name in sorted(effects)],
-        "velocity estimators": [(name, _line(_load(place))) for name, place in _estimators().items()],
+    return {
+        "scenes": {name: _scene_line(name) for name in known_scenes()},
+        "laws": {name: _law_line(name, laws[name]) for name in sorted(laws)},
+        "effects": {name: _line(_load(where)) for name, where in sorted(_effects().items())},
+        "estimators": {name: _line(_load(where)) for name, where in _estimators().items()},
     }
-    blocks = [f"{heading}\n{_columns(lines)}" for heading, lines in parts.items()]
-    return "\n\n".join([*blocks, "`teleop list NAME` shows the knobs of one of them."])
 
 
-def details(name: str) -> str:
-    """List the knobs of the scene, law, effect or estimator `name`, each of them if several have that name.
+def find(name: str) -> list[Named]:
+    """The scene, law, effect or estimator `name`, each of them if several have that name; of a file what is in it.
 
     Raises `Refused` for an unknown name.
     """
-    effects: Mapping[str, str] = import_bundled("channel.link").known_effects()
-    laws, scenes = known_laws(), known_scenes()
-    parts = []
-    if name in scenes or name.endswith(".py"):
-        function = scene_function(name)
-        parts.append(_part(f"scene {name}", function, knobs_of(function), "--set NAME=VALUE"))
-    if name in laws:
-        law = _load(laws[name])
-        parts.append(_part(f"law {name}", law, knobs_of_fields(law), f"--set law={name} --set law.NAME=VALUE"))
-    if name in effects:
+    if file_named(name):
+        return _in_file(name)
+    found = []
+    if name in known_scenes():
+        found.append(_scene(name))
+    if name in (laws := known_laws()):
+        found.append(_law(name, _load(laws[name])))
+    if name in (effects := _effects()):
         effect = _load(effects[name])
-        parts.append(_part(f"effect {name}", effect, knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
+        found.append(Named("effect", name, _line(effect), knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
     if name in (estimators := _estimators()):
         estimator = _load(estimators[name])
-        how = f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"
-        parts.append(_part(f"velocity estimator {name}", estimator, knobs_of_fields(estimator), how))
-    if not parts:
-        known = {*scenes, *laws, *effects, *estimators}
-        raise Refused(f"there is no scene, law, effect or estimator {name!r}; {nearest(name, known)}")
-    return "\n\n".join(parts)
+        found.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
+                           f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"))
+    if not found:
+        there = nearest(name, {*known_scenes(), *laws, *effects, *estimators})
+        raise Refused(f"there is no scene, law, effect or estimator {name!r}; {there}")
+    return found
 
 
 def units_of(name: str, knobs: Sequence[str]) -> dict[str, str]:
@@ -74,55 +74,43 @@ def units_of(name: str, knobs: Sequence[str]) -> dict[str, str]:
         return {}
     if any(knob.startswith("law.") for knob in knobs):
         found |= {f"law.{key}": each for law in BUILT_IN for key, each in knobs_of_fields(find_law(law)).items()}
-    return {"x_limit": "m"} | {key: each.knob.unit for key, each in found.items() if each.knob.unit}
+    return {key: each.knob.unit for key, each in {**WIDE, **found}.items() if each.knob.unit}
+
+
+def _in_file(text: str) -> list[Named]:
+    """The scene and the laws of a file of the user's own, or the law of `FILE.py:CLASS`."""
+    if not text.endswith(".py"):
+        return [_law(text, file_law(text))]
+    module = own_module(Path(text), "a scene or a law", "give the path of a .py file with a scene or a law")
+    laws = laws_in(text)
+    found = [_law(text if len(laws) == 1 else f"{text}:{name}", law) for name, law in laws.items()]
+    if callable(getattr(module, "scene", None)) or not found:
+        found.insert(0, _scene(text))
+    return found
+
+
+def _scene(name: str) -> Named:
+    function = scene_function(name)
+    return Named("scene", name, _line(function), knobs_of(function), "--set NAME=VALUE")
+
+
+def _law(name: str, law: Any) -> Named:
+    return Named("law", name, _line(law), knobs_of_fields(law), f"--set law={name} --set law.NAME=VALUE")
+
+
+def _effects() -> Mapping[str, str]:
+    found: Mapping[str, str] = import_bundled("channel.link").known_effects()
+    return found
 
 
 def _estimators() -> dict[str, str]:
     return dict(sorted(known(ESTIMATORS.group, ESTIMATORS.places).items()))
 
 
-def _part(heading: str, thing: Any, knobs: Mapping[str, Declared], how: str) -> str:
-    lines = [f"{heading}: {_line(thing)}"]
-    if knobs:
-        rows = [(name, _kind(found.kind), _shown(found.default), _remark(found)) for name, found in knobs.items()]
-        lines += [_columns([("knob", "type", "default", ""), *rows]), f"  set with: {how}"]
-    return "\n".join(lines)
-
-
-def _columns(rows: list[Any]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(f"  {line}".rstrip() for line in lines)
-
-
-def _kind(hint: Any) -> str:
-    text = hint if isinstance(hint, str) else getattr(hint, "__name__", None) or str(hint)
-    return re.sub(r"[\w.]+\.(\w+)", r"\1", text)
-
-
-def _shown(default: Any) -> str:
-    if default is ...:
-        return "(must be given)"
-    if isinstance(default, Path) and default.is_relative_to(ROOT):
-        return str(default.relative_to(ROOT))
-    return "none" if default is None else str(default)
-
-
-def _remark(found: Declared) -> str:
-    """Unit, meaning and bounds of a knob."""
-    knob = found.knob
-    meaning = knob.meaning or MEANINGS.get(_kind(found.kind), "")
-    return ", ".join(part for part in (knob.unit, meaning, *_bounds(knob)) if part)
-
-
-def _bounds(knob: Knob) -> list[str]:
-    ends = ((">", knob.above), (">=", knob.low), ("<=", knob.high))
-    one_of = [f"one of {', '.join(knob.choices)}"] if knob.choices else []
-    return [f"{sign} {end:g}" for sign, end in ends if end is not None] + one_of
-
-
 def _line(thing: Any) -> str:
-    """The first sentence of a docstring."""
+    """The first sentence of a docstring; empty without one, or with that which a dataclass writes for itself."""
+    if (thing.__doc__ or "").startswith(f"{thing.__name__}("):
+        return ""
     paragraph = " ".join((thing.__doc__ or "").strip().partition("\n\n")[0].split())
     return re.split(r"(?<=\.) (?=[A-Z])", paragraph)[0]
 

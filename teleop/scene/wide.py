@@ -9,18 +9,24 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from teleop.errors import Refused
 from teleop.knob import Declared, Knob
 from teleop.scene.library import import_bundled
+from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
 
 _SCALES = ("scale_x", "scale_f")
 WIDE = {
     "x_limit": Declared(float, Scene.x_limit, Knob(
         "m", "position beyond which a run has diverged, of master and slave", above=0.0)),
-    "scale_x": Declared(float, 1.0, Knob("", "metres of the slave for one metre of the master", above=0.0)),
-    "scale_f": Declared(float, 1.0, Knob("", "newtons of the slave for one newton of the master", above=0.0)),
+    "scale_x": Declared(float, 1.0, Knob(
+        "", "metres of the slave, where there is one, for one metre of the master", above=0.0)),
+    "scale_f": Declared(float, 1.0, Knob(
+        "", "newtons of the slave, where there is one, for one newton of the master", above=0.0)),
+    "playout": Declared(Zero | Hold | Fixed, "the scene's", Knob(
+        "", "message that a tick plays, where there is a link: zero, hold or fixed:SECONDS")),
     "link": Declared("Link | None", "the scene's", Knob(
-        "", "link in place of the scene's, as --link takes it; none: no link")),
+        "", "link in place of the scene's, where there is a slave, as --link takes it; none: no link")),
 }
 
 
@@ -42,4 +48,8 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
         from teleop.stages.scaling import Scaling
 
         parts["scaling"] = replace(scene.scaling or Scaling(), **scales)
-    return replace(scene, **parts)
+    made = replace(scene, **parts)
+    if "playout" in parts and made.link is None:
+        raise Refused(f"playout={values['playout']} sets nothing in a scene without a link; leave it out, or write for "
+                      "example link='delay(0.05)'")
+    return made

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.scene import Scene
 from teleop.simulation.trace import blocks
@@ -13,21 +13,43 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-UNITS = {
-    "x_err_rms": "m", "x_err_max": "m", "f_err_rms": "N", "f_err_max": "N", "f_m_max": "N", "f_s_max": "N",
-    "f_h_max": "N", "f_env_max": "N", "T_fwd_mean": "s", "T_fwd_max": "s", "T_bwd_mean": "s", "T_bwd_max": "s",
-    "fresh_fwd": "1", "fresh_bwd": "1", "E_link_min": "J", "E_link_end": "J", "E_port_min": "J",
-    "E_port_end": "J", "E_fwd_min": "J", "E_bwd_min": "J", "g_m_min": "1", "g_s_min": "1",
+TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
+PORTS, WAVES, STAMPS = "energy=True", "energy=True and a law of waves", "energy=True, a law of waves and a link"
+
+
+class Metric(NamedTuple):
+    """A figure of a run: its unit, its meaning, and what a run must have for it; empty: every run has it."""
+
+    unit: str
+    meaning: str
+    needs: str = ""
+
+
+METRICS = {
+    "x_err_rms": Metric("m", "tracking error: slave against the master as it was one forward delay ago, rms", TWO_ENDS),
+    "x_err_max": Metric("m", "its largest value", TWO_ENDS),
+    "f_err_rms": Metric("N", "force error: felt against touched one backward delay ago, rms", TWO_ENDS),
+    "f_err_max": Metric("N", "its largest value", TWO_ENDS),
+    "f_m_max": Metric("N", "largest force of the stack against the hand"),
+    "f_s_max": Metric("N", "largest force of the stack on the slave", TWO_ENDS),
+    "f_h_max": Metric("N", "largest force of the hand on the master"),
+    "f_env_max": Metric("N", "largest force of the slave on its environment", TWO_ENDS),
+    "T_fwd_mean": Metric("s", "mean age of a forward message when it was first played", LINK),
+    "T_fwd_max": Metric("s", "its largest value", LINK),
+    "T_bwd_mean": Metric("s", "mean age of a backward message when it was first played", LINK),
+    "T_bwd_max": Metric("s", "its largest value", LINK),
+    "fresh_fwd": Metric("1", "share of the slave's ticks with a fresh message", LINK),
+    "fresh_bwd": Metric("1", "share of the master's ticks with a fresh message", LINK),
+    "E_link_min": Metric("J", "smallest energy stored in the link", WAVES),
+    "E_link_end": Metric("J", "energy stored in the link at the end", WAVES),
+    "E_port_min": Metric("J", "smallest energy that law and link have taken up at the ports", PORTS),
+    "E_port_end": Metric("J", "energy that law and link have taken up at the ports by the end", PORTS),
+    "E_fwd_min": Metric("J", "forward: sender's stamped energy less what was received, smallest", STAMPS),
+    "E_bwd_min": Metric("J", "backward: sender's stamped energy less what was received, smallest", STAMPS),
+    "g_m_min": Metric("1", "smallest gain the master's watchdog came to", WATCHDOG),
+    "g_s_min": Metric("1", "smallest gain the slave's watchdog came to", WATCHDOG),
 }
-MEANING = {
-    "x_err_rms": "tracking: slave against the master as it was one forward delay ago",
-    "f_err_rms": "force felt against the force touched one backward delay ago",
-    "T_fwd_mean": "age of a forward message when it was first played",
-    "fresh_fwd": "share of the slave's ticks with a fresh message",
-    "E_link_min": "smallest energy stored in the link",
-    "E_fwd_min": "forward: sender's stamped energy less what was received, smallest",
-    "g_m_min": "smallest gain the master's watchdog came to",
-}
+UNITS = {name: metric.unit for name, metric in METRICS.items()}
 
 
 TINY = 1e-300

@@ -23,11 +23,14 @@ class Asked(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A stage: its name, its class as "module:class", and whether an end has it."""
+    """A stage: its name, its class as "module:class", whether an end has it, and both in words."""
 
     name: str
     at: str
     wanted: Callable[[Asked], bool]
+    what: str  # it does
+    field: str  # of a scene that names it
+    ends: str = "both"  # or that of the master or of the slave, which alone may have it
 
     def stage(self) -> type[Stage]:
         """The stage's class, imported now."""
@@ -36,26 +39,45 @@ class Place(NamedTuple):
         return found
 
 
-STAGES = (
-    Place("encoder", "encoder:EncoderStage", lambda end: getattr(end.device, "encoder", None) is not None),
+BEFORE_LAW = (  # what the law reads
+    Place("encoder", "encoder:EncoderStage", lambda end: getattr(end.device, "encoder", None) is not None,
+          "rounds the position that the law reads down to a step", "device_m=Device(encoder=Encoder(step=1e-5))"),
     Place("velocity", "velocity_estimate:VelocityStage",
-          lambda end: getattr(end.device, "velocity", None) is not None),
+          lambda end: getattr(end.device, "velocity", None) is not None,
+          "makes the velocity that the law reads of the readings of the position",
+          "device_m=Device(velocity=LowPass(cutoff=30.0))"),
     Place("observer", "observer:ObserverStage",
-          lambda end: end.e == "m" and end.scene.observer is not None and "f" in end.reads),
-    Place("scaling", "scaling:ScalingStage", lambda end: end.e == "s" and end.scene.scaling is not None),
-    # here the law answers
-    Place("compute_delay", "compute_delay:ComputeDelayStage", lambda end: getattr(end.device, "delay", 0) > 0),
-    Place("renewal", "renewal:RenewalStage", lambda end: getattr(end.device, "every", 1) > 1),
-    Place("passivity_controller", "passivity_controller:PassivityControllerStage",
-          lambda end: end.e == "m" and end.scene.passivity is not None),
-    Place("watchdog", "watchdog:WatchdogStage", lambda end: end.scene.watchdog is not None),
-    Place("overflow", "force_cap:OverflowStage", lambda end: end.scene.cap is not None),
-    Place("velocity_cap", "velocity_cap:VelocityCapStage",
-          lambda end: getattr(end.scene.cap, "v_max", None) is not None),
-    Place("energy_budget", "energy_budget:EnergyBudgetStage",
-          lambda end: getattr(end.scene.cap, "power", None) is not None),
-    Place("force_cap", "force_cap:ForceCapStage", lambda end: end.scene.cap is not None),
-    # what the held force did, and the waves
-    Place("wave_ledger", "ledger:WaveLedger", lambda end: end.scene.energy and end.scene.has_waves),
-    Place("port_ledger", "ledger:PortLedger", lambda end: end.scene.energy),
+          lambda end: end.e == "m" and end.scene.observer is not None and "f" in end.reads,
+          "estimates the hand's force, where the law reads it", "observer=200.0", "master"),
+    Place("scaling", "scaling:ScalingStage", lambda end: end.e == "s" and end.scene.scaling is not None,
+          "tells the law the slave's metres and newtons in those of the master, and its force back",
+          "scaling=Scaling(scale_x=0.2, scale_f=0.5)", "slave"),
 )
+AFTER_LAW = (  # what its force goes through
+    Place("compute_delay", "compute_delay:ComputeDelayStage", lambda end: getattr(end.device, "delay", 0) > 0,
+          "holds the force back for some ticks, which its computation takes", "device_m=Device(delay=1)"),
+    Place("renewal", "renewal:RenewalStage", lambda end: getattr(end.device, "every", 1) > 1,
+          "renews the force at every n-th tick and holds it in between", "device_m=Device(every=5)"),
+    Place("passivity_controller", "passivity_controller:PassivityControllerStage",
+          lambda end: end.e == "m" and end.scene.passivity is not None,
+          "adds damping while the energy observed at the port is below zero", "passivity=PassivityController(cap=0.8)",
+          "master"),
+    Place("watchdog", "watchdog:WatchdogStage", lambda end: end.scene.watchdog is not None,
+          "ramps the force to zero without fresh messages, and back with them", "watchdog=Watchdog(timeout=0.2)"),
+    Place("overflow", "force_cap:OverflowStage", lambda end: end.scene.cap is not None,
+          "makes an infinite force NaN, so that no cap hides it", "cap=Cap(f_max=20.0)"),
+    Place("velocity_cap", "velocity_cap:VelocityCapStage",
+          lambda end: getattr(end.scene.cap, "v_max", None) is not None,
+          "fades a force that drives its device near the greatest velocity", "cap=Cap(v_max=0.3)"),
+    Place("energy_budget", "energy_budget:EnergyBudgetStage",
+          lambda end: getattr(end.scene.cap, "power", None) is not None,
+          "takes away driving force beyond the power that may be given out", "cap=Cap(power=1.0)"),
+    Place("force_cap", "force_cap:ForceCapStage", lambda end: end.scene.cap is not None,
+          "limits the force and its change within a tick", "cap=Cap(f_max=20.0, slew=2000.0)"),
+    # what the held force did, and the waves
+    Place("wave_ledger", "ledger:WaveLedger", lambda end: end.scene.energy and end.scene.has_waves,
+          "sums the energy of a law's waves that go into the link and come out: E_in, E_out", "energy=True"),
+    Place("port_ledger", "ledger:PortLedger", lambda end: end.scene.energy,
+          "sums the work of the held force over the motion at the port: E_port", "energy=True"),
+)
+STAGES = (*BEFORE_LAW, *AFTER_LAW)

@@ -159,7 +159,10 @@ def _zwidth(added: ArgumentParser) -> None:
 
 
 def _list(added: ArgumentParser) -> None:
-    added.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect or a velocity estimator")
+    added.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect, a velocity estimator or "
+                       "the FILE.py of one of your own: shows its knobs; or all that there is of a kind: scenes, laws, "
+                       "effects, estimators, metrics, playout, stages, bodies; left out: the first four of these")
+    _json(added)
 
 
 def _show(added: ArgumentParser) -> None:
@@ -205,7 +208,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
                   "passive.", _passivity),
     "zwidth": ("Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, and "
                "what widens it. Ctrl-C keeps what is done.", _zwidth),
-    "list": ("List scenes, laws, effects and velocity estimators, or the knobs of one of them.", _list),
+    "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages and integrators, or the "
+             "knobs of one.", _list),
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
     "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),

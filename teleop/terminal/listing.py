@@ -1,13 +1,180 @@
-"""What `teleop list` does."""
+"""What `teleop list` does: all that has a name, and of each its knobs, for a person and as JSON."""
 
 from __future__ import annotations
 
+import re
 from argparse import Namespace
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-from teleop.scene.catalogue import details, overview
+from teleop.errors import Refused, nearest
+from teleop.knob import Declared, Knob
+from teleop.scene.catalogue import Named, find, names
+from teleop.scene.library import ROOT
+from teleop.scene.wide import WIDE
+from teleop.simulation.integrators.methods import METHODS
+from teleop.simulation.integrators.named import EXACT
+from teleop.simulation.metrics import METRICS
+from teleop.stages.order import AFTER_LAW, BEFORE_LAW
 from teleop.terminal.answer import Answer
+
+Rows = list[dict[str, str]]
+
+HEADINGS = {"estimators": "velocity estimators"}  # where it is not the kind itself
+MEANINGS = {  # of knobs that declare nothing, by their type
+    "Law": "control law: direct, pfra, wave, one of a plug-in, or FILE.py:CLASS",
+    "OnePortLaw": "law that renders by itself: virtual_coupling, virtual_wall, one of a plug-in, or FILE.py:CLASS",
+    "Zero | Hold | Fixed": "zero, hold, or fixed:SECONDS from sending to playing",
+    "VelocityEstimator": "backward_difference(), low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1) and others",
+}
+PLAYOUTS = (
+    ("zero", "the newest message that has come; in a gap the law is told that there is none, and a wave law plays zero",
+     "E_link >= 0 with a law of waves, over any link"),
+    ("hold", "the newest message that has come; in a gap the last one again",
+     "nothing: it is active, and E_link may fall below zero"),
+    ("fixed:SECONDS", "each message this long after it was sent, late ones never; gaps as with zero",
+     "order, a constant delay, and E_link >= 0 with a law of waves"),
+    ("fixed:SECONDS:hold", "the same; in a gap the last message again",
+     "order and a constant delay; E_link may fall below zero"),
+)
 
 
 def command(args: Namespace) -> Answer:
-    """All that there is by name, or the knobs of one. Raises `Refused` if nothing has that name."""
-    return Answer(overview() if args.name is None else details(args.name), {})
+    """All that there is by name, a table of one kind, or the knobs of one name. Raises `Refused`."""
+    if args.name is None:
+        return _overview()
+    if args.name in TABLES:
+        rows, after = TABLES[args.name]()
+        return Answer("\n".join([f"{HEADINGS.get(args.name, args.name)}", _aligned(rows), *after]), {args.name: rows})
+    try:
+        found = find(args.name)
+    except Refused as refused:
+        if (near := nearest(args.name, TABLES)).startswith("did you mean"):
+            raise Refused(f"{str(refused).partition(';')[0]}; {near}") from None
+        raise
+    return Answer("\n\n".join(map(_told, found)), {"found": [_document(one) for one in found]})
+
+
+def _overview() -> Answer:
+    all_names = names()
+    blocks = [f"{HEADINGS.get(kind, kind)}\n{_aligned(_rows(lines), heading=False)}"
+              for kind, lines in all_names.items()]
+    others = ", ".join(kind for kind in TABLES if kind not in all_names)
+    last = f"`teleop list NAME` shows the knobs of one of them; `teleop list KIND` all that there is of {others}."
+    return Answer("\n\n".join([*blocks, last]), {kind: _rows(lines) for kind, lines in all_names.items()})
+
+
+def _rows(lines: Mapping[str, str]) -> Rows:
+    return [{"name": name, "meaning": line} for name, line in lines.items()]
+
+
+def _kind_of(kind: str) -> tuple[Rows, list[str]]:
+    return _rows(names()[kind]), ["`teleop list NAME` shows the knobs of one of them."]
+
+
+def _metrics() -> tuple[Rows, list[str]]:
+    rows = [{"name": name, "unit": one.unit, "meaning": one.meaning, "needs": one.needs or "nothing"}
+            for name, one in METRICS.items()]
+    return rows, ["in summary.json of a run that has what each needs; in sweeps by --metrics NAME,NAME",
+                  "one of your own is a Python function of a Result: sweep(..., metrics=[mine]), see "
+                  "scenarios/examples/metric.py"]
+
+
+def _playouts() -> tuple[Rows, list[str]]:
+    rows = [{"name": name, "plays": plays, "claims": claims} for name, plays, claims in PLAYOUTS]
+    return rows, ["set with: --set playout=fixed:0.1, in every scene with a link; in a scene of your own "
+                  "playout=Fixed(0.1), Zero() or Hold()"]
+
+
+def _stages() -> tuple[Rows, list[str]]:
+    before, after = ([{"name": place.name, "ends": place.ends, "does": place.what, "named by": place.field}
+                      for place in places] for places in (BEFORE_LAW, AFTER_LAW))
+    law = {"name": "(law)", "ends": "both", "does": "answers with its force and its message", "named by": "law=Wave()"}
+    return [*before, law, *after], [
+        "in the order of a tick, a stage that a scene does not name is not there: see `teleop show tick SCENE`",
+        "device_m is that of the master, device_s that of the slave; `teleop list SCENE` has the knobs of a scene"]
+
+
+def _bodies() -> tuple[Rows, list[str]]:
+    exact = {"name": EXACT, "order": "", "method": "the scene's own: in closed form, or to its tolerance"}
+    rows = [{"name": f"{one.name}:N", "order": str(one.order), "method": one.label} for one in METHODS]
+    return [exact, *rows], ["set with: teleop run SCENE --bodies semi_implicit_euler:40, with 40 sub-steps a tick; "
+                            "`teleop precision` compares all"]
+
+
+TABLES: dict[str, Callable[[], tuple[Rows, list[str]]]] = {
+    **{kind: partial(_kind_of, kind) for kind in ("scenes", "laws", "effects", "estimators")},
+    "metrics": _metrics, "playout": _playouts, "stages": _stages, "bodies": _bodies,
+}
+
+
+def _told(found: Named) -> str:
+    """What is said of one name: a line, its knobs, how they are set."""
+    lines = [f"{found.kind} {found.name}" + (f": {found.meaning}" if found.meaning else "")]
+    if found.knobs:
+        lines += [_aligned(_knob_rows(found.knobs)), f"  set with: {found.how}"]
+    if found.kind == "scene":
+        own = {name: one for name, one in WIDE.items() if name not in found.knobs}
+        lines += ["", "knobs of every scene, beside --seed N, which keys every random draw of the link",
+                  _aligned(_knob_rows(own)), "  set with: --set NAME=VALUE"]
+    return "\n".join(lines)
+
+
+def _document(found: Named) -> dict[str, Any]:
+    told = {"kind": found.kind, "name": found.name, "meaning": found.meaning, "set_with": found.how,
+            "knobs": [_knob(name, one) for name, one in found.knobs.items()]}
+    if found.kind == "scene":
+        told["of_every_scene"] = [_knob(name, one) for name, one in WIDE.items() if name not in found.knobs]
+    return told
+
+
+def _knob(name: str, found: Declared) -> dict[str, Any]:
+    knob = found.knob
+    default = found.default
+    plain = default if isinstance(default, bool | int | float | str | None) else _shown(default)
+    return {"name": name, "type": _kind(found.kind), "default": None if default is ... else plain,
+            "must_be_given": default is ..., "unit": knob.unit, "meaning": _meaning(found),
+            "low": knob.low, "above": knob.above, "high": knob.high, "choices": list(knob.choices)}
+
+
+def _knob_rows(knobs: Mapping[str, Declared]) -> Rows:
+    return [{"knob": name, "type": _kind(one.kind), "default": _shown(one.default), "": _remark(one)}
+            for name, one in knobs.items()]
+
+
+def _aligned(rows: Rows, *, heading: bool = True) -> str:
+    """Rows of named cells below each other, under the names."""
+    lines = [[*rows[0]], *([*row.values()] for row in rows)][0 if heading else 1:]
+    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    told = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return "\n".join(f"  {line}".rstrip() for line in told)
+
+
+def _kind(hint: Any) -> str:
+    text = hint if isinstance(hint, str) else getattr(hint, "__name__", None) or str(hint)
+    return re.sub(r"[\w.]+\.(\w+)", r"\1", text)
+
+
+def _shown(default: Any) -> str:
+    if default is ...:
+        return "(must be given)"
+    if isinstance(default, Path) and default.is_relative_to(ROOT):
+        return str(default.relative_to(ROOT))
+    return "none" if default is None else str(default)
+
+
+def _remark(found: Declared) -> str:
+    """Unit, meaning and bounds of a knob."""
+    return ", ".join(part for part in (found.knob.unit, _meaning(found), *_bounds(found.knob)) if part)
+
+
+def _meaning(found: Declared) -> str:
+    return found.knob.meaning or MEANINGS.get(_kind(found.kind), "")
+
+
+def _bounds(knob: Knob) -> list[str]:
+    ends = ((">", knob.above), (">=", knob.low), ("<=", knob.high))
+    one_of = [f"one of {', '.join(knob.choices)}"] if knob.choices else []
+    return [f"{sign} {end:g}" for sign, end in ends if end is not None] + one_of

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from math import inf, nan, sqrt
 from typing import Any
 
@@ -12,7 +14,7 @@ from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.metrics import MEANING, UNITS, metrics
+from teleop.simulation.metrics import LINK, METRICS, PORTS, STAMPS, TWO_ENDS, UNITS, WATCHDOG, WAVES, metrics
 from teleop.simulation.virtual import run
 
 SCENE = Scene(law=Direct(), master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), dt=1e-3, duration=1.0)
@@ -150,4 +152,20 @@ def test_a_run_without_ticks_has_no_figures() -> None:
 
 def test_every_figure_has_a_unit() -> None:
     assert set(run(load_scene("canonical", duration=0.3)).metrics) <= set(UNITS)
-    assert set(MEANING) <= set(UNITS)
+
+
+NEEDS: dict[str, Callable[[Scene], bool]] = {
+    "": lambda _: True, TWO_ENDS: lambda s: s.slave is not None,
+    LINK: lambda s: s.link is not None, PORTS: lambda s: s.energy, WAVES: lambda s: s.energy and s.has_waves,
+    STAMPS: lambda s: s.energy and s.has_waves and s.link is not None, WATCHDOG: lambda s: s.watchdog is not None,
+}
+
+
+@pytest.mark.parametrize("scene", [
+    load_scene("canonical"), load_scene("canonical", energy=False), load_scene("canonical", law="direct"),
+    load_scene("local"), load_scene("local", law="direct"), load_scene("hard_wall"), load_scene("encoder_wall"),
+    replace(load_scene("canonical"), hand=None),
+], ids=range(8))
+def test_a_run_has_the_figures_that_the_list_says_it_has(scene: Scene) -> None:
+    got = run(replace(scene, duration=0.3)).metrics
+    assert set(got) == {name for name, metric in METRICS.items() if NEEDS[metric.needs](scene)}

@@ -17,13 +17,10 @@ import pytest
 
 import teleop.simulation.virtual
 import teleop.terminal.plotting
-from channel.link import EFFECTS
 from scenarios.__main__ import main as console_entry
 from teleop import load_result, load_scene, run
 from teleop.__main__ import main
-from teleop.law import BUILT_IN
-from teleop.scene.catalogue import details
-from teleop.scene.library import ROOT, built_in_scenes
+from teleop.scene.library import ROOT
 from teleop.storage.folder import claim
 
 SHORT = ("--set", "duration=0.2")
@@ -128,43 +125,6 @@ class TestShow:
         answer = typed("show", "tick", "virtual_wall", "--end", "m")
         assert answer.code == 2
         assert "has no slave, so it has no live ends" in answer.err
-
-
-class TestList:
-    def test_names_every_scene_law_and_effect_with_a_line(self, typed: Typed) -> None:
-        lines = typed("list").out.splitlines()
-        told = {words[0]: words[1] for line in lines if len(words := line.split(maxsplit=1)) == 2}
-        for name in (*built_in_scenes(), *BUILT_IN, *EFFECTS):
-            assert len(told[name]) > 10
-
-    def test_of_a_scene_shows_its_knobs_with_type_and_default(self, typed: Typed) -> None:
-        rows = [line.split() for line in typed("list", "canonical").out.splitlines()]
-        assert ["delay", "float", "0.05", "s,", "delay"] in [row[:5] for row in rows]
-        assert ["energy", "bool", "True"] in [row[:3] for row in rows]
-        assert ["observer", "float", "|", "None", "200.0"] in [row[:5] for row in rows]
-
-    @pytest.mark.parametrize("name", sorted({*built_in_scenes(), *EFFECTS, *BUILT_IN}))
-    def test_says_of_every_knob_what_it_is_and_in_which_unit(self, name: str) -> None:
-        for block in details(name).split("\n\n"):
-            heading, *rows = [line for line in block.splitlines()[1:] if not line.startswith("  set with")] or [""]
-            said = heading.index("default") + len("default") if rows else 0
-            assert [row.split()[0] for row in rows if not row[said:].partition("  ")[2].strip()] == []
-
-    def test_of_a_law_shows_what_the_numbers_mean(self, typed: Typed) -> None:
-        out = typed("list", "wave").out
-        assert "Wave variables" in out
-        assert "N s/m, wave impedance, > 0" in out
-
-    def test_of_a_name_that_a_scene_and_an_effect_share_shows_both(self, typed: Typed) -> None:
-        out = typed("list", "blackout").out
-        assert "scene blackout" in out
-        assert "effect blackout" in out
-
-    def test_of_a_path_shows_a_users_own_scene(self, typed: Typed, tmp_path: Path) -> None:
-        (tmp_path / "mine.py").write_text("def scene(*, steps: int = 3):\n    'A scene that a user wrote.'\n")
-        out = typed("list", "mine.py").out
-        assert "A scene that a user wrote." in out
-        assert ["steps", "int", "3"] in [line.split() for line in out.splitlines()]
 
 
 class TestReport:
