@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import ceil, floor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused, number
 from teleop.scene.scene import Scene
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 PLACES = 33  # of a range that are tried before it is halved
 HALVED = 5  # times: a step of 1.25 to 1.007
+
+Tell = Callable[[float, bool], None]  # a value and its verdict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,18 +138,19 @@ def rests(scene: Scene, *, seed: int = 0) -> bool:
 def critical(
     make: Callable[[float], Scene], knob: str, *, low: float, high: float, tol: float | None = None,
     near: float | None = None, judge: Callable[[Scene], bool] = is_stable, places: int = PLACES, whole: bool = False,
+    tell: Tell | None = None,
 ) -> Critical:
     """The value at which `make(value)` stops or starts being stable, by bisection to `tol` (in the knob's unit).
 
     The range is tried at `places` values first, evenly, or by equal ratios where it spans more than a decade. Of
     several changes the nearest to `near` is taken; left out, the lowest; all of them are in `all`. `tol` left out:
-    1e-6 of the value. `whole`: only whole numbers are tried. Raises `Refused` for an empty range, and where the verdict
-    does not change in it, saying which it is.
+    1e-6 of the value. `whole`: only whole numbers are tried. `tell` is called with each value that was judged and its
+    verdict. Raises `Refused` for an empty range, and where the verdict does not change in it, saying which it is.
     """
     if tol is not None:
         number("tol", tol, above=0.0)
     values = _places(knob, low, high, places, whole)
-    asked = cache(lambda value: judge(make(value)))
+    asked = _asking(make, judge, tell)
     brackets = _brackets(knob, values, asked, near)
 
     def refined(low: float, high: float) -> Change:
@@ -167,18 +170,19 @@ def critical(
 def lowest(
     make: Callable[[float], Scene], knob: str, *, low: float, high: float, tol: float | None = None,
     near: float | None = None, judge: Callable[[Scene], bool] = rests, places: int = PLACES, whole: bool = False,
+    tell: Tell | None = None,
 ) -> Critical:
     """The lowest value tried that is judged otherwise than the range's low end: for verdicts that alternate.
 
     Behind an encoder what rests and what hums take turns as a knob rises, at every scale, so there is no edge to bisect
     to. The range is tried at `places` values, and the first step with a change is halved `HALVED` times, or until it is
     within `tol`, towards its low end: no value tried below is judged otherwise. The steps above are left as they are,
-    in `all`. `near` is named where there is no change. Raises `Refused` as `critical` does.
+    in `all`. `near` is named where there is no change. `tell` and what is refused are as with `critical`.
     """
     if tol is not None:
         number("tol", tol, above=0.0)
     values = _places(knob, low, high, places, whole)
-    asked = cache(lambda value: judge(make(value)))
+    asked = _asking(make, judge, tell)
     brackets = _brackets(knob, values, asked, near)
     under, over = values[brackets[0]], values[brackets[0] + 1]
     below, halvings = asked(under), 0
@@ -192,6 +196,19 @@ def lowest(
     later = (Change(values[i + 1], values[i], values[i + 1], "below" if asked(values[i]) else "above")
              for i in brackets[1:])
     return Critical(knob, *first, len(brackets), (first, *later), "stepwise", asked.cache_info().currsize)
+
+
+def _asking(make: Callable[[float], Scene], judge: Callable[[Scene], bool], tell: Tell | None) -> Any:
+    """The verdict on a value of the knob, worked out once."""
+
+    @cache
+    def asked(value: float) -> bool:
+        verdict = judge(make(value))
+        if tell is not None:
+            tell(value, verdict)
+        return verdict
+
+    return asked
 
 
 def _places(knob: str, low: float, high: float, places: int, whole: bool) -> list[float]:

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from math import floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.stability.assess import Change, Critical, Stability, critical, lowest, rests, stability
+from teleop.analysis.stability.assess import (
+    HALVED,
+    PLACES,
+    Change,
+    Critical,
+    Stability,
+    critical,
+    lowest,
+    rests,
+    stability,
+)
 from teleop.errors import Refused, number_of, plural
 from teleop.terminal.answer import scene_head, titled
 from teleop.terminal.ranges import typed_number, typed_range
@@ -17,14 +28,35 @@ if TYPE_CHECKING:
     from teleop.analysis.models.continuous import Continuous
     from teleop.analysis.models.rest import FreeMotion
     from teleop.scene.scene import Scene
+    from teleop.terminal.progress import Show
 
 PLACES_IN_TIME = 21  # of a range: each is a few runs
+HALVINGS = 20  # of a range that is tried at `PLACES` values, or about so many
 TOLD = 4  # further changes in the table
 UNITS = {
     "dt": "s", "fwd": "ticks", "bwd": "ticks", "round_trip": "ticks", "critical_round_trip": "ticks",
     "delay_margin": "ticks", "gain_margin": "1", "frequency": "Hz", "growth": "1/s", "damping": "1", "amplitude": "m",
     "continuous.round_trip": "s",
 }
+
+
+class SoFar(NamedTuple):
+    """What an interrupted search for a critical value knows: the values that were judged, upwards."""
+
+    knob: str
+    tried: tuple[tuple[float, bool], ...]  # a value, and is it stable there
+
+    @property
+    def changes(self) -> list[tuple[float, float]]:
+        """All neighbours with a change of the verdict between them."""
+        return [(a[0], b[0]) for a, b in pairwise(self.tried) if a[1] != b[1]]
+
+    def between(self, near: float | None) -> tuple[float, float] | None:
+        """Two neighbours with a change of the verdict between them, nearest to `near`, or the lowest; None: none."""
+        pairs = self.changes
+        if near is None:
+            return pairs[0] if pairs else None
+        return min(pairs, key=lambda pair: abs(0.5 * (pair[0] + pair[1]) - near), default=None)
 
 
 class StabilityAnswer(NamedTuple):
@@ -36,6 +68,8 @@ class StabilityAnswer(NamedTuple):
     edge: Critical | None
     unit: str = ""  # of its knob, with a space before it, where the scene names one
     seed: int = 0
+    so_far: SoFar | None = None  # of a search that was interrupted
+    in_time: bool = False
 
     @property
     def sentence(self) -> str:
@@ -48,8 +82,13 @@ class StabilityAnswer(NamedTuple):
 
 
 def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
-        knob: str | None = None, span: str | None = None, tol: str | None = None) -> StabilityAnswer:
-    """Load the scene and answer; the texts `span` (LOW:HIGH) and `tol` as they were typed. Raises `Refused`."""
+        knob: str | None = None, span: str | None = None, tol: str | None = None, show: Show | None = None
+        ) -> StabilityAnswer:
+    """Load the scene and answer; the texts `span` (LOW:HIGH) and `tol` as they were typed. Raises `Refused`.
+
+    `show` is told how much of the search for a critical value is done, 0 to 1. An interrupt of that search ends it, and
+    the answer has what it knows so far; one before it is raised as KeyboardInterrupt.
+    """
     from teleop.scene.loading import load_scene
 
     if knob is None and (span is not None or tol is not None):
@@ -73,21 +112,63 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
 
         limit = without_clock(scene)
     if knob is None or own is None:
-        return StabilityAnswer(scene, found, limit, None, seed=seed)
+        return StabilityAnswer(scene, found, limit, None, seed=seed, in_time=in_time)
 
     def make(value: float) -> Scene:
         return load_scene(name, **{**knobs, knob: value})
 
-    whole = _whole(name, knob)
-    if in_time:
-        edge = lowest(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME, tol=closeness, whole=whole,
-                      judge=lambda one: rests(one, seed=seed))
-    else:
-        edge = critical(make, knob, low=low, high=high, near=own, tol=closeness, whole=whole)
     from teleop.scene.catalogue import units_of
 
     unit = units_of(name, [knob]).get(knob)
-    return StabilityAnswer(scene, found, limit, edge, f" {unit}" if unit else "", seed)
+    so_far = _Search(knob, own, f" {unit}" if unit else "", in_time, show)
+    answer = StabilityAnswer(scene, found, limit, None, so_far.unit, seed, in_time=in_time)
+    whole = _whole(name, knob)
+    try:
+        if in_time:
+            edge = lowest(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME, tol=closeness, whole=whole,
+                          judge=lambda one: rests(one, seed=seed), tell=so_far)
+        else:
+            edge = critical(make, knob, low=low, high=high, near=own, tol=closeness, whole=whole, tell=so_far)
+    except KeyboardInterrupt:
+        return answer._replace(so_far=so_far.known)
+    if show is not None:
+        show(1.0, "done")
+    return answer._replace(edge=edge)
+
+
+class _Search:
+    """What a search for a critical value has found out so far, told to `show` value by value."""
+
+    __slots__ = ("in_time", "knob", "near", "show", "tried", "unit")
+
+    def __init__(self, knob: str, own: float, unit: str, in_time: bool, show: Show | None) -> None:
+        self.knob, self.unit, self.in_time, self.show = knob, unit, in_time, show
+        self.near = None if in_time else own
+        self.tried: dict[float, bool] = {}
+
+    @property
+    def known(self) -> SoFar:
+        """The values in order."""
+        return SoFar(self.knob, tuple(sorted(self.tried.items())))
+
+    def __call__(self, value: float, stable: bool) -> None:
+        self.tried[value] = stable
+        if self.show is None:
+            return
+        places, halvings = (PLACES_IN_TIME, HALVED) if self.in_time else (PLACES, HALVINGS)
+        known = self.known
+        pair, total = known.between(self.near), places + halvings * (1 if self.in_time else max(1, len(known.changes)))
+        text = f"{self.knob} = {value:.4g}{self.unit} {verdict_word(stable, self.in_time)}"
+        if pair is not None:
+            text += f"; changes between {pair[0]:.5g} and {pair[1]:.5g}"
+        self.show(min(len(self.tried) / total, 0.99), text)
+
+
+def verdict_word(stable: bool, in_time: bool) -> str:
+    """What a value of a knob is said to do."""
+    if in_time:
+        return "rests" if stable else "does not rest"
+    return "is stable" if stable else "is unstable"
 
 
 def _whole(name: str, knob: str) -> bool:
@@ -128,7 +209,8 @@ def _span(knob: str, own: float, typed: str | None) -> tuple[float, float]:
 def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON document: SI units; fwd, bwd, round trips and the delay margin in ticks."""
     found = answer.found
-    told = scene_head(answer.scene, "stability", sentence=answer.sentence, seed=answer.seed, command=command)
+    told = scene_head(answer.scene, "stability", sentence=answer.sentence, seed=answer.seed, command=command,
+                      status="done" if answer.so_far is None else "interrupted")
     told |= {"units": UNITS, "verdict": found.verdict}
     if isinstance(found, Stability):
         root = found.mode
@@ -144,6 +226,8 @@ def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, A
                  "frequency": found.frequency, "rests": found.rests}
     told["continuous"] = answer.limit and answer.limit._asdict()
     told["critical"] = answer.edge and {**answer.edge._asdict(), "all": [one._asdict() for one in answer.edge.all]}
+    if answer.so_far is not None:
+        told["so_far"] = {"knob": answer.so_far.knob, "tried": [list(one) for one in answer.so_far.tried]}
     return told
 
 
@@ -156,7 +240,21 @@ def table(answer: StabilityAnswer) -> str:
         rows.append(("continuous", _without_clock(limit)))
     if edge is not None:
         rows.append(("critical", _edge(edge, answer.unit, _steps(answer.scene))))
+    if answer.so_far is not None:
+        rows.append(("interrupted", _unfinished(answer.so_far, answer)))
     return facts(rows)
+
+
+def _unfinished(so_far: SoFar, answer: StabilityAnswer) -> str:
+    tried, unit, knob = so_far.tried, answer.unit, so_far.knob
+    if not tried:
+        return f"before any value of {knob} was judged"
+    said = f"after {number_of(len(tried), "value")} of {knob}, from {tried[0][0]:.4g} to {tried[-1][0]:.4g}{unit}"
+    pair = so_far.between(None if answer.in_time else own_value(answer.scene, knob))
+    if pair is None:
+        return f"{said}: it {verdict_word(tried[0][1], answer.in_time)} at each of them"
+    below, above = (verdict_word(dict(tried)[value], answer.in_time) for value in pair)
+    return f"{said}: it {below} at {pair[0]:.5g}{unit} and {above} at {pair[1]:.5g}{unit}"
 
 
 def _roots(found: Stability) -> list[tuple[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
@@ -21,6 +22,7 @@ from slave.wall import Wall
 from teleop import Refused, Scene, load_scene, run
 from teleop.analysis.models.continuous import Continuous, continuous
 from teleop.analysis.models.linear import linear_scene
+from teleop.analysis.stability import report
 from teleop.analysis.stability.assess import critical, is_stable, lowest, stability
 from teleop.analysis.stability.swing import swing
 from teleop.errors import number
@@ -488,6 +490,44 @@ class TestTheCommand:
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--time", "--critical", "delay",
                        "--range", "0.005:0.05", "--tol", "1e-3", "--json")
         assert json.loads(answer.out)["critical"]["value"] == pytest.approx(0.0145, abs=1.5e-3)
+
+    @pytest.mark.parametrize(("asked", "words"), [
+        (0, "before any value of k_e was judged"),
+        (5, "after 5 values of k_e, from 10 to 31.62 N/m: it is stable at each of them"),
+        (60, "after 60 values of k_e, from 10 to 1e+05 N/m: it is stable at 460.4"),
+    ])
+    def test_said_nothing_while_it_searched_and_lost_all_by_an_interrupt(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, asked: int, words: str
+    ) -> None:
+        judged: list[Scene] = []
+
+        def judge(scene: Scene) -> bool:
+            if len(judged) == asked:
+                raise KeyboardInterrupt
+            judged.append(scene)
+            return is_stable(scene)
+
+        search = functools.partial(critical, judge=judge)
+        monkeypatch.setattr(report, "critical", search)
+        arguments = ["stability", "soft_tissue", "--set", "law=direct", "--set", "delay=0.005", "--critical", "k_e",
+                     "--range", "10:1e5"]
+        answer = typed(*arguments)
+        assert answer.code == 130
+        assert words in answer.out
+        judged.clear()
+        told = json.loads(typed(*arguments, "--json").out)
+        assert (told["status"], told["critical"], len(told["so_far"]["tried"])) == ("interrupted", None, asked)
+        assert told["dominant"]["growth"] < 0.0
+
+    def test_shows_the_bracket_that_it_has_found(self) -> None:
+        lines: list[tuple[float, str]] = []
+        knobs = {"law": "direct", "delay": 0.005}
+        report.ask("soft_tissue", knobs, knob="k_e", span="10:1e5", show=lambda *line: lines.append(line))
+        parts = [part for part, _ in lines]
+        assert lines[0][1] == "k_e = 10 N/m is stable"
+        assert lines[-1] == (1.0, "done")
+        assert all(0.0 < part <= 1.0 for part in parts)
+        assert re.fullmatch(r"k_e = .* N/m is (un)?stable; changes between 460\.\d+ and 460\.\d+", lines[-2][1])
 
     def test_bisects_a_whole_number_over_whole_numbers(self, typed: Typed) -> None:
         answer = typed("stability", "virtual_wall", "--critical", "delay", "--range", "0:10")
