@@ -249,7 +249,7 @@ def _unfinished(so_far: SoFar, answer: StabilityAnswer) -> str:
     tried, unit, knob = so_far.tried, answer.unit, so_far.knob
     if not tried:
         return f"before any value of {knob} was judged"
-    said = f"after {number_of(len(tried), "value")} of {knob}, from {tried[0][0]:.4g} to {tried[-1][0]:.4g}{unit}"
+    said = f"after {number_of(len(tried), 'value')} of {knob}, from {tried[0][0]:.4g} to {tried[-1][0]:.4g}{unit}"
     pair = so_far.between(None if answer.in_time else own_value(answer.scene, knob))
     if pair is None:
         return f"{said}: it {verdict_word(tried[0][1], answer.in_time)} at each of them"
