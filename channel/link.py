@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from channel.effect import Chain, Effect
 from channel.schedule import Arrivals, Stream, arrivals
 from teleop.errors import Refused
-from teleop.naming import PartKind, known
+from teleop.naming import PartKind, known, unreadable
 
 EFFECTS = {
     "bernoulli": "channel.bernoulli:Bernoulli",
@@ -95,8 +95,8 @@ def parse_link(text: str) -> Effect | Chain | Link:
         raise Refused(f"a link is a text of at most {_LONGEST} characters; {_FORM}")
     try:
         ways = ast.parse(text.strip()).body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise Refused(f"the link {text[:80]!r} cannot be read; {_FORM}") from None
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise Refused(f"the link {text[:80]!r} cannot be read: {unreadable(text, error)}; {_FORM}") from None
     if len(ways) not in (1, 2):
         raise Refused(f"a link is written once for both directions, or twice with ; between, not {len(ways)}; {_FORM}")
     parsed = [_way(node.value if isinstance(node, ast.Expr) else node, text) for node in ways]

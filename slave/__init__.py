@@ -46,4 +46,4 @@ if not TYPE_CHECKING:  # a type checker goes by the imports above, and finds a n
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)  # and not what this file needs for itself

@@ -94,8 +94,8 @@ class PartKind:
         form = f"write for example {next(iter(self.examples.values()), 'name(argument=1.0)')}"
         try:
             node = ast.parse(text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise Refused(f"the {self.word} {text[:80]!r} cannot be read; {form}") from None
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise Refused(f"the {self.word} {text[:80]!r} cannot be read: {unreadable(text, error)}; {form}") from None
         return self.make(node, text, form)
 
     def _arguments(self, name: str, made: type[Any], node: ast.Call) -> dict[str, Any]:
@@ -123,6 +123,35 @@ class PartKind:
         """Example of how to write a part; of a plug-in's part only the names of its arguments are known."""
         named = ", ".join(knob if needed else f"{knob}=..." for knob, (needed, _) in _arguments_of(made).items())
         return f"write for example {self.examples.get(name, f'{name}({named})')}"
+
+
+def unreadable(text: str, error: Exception) -> str:
+    """The reason why a text of parts cannot be read, as the parser's `error` found it.
+
+    >>> unreadable("delay(0.04", SyntaxError()), unreadable("delay(0.04) |", SyntaxError())
+    ('its ( is never closed', 'nothing stands behind its last |')
+    """
+    open_brackets, quote = "", ""
+    for sign in text:
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign in "'\"":
+            quote = sign
+        elif sign in "([{":
+            open_brackets += sign
+        elif sign in ")]}":
+            if not open_brackets or f"{open_brackets[-1]}{sign}" not in ("()", "[]", "{}"):
+                return f"a {sign} closes no bracket"
+            open_brackets = open_brackets[:-1]
+    if quote or open_brackets:
+        return f"its {quote or open_brackets[-1]} is never closed"
+    if text.rstrip().endswith("|"):
+        return "nothing stands behind its last |"
+    if text.lstrip().startswith("|") or "||" in text.replace(" ", ""):
+        return "nothing stands in front of a |"
+    at = getattr(error, "offset", None) or 0
+    rest = text.strip()[max(at - 1, 0):][:40]
+    return f"it is not understood from {rest!r} on" if at and rest else "it is no name with arguments in brackets"
 
 
 def _arguments_of(made: type[Any]) -> dict[str, tuple[bool, bool]]:

@@ -48,9 +48,18 @@ class TestEveryPackage:
 
     def test_dir_lists_them_and_a_misspelt_one_is_an_attribute_error(self, package: str) -> None:
         module = import_module(package)
-        assert {*module.__all__} <= {*dir(module)}
+        assert dir(module) == sorted(module.__all__)
         with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'misspelt'"):
             _ = module.misspelt
+
+    def test_dir_hid_them_among_what_the_file_needs_for_itself_and_a_tab_completes_them(self, package: str) -> None:
+        code = (f"import sys, rlcompleter, {package}\n"
+                f"assert 'TYPE_CHECKING' not in dir({package}) and 'numpy' not in sys.modules\n"
+                f"print(*filter(None, map(rlcompleter.Completer(vars()).complete, ['{package}.'] * 99, range(99))))")
+        completed = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True,
+                                   check=True).stdout
+        public = {name for name in import_module(package).__all__ if not name.startswith("_")}
+        assert public == {each.removeprefix(f"{package}.").rstrip("()") for each in completed.split()}
 
     def test_importing_it_loads_none_of_them(self, package: str) -> None:
         code = f"import sys, {package}; print(*sys.modules)"
