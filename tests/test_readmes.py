@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from teleop import load_scene
 from teleop.scene.library import built_in_scenes
 from teleop.terminal.commands import parser
 
@@ -85,6 +86,12 @@ def test_the_python_of_a_page_runs(page: Path) -> None:
         done = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert re.fullmatch(pattern, done.stdout), done.stdout
+
+
+def test_the_law_of_the_first_page_goes_where_the_page_says(tmp_path: Path) -> None:
+    text, = (block for block in blocks(ROOT / "README.md", "python") if "class PositionPosition" in block)
+    (tmp_path / "law_mine.py").write_text(text)
+    assert load_scene("hard_wall", law=str(tmp_path / "law_mine.py"), **{"law.K": "150"}).law.K == 150.0
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

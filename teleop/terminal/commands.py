@@ -12,6 +12,7 @@ examples:
   teleop run hard_wall
   teleop run canonical --set law=pfra --set law.alpha=0.2 --set delay=0.1 --plot
   teleop run hard_wall --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)' --seed 7 --json
+  teleop run hard_wall --set law=law_mine.py --set law.K=150
   teleop demo jittery_wan
   teleop precision hard_wall --set k_e=1e6
   teleop stability soft_tissue --set law=direct --critical k_e

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
+from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace, _SubParsersAction
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -21,6 +21,27 @@ FORMATS = ("png", "pdf", "svg")  # of a plot
 
 class Parser(ArgumentParser):
     """An argument parser that refuses in one sentence where argparse would print its usage and exit."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """What argparse does, but for what it says of an argument that the command does not take."""
+        found, extra = self.parse_known_args(args, namespace)
+        if extra:
+            self._refuse(extra[0], getattr(found, "do", None))
+        return found
+
+    def _refuse(self, argument: str, command: str | None) -> NoReturn:
+        """Say which other commands have an option that `command` has not, or which of its own is near."""
+        commands = next((each.choices for each in self._actions if isinstance(each, _SubParsersAction)), {})
+        own = commands.get(command or "", self)
+        name = argument.partition("=")[0]
+        others = [other.prog for other in commands.values() if name in other._option_string_actions]
+        if not name.startswith("-"):
+            why = f"{own.prog} does not take the argument {argument!r}"
+        elif others:
+            why = f"{own.prog} has no option {name}, an option of {' and '.join(others)}"
+        else:
+            why = f"{own.prog} has no option {name}; {nearest(name, own._option_string_actions)}"
+        raise Refused(f"{why}; see {own.prog} --help")
 
     def error(self, message: str) -> NoReturn:
         raise Refused(f"{message}; see {self.prog} --help")

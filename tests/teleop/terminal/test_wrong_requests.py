@@ -190,6 +190,11 @@ class TestAWrongRequest:
         (["runn"], "there is no command 'runn'; did you mean run?"),
         (["list", "nope"], "there is no scene, law, effect or estimator 'nope'; there are: "),
         (["list", ""], "NAME must not be empty: it is a scene"),
+        (["stability", "hard_wall", "--bodies", "rk4:2"],
+         "teleop stability has no option --bodies, an option of teleop run; see teleop stability --help"),
+        (["run", "canonical", "--sed=3"], "teleop run has no option --sed; did you mean --seed"),
+        (["run", "canonical", "twice"], "teleop run does not take the argument 'twice'; see teleop run --help"),
+        (["--jsn"], "teleop has no option --jsn"),
     ])
     def test_is_answered_with_the_nearest_or_with_all_there_is(
         self, typed: Typed, arguments: list[str], words: str
