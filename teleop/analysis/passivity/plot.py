@@ -17,6 +17,7 @@ from teleop.terminal.plotting import (
     PNG,
     RED,
     SKY,
+    UNDER,
     grid_lines,
     literal,
     new_figure,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from teleop.analysis.passivity.one_port import Behind, RenderedImpedance
     from teleop.analysis.passivity.report import PassivityAnswer
 
-STYLES = {"sampled": ("-", 1.4), "continuous": ("--", 1.0)}
+STYLES = {"sampled": UNDER, "continuous": {"linestyle": "--", "linewidth": 1.1}}  # nearly the same at low frequencies
 ETA = (-1.3, 4.0)  # shown of Llewellyn's parameter
 
 
@@ -67,14 +68,14 @@ def _two(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]) -> None:
     import numpy as np
 
     (top, eta), (passed, felt) = figure.subplots(2, 2, sharex=True)
-    for name, (line, width) in STYLES.items():
+    for name, shown in STYLES.items():
         if f"{name}_h" not in data:
             continue
         f, h = data[f"{name}_frequency"], data[f"{name}_h"]
-        shown: dict[str, Any] = {"linestyle": line, "linewidth": width}
         top.plot(f, np.abs(h[:, 0, 0]), color=BLUE, label=f"$|h_{{11}}|$ free motion, {name}", **shown)
         top.plot(f, 1.0 / np.abs(h[:, 1, 1]), color=RED, label=f"$1/|h_{{22}}|$ master held, {name}", **shown)
-        passed.plot(f, np.abs(h[:, 0, 1]), color=GREEN, label=f"$|h_{{12}}|$ force, {name}", **shown)
+        wide = {**shown, "linewidth": 2.0 * shown["linewidth"]}  # of a reciprocal two-port both are the same
+        passed.plot(f, np.abs(h[:, 0, 1]), color=GREEN, label=f"$|h_{{12}}|$ force, {name}", **wide)
         passed.plot(f, np.abs(h[:, 1, 0]), color=ORANGE, label=f"$|h_{{21}}|$ velocity, {name}", **shown)
         eta.plot(f, np.clip(data[f"{name}_eta"], -10.0, 1e3), color=BLUE, label=name, **shown)
         if f"{name}_felt" in data:
@@ -138,10 +139,13 @@ def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, An
 
     f = data["frequency"]
     theta = 2.0 * np.pi * one.T * f
-    for part, colour, line, label in ((behind.E, RED, "-", "$|E|$ of the environment"),
-                                      (one.E, BLUE, "-", "$|Z|$ rendered: both in series"),
-                                      (behind.C, ORANGE, "--", "$|C|$ of the coupling")):
-        axes.plot(f, np.abs(smooth(part, theta)), color=colour, linestyle=line, label=label)
+    parts: tuple[tuple[Any, str, dict[str, Any], str], ...] = (
+        (behind.E, RED, UNDER, "$|E|$ of the environment"),
+        (behind.C, ORANGE, UNDER, "$|C|$ of the coupling"),
+        (one.E, BLUE, {"linewidth": 1.2}, "$|Z|$ rendered: both in series"),
+    )
+    for part, colour, shown, label in parts:
+        axes.plot(f, np.abs(smooth(part, theta)), color=colour, label=label, **shown)
     slow = float(data["gap"][0])
     axes.plot([], [], " ", label=f"$|E - Z|/|E|$ = {slow:.3g} at {f[0]:.3g} Hz, at most {float(data['gap'].max()):.3g}")
     axes.set_yscale("log")
@@ -210,11 +214,12 @@ def _real(axes: Axes, one: RenderedImpedance, behind: Behind, frequency: Any) ->
 
     looks = (("explicit", RED), ("semi-implicit", ORANGE), ("trapezoid", SKY), ("backward", BLUE))
     greatest = one.damping
-    for name, colour in looks:
+    for under, (name, colour) in enumerate(reversed(looks)):
         if name in behind.by:
             lack = behind.integrators[name]
             real = smooth(behind.by[name], 2.0 * np.pi * one.T * frequency).real
             axes.plot(frequency, real, color=colour, linestyle=":" if lack.why else "-",
+                      linewidth=1.2 + 0.9 * under, zorder=2.5 - 0.1 * under,  # wider below others: equal ones are seen
                       label=f"{name}: {lacking(lack)}")
             greatest = max(greatest, float(np.abs(real).max()))
     axes.axhline(-one.damping, color=GREEN, linewidth=0.9, label=r"$-\delta$")

@@ -17,6 +17,7 @@ from teleop.terminal.plotting import (
     ORANGE,
     RED,
     SKY,
+    UNDER,
     grid_lines,
     literal,
     new_figure,
@@ -47,8 +48,9 @@ def _new(got: ZWidth, title: str, size: tuple[float, float]) -> Figure:
 
 
 def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
-    """The whole stable region, and its corner near the passive one."""
+    """The whole stable region; beside it its corner with the passive one, which the whole is too large to show."""
     import numpy as np
+    from matplotlib.patches import Rectangle
 
     figure = _new(got, "stable and passive stiffness and damping", (12.0, 6.2))
     whole, corner = figure.subplots(1, 2)
@@ -64,7 +66,7 @@ def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     near_K = max(2.5 * (region.stiffest or line), 1.15 * max([K for B, K in rested if near_B >= B], default=0.0))
     near_K = min(near_K or far_K, far_K)
     for axes, B, K, words in ((whole, far_B, far_K, "the whole stable region"),
-                              (corner, near_B, near_K, "its corner near the passive region")):
+                              (corner, near_B, near_K, "its corner with the passive region")):
         _regions(axes, got, B, K)
         axes.set_xlim(got.span_B.low, B)
         axes.set_ylim(got.span_K.low, K)
@@ -72,6 +74,11 @@ def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
         axes.set_xlabel("virtual damping B (N s/m)")
         axes.set_ylabel("virtual stiffness K (N/m)")
         grid_lines(axes)
+    low_B, low_K = got.span_B.low, got.span_K.low
+    whole.add_patch(Rectangle((low_B, low_K), near_B - low_B, near_K - low_K, fill=False, edgecolor=BLACK,
+                              linewidth=1.2, zorder=3, label="the part that is shown on the right", clip_on=False))
+    if not region.corners:
+        corner.text(0.97, 0.03, "no K or B above 0 is passive", transform=corner.transAxes, ha="right", color=RED)
     handles, labels = whole.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     return save(figure, path, formats)
@@ -85,8 +92,8 @@ def _regions(axes: Axes, got: ZWidth, far_B: float, far_K: float) -> None:
     if edge is not None:
         capped = np.minimum(edge.K, 1e12)
         axes.fill_between(edge.B, 0.0, capped, color=SKY, alpha=0.15, linewidth=0.0)
-    _edge(axes, got.stable, BLUE, "-", "stable below: exact sampled loop, with the scene's hand")
-    _edge(axes, got.stable_free, BLUE, "--", "stable below: the same, free handle")
+    _edge(axes, got.stable, "stable below: exact sampled loop, with the scene's hand", UNDER)
+    _edge(axes, got.stable_free, "stable below: the same, free handle", {"linestyle": "--", "linewidth": 1.2})
     corners = got.base.region.corners
     if corners:
         shape = np.array([(0.0, 0.0), *corners])
@@ -105,10 +112,10 @@ def _regions(axes: Axes, got: ZWidth, far_B: float, far_K: float) -> None:
               label="the scene's own K and B", clip_on=not seen)
 
 
-def _edge(axes: Axes, edge: Boundary | None, colour: str, line: str, label: str) -> None:
+def _edge(axes: Axes, edge: Boundary | None, label: str, shown: dict[str, Any]) -> None:
     if edge is not None:
         some = [(B, K) for B, K in zip(edge.B, edge.K, strict=True) if isfinite(K)]
-        axes.plot([B for B, _ in some], [K for _, K in some], color=colour, linestyle=line, linewidth=1.4, label=label)
+        axes.plot([B for B, _ in some], [K for _, K in some], color=BLUE, label=label, **shown)
 
 
 def _impedance(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,6 +98,30 @@ def test_every_answer_is_json_and_a_short_table(name: str) -> None:
     assert told["ports"] == (1 if "wall" in name or name == "virtual_coupling" else 2)
     assert answer.sentence in table(answer)
     assert len(table(answer).splitlines()) <= 12
+
+
+@pytest.mark.parametrize("scene", ["soft_tissue", "canonical"])
+def test_no_dashed_curve_is_hidden_under_a_solid_one_of_its_colour(
+    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    from teleop.analysis.passivity import plot
+
+    made: list[Any] = []
+    monkeypatch.setattr(plot, "save", lambda figure, *_: made.append(figure) or [])
+    plot.draw(ask(load_scene(scene, law="wave" if scene == "canonical" else "direct")), tmp_path / "p")
+    seen = 0
+    for axes in made[0].axes:
+        lines = axes.get_lines()
+        for i, dashed in enumerate(lines):
+            for under in lines[:i] if dashed.get_linestyle() == "--" else ():
+                if under.get_color() == dashed.get_color():
+                    assert under.get_linewidth() > 2.0 * dashed.get_linewidth()
+                    assert under.get_alpha() <= 0.5
+                    seen += 1
+            assert not any(later.get_color() == dashed.get_color() and later.get_linestyle() == "-"
+                           for later in lines[i + 1:] if dashed.get_linestyle() == "--")
+    assert seen == 6
 
 
 class TestCommand:

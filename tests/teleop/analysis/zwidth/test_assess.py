@@ -201,6 +201,36 @@ class TestJson:
         assert said(value) == text
 
 
+class TestThePlane:
+    @pytest.fixture
+    def panels(self, found: ZWidth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+        pytest.importorskip("matplotlib")
+        from teleop.analysis.zwidth import plot
+
+        made: list[Any] = []
+        monkeypatch.setattr(plot, "save", lambda figure, *_: made.append(figure) or [])
+        PLOTS["plane"](found, tmp_path / "plane", ("png",))
+        return made[0].axes
+
+    def test_the_passive_region_is_seen_beside_a_stable_one_that_is_far_larger(self, panels: Any) -> None:
+        whole, corner = panels
+        (_, B), (_, K) = corner.get_xlim(), corner.get_ylim()
+        assert min(0.8 / B, 1600.0 / K) > 0.2  # K T/2 + B = b: its shares of the panel's width and height
+        assert whole.get_xlim()[1] > 30.0 * B
+
+    def test_a_frame_shows_where_the_corner_is(self, panels: Any) -> None:
+        whole, corner = panels
+        (frame,) = (patch for patch in whole.patches if str(patch.get_label()).startswith("the part that is shown"))
+        assert (frame.get_x(), frame.get_x() + frame.get_width()) == pytest.approx(corner.get_xlim())
+        assert (frame.get_y(), frame.get_y() + frame.get_height()) == pytest.approx(corner.get_ylim())
+
+    def test_the_dashed_edge_lies_over_the_wider_and_paler_solid_one(self, panels: Any) -> None:
+        solid, dashed = panels[0].get_lines()[:2]
+        assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
+        assert solid.get_linewidth() > 2.0 * dashed.get_linewidth()
+        assert solid.get_alpha() <= 0.5
+
+
 def left_by(typed: Typed, folder: str, *options: str) -> set[str]:
     """The files in the folder, and nothing beside it, after an interrupt of the command."""
     assert typed("zwidth", "virtual_wall", "--out", folder, *options).code == 130
