@@ -1,8 +1,9 @@
 """Lanes: eight floats of eight scenes, side by side, as one number of compiled code.
 
-`Lanes` and `Mask` are types of numba's, lowered to vectors of LLVM. Everything a law may write of floats means on lanes
-what plain Python means in each of them, to the last bit: `min` and `max` keep their first argument where a comparison
-fails, as Python's do, NaN and the sign of a zero included; nothing is contracted or reordered. A comparison gives a
+`LanesType` and `MaskType` are types of numba's, lowered to vectors of LLVM; what the same lines are in plain Python,
+`Lanes` and `Mask`, is in `teleop.stages.lanes`. Everything a law may write of floats means on lanes what plain Python
+means in each of them, to the last bit: `min` and `max` keep their first argument where a comparison fails, as
+Python's do, NaN and the sign of a zero included; nothing is contracted or reordered. A comparison gives a
 mask. A mask is no truth, so an `if` on one is refused by the compiler: what branches has no lanes.
 
 A law's function is compiled over lanes as it stands. Floats, whole numbers and truths that meet lanes are put into
@@ -30,7 +31,7 @@ _REAL, _BIT = ir.DoubleType(), ir.IntType(1)
 VECTOR, BITS = ir.VectorType(_REAL, WIDTH), ir.VectorType(_BIT, WIDTH)
 
 
-class Lanes(types.Type):  # type: ignore[misc]  # numba has no types
+class LanesType(types.Type):  # type: ignore[misc]  # numba has no types
     """A float in each lane."""
 
     def __init__(self) -> None:
@@ -45,7 +46,7 @@ class Lanes(types.Type):  # type: ignore[misc]  # numba has no types
         return self if _spreads(other) else None
 
 
-class Mask(types.Type):  # type: ignore[misc]
+class MaskType(types.Type):  # type: ignore[misc]
     """A truth in each lane."""
 
     def __init__(self) -> None:
@@ -60,20 +61,20 @@ class Mask(types.Type):  # type: ignore[misc]
         return self if isinstance(other, types.Boolean) else None
 
 
-lanes, mask = Lanes(), Mask()
+lanes, mask = LanesType(), MaskType()
 
 
 def _spreads(kind: Any) -> bool:
-    return isinstance(kind, types.Float | types.Integer | types.Boolean | Mask)
+    return isinstance(kind, types.Float | types.Integer | types.Boolean | MaskType)
 
 
-@register_model(Lanes)
+@register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, VECTOR)
 
 
-@register_model(Mask)
+@register_model(MaskType)
 class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, BITS)
@@ -100,9 +101,9 @@ def _reckon(context: Any, builder: Any, source: Any, target: Any, value: Any) ->
 
 
 for _kind in (types.Float, types.Integer, types.Boolean):
-    lower_cast(_kind, Lanes)(_spread)
-lower_cast(types.Boolean, Mask)(_spread_truth)
-lower_cast(Mask, Lanes)(_reckon)
+    lower_cast(_kind, LanesType)(_spread)
+lower_cast(types.Boolean, MaskType)(_spread_truth)
+lower_cast(MaskType, LanesType)(_reckon)
 
 
 def _operation(word: Any, arity: int, emit: Callable[..., Any], *, result: Any = lanes, of: Any = lanes) -> None:

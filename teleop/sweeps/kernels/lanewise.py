@@ -13,7 +13,7 @@ from typing import Any
 from llvmlite import ir
 from numba.extending import intrinsic
 
-from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, Lanes, Mask, lanes, mask, types
+from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, LanesType, MaskType, lanes, mask, types
 
 
 def intrinsic_of(make: Callable[..., Any]) -> Any:
@@ -49,10 +49,10 @@ def spread(typingctx: Any, tree: Any) -> Any:  # noqa: ARG001
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return tree_value(context, builder, tree, sig.return_type, args[0],
-                          lambda kind, value: value if isinstance(kind, Mask) else context.cast(
+                          lambda kind, value: value if isinstance(kind, MaskType) else context.cast(
                               builder, value, kind, lanes))
 
-    return tree_type(tree, lambda kind: kind if isinstance(kind, Mask) else lanes)(tree), make
+    return tree_type(tree, lambda kind: kind if isinstance(kind, MaskType) else lanes)(tree), make
 
 
 @intrinsic_of
@@ -64,9 +64,9 @@ def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         def leaf(kind: Any, value: Any) -> Any:
-            if isinstance(kind, Lanes):
+            if isinstance(kind, LanesType):
                 return builder.extract_element(value, args[1])
-            return builder.extract_element(value, args[1]) if isinstance(kind, Mask) else value
+            return builder.extract_element(value, args[1]) if isinstance(kind, MaskType) else value
 
         return tree_value(context, builder, tree, sig.return_type, args[0], leaf)
 
@@ -93,7 +93,7 @@ def put(typingctx: Any, tree: Any, i: Any, one: Any) -> Any:  # noqa: ARG001
 @intrinsic_of
 def where(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
     """`here` in the lanes that are true, `there` in the others; of plain numbers, one of them."""
-    if Lanes in (type(here), type(there)) or isinstance(which, Mask):
+    if LanesType in (type(here), type(there)) or isinstance(which, MaskType):
         kind = lanes
         here = here if isinstance(here, types.BaseTuple) else lanes
     else:
@@ -103,7 +103,7 @@ def where(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
         value = vector_of(builder, args[1], _REALS) if isinstance(sig.args[1], types.BaseTuple) else args[1]
         return builder.select(args[0], value, args[2])
 
-    return kind(mask if isinstance(which, Mask) else types.boolean, here, kind), make
+    return kind(mask if isinstance(which, MaskType) else types.boolean, here, kind), make
 
 
 _REALS, _WHOLES = True, False
@@ -131,12 +131,12 @@ def came(typingctx: Any, seq: Any) -> Any:  # noqa: ARG001
     """Is a packet's number one from zero on; in each lane, where each has its own."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        if isinstance(seq, Lanes):
+        if isinstance(seq, LanesType):
             return builder.fcmp_ordered(">=", args[0], ir.Constant(VECTOR, [0.0] * WIDTH))
         numbers = vector_of(builder, args[0], _WHOLES) if isinstance(seq, types.BaseTuple) else args[0]
         return builder.icmp_signed(">=", numbers, ir.Constant(numbers.type, None))
 
-    return (mask if isinstance(seq, types.BaseTuple | Lanes) else types.boolean)(seq), make
+    return (mask if isinstance(seq, types.BaseTuple | LanesType) else types.boolean)(seq), make
 
 
 @intrinsic_of

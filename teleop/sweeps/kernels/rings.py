@@ -15,14 +15,14 @@ import numpy as np
 from llvmlite import ir
 from numba.extending import overload
 
-from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, Lanes, lanes, types
+from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, LanesType, lanes, types
 from teleop.sweeps.kernels.lanewise import address, intrinsic_of, numbers_in, tree_value, vector_of
 
 WHOLE = ir.IntType(64)
 
 
 def _has_lanes(kind: Any) -> bool:
-    return isinstance(kind, Lanes) or (isinstance(kind, types.BaseTuple) and any(map(_has_lanes, kind.types)))
+    return isinstance(kind, LanesType) or (isinstance(kind, types.BaseTuple) and any(map(_has_lanes, kind.types)))
 
 
 def _each(kind: Any) -> int:
