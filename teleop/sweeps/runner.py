@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -200,13 +201,16 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
 
     Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together. `most`: of
     these at a time, where the executor does not say how many it has.
+
+    In threads of its own what is there after the first job is not looked at by the garbage collector meanwhile: the
+    compiler's objects are some hundred thousand, and a collection among them takes as long as a thousand rows.
     """
     pool, own, workers_of = _pool(executor, most)
     stop = Event()
     told = (stop.is_set,) if executor is None else ()  # others may be in other processes
     each, size = 0.0, 1  # s a row, rows of the last chunk
-    running: set[Future[ChunkResult]] = set()
-    complete = False
+    running: dict[Future[ChunkResult], None] = {}  # in the order in which they were handed out
+    complete = frozen = False
     try:
         while True:
             while len(running) < 2 * (workers := workers_of()):
@@ -218,22 +222,33 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
                     break
                 left -= len(job.rows)
                 plan.workers = max(plan.workers, workers)
-                running.add(pool.submit(work, job, *told))
+                running[pool.submit(work, job, *told)] = None
             if not running:
                 complete = True
                 return
-            for future in wait(running, POLL, FIRST_COMPLETED).done:
-                running.remove(future)
+            if executor is None and each > 0.0 and not gc.get_freeze_count():  # by now the compiler is loaded
+                gc.freeze()
+                frozen = True
+            ended = wait(running, POLL, FIRST_COMPLETED).done
+            for future in sorted([one for one in running if one in ended], key=_ends_the_sweep):
+                del running[future]
                 done = future.result()
                 spent = done.seconds / max(1, len(done.rows))
                 each = max(spent, each / 8.0)  # the first may have compiled
                 yield done
     finally:
+        if frozen:
+            gc.unfreeze()
         stop.set()
         for future in running:
             future.cancel()
         if own:  # a job that compiles cannot be stopped: it ends by itself, and what it has compiled is kept
             pool.shutdown(wait=complete, cancel_futures=True)
+
+
+def _ends_the_sweep(future: Future[ChunkResult]) -> bool:
+    """True if a job has failed: the rows of others that have come are taken before it."""
+    return future.exception() is not None or future.result().mistake is not None
 
 
 def cores() -> int:
