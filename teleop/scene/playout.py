@@ -47,3 +47,10 @@ Playout = Zero | Hold | Fixed
 def repeats(playout: Playout) -> bool:
     """True if the last message is played again in the gaps."""
     return isinstance(playout.gaps if isinstance(playout, Fixed) else playout, Hold)
+
+
+def as_typed(playout: Playout) -> str:
+    """A playout as it is typed: zero, hold, fixed:0.1, or fixed:0.1:hold where the last message fills its gaps."""
+    if isinstance(playout, Fixed):
+        return f"fixed:{playout.delay:g}" + ":hold" * repeats(playout)
+    return "hold" if repeats(playout) else "zero"

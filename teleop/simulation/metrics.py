@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
+STANDS = "a hand that comes to stand"
 PORTS, WAVES, STAMPS = "energy=True", "energy=True and a law of waves", "energy=True, a law of waves and a link"
 
 
@@ -48,6 +49,7 @@ METRICS = {
     "E_bwd_min": Metric("J", "backward: sender's stamped energy less what was received, smallest", STAMPS),
     "g_m_min": Metric("1", "smallest gain the master's watchdog came to", WATCHDOG),
     "g_s_min": Metric("1", "smallest gain the slave's watchdog came to", WATCHDOG),
+    "swing_end": Metric("m", "swing that is left at the end, peak to peak", STANDS),
 }
 UNITS = {name: metric.unit for name, metric in METRICS.items()}
 

@@ -2,34 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from teleop.errors import number_of, plural
 from teleop.law.contract import not_finite
 from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
+from teleop.simulation.ending import Ending, ending
 from teleop.simulation.plan import Plan
 
+if TYPE_CHECKING:
+    from teleop.simulation.prepared import Prepared
 
-def verdict(scene: Scene, trace: dict[str, Any], ran: int, end: Any) -> tuple[str, str]:
-    """The run's status and its sentence. `end` is None, or the positions that left the bounds.
+
+def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int
+            ) -> Ending:
+    """How a run ended. `end` is None, or the positions that left the bounds; `trip`: the round trip of its link, ticks.
 
     What is not finite anywhere in the trace is a divergence, even of a run that came to its end.
     """
     import numpy as np
 
+    scene = prepared.scene
     lost = {
         name: int(np.argmin(sound.reshape(ran, -1).all(axis=1)))
         for name in ("f_m", "f_s", *trace) if name in trace and not (sound := np.isfinite(trace[name])).all()
     }
     if lost:
         name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
-        return "diverged", divergence(scene, lost[name], not_finite(scene.law, name))
+        return Ending("diverged", divergence(scene, lost[name], not_finite(scene.law, name)))
     if end is None:
-        return "ok", f"ran to its end, {number_of(ran, 'tick')} of {scene.dt:g} s"
+        return ending(prepared, trace, trip, f"ran to its end, {number_of(ran, 'tick')} of {scene.dt:g} s")
     far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]
-    return "diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} m")
+    return Ending("diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} m"))
 
 
 def divergence(scene: Scene, k: int, what: str) -> str:

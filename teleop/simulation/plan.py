@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from numbers import Integral
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -106,6 +107,26 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
         arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)
         plans.append(plan(scene.playout, arrivals.packet, arrivals.time_ns, count, scene.dt_ns))
     return LinkPlans(*plans)
+
+
+def median_age(played: NDArray[np.int64]) -> int:
+    """The median age of the messages that were played, in ticks, the later of two; 0 of none.
+
+    `played`: for each tick the packet played, or -1.
+    """
+    import numpy as np
+
+    fresh = np.flatnonzero(played >= 0)
+    ages = np.sort(fresh - played[fresh])
+    return int(ages[len(ages) // 2]) if len(ages) else 0
+
+
+def round_trip(played: Iterable[NDArray[np.int64] | None]) -> int:
+    """The round trip that the messages of a run had, ticks: the median ages of both directions; 1 each without a link.
+
+    `played`: of each direction for each tick the packet played, or -1; None without a link.
+    """
+    return sum(1 if each is None else median_age(each) for each in played)
 
 
 def check_seed(seed: int) -> int:

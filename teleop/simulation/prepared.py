@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples, slave_plants
 from teleop.simulation.given import numbers_of
+from teleop.simulation.rest import Still, still
 from teleop.simulation.source import loop_of
 from teleop.simulation.structure import Structure, columns, structure_of
 
@@ -51,6 +52,11 @@ class Prepared:
     def reference(self) -> tuple[Sequence[float], ...] | None:
         """The path of the hand, m: per axis the samples at the ticks 0 .. n; None without a hand."""
         return reference_samples(self.scene)
+
+    @cached_property
+    def still(self) -> Still | None:
+        """How the end of its run is looked at, where nothing moves it any more; None where something does."""
+        return still(self.scene, self.reference)
 
     @cached_property
     def starts(self) -> Mapping[str, tuple[float, ...]]:

@@ -47,7 +47,11 @@ def head(*, status: str, sentence: str, scene: str, mode: str, parameters: Mappi
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """One run. `status` is ok, diverged or stopped; `trace` maps names to arrays, one row per tick."""
+    """One run. `trace` maps names to arrays, one row per tick.
+
+    `status` is ok, limit cycle or unstable (a swing stays or grows although nothing moves the scene any more, see
+    `teleop.simulation.rest`), diverged, or of a live run stopped.
+    """
 
     scene: str
     parameters: Mapping[str, object]
@@ -69,10 +73,13 @@ class Result:
     def make(
         cls, scene: Scene, *, seed: int, mode: str, status: str, sentence: str, ticks: int, run_time: float | None,
         trace: Mapping[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
-        extra: Mapping[str, object] | None = None,
+        extra: Mapping[str, object] | None = None, swing_end: float | None = None,
     ) -> Result:
-        """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite."""
-        every = worked_out(scene, trace)
+        """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite.
+
+        `swing_end`: the metric of that name (m), of a run that nothing moves any more at its end.
+        """
+        every = worked_out(scene, trace) | ({} if swing_end is None else {"swing_end": swing_end})
         lost = ", ".join(sorted(every.keys() - finite(every).keys()))
         notes = [*notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
         return cls(

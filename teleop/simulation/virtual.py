@@ -10,9 +10,10 @@ from teleop.errors import Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
+from teleop.simulation.notes import unplayed
 from teleop.simulation.outcome import integration, over_tolerance, standing_notes, too_old, verdict
 from teleop.simulation.packets import counts_of, packet_counts
-from teleop.simulation.plan import check_seed, link_plans
+from teleop.simulation.plan import check_seed, link_plans, round_trip
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result
 from teleop.simulation.trace import EndRecord, assemble
@@ -62,7 +63,8 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
         for e, plan in (("m", bwd), ("s", fwd))[: 1 if scene.slave is None else 2]
     }
     trace = dict(assemble(prepared, records))
-    status, sentence = verdict(scene, trace, ran, end)
+    trip = round_trip(None if plan is None else plan.played_at for plan in plans) if prepared.still else 0
+    came = verdict(prepared, trace, ran, end, trip)
     # Of a run that ended early, only what was sent until then counts.
     packets = counts_of(plans, ran) if ran == scene.ticks else packet_counts(scene, seed, ran)
     reports = integration(scene, bodies, inner)
@@ -76,7 +78,9 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     notes += too_old(scene, "master", bwd, ran)
     notes += too_old(scene, "slave", fwd, ran)
     notes += over_tolerance(reports)
+    notes += unplayed(scene, trace, packets, seed=seed)
+    notes += came.notes
     return Result.make(
-        scene, seed=seed, mode="virtual", status=status, sentence=sentence, ticks=ran,
+        scene, seed=seed, mode="virtual", status=came.status, sentence=came.sentence, ticks=ran,
         run_time=None if took is None else took / 1e9, trace=trace, packets={} if scene.slave is None else packets,
-        notes=notes, extra=reports)
+        notes=notes, extra=reports, swing_end=came.swing_end)

@@ -143,7 +143,7 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
             _refuse(ready.row, refused)
             continue
         rows.append(ready)
-        given.append(Inputs(ready.tree, ready.flat, group.ticks, schedule, ready.path))
+        given.append(Inputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, group.still))
     if not rows:
         return kernel
     try:
@@ -161,6 +161,8 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
         if of_plan_too:
             drawn = _of_schedules(ready.schedules, ran)
             told |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
+        if "swing_end" not in measures:  # it is worked out for the status
+            told.pop("swing_end", None)
         _tell(ready.row, status, ran, told)
     return kernel
 

@@ -36,7 +36,7 @@ class RowOutcome(NamedTuple):
 
     def line(self) -> str:
         """What was expected, what came, and why, in one line."""
-        ended = "stayed within" if self.status == "ok" else "was not finite or passed"
+        ended = "was not finite or passed" if self.status == "diverged" else "stayed within"
         told = "".join(f", {name} {value:.3g}" for name, value in self.figures.items())
         return (f"{self.row.id}: expected {self.row.expect} ({self.row.why}), came {self.status}: {ended} "
                 f"{self.x_limit} in {number_of(self.ticks, 'tick')}{told}")

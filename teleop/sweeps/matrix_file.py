@@ -40,7 +40,7 @@ from teleop.storage.files import read_bytes
 from teleop.sweeps.runner import plan_sweep
 
 BUILT_IN = ROOT / "scenarios" / "matrix.toml"
-EXPECTED = ("ok", "diverged")
+EXPECTED = ("ok", "limit cycle", "unstable", "diverged")
 METRICS = ("x_err_max", "f_m_max", "E_link_min")  # what a row tells beside its status
 LISTS = ("laws", "delays", "losses", "seeds")
 KEYS = ("name", "scene", *LISTS, "set", "expect", "why", "except")
@@ -237,7 +237,8 @@ def _text(value: object, key: str, where: str) -> str:
 
 def _expect(value: object, where: str) -> str:
     if value not in EXPECTED:
-        raise Refused(f'{where}: expect is "ok" or "diverged", not {value!r}; write expect = "ok"')
+        known = " or ".join([f'"{each}"' for each in EXPECTED])
+        raise Refused(f'{where}: expect is {known}, not {value!r}; write expect = "ok"')
     return str(value)
 
 

@@ -20,10 +20,12 @@ from teleop.scene.loading import SceneMaker
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
 from teleop.simulation.prepared import Prepared, prepare
+from teleop.simulation.rest import Still, still
 from teleop.simulation.structure import structure_of
 from teleop.sweeps.engine import Measure, Stamps, kernel_of, needs_record
 from teleop.sweeps.kernels.kernel import Kernel, NotCompiled, available, tree_of
 from teleop.sweeps.kernels.leaves import FLOATS, Leaves, leaves
+from teleop.sweeps.kernels.measures import SWINGS
 from teleop.sweeps.shared import Schedules, path_of, schedules_key
 
 ATOMS = frozenset((float, int, bool, str, bytes, type(None)))
@@ -42,12 +44,15 @@ class Ready(NamedTuple):
 
 
 class Group:
-    """Rows that one kernel may run side by side: of one structure, one number of ticks and the same whole numbers."""
+    """Rows that one kernel may run side by side: of one structure, one number of ticks and the same whole numbers.
 
-    __slots__ = ("kernel", "rows", "ticks")
+    Nothing moves them from the same tick on, if from any.
+    """
 
-    def __init__(self, kernel: Kernel, ticks: int) -> None:
-        self.kernel, self.ticks = kernel, ticks
+    __slots__ = ("kernel", "rows", "still", "ticks")
+
+    def __init__(self, kernel: Kernel, ticks: int, rest: Still | None) -> None:
+        self.kernel, self.ticks, self.still = kernel, ticks, rest
         self.rows: list[Ready] = []
 
 
@@ -104,16 +109,18 @@ class RowMaker:
         prepared = prepare(scene)
         bodies, there = prepared.bodies, available(scene)
         wanted = tuple([one for one in self._measures if isinstance(one, str) and one in there])
-        kernel, flat = kernel_of(prepared, wanted, self._engine, self._stamps.of(prepared))
+        rest = still(scene, path_of(scene, compiled=self._engine != "plain"))
+        kernel, flat = kernel_of(prepared, (*wanted, *SWINGS) if rest else wanted, self._engine,
+                                 self._stamps.of(prepared))
         tree = None if flat else tree_of(scene, bodies, compiled=False)
         path = path_of(scene, compiled=flat is not None)
-        return KnownScene(prepared, Made(self._group(kernel, scene.ticks, flat), tree, flat, path, {}))
+        return KnownScene(prepared, Made(self._group(kernel, scene.ticks, flat, rest), tree, flat, path, {}))
 
-    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None) -> Group:
-        key = id(kernel), ticks, tuple(flat.wholes) if flat else ()
+    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None) -> Group:
+        key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest
         group = self._groups.get(key)
         if group is None:
-            group = self._groups[key] = Group(kernel, ticks)
+            group = self._groups[key] = Group(kernel, ticks, rest)
         return group
 
     def _varied(self, known: KnownScene, scene: Scene, changed: frozenset[str]) -> Made | None:
@@ -138,17 +145,21 @@ class RowMaker:
                                   not known.has_functions_of(scene, own.bodies.slaves)):
             return None
         path = path_of(scene, compiled=made.flat is not None) if "hand" in changed else made.path
+        rest = still(scene, path) if "hand" in changed else made.group.still
+        if (rest is None) != (made.group.still is None):  # the kernel looks at the end, or it does not
+            return None
         if made.flat is None:
             if self._engine != "plain" and "law" in changed:  # it may be this law's numbers that are not compiled
                 return None
-            return made._replace(tree=tree_of(scene, own.bodies, compiled=False), path=path)
+            group = self._group(made.group.kernel, made.group.ticks, None, rest)
+            return made._replace(group=group, tree=tree_of(scene, own.bodies, compiled=False), path=path)
         try:
             flat = leaves(tree_of(scene, own.bodies))
         except NotCompiled:
             return None
         if flat.shape != made.flat.shape:
             return None
-        group = self._group(made.group.kernel, made.group.ticks, flat)
+        group = self._group(made.group.kernel, made.group.ticks, flat, rest)
         return made._replace(group=group, flat=flat, path=path)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-STATUSES = ("ok", "diverged", "refused")  # the order in which they are counted
+STATUSES = ("ok", "limit cycle", "unstable", "diverged", "refused")  # the order in which they are counted
 SHOWN = 6  # rows of a table as text
 _BLOCK = 10_000  # rows that are made into Python's own values at a time
 _WHOLE = {"row": "q", "seed": "Q", "ticks": "q"}  # whole numbers of 64 bits, seeds without a sign
@@ -215,7 +215,7 @@ class Table:
         return _of({name: column.at(keep) for name, column in self._columns.items()}, self.knobs, self.metrics)
 
     def counts(self) -> dict[str, int]:
-        """How many rows ended how: ok, diverged, refused, and whatever else there is."""
+        """How many rows ended how: ok, limit cycle, unstable, diverged, refused, and whatever else there is."""
         import numpy as np
 
         column = self._columns["status"]

@@ -92,6 +92,8 @@ SCENES = {
     "relaxing": scene(environment=StandardLinearSolid(k=100.0, k1=300.0, tau=0.05), law=Direct(),
                       electrical=ElectricalDamping(b=1.0, cutoff=10.0)),
     "moving": in_three_axes(Wave(), environment=(BEATING, None, Wall(k=5e3, at=0.004))),
+    "swings to its end": scene(link=parse_link("delay(0.005)"), law=Direct(), start_m=0.03, duration=0.45,
+                               hand=Grip(mass=0.4, k=2e3, d=0.0, reference=Rest(at=0.0))),
     "another tick": scene(dt=0.7e-3),
     "one tick": scene(duration=1e-3),
 }

@@ -1,8 +1,8 @@
-"""What a run comes to: rest, a limit cycle, or neither; the one definition of it that all commands share.
+"""What a run comes to: rest, a limit cycle, or neither, as the analyses in virtual time tell it.
 
-A run is looked at in `WINDOWS` equal pieces of time, and of each the swing: of all ends about their drift, peak to
-peak. One length cannot tell a slow decay from a decay onto a limit cycle, so the run is made again with twice its
-length, and again up to `LENGTHS`, until
+The swing of a window and its trend are those of `teleop.simulation.rest`, which runs and sweeps go by too. A run of one
+length cannot tell a slow decay from a decay onto a limit cycle, so here it is made again with twice its length, and
+again up to `LENGTHS`, until
 
 - stable: the swing is below `QUIET`;
 - limit cycle: at two successive lengths it stays as it is, and is the same at both;
@@ -13,30 +13,26 @@ not behind an encoder, which leaves limit cycles of any size. All else is a limi
 
 Does it rest? What is stable does, and behind an encoder also what swings by at most `STEPS` of its steps peak to peak.
 Where in a step the device comes to stand is chance, and near an edge the reading flickers by one for good, so that a
-stricter limit would tell where the edges are and not how stiff the wall may be.
+stricter limit would tell where the edges are and not how stiff the wall may be. How little of a swing a hand feels is
+of no account here: `QUIET` is far below it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
+from teleop.simulation.rest import STEPS, WINDOWS, encoder_step, pitch, places, swings, trend
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from teleop.simulation.result import Result
 
 QUIET = 1e-7  # m
-STEPS = 2.0
-WINDOWS = 8
 LENGTHS = (1, 2, 4, 8, 16, 32)  # times the first
 MOST = 200_000  # ticks of a run, if that is four times the first or more
 KEPT = (0.9, 1.2)  # the swing stays if it changed by a factor between these
-SLOW = 0.01  # and did not change by more than this from piece to piece always the same way
 
 
 class FreeMotion(NamedTuple):
@@ -75,7 +71,7 @@ def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
         if times > 4 and times * first > MOST:
             break
         result = run(replace(scene, duration=(since + times * first + 0.5) * scene.dt_ns / 1e9), seed=seed)
-        if result.status != "ok":
+        if result.status == "diverged":
             return FreeMotion("unstable", result.sentence, None, None, False)
         seen = _look(result, since)
         if seen.last < QUIET:
@@ -88,27 +84,14 @@ def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
 
 
 def _look(result: Result, since: int) -> _Seen:
-    import numpy as np
-
-    motion = np.column_stack([result.trace[name].reshape(result.ticks, -1) for name in ("x_m", "x_s")
-                              if name in result.trace])[since:]
-    size = len(motion) // WINDOWS
-    motion = motion[len(motion) - WINDOWS * size:]
-    sizes = np.array([np.ptp(_level(piece), axis=0) for piece in motion.reshape(WINDOWS, size, -1)])
-    late = sizes.max(axis=1)[WINDOWS // 2 - 1:]
-    most = int(sizes[-1].argmax())
-    ratio, steps = float(late[-1]) / max(float(late[0]), 1e-300), np.diff(late)
-    trend = "stays"
-    if ratio <= KEPT[0] or (ratio < 1.0 - SLOW and (steps < 0.0).all()):
-        trend = "falls"
-    elif ratio >= KEPT[1] or (ratio > 1.0 + SLOW and (steps > 0.0).all()):
-        trend = "grows"
-    return _Seen(trend, float(late[-1]), frequency(_level(motion[-2 * size:])[:, most], result.dt))
+    motion, window = places(result.trace), (result.ticks - since) // WINDOWS
+    late = swings(motion, window)
+    return _Seen(trend(late), late[-1], pitch(motion, window, result.dt))
 
 
 def _decided(scene: Scene, seen: _Seen, lasting: float) -> FreeMotion:
     """What the last run says, which is not at rest and has not diverged."""
-    step = max((end.encoder.step for end in (scene.device_m, scene.device_s) if end and end.encoder), default=0.0)
+    step = encoder_step(scene)
     amplitude, told = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} m peak to peak"
     if seen.trend == "grows":
         return FreeMotion("unstable", f"still grows after {lasting:.3g} s: {told} by now", amplitude, seen.pitch, False)
@@ -117,30 +100,6 @@ def _decided(scene: Scene, seen: _Seen, lasting: float) -> FreeMotion:
     rests = seen.last <= STEPS * step
     if step:
         told += f", {seen.last / step:.2g} steps of the encoder"
-        told += f", of which {STEPS:g} count as rest" if rests else ""
+        told += f", which counts as rest, as up to {STEPS:g} steps do" if rests else ""
     kept = f"has not come to rest after {lasting:.3g} s" if seen.trend == "falls" else "keeps swinging"
     return FreeMotion("limit cycle", f"{kept}: {told}", amplitude, seen.pitch, rests)
-
-
-def _level(motion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Without the straight line that fits best: a drift is no swing."""
-    import numpy as np
-
-    t = np.linspace(-1.0, 1.0, len(motion))[:, None]
-    centred: NDArray[np.float64] = motion - motion.mean(axis=0)
-    level: NDArray[np.float64] = centred - t * ((t * centred).sum(axis=0) / (t * t).sum())
-    return level
-
-
-def frequency(signal: Any, dt: float) -> float:
-    """The strongest frequency (Hz) of a signal sampled every dt seconds, from the peak of its spectrum.
-
-    Hann window, the peak refined by the parabola through the logarithms of three lines.
-    """
-    import numpy as np
-
-    lines = np.abs(np.fft.rfft(signal * np.hanning(len(signal)))) + 1e-300
-    i = int(lines[1:-1].argmax()) + 1
-    a, b, c = np.log(lines[i - 1:i + 2])
-    shift = 0.5 * (a - c) / (a - 2.0 * b + c) if a - 2.0 * b + c < 0.0 else 0.0
-    return float((i + shift) / (len(signal) * dt))

@@ -194,7 +194,7 @@ def verdicts(entries: Sequence[Entry], off: Mapping[str, float] | None = None, s
     wanted = status or first.status
 
     def accuracy(entry: Entry) -> list[float]:
-        lost = entry.status != "ok" == wanted
+        lost = entry.status == "diverged" != wanted
         pairs = [(entry.errors[name].max, floor[name]) for name in ("x_s", "f_env")]
         return [max(own, least) if isfinite(own) and not lost else inf for own, least in pairs]
 

@@ -103,7 +103,7 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
         axes.plot([], [], linestyle=look.line, color=look.colour, marker=look.marker, label=entries[0].contender.label)
         for x, y, e in own:
             axes.plot([x], [y], color=look.colour, marker=look.marker, markersize=_mark(e))
-            if e.status != "ok":
+            if e.status == "diverged":
                 axes.scatter([x], [y], marker="x", s=110, color=FAILS, zorder=6)
             elif e.missed:
                 axes.scatter([x], [y], marker="o", s=150, facecolors="none", edgecolors=FAILS, zorder=6)
@@ -122,7 +122,7 @@ def _mark(e: Entry) -> float:
 
 def _marks(axes: Axes, got: Precision) -> None:
     """The legend's lines for what befell a contender."""
-    if any(e.status != "ok" for e in got.entries):
+    if any(e.status == "diverged" for e in got.entries):
         axes.scatter([], [], marker="x", s=90, color=FAILS, label="diverged (drawn at the top)")
     if any(e.missed for e in got.entries):
         axes.scatter([], [], marker="o", s=90, facecolors="none", edgecolors=FAILS, label="missed contacts")
@@ -130,14 +130,14 @@ def _marks(axes: Axes, got: Precision) -> None:
 
 def _top(got: Precision, series: str) -> float:
     """Where what diverged is drawn: above everything else."""
-    sizes = [e.errors[series].max for e in got.entries if e.status == "ok" and isfinite(e.errors[series].max)]
+    sizes = [e.errors[series].max for e in got.entries if e.status != "diverged" and isfinite(e.errors[series].max)]
     return 30.0 * max([*sizes, 1e-15])
 
 
 def _drawn(e: Entry, series: str, top: float) -> float:
     """The error as a place on the logarithmic axis."""
     size = e.errors[series].max
-    return min(max(size, 1e-18), top) if e.status == "ok" and isfinite(size) else top
+    return min(max(size, 1e-18), top) if e.status != "diverged" and isfinite(size) else top
 
 
 def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: str) -> None:

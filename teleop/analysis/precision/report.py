@@ -47,7 +47,7 @@ def _row(e: Entry) -> tuple[str, ...]:
 
 def _said(e: Entry) -> str:
     """What must not be overlooked, then who beats it."""
-    words = ["diverged"] * (e.status != "ok")
+    words = ["diverged"] * (e.status == "diverged")
     words += [f"missed {number_of(e.missed, 'contact')}"] * (e.missed > 0)
     words += [f"beaten by {e.beaten_by}"] if e.beaten_by else []
     return ", ".join(words)

@@ -297,7 +297,7 @@ def _without_clock(limit: Continuous) -> str:
 
 def _steps(scene: Scene) -> str:
     """What counts as rest behind an encoder."""
-    from teleop.analysis.models.rest import STEPS
+    from teleop.simulation.rest import STEPS
 
     seen = any(end is not None and end.encoder is not None for end in (scene.device_m, scene.device_s))
     return f", to {STEPS:g} steps of the encoder" if seen else ""

@@ -13,9 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from teleop.analysis.models.rest import WINDOWS, FreeMotion, HeldGrip, settled
+from teleop.analysis.models.rest import FreeMotion, HeldGrip, settled
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
+from teleop.simulation.rest import WINDOWS
 
 if TYPE_CHECKING:
     from teleop.simulation.result import Result
@@ -46,7 +47,7 @@ def swing(scene: Scene, *, seed: int = 0) -> FreeMotion:
     from teleop.simulation.virtual import run
 
     first = run(scene, seed=seed)
-    if first.status != "ok":
+    if first.status == "diverged":
         return FreeMotion("unstable", first.sentence, None, None, False)
     since = 0 if scene.hand is None else _hardest(first)
     trip = first.metrics.get("T_fwd_mean", 0.0) + first.metrics.get("T_bwd_mean", 0.0)

@@ -14,9 +14,12 @@ from teleop.live.records.header import check_fits
 from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
+from teleop.simulation.ending import Ending, ending
+from teleop.simulation.notes import unplayed
 from teleop.simulation.outcome import standing_notes
 from teleop.simulation.packets import Packets, packet_counts
-from teleop.simulation.prepared import prepare
+from teleop.simulation.plan import round_trip
+from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import (
     RUNNING,
     Result,
@@ -27,7 +30,7 @@ from teleop.simulation.result import (
     stored_summary,
 )
 from teleop.simulation.summary_shape import of_end
-from teleop.simulation.trace import UNKNOWN, EndRecord, assemble, far_apart
+from teleop.simulation.trace import UNKNOWN, Columns, EndRecord, assemble, far_apart
 from teleop.storage.folder import BEGUN, is_being_written
 from teleop.storage.strict_json import Misshapen
 
@@ -98,12 +101,12 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     apart = not stepped and (alone or met[0] != met[1] or any(_killed(end) for end in ends.values()))
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
-    trace = assemble(prepare(scene), records)
+    trace = assemble(prepared := prepare(scene), records)
     within = span[1:]  # at its first tick there is nothing yet that another session has summed up
     again = any(one.get("what") == "session" and one.get("k") in within for told in events.values() for one in told)
     if again:
         trace.makers.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
-    status, sentence = _verdict(ends)
+    came = _verdict(ends, prepared, trace, records, stepped)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = [*standing_notes(scene), *[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
     if apart or any(running.values()):
@@ -118,9 +121,11 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     extra = {**own, "channel": channel}
     if again:
         notes.append("the two met anew in between, and their ledgers began anew: there is no E_link of it all")
-    notes += [f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]
-    return Result.make(scene, seed=ours["seed"], mode=ours["mode"], status=status, sentence=sentence,
-                       ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra)
+    notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *came.notes,
+              *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
+    return Result.make(
+        scene, seed=ours["seed"], mode=ours["mode"], status=came.status, sentence=came.sentence, ticks=len(trace["t"]),
+        run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra, swing_end=came.swing_end)
 
 
 def needs_recovery(folder: Path) -> bool:
@@ -272,15 +277,20 @@ def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[s
     return packets
 
 
-def _verdict(ends: dict[str, dict[str, Any]]) -> tuple[str, str]:
-    """The status of the whole: what one end found out, the other was told."""
+def _verdict(ends: dict[str, dict[str, Any]], prepared: Prepared, trace: Columns, records: dict[str, EndRecord],
+             stepped: bool) -> Ending:
+    """How the whole ended: what one end found out, the other was told."""
     running = [NAMES[e] for e, end in ends.items() if end["status"] == RUNNING]
     if running:
         over = [f"; {NAMES[e]}: {end['sentence']}" for e, end in ends.items() if end["status"] != RUNNING]
-        return RUNNING, f"still running: {' and '.join(running)}; these are the ticks that both have run{''.join(over)}"
+        return Ending(RUNNING, f"still running: {' and '.join(running)}; these are the ticks that both have run"
+                               f"{''.join(over)}")
     silent = [end for end in ends.values() if _killed(end)]
     for status in (UNRELEASED, "diverged", "stopped"):
         for end in (*silent, *ends.values()):  # that one was killed comes before what the others say of it
             if end["status"] == status:
-                return status, str(end["sentence"])
-    return "ok", str(ends["m"]["sentence"])
+                return Ending(status, str(end["sentence"]))
+    sentence = str(ends["m"]["sentence"])
+    if not stepped or len(trace["t"]) < prepared.scene.ticks:
+        return Ending("ok", sentence)  # by the clock a person may hold the device, of whom no record tells
+    return ending(prepared, trace, round_trip(record.played for record in records.values()), sentence)

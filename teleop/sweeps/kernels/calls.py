@@ -35,7 +35,7 @@ def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> l
            by_lane(played.reshape(len(tiles), width, 2)), by_lane(paths.reshape(len(tiles), width, -1)),
            np.array([1 << size.bit_length() for size in sizes.reshape(len(tiles), width).max(axis=1).tolist()],
                     dtype=np.int64),
-           by_lane(lags.reshape(len(tiles), width, 2)), out)
+           by_lane(lags.reshape(len(tiles), width, 2)), *first.windows, out)
     columns: list[Any] = out.reshape(len(tiles), figures + 2, width).transpose(0, 2, 1).tolist()
     return [[KernelOutput(int(column[0]), tuple(column[1:])) for column in tile] for tile in columns]
 

@@ -52,7 +52,7 @@ loop = jit_at(LOOP, LINES, globals())  # the number of each line in the file of 
 {kernels}'''
 KERNEL = '''
 @njit(cache=True, error_model="numpy", nogil=True)
-def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, out):
+def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, start, window, out):
     for t in range(tiles):
         base = t * {reals}
         given, law, dt, x_limit, start_m, start_s, held = {tree}

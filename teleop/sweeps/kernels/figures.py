@@ -10,10 +10,10 @@ from collections.abc import Callable
 from math import inf
 from typing import Any
 
-from teleop.stages.end import Axis, End, Recorder, Run, RunHas
+from teleop.stages.end import Axis, End, Recorder, Run, RunHas, zero
 from teleop.stages.lanes import ago, came, received, ring, sent, tell, where, whole
 from teleop.stages.record import Record
-from teleop.sweeps.kernels.measures import KEPT, known, least, most, root_mean, sound
+from teleop.sweeps.kernels.measures import kept, known, least, most, root_mean, sound
 
 
 class Past(Record):
@@ -23,6 +23,15 @@ class Past(Record):
     old_f: Any  # forces on what the slave touches, N
     d_x: float
     d_f: float
+
+
+class Place(Record):
+    """The place of one axis of one end in a window, see `teleop.simulation.rest`."""
+
+    low: float  # the lowest so far, m
+    high: float
+    rise: float  # the largest so far, m
+    fall: float
 
 
 class Figures(Recorder):
@@ -50,14 +59,23 @@ class Figures(Recorder):
     E_port_min: float
     g_m_min: float
     g_s_min: float
+    start: Any  # the first tick of the late windows
+    window: Any  # ticks of each
+    next: Any  # the tick at which the next begins
+    swing_0: float  # of the late windows that are over, the newest last, m
+    swing_1: float
+    swing_2: float
+    swing_3: float
+    swing_4: float
     out: Any
 
     def __init__(self, axes: int, has: RunHas, measures: tuple[str, ...]) -> None:
         super().__init__()
         self.measures = measures
         self.ledgers = ("E_link",) * has.waves + ("E_port",) * has.energy
-        self.keeps = frozenset([KEPT[name] for name in measures])
+        self.keeps = frozenset([kept(name) for name in measures])
         self.axes = tuple([Past(f"{i}") for i in range(axes)])
+        self.places = tuple([Place(f"{e}{i}_place") for e in ("m", "s")[: 1 + has.slave] for i in range(axes)])
 
     def begin(self, run: Run, asked: Any, size: int) -> None:
         """Before the first tick."""
@@ -85,6 +103,12 @@ class Figures(Recorder):
         if run.m.has.watchdog:
             self.g_m_min = 1.0
             self.g_s_min = 1.0
+        if "rest" in self.keeps:
+            self.start = self.next = asked[-2]
+            self.window = asked[-1]
+            self.swing_0 = self.swing_1 = self.swing_2 = self.swing_3 = zero(run)
+            for place in self.places:
+                place.low = place.high = place.rise = place.fall = zero(run)
 
     def step(self, run: Run, k: int) -> None:
         """After both ends' tick k."""
@@ -109,6 +133,8 @@ class Figures(Recorder):
         if run.m.has.watchdog:
             self.g_m_min = least(self.g_m_min, run.m.g)
             self.g_s_min = least(self.g_s_min, run.s.g)
+        if "rest" in self.keeps:
+            self.look(run, k)
 
     def track_x(self, run: Run, k: int) -> None:
         """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
@@ -147,12 +173,53 @@ class Figures(Recorder):
         self.f_err_sq = self.f_err_sq + err * err
         self.f_err_max = most(self.f_err_max, err)
 
+    def look(self, run: Run, k: int) -> None:
+        """The places of both ends in the late windows."""
+        if k == self.next:
+            self.next = k + self.window
+            self.close(run)
+            self.swing_0 = self.swing_1
+            self.swing_1 = self.swing_2
+            self.swing_2 = self.swing_3
+            self.swing_3 = self.swing_4
+            for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
+                own.low = a.x
+                own.high = a.x
+                own.rise = zero(run)
+                own.fall = zero(run)
+        elif k > self.start:
+            for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
+                if run.has.compiled:
+                    own.low = least(own.low, a.x)
+                    own.high = most(own.high, a.x)
+                    own.rise = most(own.rise, a.x - own.low)
+                    own.fall = most(own.fall, own.high - a.x)
+                elif a.x < own.low:
+                    own.low = a.x
+                    own.fall = max(own.fall, own.high - a.x)
+                elif a.x > own.high:
+                    own.high = a.x
+                    own.rise = max(own.rise, a.x - own.low)
+                else:
+                    own.rise = max(own.rise, a.x - own.low)
+                    own.fall = max(own.fall, own.high - a.x)
+
+    def close(self, run: Run) -> None:
+        """The swing of a window that is over."""
+        self.swing_4 = zero(run)
+        for own in self.places:
+            self.swing_4 = most(self.swing_4, least(own.rise, own.fall))
+
     def lost(self, run: Run, which: Any, k: int) -> None:
         """Some of eight scenes left the bounds in tick k: their figures are as they are now."""
+        if "rest" in self.keeps:
+            self.close(run)
         tell(self.out, which, -(k + 1), self.all(run))
 
     def told(self, run: Run, ticks: int, complete: bool) -> Any:
         """The ticks that ran, below zero if the run left its bounds in the last of them, and the figures."""
+        if "rest" in self.keeps:
+            self.close(run)
         if run.has.lanes:
             if complete:
                 tell(self.out, run.alive, ticks, self.all(run))

@@ -18,13 +18,15 @@ from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.given import numbers_of, record
+from teleop.simulation.plan import median_age
+from teleop.simulation.rest import Still
 from teleop.simulation.source import Lines, functions, lines
 from teleop.simulation.structure import Structure, structure_of
 from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
 from teleop.sweeps.kernels.figures import Figures
 from teleop.sweeps.kernels.leaves import Leaves
-from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES
+from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES, SWINGS, kept
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Plan
@@ -46,6 +48,12 @@ class Inputs(NamedTuple):
     ticks: int
     schedule: LinkSchedule
     path: Any  # of the hand: lists for plain Python, arrays for compiled code
+    still: Still | None = None  # how its end is looked at; the kernel then gives `SWINGS`
+
+    @property
+    def windows(self) -> tuple[int, int]:
+        """The first tick of the late windows, and the ticks of each; past the end where there are none."""
+        return (self.ticks, 1) if self.still is None else (self.still.first(self.ticks), self.still.window)
 
 
 class KernelOutput(NamedTuple):
@@ -74,8 +82,8 @@ def available(scene: Scene) -> frozenset[str]:
 
 @lru_cache(maxsize=256)
 def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
-    kept = {"waves": has.waves, "energy": has.energy, "watchdog": watchdog}
-    named = {name for name, what in KEPT.items() if kept.get(what, True)}
+    there = {"waves": has.waves, "energy": has.energy, "watchdog": watchdog}
+    named = {name for name, what in KEPT.items() if there.get(what, True)}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
     return frozenset(named if has.slave else named - of_slave)
 
@@ -84,8 +92,8 @@ def kernel_lines(scene: Scene, measures: Sequence[str], *, compiled: bool = Fals
     """The lines of a scene's loop that work out `measures` as they go, and at the end whether all is finite."""
     structure = structure_of(scene)
     has = structure.has._replace(compiled=compiled, lanes=lanes)
-    kept = {KEPT[name] for name in measures}
-    m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kept & felt))) for own, felt in (
+    kinds = {kept(name) for name in measures}
+    m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kinds & felt))) for own, felt in (
         (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max"}))]
     return lines(Structure(structure.axes, has, m, s), loop, Figures, (structure.axes, has, tuple(measures)))
 
@@ -111,7 +119,7 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
             fwd, bwd = [None if plan is None else plan.play for plan in row.schedule.plans]
             outputs.append(KernelOutput(*attempt(
                 law, own_loop, numbers, law, dt, row.ticks, x_limit, start_m, start_s, bwd, fwd, row.schedule.size,
-                row.path, held, lag)))
+                row.path, held, (*lag, *row.windows))))
         return outputs
 
     return Kernel("plain", tuple(measures), run)
@@ -131,7 +139,7 @@ class LinkSchedule(NamedTuple):
         import numpy as np
 
         plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
-        lags = tuple([1 if plan is None else lag_of(play) for plan, play in zip(plans, plays, strict=True)])
+        lags = tuple([1 if plan is None else median_age(play) for plan, play in zip(plans, plays, strict=True)])
         size = max((plan.lag for plan in plans if plan is not None), default=0) + 1
         return cls(plans, plays, lags, size)  # type: ignore[arg-type]  # there are two
 
@@ -139,7 +147,7 @@ class LinkSchedule(NamedTuple):
         """Those of a run that ended early."""
         if ran == len(self.plays[0]):
             return self.lags
-        fwd, bwd = [1 if plan is None else lag_of(play[:ran]) for plan, play in
+        fwd, bwd = [1 if plan is None else median_age(play[:ran]) for plan, play in
                        zip(self.plans, self.plays, strict=True)]
         return fwd, bwd
 
@@ -159,17 +167,12 @@ def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any
             bodies.held())
 
 
-def lag_of(play: Any) -> int:
-    """The median age of the messages that were played, in ticks, as `teleop.simulation.metrics` has it."""
-    import numpy as np
-
-    fresh = np.flatnonzero(play >= 0)
-    ages = np.sort(fresh - play[fresh])
-    return int(ages[len(ages) // 2]) if len(ages) else 0
-
-
 def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
-    """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run."""
+    """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run.
+
+    Where the kernel gives the swings of the late windows, the status is that of `Still`, and of a run that came to its
+    end `swing_end` is a figure.
+    """
     lags = [row.schedule.lags for row in rows]
     outputs = kernel.run(rows, lags)
     # The lag of a run that ended early is that of the messages which came until then.
@@ -180,8 +183,13 @@ def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict
         for i, output in zip(again, anew, strict=True):
             outputs[i] = output
     found = []
-    for output in outputs:
+    for row, output in zip(rows, outputs, strict=True):
         status = "ok" if output.ran >= 0 and output.figures[-1] == 1.0 else "diverged"
-        named = zip(kernel.measures, output.figures[:-1], strict=True)
-        found.append((status, abs(output.ran), {name: float(value) for name, value in named if isfinite(value)}))
+        named = dict(zip(kernel.measures, output.figures[:-1], strict=True))
+        if row.still is not None:
+            swings = [named.pop(name) for name in SWINGS]
+            if status == "ok":
+                status, named["swing_end"] = row.still.status(swings, sum(row.schedule.lags)), swings[-1]
+        known = {name: float(value) for name, value in named.items() if isfinite(value)}
+        found.append((status, abs(output.ran), known))
     return found

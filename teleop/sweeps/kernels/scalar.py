@@ -19,7 +19,7 @@ REAL = "reals[base + {}]"
 WIDTH = 1
 CALLS = {"kernel": """\
         out[t * {row}], told = loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[2 * t], plays[2 * t + 1],
-                                    sizes[t], {one_path}, held, (lags[2 * t], lags[2 * t + 1]))
+                                    sizes[t], {one_path}, held, (lags[2 * t], lags[2 * t + 1], start, window))
         for i in range(len(told)):
             out[t * {row} + 1 + i] = told[i]"""}
 SOURCES = ("teleop.sweeps.kernels.lanewise", "teleop.sweeps.kernels.rings", "teleop.sweeps.kernels.scalar")

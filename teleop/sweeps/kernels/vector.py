@@ -30,11 +30,11 @@ CALLS = {
     "alike": """\
         loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[t * 2 * {width}], plays[(2 * t + 1) * {width}],
              sizes[t], {one_path}, held, (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}],
-             out[t * {row}:(t + 1) * {row}], spread(0.0)))""",
+             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window))""",
     "apart": """\
         loop(given, law, dt, ticks, x_limit, start_m, start_s, each(plays, 2 * t), each(plays, 2 * t + 1),
              sizes[t], {own_paths}, held, (each(lags, 2 * t), each(lags, 2 * t + 1),
-             out[t * {row}:(t + 1) * {row}], spread(0.0)))""",
+             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window))""",
 }
 SOURCES = tuple(f"teleop.sweeps.kernels.{name}"
                 for name in ("lanes", "lanewise", "rings", "lane_parts", "bytecode", "vector"))

@@ -14,7 +14,19 @@ from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.metrics import LINK, METRICS, PORTS, STAMPS, TWO_ENDS, UNITS, WATCHDOG, WAVES, metrics
+from teleop.simulation.metrics import (
+    LINK,
+    METRICS,
+    PORTS,
+    STAMPS,
+    STANDS,
+    TWO_ENDS,
+    UNITS,
+    WATCHDOG,
+    WAVES,
+    metrics,
+)
+from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run
 
 SCENE = Scene(law=Direct(), master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), dt=1e-3, duration=1.0)
@@ -158,6 +170,7 @@ NEEDS: dict[str, Callable[[Scene], bool]] = {
     "": lambda _: True, TWO_ENDS: lambda s: s.slave is not None,
     LINK: lambda s: s.link is not None, PORTS: lambda s: s.energy, WAVES: lambda s: s.energy and s.has_waves,
     STAMPS: lambda s: s.energy and s.has_waves and s.link is not None, WATCHDOG: lambda s: s.watchdog is not None,
+    STANDS: lambda s: prepare(s).still is not None,
 }
 
 
@@ -167,5 +180,5 @@ NEEDS: dict[str, Callable[[Scene], bool]] = {
     replace(load_scene("canonical"), hand=None),
 ], ids=range(8))
 def test_a_run_has_the_figures_that_the_list_says_it_has(scene: Scene) -> None:
-    got = run(replace(scene, duration=0.3)).metrics
-    assert set(got) == {name for name, metric in METRICS.items() if NEEDS[metric.needs](scene)}
+    short = replace(scene, duration=0.45)
+    assert set(run(short).metrics) == {name for name, metric in METRICS.items() if NEEDS[metric.needs](short)}

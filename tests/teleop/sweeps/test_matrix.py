@@ -107,6 +107,14 @@ class TestABlock:
             assert (outcome.status, outcome.ticks) == (single.status, single.ticks)
             assert outcome.figures["x_err_max"] == single.metrics["x_err_max"]
 
+    @pytest.mark.parametrize(("status", "good"), [("limit cycle", 1), ("unstable", 0)])
+    def test_may_expect_a_limit_cycle(self, status: str, good: int, written: Written) -> None:
+        block, = written(BLOCK.replace("soft_tissue", "hard_wall").replace("wave", "direct").replace("0.0, ", "")
+                         .replace('"ok"', f'"{status}"'))
+        outcome, = run_block(block)
+        assert (outcome.status, outcome.as_expected) == ("limit cycle", bool(good))
+        assert "came limit cycle: stayed within" in outcome.line()
+
     def test_without_losses_keeps_the_scenes_own_link(self, written: Written) -> None:
         block, = written(BLOCK.replace("soft_tissue", "jittery_wan") + "seeds = 3\nset = {duration = 0.2}")
         for outcome in run_block(block):

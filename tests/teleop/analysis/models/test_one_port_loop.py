@@ -190,7 +190,7 @@ class TestInTime:
         assert without.amplitude is not None
         assert got.amplitude == pytest.approx(26e-6, abs=1e-6)
         assert without.amplitude > 30.0 * got.amplitude
-        assert "0.84 steps of the encoder, of which 2 count as rest" in got.sentence
+        assert "0.84 steps of the encoder, which counts as rest, as up to 2 steps do" in got.sentence
 
     @pytest.mark.parametrize(("K", "steps"), [(1450.0, 5.4), (1550.0, 12.5), (1600.0, 14.6)])
     @pytest.mark.parametrize("duration", [1.5, 5.0])

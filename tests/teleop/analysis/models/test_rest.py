@@ -11,10 +11,11 @@ import pytest
 
 import teleop.simulation.virtual
 from master.hand import Grip, Rest
-from teleop.analysis.models.rest import QUIET, frequency, settled
+from teleop.analysis.models.rest import QUIET, settled
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
+from teleop.simulation.rest import frequency
 from teleop.stages.device import Device
 from teleop.stages.encoder import Encoder
 from teleop.stages.velocity.backward_difference import BackwardDifference
@@ -75,7 +76,7 @@ class TestRest:
         coarse = Device(encoder=Encoder(step=step), velocity=BackwardDifference())
         got = settled(spring(0.0, device_m=coarse))  # 2 mm peak to peak
         assert (got.verdict, got.rests) == ("limit cycle", rests)
-        assert ("count as rest" in got.sentence) == rests
+        assert ("counts as rest" in got.sentence) == rests
 
     def test_a_slow_decay_behind_an_encoder_is_not_trusted(self) -> None:
         fine = Device(encoder=Encoder(step=1e-6), velocity=BackwardDifference())

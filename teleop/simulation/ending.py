@@ -1,0 +1,153 @@
+"""The end of a run that came to it: whether what is left swings, or grows, and what to type then."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.scene.playout import Fixed, Hold, Zero, as_typed
+from teleop.scene.scene import Scene
+from teleop.simulation.rest import TRIPS, WINDOWS, pitch, places, swings, trend
+
+if TYPE_CHECKING:
+    from teleop.simulation.prepared import Prepared
+
+BEYOND = 2.0  # times the way that the hand's reference and the environment have
+OWN = 1e-3  # m of swing besides
+
+
+class Ending(NamedTuple):
+    """How a run ended."""
+
+    status: str  # ok, limit cycle, unstable or diverged
+    sentence: str
+    swing_end: float | None = None  # m, where nothing moves the scene any more
+    notes: tuple[str, ...] = ()
+
+
+def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: str) -> Ending:
+    """How a run ended that came to its end, as `sentence` says; `trip`: the round trip of its link, ticks.
+
+    Where nothing moves the scene any more the status goes by what is left, see `teleop.simulation.rest`; where the hand
+    moves to the end a note says if the motion grows.
+    """
+    scene, still = prepared.scene, prepared.still
+    if still is None:
+        return Ending("ok", sentence, None, tuple(growth(prepared, trace)))
+    swung = swings(motion := places(trace), still.window)
+    status = still.status(swung, trip)
+    since = f"{sentence}; nothing has moved the scene since t = {still.since * scene.dt_ns / 1e9:g} s, and"
+    if still.undecided(swung, trip):
+        enough = (still.since + WINDOWS * TRIPS * trip) * scene.dt_ns / 1e9
+        sentence = (f"{since} {swung[-1]:.3g} m of swing are left, but with this delay that was too short a time for a "
+                    f"verdict; type --set duration={enough:g}")
+    elif status != "ok":
+        does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} m before)"
+        hertz = pitch(motion, still.window, scene.dt)
+        sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} m peak to peak; what becomes of it says: "
+                    f"teleop stability {typed(scene, '--time')}")
+    return Ending(status, sentence, swung[-1])
+
+
+def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
+    """The note on a run that came to its end with a motion which law and link feed, and which still grows.
+
+    It is due where all of these hold:
+
+    - the swing (`teleop.simulation.rest`) in the last eighth of the run is more than `BEYOND` times the way of the
+      hand's reference and of the environment's path, so that these do not explain it;
+    - its trend over the last five eighths is to grow;
+    - law and link have given out more energy (-E_port) than the hand's own will put in, which is the work of its force
+      along its reference where that is positive. At resonance a passive loop swings more and more too, but all its
+      energy is the hand's.
+    """
+    import numpy as np
+
+    scene, ran = prepared.scene, prepared.scene.ticks
+    window = ran // WINDOWS
+    if not window:
+        return []
+    motion = places(trace)
+    if scene.scaling is not None and len(motion) > 1:  # in the master's units
+        motion[1] = motion[1] / scene.scaling.scale_x
+    swung = swings(motion, window)
+    if trend(swung) != "grows":
+        return []
+    carried = [each.path.samples(1, ran + 1, scene.dt_ns)[0] for each in scene.environments
+               if each is not None and hasattr(each, "path")]
+    paths = [*(prepared.reference or ()), *carried]
+    way = max([float(np.ptp(path)) for path in paths], default=0.0)
+    with np.errstate(all="ignore"):  # forces and ways may be so large that no float holds their work
+        given, put_in = -_port(trace), _will(prepared, trace)
+    if swung[-1] <= BEYOND * way + OWN or not given > put_in:
+        return []
+    return [f"the motion still grows at the end: a swing of {swung[-1]:.3g} m peak to peak in the last eighth of the "
+            f"run and of {swung[0]:.3g} m half a run before, where the hand's reference moves over {way:.3g} m; law "
+            f"and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; whether the loop is "
+            f"stable says: teleop stability {typed(scene)}"]
+
+
+def _port(trace: Mapping[str, Any]) -> float:
+    """What law and link have taken up at both ends (J): each force with the motion that it was held over."""
+    import numpy as np
+
+    def work(f: str, x: str) -> float:
+        return float((trace[f][:-1] * np.diff(trace[x], axis=0)).sum())
+
+    return work("f_m", "x_m") - (work("f_s", "x_s") if "x_s" in trace else 0.0)
+
+
+def _will(prepared: Prepared, trace: Mapping[str, Any]) -> float:
+    """What the hand's own will put in (J): the work of its force along its reference, where that is positive."""
+    import numpy as np
+
+    if prepared.reference is None:
+        return 0.0
+    ran = prepared.scene.ticks
+    steps = np.diff(np.array([axis[: ran + 1] for axis in prepared.reference], dtype=float), axis=1)
+    work = (trace["f_h"].reshape(ran, -1).T * steps).sum(axis=0)
+    return float(work[work > 0.0].sum())
+
+
+def typed(scene: Scene, *options: str) -> str:
+    """A scene as it is typed: its name, the knobs that are not as it has them by itself, and more options.
+
+    Where the file of a scene lies its name does not say.
+
+    >>> from teleop import load_scene
+    >>> typed(load_scene("hard_wall", law="direct", delay=0.1))
+    'hard_wall --set law=direct --set delay=0.1'
+    """
+    from dataclasses import fields
+    from shlex import quote
+
+    from teleop.law import is_built_in, law_name
+    from teleop.scene.knobs import knobs_of
+    from teleop.scene.library import known_scenes, scene_function
+
+    if scene.name not in known_scenes():
+        return " ".join([f"{scene.name}.py", *options]) + ", with its path and the --set of the run"
+    own = knobs_of(scene_function(scene.name))
+    said = [scene.name]
+    value: Any
+    for key, value in scene.knobs.items():
+        usual = own[key].default if key in own else None
+        if key == "law" and value != usual:
+            if type(value) is not type(usual):
+                name = law_name(value) if is_built_in(value) else _file(type(value))
+                said.append(f"--set law={quote(name)}")
+                usual = type(value)()
+            said += [f"--set law.{each.name}={getattr(value, each.name)}" for each in fields(value)
+                     if getattr(value, each.name) != getattr(usual, each.name)]
+        elif value != usual:
+            text = ",".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
+            text = as_typed(value) if isinstance(value, Zero | Hold | Fixed) else text
+            said.append(f"--link {quote(text)}" if key == "link" else f"--set {key}={quote(text)}")
+    return " ".join([*said, *options])
+
+
+def _file(kind: type[Any]) -> str:
+    """The file and the class of a law that does not come with this package."""
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    return f"{file or kind.__module__}:{kind.__name__}"

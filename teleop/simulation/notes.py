@@ -1,0 +1,59 @@
+"""Notes on the packets of a run that were never played, and what to type."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from teleop.errors import number_of
+from teleop.scene.playout import Fixed, Hold, Zero, as_typed, repeats
+from teleop.scene.scene import Scene
+from teleop.simulation.packets import Packets
+
+SHARE = 0.99  # of the packets that come, which a longer playout is to play
+MARGIN = 0.01  # s, live: what the machine adds to the link
+
+
+def unplayed(scene: Scene, trace: Mapping[str, Any], packets: Mapping[str, Packets], *, seed: int, live: bool = False
+             ) -> list[str]:
+    """The notes on directions of the link in which no packet was played, or more came too late than were played.
+
+    `packets`: the counts of each direction, "fwd" and "bwd".
+    """
+    return [note for direction, (way, seq, end) in enumerate((("fwd", "seq_s", "slave"), ("bwd", "seq_m", "master")))
+            if way in packets and seq in trace
+            for note in _unplayed(scene, direction, end, packets[way], int((trace[seq] >= 0).sum()), seed, live)]
+
+
+def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: int, seed: int, live: bool
+              ) -> list[str]:
+    other = "master" if end == "slave" else "slave"
+    if not counts.sent or (played and counts.late <= played):
+        return []
+    if counts.late > played:
+        late = number_of(counts.late, "packet")
+        return [f"{late} came to the {end} too late to be played, and {played} were played: the playout "
+                f"({as_typed(scene.playout)}) is shorter than the link's delay and jitter; "
+                f"{_longer(scene, direction, seed, live)}"]
+    so = f"the {end} played none of the {number_of(counts.sent, 'packet')} that the {other} sent, and ran without them"
+    if counts.lost == counts.sent:
+        return [f"{so}: the link lost them all; type another, for example --link 'delay(0.05)'"]
+    if not counts.received:
+        return [f"{so}: none came within the {scene.duration:g} s of the run, so the link takes longer than the run; "
+                "type a smaller --set delay, or a --set duration that is longer than the link's delay"]
+    return [f"{so}: {counts.received} came, and their time to be played was after the end; type a longer "
+            "--set duration, or a shorter playout"]
+
+
+def _longer(scene: Scene, direction: int, seed: int, live: bool) -> str:
+    """What to type for a playout that is long enough for nearly all packets that the scene's link lets through."""
+    import numpy as np
+
+    arrivals = scene.link.arrivals(direction, scene.ticks, scene.dt_ns, seed, scene.wire_size)  # type: ignore[union-attr]  # packets came late on one
+    ages = arrivals.time_ns - arrivals.packet * scene.dt_ns
+    enough = float(np.quantile(ages, SHARE, method="higher")) / 1e9 + MARGIN * live if len(ages) else 0.0
+    ticks = max(1, int(np.ceil(round(enough / scene.dt, 6)))) * scene.dt
+    gaps: Zero | Hold = Hold() if repeats(scene.playout) else Zero()
+    longer = Fixed(float(f"{ticks:.9g}"), gaps)
+    return (f"type --set playout={as_typed(longer)}" if "playout" in scene.knobs
+            else f"in a scene of your own write playout={longer}")

@@ -1,0 +1,177 @@
+"""Rest, limit cycle or growth: what a scene does from the tick on from which nothing moves it any more.
+
+Nothing moves a scene once the hand's reference stays where it is (or there is no hand) and no environment is carried
+along a path. The time from there to the end of the run is divided into `WINDOWS` equal windows, and of the last `LATE`
+of them the swing is looked at. Runs in virtual time, every engine of a sweep and the analyses in virtual time share
+this definition.
+
+The *swing* of a coordinate in a window is the lesser of its largest rise and its largest fall there: the greatest of
+`x(j) - x(i)` and the greatest of `x(i) - x(j)` over i <= j. It takes the lowest and the highest place so far, and
+nothing else, so that a sweep works it out as it goes. It is 0 of what only creeps one way, however far; of an
+oscillation of one and a half periods or more it is the size peak to peak; a drift of c m/s beside an oscillation of
+period P takes at most c P/2 off. The swing of a window is the greatest of all ends and axes.
+
+The *trend* of the swings of the late windows says what they come to:
+
+- falls: each is no greater than the one before, by more than `SLOW` in all, or the last is half of the first or less;
+- grows: each is no smaller, by more than `SLOW` in all, or the last is twice the first or more;
+- stays: all else, and what falls or grows but levels off: over the second half of the late windows it changed by less
+  than half of what it did over the first, and more than twice that change is left of the swing. If the changes go on
+  so, what is still to come is less than the last of them. An exponential decay or growth never levels off so.
+
+A run of one length cannot tell more. `teleop.analysis.models.rest` makes it again with twice the length.
+
+The status of a run goes by what a person at the handle is to be told. A swing below `FELT` is rest: a hand at rest
+feels a vibration of a few Hz from some 0.02 to 0.05 mm peak to peak on (Bolanowski et al., "Four channels mediate the
+mechanical aspects of touch", J. Acoust. Soc. Am. 84 (1988)), and what the gaps of a lossy link make of a held force is
+smaller. Behind an encoder `STEPS` of its steps are rest too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.scene.scene import Scene
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+WINDOWS = 8
+LATE = 5  # of them
+LEAST = 50  # ticks of a window
+TRIPS = 3  # round trips of the link that a window holds: a loop swings with a period of two of them, and its own lag
+SLOW = 0.01
+FELT = 5e-5  # m peak to peak
+STEPS = 2.0  # steps of the encoder, peak to peak, that count as rest: near an edge the reading flickers for good
+
+
+class Still(NamedTuple):
+    """How the end of a run is looked at from whose tick `since` on nothing moves the scene."""
+
+    since: int
+    window: int  # ticks
+    step: float  # m, of the coarsest encoder; 0.0 without one
+
+    def first(self, ticks: int) -> int:
+        """The first tick of the late windows of a run of so many ticks, which they end with."""
+        return ticks - LATE * self.window
+
+    def status(self, swings: Sequence[float], trip: int) -> str:
+        """The status of a run that came to its end; `trip`: the round trip of its link, ticks.
+
+        `swings`: of the late windows, m. Where a window is too short for the link there is no verdict, which is ok.
+        """
+        if self.window < TRIPS * trip or self.rests(swings[-1]):
+            return "ok"
+        return {"falls": "ok", "stays": "limit cycle", "grows": "unstable"}[trend(swings)]
+
+    def rests(self, swing: float) -> bool:
+        """True of a swing (m, peak to peak) that counts as rest in the status of a run."""
+        return swing <= max(FELT, STEPS * self.step)
+
+    def undecided(self, swings: Sequence[float], trip: int) -> bool:
+        """True if something swings that a longer run would give a verdict on."""
+        return self.window < TRIPS * trip and not self.rests(swings[-1])
+
+
+def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
+    """How the end of a run of `scene` is looked at; None where something moves it nearly to the end.
+
+    `path`: the samples of the hand's reference at the ticks 0 .. n, for each axis; None without a hand.
+    """
+    ticks = scene.ticks
+    if any(axis[ticks] != axis[ticks - 1] for axis in path or ()) or any(
+            hasattr(each, "path") for each in scene.environments):
+        return None
+    since = max([_stops(axis, ticks) for axis in path or ()], default=0)
+    window = (ticks - since) // WINDOWS
+    return Still(since, window, encoder_step(scene)) if window >= LEAST else None
+
+
+def encoder_step(scene: Scene) -> float:
+    """The step of the coarsest encoder of both ends, m; 0.0 without one."""
+    return max((end.encoder.step for end in (scene.device_m, scene.device_s) if end and end.encoder), default=0.0)
+
+
+def _stops(axis: Sequence[float], ticks: int) -> int:
+    """The first sample that is the same as all after it."""
+    import numpy as np
+
+    samples = np.asarray(axis, dtype=float)[: ticks + 1]
+    moves = np.flatnonzero(samples[1:] != samples[:-1])
+    return int(moves[-1]) + 1 if len(moves) else 0
+
+
+def swings(columns: Iterable[NDArray[np.float64]], window: int, count: int = LATE) -> list[float]:
+    """The swing (m) of each of the last `count` windows of so many ticks.
+
+    `columns`: places by tick, of shape (ticks,), or (ticks, axes) where there are several axes.
+    """
+    import numpy as np
+
+    found = np.zeros(count)
+    for column in columns:
+        for place in np.reshape(column, (len(column), -1)).T:
+            late = place[len(place) - count * window:].reshape(count, window)
+            with np.errstate(over="ignore"):  # places may be as far apart as no float is
+                rise = (late - np.minimum.accumulate(late, axis=1)).max(axis=1)
+                fall = (np.maximum.accumulate(late, axis=1) - late).max(axis=1)
+            found = np.maximum(found, np.minimum(rise, fall))
+    told: list[float] = found.tolist()
+    return told
+
+
+def places(trace: Any) -> list[NDArray[np.float64]]:
+    """The places of the ends in a trace, by tick."""
+    return [trace[name] for name in ("x_m", "x_s") if name in trace]
+
+
+def trend(swings: Sequence[float]) -> str:
+    """What successive swings come to: "falls", "stays" or "grows", see the head of this file."""
+    first, middle, last = swings[0], swings[len(swings) // 2], swings[-1]
+    before, after = abs(middle - first), abs(last - middle)
+    pairs = [*pairwise(swings)]
+    if after < 0.5 * before and last > 2.0 * after and (middle - first) * (last - middle) >= 0.0:
+        return "stays"
+    if last <= 0.5 * first or (last < (1.0 - SLOW) * first and all(b <= a for a, b in pairs)):
+        return "falls"
+    if last >= 2.0 * first or (last > (1.0 + SLOW) * first and all(b >= a for a, b in pairs)):
+        return "grows"
+    return "stays"
+
+
+def frequency(signal: Any, dt: float) -> float:
+    """The strongest frequency (Hz) of a signal sampled every dt seconds, from the peak of its spectrum.
+
+    Its straight line is taken off first. Hann window, the peak refined by the parabola through the logarithms of three
+    lines.
+    """
+    import numpy as np
+
+    top = float(np.abs(signal).max())  # by which it is divided: no square overflows
+    lines = np.abs(np.fft.rfft(_level(signal / top if top > 1.0 else signal) * np.hanning(len(signal)))) + 1e-300
+    i = int(lines[1:-1].argmax()) + 1
+    a, b, c = np.log(lines[i - 1:i + 2])
+    shift = 0.5 * (a - c) / (a - 2.0 * b + c) if a - 2.0 * b + c < 0.0 else 0.0
+    return float((i + shift) / (len(signal) * dt))
+
+
+def pitch(columns: Iterable[NDArray[np.float64]], window: int, dt: float) -> float:
+    """The frequency (Hz) of the coordinate that swings most, over the last two windows of so many ticks."""
+    import numpy as np
+
+    each = [place[-2 * window:] for column in columns for place in np.reshape(column, (len(column), -1)).T]
+    return frequency(max(each, key=lambda place: swings([place], window, 1)), dt)
+
+
+def _level(signal: Any) -> NDArray[np.float64]:
+    """A signal without the straight line that fits it best: a drift is no swing."""
+    import numpy as np
+
+    t = np.linspace(-1.0, 1.0, len(signal))
+    centred: NDArray[np.float64] = signal - np.mean(signal)
+    level: NDArray[np.float64] = centred - t * ((t * centred).sum() / (t * t).sum())
+    return level

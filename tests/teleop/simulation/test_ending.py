@@ -1,0 +1,119 @@
+"""Warnings of a run that came to its end: motion that law and link feed, and packets that nobody played."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop.analysis.stability.assess import is_stable
+from teleop.laws.direct import Direct
+from teleop.scene.loading import load_scene
+from teleop.simulation.ending import typed
+from teleop.simulation.virtual import run
+
+
+def warned(result: Any, word: str) -> list[str]:
+    return [note for note in result.notes if word in note]
+
+
+class TestMotionThatGrows:
+    @pytest.mark.parametrize("knobs", [{"delay": 0.02}, {"delay": 0.1}, {"delay": 0.005, "k_e": 700.0}])
+    def test_of_an_unstable_loop_that_comes_to_its_end_is_warned_of(self, knobs: dict[str, float]) -> None:
+        scene = load_scene("soft_tissue", law="direct", **knobs)
+        got = run(scene)
+        assert not is_stable(scene)
+        assert got.status == "ok"
+        note, = warned(got, "grows")
+        assert note.endswith("teleop stability " + typed(scene))
+
+    @pytest.mark.parametrize("knobs", [
+        {"delay": 0.0}, {"delay": 0.01}, {"delay": 0.005, "k_e": 400.0}, {"law": "wave", "delay": 0.1, "k_e": 5e3}])
+    def test_of_a_stable_loop_is_not(self, knobs: dict[str, Any]) -> None:
+        scene = load_scene("soft_tissue", **{"law": "direct", **knobs})
+        assert is_stable(scene)
+        assert not warned(run(scene), "grows")
+
+    def test_says_what_the_ledger_says_in_a_run_at_20_m_and_262_kJ_that_was_ok_without_a_word(self) -> None:
+        got = run(load_scene("soft_tissue", law="direct", delay=0.1))
+        note, = warned(got, "grows")
+        swung = [min((x - np.minimum.accumulate(x)).max(), (np.maximum.accumulate(x) - x).max())
+                 for x in (got.trace["x_m"][8750:], got.trace["x_m"][3750:5000])]
+        assert f"a swing of {swung[0]:.3g} m peak to peak in the last eighth" in note
+        assert f"of {swung[1]:.3g} m half a run before, where the hand's reference moves over 0.1 m" in note
+        # The force of the last tick has moved nothing yet.
+        assert f"given out {-got.metrics['E_port_end']:.3g} J" in note
+
+    def test_of_a_wall_that_moves_is_warned_of_too(self) -> None:
+        assert warned(run(load_scene("beating_heart", law="direct", delay=0.1)), "grows")
+        assert not warned(run(load_scene("beating_heart", law="direct", delay=0.005)), "grows")
+
+
+class TestPacketsThatWereNotPlayed:
+    def test_of_a_link_longer_than_the_run_are_told_of(self) -> None:
+        got = run(load_scene("hard_wall", delay=80.0, duration=1.0))
+        forward, back = warned(got, "played none")
+        assert forward.startswith("the slave played none of the 1000 packets that the master sent")
+        assert back.startswith("the master played none")
+        assert "none came within the 1 s of the run" in forward
+        assert "--set delay" in forward
+
+    @pytest.mark.parametrize(("playout", "enough"), [
+        ("fixed:0.015", "fixed:0.02"), ("fixed:0.015:hold", "fixed:0.02:hold")])
+    def test_of_a_playout_shorter_than_the_delay_say_which_is_long_enough(self, playout: str, enough: str) -> None:
+        slow = {"link": "delay(0.02)", "duration": 0.5}
+        forward, back = warned(run(load_scene("burst_loss", playout=playout, **slow)), "too late")
+        assert forward.startswith("480 packets came to the slave too late to be played, and 0 were played")
+        assert "to the master" in back
+        assert f"({playout})" in forward
+        assert forward.endswith(f"type --set playout={enough}")
+        assert not warned(run(load_scene("burst_loss", playout=enough, **slow)), "played")
+
+    def test_of_jitter_beyond_the_playout_are_told_of_in_the_one_direction(self) -> None:
+        scene = load_scene("burst_loss", playout="fixed:0.022", link="delay(0.02) | uniform(0.02) ; delay(0.01)",
+                           duration=0.5)
+        note, = warned(run(scene), "too late")
+        assert "to the slave" in note
+        longer = note.rsplit("=", 1)[1]
+        got = run(load_scene("burst_loss", playout=longer, link="delay(0.02) | uniform(0.02) ; delay(0.01)",
+                             duration=0.5))
+        assert got.packets["fwd"].late <= 0.01 * got.packets["fwd"].received
+        assert not warned(got, "too late")
+
+    def test_that_were_all_lost_are_told_of(self) -> None:
+        note, = warned(run(load_scene("hard_wall", link="bernoulli(1) ; delay(0.01)", duration=0.2)), "played none")
+        assert "the link lost them all" in note
+
+    def test_for_which_the_end_came_too_early_are_told_of(self) -> None:
+        notes = warned(run(load_scene("burst_loss", playout="fixed:1.5", duration=1.0)), "played none")
+        assert all("their time to be played was after the end" in note for note in notes)
+        assert len(notes) == 2
+
+
+@pytest.mark.parametrize(("name", "knobs", "text"), [
+    ("hard_wall", {}, "hard_wall"),
+    ("hard_wall", {"law": "pfra", "law.alpha": 0.5, "k_e": 1e3}, "hard_wall --set k_e=1000.0 --set law=pfra --set "
+                                                                 "law.alpha=0.5"),
+    ("canonical", {"law.b": 3.0, "link": "delay(0.01) | bernoulli(0.1)"}, "canonical --set law.b=3.0 --link "),
+    ("burst_loss", {"playout": "fixed:0.1:hold"}, "burst_loss --set playout=fixed:0.1:hold"),
+    ("recorded_reach", {"observer": 50.0, "power": 1.0}, "recorded_reach --set"),
+])
+def test_a_scene_as_it_is_typed_is_the_scene_again(name: str, knobs: dict[str, Any], text: str) -> None:
+    from shlex import split
+
+    scene = load_scene(name, **knobs)
+    said = typed(scene)
+    assert set(split(text)) <= set(split(said))
+    first, *rest = split(said)
+    again = load_scene(first, **{"link" if flag == "--link" else each.split("=", 1)[0]:
+                                 each if flag == "--link" else each.split("=", 1)[1]
+                                 for flag, each in zip(rest[::2], rest[1::2], strict=True)})
+    assert again == scene
+
+
+def test_a_scene_of_ones_own_is_typed_as_its_file(tmp_path: Path) -> None:
+    made = tmp_path / "mine.py"
+    made.write_text("from scenarios.hard_wall import scene\n")
+    assert typed(load_scene(str(made), law=Direct())) == "mine.py, with its path and the --set of the run"

@@ -1,0 +1,214 @@
+"""What is left where nothing moves a scene any more: the swing of a window, its trend, and the status of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from master.hand import Grip, Reach, Rest, Sine
+from slave.moving import Moving
+from slave.wall import Wall
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.physics.plant import MassDamper
+from teleop.scene.library import built_in_scenes
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
+from teleop.simulation.prepared import prepare
+from teleop.simulation.rest import FELT, LATE, WINDOWS, swings, trend
+from teleop.simulation.virtual import run
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.velocity.backward_difference import BackwardDifference
+from teleop.sweeps.runner import sweep
+
+T = np.arange(3000) * 1e-3
+
+
+def swing(x: Any) -> float:
+    return swings([np.asarray(x, dtype=float)], len(x), 1)[0]
+
+
+class TestTheSwingOfAWindow:
+    def test_of_what_creeps_one_way_is_nothing_however_far(self) -> None:
+        assert swing(np.sqrt(T)) == swing(-3.0 * T) == swing(np.ones(9)) == 0.0
+
+    @pytest.mark.parametrize("phase", [0.0, 1.0, 2.5, 4.0])
+    def test_of_an_oscillation_is_its_size_peak_to_peak(self, phase: float) -> None:
+        assert swing(0.02 * np.sin(2.0 * np.pi * 0.5 * T + phase)) == pytest.approx(0.04, rel=1e-5)  # 1.5 periods
+
+    @pytest.mark.parametrize("drift", [-0.01, 0.003, 0.02])
+    def test_loses_at_most_what_half_a_period_drifts(self, drift: float) -> None:
+        got = swing(0.02 * np.sin(2.0 * np.pi * 3.0 * T) + drift * T)
+        assert 0.04 - abs(drift) / 6.0 - 1e-6 <= got <= 0.04
+
+    @given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=30))
+    def test_is_the_lesser_of_the_largest_rise_and_the_largest_fall(self, x: list[float]) -> None:
+        steps = [b - a for i, a in enumerate(x) for b in x[i:]]
+        assert swing(x) == min(max(steps), -min(steps))
+
+    def test_is_the_greatest_of_all_ends_and_axes_in_each_window(self) -> None:
+        one = np.array([0.0, 1.0, 0.0, 0.0, 2.0, 0.0])
+        two = np.stack([0.0 * one, 1.5 * np.roll(one, 3)], axis=1)
+        assert swings([one, two], 3, 2) == [3.0, 2.0]
+
+
+class TestTheTrend:
+    @given(st.floats(0.05, 0.997))
+    def test_of_an_exponential_decay_or_growth_is_seen_at_any_rate(self, ratio: float) -> None:
+        sizes = [ratio ** i for i in range(LATE)]
+        assert (trend(sizes), trend(sizes[::-1])) == ("falls", "grows")
+
+    @given(st.floats(0.05, 0.7), st.floats(1.0, 30.0), st.sampled_from([-1.0, 1.0]))
+    def test_towards_a_swing_that_stays_is_to_stay(self, ratio: float, left: float, side: float) -> None:
+        sizes = [left + 0.9 * side * ratio ** i for i in range(LATE)]
+        assert trend(sizes) == "stays"
+
+    @pytest.mark.parametrize("sizes", [
+        [0.14, 0.12, 0.14, 0.12, 0.12], [0.13, 0.16, 0.12, 0.10, 0.10], [0.079, 0.079, 0.079, 0.079, 0.0792]])
+    def test_of_a_limit_cycle_that_wavers_is_to_stay(self, sizes: list[float]) -> None:
+        assert trend(sizes) == "stays"
+
+
+def oscillator(damping: float, **other: Any) -> Scene:
+    """1 kg at 10 Hz on a hand's spring, let go 1 mm off; the wall is out of reach. Decays as exp(-damping t/2)."""
+    hand = Grip(mass=0.0, k=(20.0 * np.pi) ** 2, d=max(damping, 0.0), reference=Rest(at=0.0))
+    made = Scene(law=VirtualWall(K=1.0, at=1.0), master=MassDamper(mass=1.0), hand=hand, start_m=1e-3, dt=1e-3,
+                 device_m=Device(velocity=BackwardDifference()), duration=2.0)
+    return replace(made, **other)
+
+
+class TestStatus:
+    def test_of_an_oscillation_that_nothing_damps_is_a_limit_cycle(self) -> None:
+        got = run(oscillator(0.0))
+        assert got.status == "limit cycle"
+        assert got.metrics["swing_end"] == pytest.approx(2e-3, rel=1e-3)
+        assert "since t = 0 s, and it keeps swinging: 10 Hz, 0.002 m peak to peak" in got.sentence
+
+    @pytest.mark.parametrize("damping", [0.2, 1.0, 8.0])
+    def test_of_one_that_decays_is_ok_however_slowly(self, damping: float) -> None:
+        got = run(oscillator(damping))
+        assert got.status == "ok"
+        assert got.sentence == "ran to its end, 2000 ticks of 0.001 s"
+        late, early = (2e-3 * np.exp(-0.5 * damping * t) for t in (1.75 + 0.1, 1.75))  # a period of the last window
+        assert late < got.metrics["swing_end"] < early
+
+    def test_of_a_swing_too_small_to_be_felt_is_ok(self) -> None:
+        assert run(oscillator(0.0, start_m=0.49 * FELT)).status == "ok"
+        assert run(oscillator(0.0, start_m=0.51 * FELT)).status == "limit cycle"
+
+    @pytest.mark.parametrize(("step", "status"), [(1.1e-3, "ok"), (0.9e-3, "limit cycle")])
+    def test_of_a_flicker_within_two_steps_of_an_encoder_is_ok(self, step: float, status: str) -> None:
+        device = Device(encoder=Encoder(step=step), velocity=BackwardDifference())
+        assert run(oscillator(0.0, device_m=device)).status == status
+
+    def test_of_a_swing_that_grows_while_nothing_moves_the_scene_is_unstable(self) -> None:
+        got = run(load_scene("relaxing_tissue", law="direct", delay=0.01))
+        assert got.status == "unstable"
+        assert "nothing has moved the scene since t = 0.7 s, and it swings ever more" in got.sentence
+
+    def test_a_limit_cycle_of_a_reach_into_a_hard_wall_was_called_ok(self) -> None:
+        got = run(load_scene("hard_wall", law="direct"))
+        assert got.status == "limit cycle"
+        last = got.trace["x_m"][-1000:], got.trace["x_s"][-1000:]
+        assert got.metrics["swing_end"] == pytest.approx(max(np.ptp(x) for x in last), rel=2e-3)
+        assert got.sentence.endswith("what becomes of it says: teleop stability hard_wall --set law=direct --time")
+
+    def test_where_the_delay_takes_most_of_the_time_there_is_none_and_the_sentence_says_how_long_it_takes(self) -> None:
+        got = run(load_scene("hard_wall", law="direct", delay=0.3))
+        assert got.status == "ok"
+        assert "too short a time for a verdict; type --set duration=16.4" in got.sentence
+        assert run(load_scene("hard_wall", law="direct", delay=0.3, duration=16.5)).status == "limit cycle"
+
+    @pytest.mark.parametrize("name", sorted({*built_in_scenes()} - {"lte"}))
+    def test_of_every_scene_as_it_is_is_ok_without_a_warning(self, name: str) -> None:
+        got = run(load_scene(name))
+        assert got.status == "ok"
+        assert got.sentence == f"ran to its end, {got.ticks} ticks of {got.dt:g} s"
+        assert not any("grows" in note or "playout" in note or "played" in note for note in got.notes)
+
+
+REACH = Reach(to=0.05, start=0.1, duration=0.4)
+
+
+class TestNothingMovesAScene:
+    @pytest.mark.parametrize(("reference", "since"), [(REACH, 500), (Rest(at=0.01), 0)])
+    def test_from_where_its_hand_stays(self, reference: Any, since: int) -> None:
+        scene = load_scene("hard_wall", duration=2.0)
+        still = prepare(replace(scene, hand=replace(scene.hand, reference=reference))).still
+        assert still is not None
+        assert (still.since, still.window) == (since, (2000 - since) // WINDOWS)
+
+    def test_from_its_start_without_a_hand(self) -> None:
+        still = prepare(replace(load_scene("hard_wall"), hand=None)).still
+        assert still is not None
+        assert still.since == 0
+
+    @pytest.mark.parametrize("name", ["canonical", "soft_tissue", "beating_heart", "recorded_reach"])
+    def test_never_where_the_hand_or_the_wall_moves_to_the_end(self, name: str) -> None:
+        assert prepare(load_scene(name)).still is None
+        assert "swing_end" not in run(load_scene(name, duration=0.5)).metrics
+
+    def test_never_where_the_wall_moves_and_the_hand_stays(self) -> None:
+        wall = Moving(environment=Wall(k=1e3, at=1.0), path=Sine(amplitude=0.01, frequency=1.0))
+        assert prepare(replace(load_scene("hard_wall"), environment=wall)).still is None
+
+    def test_too_late_to_tell(self) -> None:
+        scene = load_scene("hard_wall", duration=2.0 + 0.001 * (50 * WINDOWS - 1))
+        assert prepare(scene).still is None
+        assert prepare(replace(scene, duration=2.4)).still is not None
+
+
+SCENE = '''
+from master import Grip, Reach
+from teleop import Device, Encoder, MassDamper, Scene, VirtualWall
+from teleop.stages.velocity.backward_difference import BackwardDifference
+
+def scene(*, K: float = 500.0, reach: float = 0.3) -> Scene:
+    """A reach into a rendered wall; after it nothing moves."""
+    return Scene(law=VirtualWall(K=K, B=0.0, at=0.01), master=MassDamper(mass=0.1), dt=1e-3, duration=1.5,
+                 hand=Grip(mass=0.0, k=400.0, d=0.5, reference=Reach(to=0.02, duration=reach)),
+                 device_m=Device(encoder=Encoder(step=2e-5), velocity=BackwardDifference()))
+'''
+
+
+@pytest.fixture
+def rendered(tmp_path: Path) -> Path:
+    """The file of a scene whose hand comes to stand when its knob says so, or in time for no verdict at all."""
+    (tmp_path / "rendered.py").write_text(SCENE)
+    return tmp_path / "rendered.py"
+
+
+class TestASweep:
+    @pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
+    def test_gives_every_row_the_status_and_the_swing_of_its_run_whenever_each_comes_to_stand(
+        self, engine: str, rendered: Path
+    ) -> None:
+        axes = {"reach": [0.2, 0.3, 0.7, 1.4], "K": [50.0, 500.0, 4000.0, 8000.0]}
+        table = sweep(rendered, axes, metrics=["swing_end", "f_m_max"], engine=engine)
+        for row in table:
+            single = run(load_scene(str(rendered), reach=row["reach"], K=row["K"]))
+            assert (row["status"], row["ticks"]) == (single.status, single.ticks)
+            assert [row.get(name) for name in table.metrics] == [single.metrics.get(name) for name in table.metrics]
+        assert {"ok", "unstable"} <= table.counts().keys()
+        assert np.isnan(table["swing_end"]).sum() == 4  # nothing is told of those that stand at 1.4 s
+
+    def test_keeps_the_swing_to_itself_unless_it_is_asked_for(self, rendered: Path) -> None:
+        row, = sweep(rendered, {"K": [500.0]}, metrics=["f_m_max"], engine="plain")
+        assert set(row) == {"row", "seed", "K", "status", "ticks", "f_m_max"}
+
+    def test_that_takes_functions_of_the_record_goes_by_the_same_status(self, rendered: Path) -> None:
+        def longest(result: Any) -> float:
+            return float(result.ticks)
+
+        named: Callable[..., Any] = longest
+        table = sweep(rendered, {"K": [500.0, 8000.0]}, metrics=["swing_end", named])
+        plain = sweep(rendered, {"K": [500.0, 8000.0]}, metrics=["swing_end"], engine="plain")
+        assert table["status"].tolist() == plain["status"].tolist()
+        assert table["swing_end"].tolist() == plain["swing_end"].tolist()
