@@ -24,13 +24,11 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
     see `teleop.live.fault`.
     """
     loop, counts = asyncio.get_running_loop(), shell.counts
-    loop.add_reader(shell.wire.sock, shell.guarded, shell.drain)
     try:
         gc.collect()  # now: between the first exchange and tick 0 there are 10 ms at most
-        if await first_reading(shell) and await meet(shell):
+        if await first_reading(shell) and await _met(shell):
             gc.freeze()  # what is here stays: no collection has to look at it again
             used, began = time.process_time_ns(), time.monotonic_ns()
-            loop.remove_reader(shell.wire.sock)
             if isinstance(shell.endpoint.inbox, Stepped):
                 await by_packets(shell, shell.endpoint.inbox)
             else:
@@ -45,6 +43,16 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
     finally:
         loop.remove_reader(shell.wire.sock)
         await leave(shell)
+
+
+async def _met(shell: Shell) -> bool:
+    """The first exchange; until it begins nothing that comes is answered."""
+    loop = asyncio.get_running_loop()
+    loop.add_reader(shell.wire.sock, shell.guarded, shell.drain)
+    try:
+        return await meet(shell)
+    finally:
+        loop.remove_reader(shell.wire.sock)
 
 
 class ClockDriver:

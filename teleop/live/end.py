@@ -18,6 +18,7 @@ from teleop.errors import Refused, number
 from teleop.live import fault, security
 from teleop.live.devices.guarded_device import LiveDevice
 from teleop.live.devices.heartbeat import watched
+from teleop.live.devices.opening import opened
 from teleop.live.driving import run
 from teleop.live.lastresort import LastResort
 from teleop.live.live_line import live_text
@@ -55,11 +56,17 @@ if TYPE_CHECKING:
 
 
 def end_main(e: str, device: Callable[[Scene], LiveDevice], argv: Sequence[str] | None = None) -> int:
-    """The command line of one end; `device` makes what stands at that end from the scene."""
+    """The command line of the end `e`, "m" or "s"; `device` makes what stands at that end from the scene.
+
+    Returns the exit code, as the live README has them.
+    """
     return guarded(lambda: _run(e, device, sys.argv[1:] if argv is None else list(argv)))
 
 
 def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
+    if e not in NAMES:
+        raise Refused("end_main begins with the end, \"m\" for the master's or \"s\" for the slave's, not "
+                      f"{e!r}; write for example end_main(\"s\", MyRobot)")
     args = _parser(e).parse_args(argv)
     if args.wait is not None:
         number("--wait", args.wait, above=0.0)
@@ -69,7 +76,7 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = security.secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
-        made = device(scene)
+        made = opened(device, scene)
         stem = f"{scene.name}-{NAMES[e]}"
         granted = realtime.asked(args, NAMES[e])  # before the watchdog of the device, which takes it over
         with (fresh_folder(args.out, stem) as (folder, keep),

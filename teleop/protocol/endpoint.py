@@ -56,7 +56,7 @@ class Reading(NamedTuple):
 
     x: Axes
     v: Axes
-    f: Axes | None  # force sensor: f_h at the master, f_env at the slave; None: it has none
+    f: Axes | None = None  # force sensor: f_h at the master, f_env at the slave; None: it has none
 
 
 class Stepped:

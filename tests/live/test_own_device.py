@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import Reading, load_result, load_scene
+from teleop import DeviceError, Reading, load_result, load_scene
 from teleop.__main__ import main
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
+from teleop.live.records.record import read_events
 from tests.live.conftest import summary
 
 pytestmark = pytest.mark.live
@@ -148,6 +149,40 @@ def test_a_scene_with_friction_takes_a_device_that_senses_nothing(pair: Callable
     scene = replace(load_scene("stick_slip", duration=0.3), link=None)
     folders = ends_of(pair(scene, parts={e: {"device": Standing(None)} for e in "ms"}).run())
     assert not {"f_h", "f_env"} & set(merge(scene, *folders).trace)
+
+
+class Late(Standing):
+    """Cannot be read until it was asked for the hundredth time, as a driver that starts up."""
+
+    asked = 0
+
+    def read(self, k: int) -> Reading:
+        self.asked += 1
+        if self.asked < 100:
+            raise DeviceError("the encoders are not referenced yet")
+        return super().read(k)
+
+
+def test_a_master_was_answered_before_the_slaves_device_could_be_read(pair: Callable[..., Any]) -> None:
+    device = Late(None)
+    both = pair(SCENE, parts={"m": {}, "s": {"device": device}}).run()
+    for folder in ends_of(both):
+        assert [event["why"] for event in read_events(folder) if "referenced" in event["why"]] == []
+    slave = both.shells["s"]
+    assert slave.counts.ticks + slave.counts.skipped == SCENE.ticks
+
+
+def test_a_device_that_cannot_be_read_for_two_seconds_is_no_run(pair: Callable[..., Any]) -> None:
+    class Gone(Standing):
+        def read(self, k: int) -> Reading:
+            raise DeviceError(f"no answer to the question for tick {k}")
+
+    device = Gone(None)
+    both = pair(SCENE, parts={"m": {"patience": 0.5}, "s": {"device": device}}).run()
+    assert both.shells["s"].outcome.sentence == "the device cannot be read: no answer to the question for tick 0"
+    assert both.status() == {"m": "refused", "s": "refused"}
+    assert "no answer from" in both.shells["m"].outcome.sentence
+    assert set(device.held) == {(0.0,)}
 
 
 def test_what_an_end_says_of_a_law_that_reads_no_force_of_its_device_is_one_sentence_with_exit_code_2(
