@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # The colours of Okabe and Ito, which colour-blind eyes tell apart.
 BLUE, SKY, GREEN, ORANGE, RED, PINK = "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7"
 YELLOW = "#F0E442"  # theirs too; for areas alone, on white a line of it is not seen
-BROWN, PURPLE = "#8C564B", "#5D3A9B"  # where these are too few
+BROWN, PURPLE, OLIVE, WINE = "#8C564B", "#5D3A9B", "#999933", "#882255"  # where these are too few
 BLACK, DARK, GREY, PALE = "#000000", "#666666", "#999999", "#BDBDBD"
 FAILS = "#CC0000"  # a criterion that fails, a run that diverged
 UNDER: dict[str, Any] = {"linewidth": 2.6, "alpha": 0.5}  # beneath a narrow curve: where they coincide both are seen

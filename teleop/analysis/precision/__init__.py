@@ -1,7 +1,7 @@
 """Error against run time: the stack's own steps beside every other way to integrate a scene's bodies.
 
-`measure` runs the contenders: the fixed-step ones are `methods` on bodies that are piecewise linear, `nonlinear` on
-others and `relaxed` on those that remember, `contenders` puts them into a scene (`parts`), and `outsiders` are
-scipy's. `truth` is what they are measured against, made of `reference` and `tight`; `agreement` shows what single
-steps are worth, `deviation` says what an error is, `costs` what a step takes, `report` and `plot` show it.
+`measure` compares the contenders: the fixed-step methods of `teleop.simulation.integrators`, and scipy's solvers, which
+are in `contenders/outsiders`. The reference is chosen by `reference/truth`: `digits` and `digit_bodies` where
+every body has a closed form, else `reference` and `tight`. `steps` compares single steps, `deviation` defines the
+errors, `costs` times the steps, `report` and `plot` show the result.
 """

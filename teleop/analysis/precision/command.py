@@ -1,4 +1,4 @@
-"""What `teleop precision` does."""
+"""The command `teleop precision`."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""What a contender costs: moving the bodies by one tick, from states of a run, and what a whole run will take."""
+"""The cost of a contender: the time to move the bodies by one tick, from states of a run, and that of a whole run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.reference.agreement import column
 from teleop.physics.plant import move_free, move_gripped
 from teleop.simulation.bodies import Bodies, reference_samples
 from teleop.simulation.integrators.parts import is_carried, whole_plants
@@ -22,7 +21,7 @@ def step_costs(some: Sequence[Contender], scene: Scene, trace: Mapping[str, Any]
                rounds: int) -> dict[str, float]:
     """Nanoseconds to move all bodies by one tick from states of the run, by contender: the least of some rounds.
 
-    An inner state, if there is one, is what the tick sampled before came to.
+    An inner state, if there is one, is the one after the sampled tick before.
     """
     ran = len(trace["t"])
     at = range(0, ran, max(1, ran // samples))
@@ -63,6 +62,12 @@ def run_costs(everyone: Sequence[Contender], scene: Scene, trace: Mapping[str, A
     return {key: each + max(0.0, ns - first) * 1e-9 * scene.ticks for key, ns in step.items()}
 
 
+def column(trace: Mapping[str, Any], name: str, axis: int) -> Any:
+    """One axis of a column of the trace."""
+    values = trace[name]
+    return values if values.ndim == 1 else values[:, axis]
+
+
 def _master(bodies: Bodies, *, held: bool) -> Move:
     """The function that moves the master."""
     if bodies.inner_m is not None:
@@ -74,9 +79,9 @@ def _master(bodies: Bodies, *, held: bool) -> Move:
 
 def _job(move: Move, c: Any, states: list[tuple[Any, ...]], at: range, z: Any, *, ticks: bool = False
          ) -> tuple[Move, Any, list[tuple[Any, ...]]]:
-    """What is timed: the function, its coefficients, the states with the inner one behind, if there is one.
+    """The function to time, its coefficients, and the states, each followed by the inner state if there is one.
 
-    That of a moved environment begins with the tick.
+    The inner state of an environment that moves begins with the tick.
     """
     if z is None:
         return move, c, states

@@ -1,9 +1,9 @@
 """Error against run time: the stack's own steps beside every other way to move the same bodies, in the same loop.
 
-The verdict is that of the SciML work-precision diagrams (Rackauckas & Nie, J. Open Res. Softw. 5 (2017)): a
-method is *beaten* where another one is at least as accurate and more than 1.2 times faster. Accuracy is the
-largest error of the slave's position and of the force on its environment, both; times are medians over
-rounds that take the methods in turn.
+The diagram is a work-precision diagram as in SciML (Rackauckas & Nie, J. Open Res. Softw. 5 (2017)). A method is
+*beaten* if another one is at least as accurate and more than 1.2 times faster. Its accuracy is the largest error of
+the slave's position and the largest error of the force on the environment; both count. Run times are medians over
+rounds in which the methods take turns.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from teleop.analysis.precision.contenders.contenders import Contender
 from teleop.analysis.precision.contenders.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
 from teleop.analysis.precision.costs import run_costs, step_costs
-from teleop.analysis.precision.reference.agreement import Agreement
 from teleop.analysis.precision.reference.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
 from teleop.analysis.precision.reference.truth import Truth, truth_of
 from teleop.errors import Refused
@@ -37,19 +36,19 @@ Show = Callable[[float, str], None]
 
 SUBSTEPS = (1, 4, 16, 64)
 FASTER = 1.2
-BUDGET = 45.0  # s that all may take if the number of rounds is left to us, and a reference without a closed form not
-WITH_REFERENCE = 110.0  # s that both may take: what a quick reference leaves is for more rounds
+BUDGET = 45.0  # s that all contenders may take if the number of rounds is left to us
+WITH_REFERENCE = 110.0  # s with a reference by scipy: what a quick one leaves is for more rounds
 WHOLE_ROUNDS, MOST_ROUNDS = 3, 9  # then: rounds of all methods, and with more of the cheap ones, whose times vary most
 CHEAP = 4  # sub-steps
 OUTSIDE = 0.4  # of the budget is for scipy's solvers
-MOST_UNASKED = 1_000_000  # ticks: more do not fit into a minute
+MOST_UNASKED = 200_000  # ticks: with more the reference and a round do not fit into a minute
 BINS = 800  # of the errors along the run
 EULER = "semi_implicit_euler/1"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Entry:
-    """What one contender came to. Where it diverged the errors are those of the ticks before."""
+    """Error and run time of one contender. If it diverged, the errors are those of the ticks before."""
 
     contender: Contender
     status: str
@@ -63,7 +62,7 @@ class Entry:
 
     @property
     def key(self) -> str:
-        """The contender's name."""
+        """Name of the contender."""
         return self.contender.key
 
 
@@ -71,8 +70,8 @@ class Entry:
 class Precision:
     """The comparison on one scene.
 
-    `entries` begin with the stack's own; if that is exact, its errors are those that its rounding comes to. `along`
-    holds the errors along the run, each the largest within a stretch of ticks that begins at `t`.
+    `entries` begin with the stack's own. `along` holds the errors along the run, each the largest within a stretch of
+    ticks that begins at `t`. An error at or below `truth.off` may be the reference's own.
     """
 
     scene: Scene
@@ -87,17 +86,12 @@ class Precision:
 
     @property
     def result(self) -> Result:
-        """The run that all are measured against."""
+        """The reference: the run that all contenders are measured against."""
         return self.truth.result
-
-    @property
-    def agreement(self) -> Agreement:
-        """Single steps of the stack's own beside independent ones."""
-        return self.truth.agreement
 
 
 def contenders(scene: Scene) -> Iterator[Contender]:
-    """All of them, the cheaper first. Refused where there is no slave, or no equation known of its environment."""
+    """All contenders, the cheaper first. Raises `Refused` without a slave, or without its environment's equation."""
     slave_of(scene)
     exact = closed(scene)
     name, label = ("exact", "exact") if exact else ("default", f"default: SDIRK2 to {scene.tolerance:.0e} m a tick")
@@ -115,7 +109,7 @@ def contenders(scene: Scene) -> Iterator[Contender]:
 
 
 def unfit(scene: Scene) -> dict[str, str]:
-    """Who is not a contender on this scene, and why."""
+    """Methods that are no contenders on this scene, and why."""
     found = {m.name: "no solver for its coupled stages where a body is not piecewise linear"
              for m in METHODS if not closed(scene) and not goes(m)}
     if _rubs(scene):
@@ -133,18 +127,17 @@ def measure(
     """Compare every contender on `scene`.
 
     `clock` returns nanoseconds. `rounds` is how many runs of each are timed, of scipy's solvers one; left out,
-    there are as many rounds and contenders as fit into `BUDGET` seconds. `show` is told how much is done, 0 to 1.
-    Raises `Refused` for an environment whose equation is not known, and for a run too long to compare unasked.
+    there are as many rounds and contenders as fit into `BUDGET` seconds. `show` takes how much is done, 0 to 1, and a
+    text. Raises `Refused` for an environment whose equation is not known, and for a run too long to compare unasked.
     """
     _check(scene, rounds)
     everyone = list(contenders(scene))
     show = show or _quiet
-    share = 0.0 if closed(scene) else 0.5  # of the progress, for the reference
-    began, budget = clock(), BUDGET
+    share = 0.1 if closed(scene) else 0.5  # of the progress, for the reference
+    began = clock()
     truth = truth_of(scene, seed, clock, patient=rounds is not None, show=lambda part, text: show(share * part, text))
-    if share:
-        before, began = began, clock()
-        budget = max(BUDGET, WITH_REFERENCE - (began - before) / 1e9)
+    before, began = began, clock()
+    budget = BUDGET if closed(scene) else max(BUDGET, WITH_REFERENCE - (began - before) / 1e9)
     reference = truth.result
     trace = reference.trace
     cost = run_costs(everyone, scene, trace, clock, truth.took)
@@ -185,9 +178,9 @@ def verdicts(entries: Sequence[Entry], off: Mapping[str, float] | None = None, s
              ) -> list[Entry]:
     """The entries, each with who beats it: the stack's own steps if they do, else the fastest that does.
 
-    What lies below the reference's own error `off` is not told from it. One that diverged where the reference,
-    whose status is given, does not has an endless error; where it does too, it is judged by the ticks before.
-    Without them the first entry is the reference.
+    Errors below `off`, the reference's own (left out: those of the first entry), count as equal. A contender that
+    diverged has an infinite error if the reference, whose `status` is given (left out: that of the first entry),
+    did not; if the reference diverged too, the errors are those of the ticks before.
     """
     first = entries[0]
     floor = off or {name: error.max for name, error in first.errors.items()}
@@ -223,7 +216,7 @@ def _check(scene: Scene, rounds: int | None) -> None:
 
 
 def _affordable(everyone: Sequence[Contender], cost: Mapping[str, float]) -> tuple[list[Contender], dict[str, str]]:
-    """Who takes part in a first round that fits into the budget, and why others do not."""
+    """Contenders whose first round fits into the budget, and why the others are left out."""
     chosen, left_out, ours, theirs = [], {}, 0.0, 0.0
     for c in everyone:
         if c.rtol is None and ours + cost[c.key] <= (0.9 - OUTSIDE) * BUDGET:
@@ -238,7 +231,7 @@ def _affordable(everyone: Sequence[Contender], cost: Mapping[str, float]) -> tup
 
 
 def _turns(chosen: Sequence[Contender], rounds: int | None) -> list[list[Contender]]:
-    """Who is run in each round, all in the first; scipy's solvers are so much slower that once is enough."""
+    """Contenders of each round: all in the first; scipy's solvers, which are far slower, are run once."""
     ours = [c for c in chosen if c.rtol is None]
     if rounds:
         return [list(chosen), *[ours] * (rounds - 1)]
@@ -260,7 +253,7 @@ def _timed(entry: Entry, times: list[float]) -> Entry:
 
 
 def _most(size: Any, bins: range) -> Any:
-    """The largest within each stretch of ticks; NaN where there is none."""
+    """Largest value within each stretch of ticks; NaN where there is none."""
     import numpy as np
 
     whole = np.full(len(bins) * bins.step, np.nan)

@@ -12,15 +12,18 @@ from teleop.terminal.plotting import (
     BLACK,
     BLUE,
     BROWN,
+    DARK,
     FAILS,
     GREEN,
     GREY,
+    OLIVE,
     ORANGE,
     PINK,
     PNG,
     PURPLE,
     RED,
     SKY,
+    WINE,
     grid_lines,
     literal,
     new_figure,
@@ -39,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class Look(NamedTuple):
-    """How a method is drawn; those of first order dashed."""
+    """Colour, marker and line of a method; methods of first order are dashed, scipy's dash-dotted."""
 
     colour: str
     marker: str
@@ -51,18 +54,17 @@ LOOKS = {
     "verlet": Look(RED, "D", "-"), "rk4": Look(PINK, "s", "-"),
     "backward_euler": Look(BROWN, "o", "--"), "midpoint": Look(SKY, "P", "-"),
     "trapezoid": Look(BLUE, "X", "-"), "sdirk2": Look(GREEN, "h", "-"), "radau": Look(PURPLE, "p", "-"),
-    "DOP853": Look(BLACK, "1", "-."), "LSODA": Look(BLACK, "2", "-."), "Radau": Look(BLACK, "3", "-."),
+    "DOP853": Look(OLIVE, "<", "-."), "LSODA": Look(WINE, ">", "-."), "Radau": Look(BLACK, "d", "-."),
 }
-LEAST = 1e-19  # m or N: less is not drawn along the run
 SIZES = (10.0, 7.0, 5.0, 3.5)  # of the marks, from coarse to fine
 PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force on the environment", "N"))
 
 
 def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
     """Draw `got` into `path` with the suffix of each format, as `save` does; returns the files."""
-    reference = "" if got.truth.method == "exact" else (
-        f"\nagainst scipy's {got.truth.method} with every change of mode located, good to "
-        f"{si(got.truth.off['x_s'], 'm')}, {si(got.truth.off['f_env'], 'N')}")
+    by = got.truth.method if not got.truth.estimates else f"scipy's {got.truth.method}, every change of mode located"
+    off = got.truth.off
+    reference = f"\nreference: {by}, good to {si(off['x_s'], 'm')}, {si(off['f_env'], 'N')}"
     scipys = "" if all(e.contender.rtol is None for e in got.entries) else (
         f"; scipy: rtol {', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}")
     counts = f"({number_of(got.result.ticks, 'tick')}, {number_of(got.contacts, 'contact')})"
@@ -89,7 +91,7 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
     top = _top(got, series)
     for method, entries in by_method.items():
         entries.sort(key=lambda e: -(e.contender.rtol or 0.0))
-        own = [(e.ns_per_tick * 1e-3, _drawn(e, series, top), e) for e in entries]
+        own = [(e.ns_per_tick * 1e-3, _drawn(e, series, top, got.truth.off[series]), e) for e in entries]
         if method in ("exact", "default"):
             x, y, e = own[0]
             axes.scatter([x], [y], marker="*", s=220, color=BLACK, zorder=5, label=e.contender.label)
@@ -102,12 +104,15 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
         axes.plot([x for x, _, _ in own], [y for _, y, _ in own], linestyle=look.line, color=look.colour, linewidth=1.1)
         axes.plot([], [], linestyle=look.line, color=look.colour, marker=look.marker, label=entries[0].contender.label)
         for x, y, e in own:
-            axes.plot([x], [y], color=look.colour, marker=look.marker, markersize=_mark(e))
+            axes.plot([x], [y], color=look.colour, marker=look.marker, markersize=_mark(e), markeredgecolor="white",
+                      markeredgewidth=0.4)
             if e.status == "diverged":
                 axes.scatter([x], [y], marker="x", s=110, color=FAILS, zorder=6)
             elif e.missed:
                 axes.scatter([x], [y], marker="o", s=150, facecolors="none", edgecolors=FAILS, zorder=6)
     _marks(axes, got)
+    if any(e.errors[series].max <= got.truth.off[series] for e in got.entries):
+        axes.axhline(got.truth.off[series], color=DARK, linewidth=0.8, linestyle=":", label="reference's own error")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("run time of the whole loop (us per tick)")
@@ -121,7 +126,7 @@ def _mark(e: Entry) -> float:
 
 
 def _marks(axes: Axes, got: Precision) -> None:
-    """The legend's lines for what befell a contender."""
+    """The legend's lines for contenders that diverged or missed contacts, and the reference's own error."""
     if any(e.status == "diverged" for e in got.entries):
         axes.scatter([], [], marker="x", s=90, color=FAILS, label="diverged (drawn at the top)")
     if any(e.missed for e in got.entries):
@@ -129,27 +134,32 @@ def _marks(axes: Axes, got: Precision) -> None:
 
 
 def _top(got: Precision, series: str) -> float:
-    """Where what diverged is drawn: above everything else."""
+    """Place of contenders that diverged: above all others."""
     sizes = [e.errors[series].max for e in got.entries if e.status != "diverged" and isfinite(e.errors[series].max)]
     return 30.0 * max([*sizes, 1e-15])
 
 
-def _drawn(e: Entry, series: str, top: float) -> float:
-    """The error as a place on the logarithmic axis."""
+def _drawn(e: Entry, series: str, top: float, off: float) -> float:
+    """Place of the error on the logarithmic axis, not below the reference's own error."""
     size = e.errors[series].max
-    return min(max(size, 1e-18), top) if e.status != "diverged" and isfinite(size) else top
+    return min(max(size, off, 1e-18), top) if e.status != "diverged" and isfinite(size) else top
 
 
 def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: str) -> None:
-    """Tracking error, and the numerical error of some methods, along the run."""
+    """Tracking error, and the numerical error of some methods, along the run.
+
+    The methods' curves get thinner one after the other, so that one that another covers is still seen beside it.
+    """
     t = got.along["t"]
-    axes.plot(t, _positive(got.along[track]), color=BLACK, linewidth=2.2, alpha=0.35,
+    axes.plot(t, _above(got.along[track], 0.0), color=BLACK, linewidth=4.0, alpha=0.25,
               label="tracking and transparency")
-    for e in _some(got):
+    some = _some(got)
+    for i, e in enumerate(some):
         look = LOOKS.get(e.contender.method, Look(BLACK, "", "-"))
         label = f"numerical, {e.contender.label} {e.contender.step}".rstrip()
-        axes.plot(t, _positive(got.along[f"{series}:{e.key}"]), color=look.colour, linewidth=1.0, marker=".",
-                  markersize=1.5, label=label)
+        width = 0.7 + 0.4 * (len(some) - 1 - i) * (i > 0)
+        axes.plot(t, _above(got.along[f"{series}:{e.key}"], got.truth.off[series]), color=look.colour, linewidth=width,
+                  marker=".", markersize=1.5 * width, label=label)
     axes.set_yscale("log")
     axes.set_xlabel("time (s)")
     axes.set_ylabel(f"error of the {what} ({unit})")
@@ -157,12 +167,13 @@ def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: 
 
 
 def _some(got: Precision) -> list[Entry]:
-    """The stack's own steps; of the methods some that span what there is."""
+    """The stack's own steps, and a choice of methods from coarse to fine."""
     wanted = ("exact", "default", "euler/1", "semi_implicit_euler/1", "rk4/1", "sdirk2/16", "radau/64", "verlet/64")
     return [e for e in got.entries if e.key in wanted]
 
 
-def _positive(column: Any) -> Any:
+def _above(column: Any, least: float) -> Any:
+    """The column where it is above `least`, NaN elsewhere."""
     import numpy as np
 
-    return np.where(column > LEAST, column, np.nan)
+    return np.where(column > least, column, np.nan)

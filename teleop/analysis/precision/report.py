@@ -1,10 +1,13 @@
-"""What a comparison of precision leaves: a table for a person, summary.json, and the errors along the run."""
+"""The result of a comparison as a table, and as the JSON document of summary.json."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
+from teleop.analysis.precision.contenders.outsiders import there
 from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
 from teleop.errors import number_of
@@ -26,27 +29,32 @@ TRACKING = (
 
 def table(got: Precision) -> str:
     """The comparison as lines of text, the stack's own steps first, then method by method from coarse to fine."""
-    rows = [HEAD, *(_row(e) for e in sorted(got.entries, key=_order(got.entries)))]
+    rows = [HEAD, *(_row(e, got.truth.off) for e in sorted(got.entries, key=_order(got.entries)))]
     if (estimated := got.truth.estimated) is not None:
         rows[1] = (*rows[1][:-1], ", ".join([f"estimated {si(estimated, 'm')}", *filter(None, rows[1][-1:])]))
     return f"{columns(rows, left=(0, len(HEAD) - 1))}\n\n{facts(_facts(got))}"
 
 
 def _order(entries: Sequence[Entry]) -> Any:
-    """Methods as they came, each from coarse to fine."""
+    """Key that sorts methods as they came, each from coarse to fine."""
     methods = list(dict.fromkeys(e.contender.method for e in entries))
     return lambda e: (methods.index(e.contender.method), e.contender.substeps or 0, -(e.contender.rtol or 0.0))
 
 
-def _row(e: Entry) -> tuple[str, ...]:
+def _row(e: Entry, off: Mapping[str, float]) -> tuple[str, ...]:
+    """One contender. An error that may be the reference's own is shown as a bound."""
     x, f = e.errors["x_s"], e.errors["f_env"]
-    sizes = [si(x.max, "m"), si(x.rms, "m"), si(x.end, "m"), si(f.max, "N"), si(f.rms, "N")]
+    sizes = [*(_size(size, off["x_s"], "m") for size in x), *(_size(size, off["f_env"], "N") for size in f[:2])]
     peak = "-" if e.peak_ratio is None else f"{e.peak_ratio:.4g}"
-    return e.key, si(e.ns_per_tick * 1e-9, "s"), *("-" if "nan" in size else size for size in sizes), peak, _said(e)
+    return e.key, si(e.ns_per_tick * 1e-9, "s"), *sizes, peak, _remarks(e)
 
 
-def _said(e: Entry) -> str:
-    """What must not be overlooked, then who beats it."""
+def _size(error: float, off: float, unit: str) -> str:
+    return "-" if isnan(error) else f"<= {si(off, unit)}" if error <= off else si(error, unit)
+
+
+def _remarks(e: Entry) -> str:
+    """A divergence, missed contacts, and which contender beats this one."""
     words = ["diverged"] * (e.status == "diverged")
     words += [f"missed {number_of(e.missed, 'contact')}"] * (e.missed > 0)
     words += [f"beaten by {e.beaten_by}"] if e.beaten_by else []
@@ -56,66 +64,66 @@ def _said(e: Entry) -> str:
 def _facts(got: Precision) -> list[tuple[str, str]]:
     first, others = got.entries[0], got.entries[1:]
     beaten = sum(e.beaten_by == first.key for e in others)
-    told = [
+    lines = [
         ("run", f"{heading(got.result)}, {number_of(got.result.ticks, 'tick')}, {number_of(got.contacts, 'contact')}, "
                 f"seed {got.seed}"),
         ("status", f"{got.result.status}: {got.result.sentence}"),
         ("verdict", verdict(got)),
         ("beaten means", f"another is at least as accurate in x_s and f_env and more than {FASTER:g} times faster; "
                          f"{first.key} beats {beaten} of {len(others)}"),
-        *(_worth(got) if first.key == "exact" else _estimated(got)),
+        ("reference", f"{got.truth.sentence}; an error at or below that is shown as <="),
+        (f"{first.key}, one tick", one_tick(got)),
+        *_estimated(got),
     ]
     if EULER in got.step_ns:
         own, euler = got.step_ns[first.key], got.step_ns[EULER]
-        told.append((f"{first.key}, its cost", f"{own / euler:.2f} semi-implicit Euler steps: {own:.0f} and "
+        lines.append((f"{first.key}, its cost", f"{own / euler:.2f} semi-implicit Euler steps: {own:.0f} and "
                                                 f"{euler:.0f} ns to move all bodies by a tick, without the loop"))
     for label, name, unit, what in TRACKING:
         if f"{name}_rms" in got.result.metrics:
             rms, most = (si(got.result.metrics[f"{name}_{kind}"], unit) for kind in ("rms", "max"))
-            told.append((label, f"{rms} rms, {most} max: {what}"))
+            lines.append((label, f"{rms} rms, {most} max: {what}"))
     runs = sorted({e.runs for e in got.entries if e.contender.rtol is None})
     timing = f"whole loop, medians of {' to '.join(map(str, runs))} interleaved runs"
     scipys = any(e.contender.rtol is not None for e in got.entries)
-    told.append(("timing", timing + "; scipy's one run, for the slave only" * scipys))
-    return told + [("left out", f"{', '.join(keys)}: {why}") for why, keys in _left_out(got).items()]
+    lines.append(("timing", timing + "; scipy's one run, for the slave only" * scipys))
+    return lines + [("left out", f"{', '.join(keys)}: {why}") for why, keys in _left_out(got).items()]
 
 
-def _worth(got: Precision) -> list[tuple[str, str]]:
-    """What exact steps are worth."""
-    own = got.entries[0].errors
-    return [
-        ("exact, one tick", got.agreement.sentence + "".join(_differences(got))),
-        ("exact, the run", f"steps put off by {si(got.agreement.x, 'm')} each come to "
-                           f"{si(own['x_s'].max, 'm')}, {si(own['f_env'].max, 'N')}"),
-    ]
+def one_tick(got: Precision) -> str:
+    """The error of single steps of the stack's own, over all of the run, in one sentence."""
+    first = next(iter(got.truth.steps.values()))
+    integrated = f", {first.integrated} of them integrated" if got.truth.estimates else ""
+    bodies = round(first.count / got.result.ticks)
+    one = f"all {first.count} steps of the run (each of {bodies} bodies over each tick{integrated}, "
+    one += f"{first.changes} with a change of mode), each from the reference's state: "
+    return one + "; ".join(
+        f"off {method} by at most {si(own.x, 'm')}, {si(own.v, 'm/s')}" + f" ({own.gave_up} not compared: it gave up)"
+        * (own.gave_up > 0) for method, own in got.truth.steps.items())
 
 
 def _estimated(got: Precision) -> list[tuple[str, str]]:
-    """What the stack's own integration says of its error, beside what it is."""
-    own, estimates = got.entries[0].errors, got.truth.estimates
+    """The stack's own estimates of its integration error, beside the true error."""
+    errors, estimates = got.entries[0].errors, got.truth.estimates
+    if not estimates:
+        return []
 
-    def said(name: str) -> str:
+    def by_end(name: str) -> str:
         return ", ".join(f"{si(one[name], 'm')} ({end})" for end, one in estimates.items() if name in one)
 
+    true = ", ".join(f"{_size(errors[name].max, got.truth.off[name], unit)} in {name}"
+                     for name, unit in SERIES.items())
     effort = [f"{end}: at most {one['substeps_max']:.0f} sub-steps in a tick, {one['ticks_over_tolerance']:.0f} ticks "
               "over the tolerance" for end, one in estimates.items() if "substeps_max" in one]
     return [
-        ("reference", got.truth.sentence),
-        ("default, one tick", f"estimated: at most {said('error_estimate_max')}; true: {got.agreement.sentence}"
-                              + "".join(_differences(got))),
-        ("default, the run", f"estimates sum to {said('error_estimate_sum')}; true: at most {si(own['x_s'].max, 'm')} "
-                             f"in x_s, {si(own['x_m'].max, 'm')} in x_m, {si(own['f_env'].max, 'N')} in f_env"),
+        ("default, estimated", f"at most {by_end('error_estimate_max')} in one tick; summed over the run "
+                               f"{by_end('error_estimate_sum')}; true at most {true}"),
         *((("default, its effort", "; ".join(effort)),) if effort else ()),
     ]
 
 
-def _differences(got: Precision) -> list[str]:
-    return [f"; {solver} differs by at most {si(x, 'm')}, {si(v, 'm/s')}"
-            for solver, (x, v) in got.agreement.differences.items()]
-
-
 def _left_out(got: Precision) -> dict[str, list[str]]:
-    """Who is left out, by why; what there was no time for is said once."""
+    """Contenders that are left out, by reason; all that there was no time for under one reason."""
     found: dict[str, list[str]] = {}
     for key, why in got.left_out.items():
         found.setdefault(NO_TIME if why.startswith("a run would take") else why, []).append(key)
@@ -123,7 +131,7 @@ def _left_out(got: Precision) -> dict[str, list[str]]:
 
 
 def verdict(got: Precision) -> str:
-    """Who is not beaten, in one sentence."""
+    """The contenders that are not beaten, in one sentence."""
     best = [e.key for e in got.entries if e.beaten_by is None]
     return f"not beaten: {', '.join(best)}"
 
@@ -133,29 +141,30 @@ def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
     result = got.result
     return {
         **scene_head(got.scene, "precision", status=result.status, sentence=verdict(got), seed=got.seed,
-                     command=command, also=["scipy"] if got.agreement.differences else []),
+                     command=command, also=["scipy"] if there() else []),
         "ticks": result.ticks, "rounds": got.rounds, "contacts": got.contacts,
         "units": {**SERIES, "ns_per_tick": "ns", "peak_ratio": "1"},
         "reference": {
             "method": got.truth.method, "sentence": got.truth.sentence,
             "off_by": {name: finite(size) for name, size in got.truth.off.items()},
-            "compared": got.agreement.sentence, "ticks": got.agreement.ticks, "changes": got.agreement.changes,
-            "per_tick": {s: {"x": finite(x), "v": finite(v)} for s, (x, v) in got.agreement.differences.items()},
-            "put_off_by": {"x": got.agreement.x, "v": got.agreement.v}, "step_ns": dict(got.step_ns),
+            "per_tick": {method: asdict(steps) for method, steps in got.truth.steps.items()},
+            "step_ns": dict(got.step_ns),
         },
         "estimates": {end: dict(one) for end, one in got.truth.estimates.items()},
         "tracking": {name: value for name, value in result.metrics.items() if name[:5] in ("x_err", "f_err")},
-        "methods": [_entry(e) for e in got.entries],
+        "methods": [_entry(e, got.truth.off) for e in got.entries],
         "left_out": dict(got.left_out), "notes": list(result.notes),
     }
 
 
-def _entry(e: Entry) -> dict[str, Any]:
+def _entry(e: Entry, off: Mapping[str, float]) -> dict[str, Any]:
+    """One contender; `resolved` is false where its largest error may be the reference's own."""
     c = e.contender
     return {
         "name": e.key, "method": c.method, "label": c.label, "substeps": c.substeps, "rtol": c.rtol,
         "ns_per_tick": e.ns_per_tick, "runs": e.runs, "status": e.status, "sentence": e.sentence,
-        "errors": {name: {k: finite(v) for k, v in error._asdict().items()} for name, error in e.errors.items()},
+        "errors": {name: {**{k: finite(v) for k, v in error._asdict().items()}, "resolved": not error.max <= off[name]}
+                   for name, error in e.errors.items()},
         "peak_ratio": e.peak_ratio, "missed_contacts": e.missed, "beaten_by": e.beaten_by,
     }
 

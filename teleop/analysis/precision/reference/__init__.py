@@ -1,1 +1,1 @@
-"""The reference solution, and how far a method deviates from it."""
+"""The reference solution, its own error, and how far a method deviates from it."""

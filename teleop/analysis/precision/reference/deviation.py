@@ -1,4 +1,4 @@
-"""How far one run of a scene lies from another: errors of its quantities, and contacts it never made."""
+"""Differences between two runs of a scene: errors of its quantities, and contacts that one of them missed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NEAR = 10  # ticks: contacts nearer than this are one, and another run's may be 
 
 
 class Error(NamedTuple):
-    """Of one quantity: the largest, the root mean square, and at the run's last tick (NaN: it got not so far)."""
+    """Error of one quantity: the largest, the root mean square, and that at the last tick (NaN: it ended before)."""
 
     max: float
     rms: float
@@ -50,7 +50,7 @@ def errors(got: Mapping[str, Any], want: Mapping[str, Any]) -> dict[str, Error]:
 
 
 def peak_ratio(got: Mapping[str, Any], want: Mapping[str, Any]) -> float | None:
-    """The largest force on the environment over that of the other run; None where that is 0 or endless."""
+    """The largest force on the environment over that of the other run; None where that is 0 or infinite."""
     import numpy as np
 
     with np.errstate(all="ignore"):
@@ -60,11 +60,11 @@ def peak_ratio(got: Mapping[str, Any], want: Mapping[str, Any]) -> float | None:
 
 
 def felt(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """At which ticks the environment takes a force, at the tick or at any time before the next.
+    """True at ticks where the environment takes a force, at the tick or at any time before the next.
 
-    What happens between is known from the momentum that is missing: `f_s dt - M dv - b dx` is the impulse on the
+    A contact between two ticks is known from the momentum that is missing: `f_s dt - M dv - b dx` is the impulse on the
     environment. Runge-Kutta methods keep it exactly, being linear in the state; the split ones to `b dt dv`.
-    What friction may have taken of it is not counted.
+    An impulse that friction may have made is not counted.
     """
     import numpy as np
 
@@ -96,6 +96,6 @@ def contacts(touching: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def missed(touching: NDArray[np.bool_], touches: list[tuple[int, int]]) -> int:
-    """How many of these contacts a run lived through without touching, from `NEAR` ticks before to after."""
+    """Number of these contacts that a run lasted through and never touched, `NEAR` ticks before and after included."""
     lived = [(first, last) for first, last in touches if last < len(touching)]
     return sum(not touching[max(first - NEAR, 0) : last + NEAR + 1].any() for first, last in lived)

@@ -1,26 +1,27 @@
-"""The run that all others are measured against, and what it is worth.
+"""The reference: the run that all others are measured against, and how large its own error is.
 
-Where every body has a closed form it is the stack's own run, which is exact; what its rounding comes to is another
-one whose steps are put off by as much. Elsewhere it is the run by scipy's Radau, held tight, with every change of
-mode located, and beside it the same by DOP853: what tells the two apart over the whole run is what the reference is
-taken to be off by. Where Radau would take too long DOP853's run is the reference, put off by what tells the two
-apart in single ticks.
+Where every body has a closed form, the reference is the run with the bodies moved in 40 digits, and its own error is
+what rounding to floats makes of its columns. Elsewhere it is the run by scipy's DOP853, held tight, with every change
+of mode located. Its own error is then an estimate: how far the same run by Radau differs from it over the whole run,
+or, where Radau would take too long, the same run by DOP853 at a looser tolerance.
 
-What that costs, on a slow core: a tick in contact 2 to 10 ms by Radau and 0.3 to 1 ms by DOP853, so that 10 s of
-contact at 1 kHz take about a minute; free flight and sticking cost next to nothing.
+What that costs, on a slow core: 40 digits 0.1 ms a tick; without a closed form a tick in contact 2 to 10 ms by Radau
+and 0.3 to 1 ms by DOP853, so that 10 s of contact at 1 kHz take about a minute; free flight and sticking cost next to
+nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.precision.contenders.outsiders import there
-from teleop.analysis.precision.reference.agreement import Agreement, agreement, wobbled
 from teleop.analysis.precision.reference.deviation import errors
+from teleop.analysis.precision.reference.digits import DIGITS
+from teleop.analysis.precision.reference.steps import Steps
 from teleop.errors import Refused
-from teleop.simulation.integrators.parts import closed
+from teleop.simulation.integrators.parts import closed, core_of, stills
 from teleop.simulation.virtual import run
 from teleop.terminal.units import si
 
@@ -30,33 +31,37 @@ if TYPE_CHECKING:
 
 PATIENCE = 90.0  # s that the reference may take unasked
 SAMPLES = 24  # ticks from which its time is foretold
+LOOSER = 1e-12  # rtol of DOP853 where it is compared with itself
+OFTEN = 50  # steps between two reports of progress
+
+Show = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """The reference run, that of the stack's own bodies beside it, and what each is worth."""
+    """The reference, the run of the stack's own bodies beside it, and how both compare."""
 
-    method: str  # exact, Radau or DOP853
+    method: str  # of the reference: "40 digits" or DOP853
     sentence: str
-    result: Result
-    own: Result  # put off by its rounding if the method is exact
-    off: Mapping[str, float]  # the largest error of the reference itself, by quantity
-    agreement: Agreement
-    estimates: Mapping[str, Mapping[str, float]]  # of its integration by the stack itself, by end
+    result: Result  # the reference
+    own: Result  # the run of the stack's own bodies
+    off: Mapping[str, float]  # the reference's own error by column: its rounding, or an estimate
+    steps: Mapping[str, Steps]  # the stack's single steps beside those of each reference
+    estimates: Mapping[str, Mapping[str, float]]  # of the stack's integration by itself, by end
     took: float  # s, a run of the stack's own bodies
 
     @property
     def estimated(self) -> float | None:
-        """What the stack's own estimates sum to, m; None where nothing was integrated."""
+        """The sum of the stack's own estimates, m; None where nothing was integrated."""
         sums = [one["error_estimate_sum"] for one in self.estimates.values() if "error_estimate_sum" in one]
         return sum(sums) if sums else None
 
 
-def truth_of(scene: Scene, seed: int, clock: Callable[[], int], *, patient: bool, show: Callable[[float, str], None]
-             ) -> Truth:
-    """The truth about `scene`; `show` is told how much is done. Refused where it would take too long unless `patient`.
+def truth_of(scene: Scene, seed: int, clock: Callable[[], int], *, patient: bool, show: Show) -> Truth:
+    """The reference of `scene` for one seed; `show` takes how much is done, 0 to 1, and a text.
 
-    Refused as well where there is no closed form and no scipy to do without.
+    Raises `Refused` where the reference would take too long, unless `patient`, where a body has no closed form and
+    scipy is not installed, and where no equation is known of an environment.
     """
     exact = closed(scene)
     if not exact and not there():
@@ -66,89 +71,97 @@ def truth_of(scene: Scene, seed: int, clock: Callable[[], int], *, patient: bool
     began = clock()
     own = run(scene, seed=seed)
     took = (clock() - began) / 1e9
-    worth = agreement(scene, own.trace, seed)
-    if not exact:
-        return _integrated(scene, seed, clock, own, worth, took, patient=patient, show=show)
-    wobble = run(scene, seed=seed, bodies=wobbled(scene, worth))
-    return Truth(method="exact", sentence="the exact steps themselves", result=own, own=wobble,
-                 off=_apart(wobble, own), agreement=worth, estimates={}, took=took)
+    result, method, sentence, off, steps = (_in_digits(scene, seed, own.ticks, show) if exact else
+                                            _integrated(scene, seed, clock, own.ticks, patient=patient, show=show))
+    estimates: Any = own.extra.get("integration", {})
+    return Truth(method=method, sentence=sentence, result=result, own=own, off=off, steps=steps, estimates=estimates,
+                 took=took)
 
 
-def _apart(one: Result, other: Result) -> dict[str, float]:
-    return {name: error.max for name, error in errors(one.trace, other.trace).items()}
+Found = tuple["Result", str, str, Mapping[str, float], Mapping[str, Steps]]
 
 
-def _integrated(scene: Scene, seed: int, clock: Callable[[], int], own: Result, worth: Agreement, took: float, *,
-                patient: bool, show: Callable[[float, str], None]) -> Truth:
-    from teleop.analysis.precision.reference.tight import reference_bodies
+def _in_digits(scene: Scene, seed: int, ticks: int, show: Show) -> Found:
+    from teleop.analysis.precision.reference.digit_bodies import run_in_digits
 
-    seconds, x, v = _foretold(scene, seed, clock, own.ticks)
+    method = f"{DIGITS} digits"
+    result, off, steps = run_in_digits(scene, seed, _progress(show, f"the reference in {method}", ticks * scene.axes))
+    return result, method, (f"each body's equation of motion solved in {method} at every tick; its columns are rounded "
+                            f"to floats, by at most {_sizes(off)}"), off, {method: steps}
+
+
+def _integrated(scene: Scene, seed: int, clock: Callable[[], int], ticks: int, *, patient: bool, show: Show) -> Found:
+    from teleop.analysis.precision.reference.tight import LONG, reference_bodies
+
+    seconds = _foretold(scene, seed, clock, ticks)
     if seconds["DOP853"] > PATIENCE and not patient:
-        raise Refused(f"the reference of {own.ticks} ticks without a closed form would take about "
+        raise Refused(f"the reference of {ticks} ticks without a closed form would take about "
                       f"{seconds['DOP853']:.0f} s; shorten the run, for example --set duration=5, or write --rounds 1 "
                       "and wait")
-    both = patient or seconds["Radau"] <= PATIENCE
-    total = seconds["DOP853"] + seconds["Radau"] * both
+    other = "Radau" if patient or seconds["Radau"] <= PATIENCE else "DOP853"
+    half = seconds["DOP853"] / max(seconds["DOP853"] + seconds[other], 1e-9)
+    moved = max(_integrated_bodies(scene), 1) * ticks
 
-    def by(solver: str, before: float) -> Result:
-        done = 0
+    def by(solver: str, rtol: float, before: float, after: float) -> tuple[Result, Steps]:
+        steps = Steps()
+        tell = _progress(lambda part, text: show(before + part * (after - before), text), f"the reference by {solver}",
+                         moved)
+        return run(scene, seed=seed, bodies=reference_bodies(scene, solver, rtol=rtol, steps=steps, tell=tell)), steps
 
-        def tell() -> None:
-            nonlocal done
-            done += 1
-            if done % 50 == 0:
-                part = min(done / (own.ticks * bodies_count), 1.0)
-                show(min((before + part * seconds[solver]) / max(total, 1e-9), 1.0), f"the reference by {solver}")
-
-        return run(scene, seed=seed, bodies=reference_bodies(scene, solver, tell))
-
-    bodies_count = max(_unclosed(scene), 1)
-    quick = by("DOP853", 0.0)
-    if both:
-        result, method = by("Radau", seconds["DOP853"]), "Radau"
-        off = _apart(quick, result)
-        sentence = ("scipy's Radau at rtol 1e-12, every change of mode located; by DOP853 the run differs by at most "
-                    f"{si(off['x_s'], 'm')}, {si(off['f_env'], 'N')}")
-    else:
-        result, method = quick, "DOP853"
-        least = replace(worth, x=max(x, 1e-17), v=max(v, 1e-17))
-        bodies = wobbled(scene, least, reference_bodies(scene, "DOP853"))
-        off = _apart(run(scene, seed=seed, bodies=bodies), quick)
-        sentence = (f"scipy's DOP853 at rtol 3e-14, every change of mode located; Radau, which would take about "
-                    f"{seconds['Radau']:.0f} s for the run (--rounds 1 has it), differs in one tick by at most "
-                    f"{si(x, 'm')}, {si(v, 'm/s')}: put off by as much at every tick the run differs by at most "
-                    f"{si(off['x_s'], 'm')}, {si(off['f_env'], 'N')}")
-    estimates: Any = own.extra.get("integration", {})
-    return Truth(method=method, sentence=sentence, result=result, own=own, off=off, agreement=worth,
-                 estimates=estimates, took=took)
+    result, steps = by("DOP853", LONG["DOP853"], 0.0, half)
+    rtol = LONG["Radau"] if other == "Radau" else LOOSER
+    check, beside = by(other, rtol, half, 1.0)
+    off = {name: error.max for name, error in errors(check.trace, result.trace).items()}
+    differs = f"by {other} at {rtol:.0e} the run differs by at most {_sizes(off)}"
+    if other == "DOP853":
+        differs += f" (Radau would take about {seconds['Radau']:.0f} s; --rounds 1 has it)"
+    return (result, "DOP853", f"scipy's DOP853 at rtol {LONG['DOP853']:.0e}, every change of mode located; {differs}",
+            off, {"DOP853": steps} | ({other: beside} if other != "DOP853" else {}))
 
 
-def _unclosed(scene: Scene) -> int:
+def _sizes(off: Mapping[str, float]) -> str:
+    return f"{si(off['x_s'], 'm')}, {si(off['f_env'], 'N')}"
+
+
+def _progress(show: Show, text: str, steps: int) -> Callable[[], None]:
+    """A function to call before each of so many steps; it shows how much of them is done."""
+    done = 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        if done % OFTEN == 0:
+            show(min(done / steps, 1.0), text)
+
+    return tell
+
+
+def _integrated_bodies(scene: Scene) -> int:
     """How many bodies have no closed form."""
-    from teleop.simulation.integrators.parts import core_of, stills
-
     return (scene.master.friction > 0.0) * scene.axes + sum(core_of(still) is not None for still, _ in stills(scene))
 
 
-def _foretold(scene: Scene, seed: int, clock: Callable[[], int], ran: int) -> tuple[dict[str, float], float, float]:
-    """Seconds that the run would take by each solver, and by how much (m, m/s) they differ in some single ticks."""
-    from math import isfinite
+def _foretold(scene: Scene, seed: int, clock: Callable[[], int], ticks: int) -> dict[str, float]:
+    """Seconds that the run would take by each solver, from some steps of the stack's own run, evenly spaced."""
+    import scipy.integrate  # noqa: F401 - not within the first step that is timed
 
-    from teleop.analysis.precision.reference.tight import LONG, states
+    from teleop.analysis.precision.reference.tight import LONG, bodies_moved
 
-    ticks = frozenset(int(ran * (i + 0.5) / SAMPLES) for i in range(min(SAMPLES, ran)))
-    watched, pairs = states(scene, ticks, seed)
-    seconds = {"DOP853": 0.0, "Radau": 0.0}
-    differences = [(0.0, 0.0)]
-    for body, other in pairs:
-        if body == "master" and scene.master.friction == 0.0:
-            continue
-        ends: list[list[tuple[Any, ...]]] = []
-        for solver in seconds:
-            move = other(solver, LONG[solver])
-            began = clock()
-            ends.append([move(*state) for state, _ in watched[body].values()])
-            seconds[solver] += (clock() - began) / 1e9 / max(len(watched[body]), 1) * ran
-        differences += [(abs(a[0] - b[0]), abs(a[1] - b[1])) for a, b in zip(*ends, strict=True)]
-    sound = [pair for pair in differences if all(map(isfinite, pair))]
-    return seconds, max(x for x, _ in sound), max(v for _, v in sound)
+    every = max(1, ticks // SAMPLES) | 1  # odd, so that two bodies which take turns are both among them
+    seconds = {}
+    for solver, rtol in LONG.items():
+        made, timed, spent = 0, 0, 0
+
+        def watch(other: Any, own: Any, state: tuple[Any, ...], z: Any) -> tuple[Any, Any]:
+            nonlocal made, timed, spent
+            if made % every == 0:
+                began = clock()
+                other(*state)
+                spent, timed = spent + clock() - began, timed + 1
+            made += 1
+            x, v, *_, z = own(z)
+            return (x, v, 0), z
+
+        run(scene, seed=seed, bodies=bodies_moved(scene, solver, rtol, watch))
+        seconds[solver] = spent / 1e9 / timed * made
+    return seconds

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import teleop.analysis.precision.measure
-import teleop.analysis.precision.reference.agreement as agreement_module
 from channel.delay import Delay
 from master.hand import Grip, Rest
 from slave.tissue import Tissue
@@ -21,19 +20,19 @@ from slave.wall import Wall
 from teleop.analysis.precision.contenders.contenders import Contender
 from teleop.analysis.precision.contenders.outsiders import outsider_bodies
 from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
-from teleop.analysis.precision.reference.agreement import agreement, wobbled
-from teleop.analysis.precision.reference.deviation import NEAR, Error, contacts, errors, felt, missed
-from teleop.analysis.precision.reference.located import located
+from teleop.analysis.precision.reference.deviation import NEAR, Error, contacts, felt, missed
+from teleop.analysis.precision.reference.digit_bodies import run_in_digits
 from teleop.analysis.precision.report import summary, table
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.bodies import Bodies
 from teleop.simulation.integrators.methods import METHODS
-from teleop.simulation.integrators.stepped import method_bodies, touch_of
+from teleop.simulation.integrators.stepped import method_bodies
 from teleop.simulation.virtual import run
+from teleop.terminal.units import si
 
 Typed = Callable[..., Any]
 BY_NAME = {method.name: method for method in METHODS}
@@ -55,19 +54,14 @@ def same(one: Any, other: Any) -> bool:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One state of each kind is enough where the reference is not what is tried."""
-    monkeypatch.setattr(agreement_module, "RADAU", 1)
-    monkeypatch.setattr(agreement_module, "CHANGES", 2)
-    monkeypatch.setattr(agreement_module, "OTHERS", 2)
+    """One tolerance of scipy's solvers, which take longest."""
     monkeypatch.setattr(teleop.analysis.precision.measure, "TOLERANCES", (1e-6,))
 
 
 @pytest.fixture(scope="module")
 def struck() -> Precision:
     """A comparison on a stiff wall, timed by a clock that ticks a microsecond whenever it is read."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(agreement_module, "RADAU", 2)
-        return measure(strike(), clock=count(0, 1000).__next__, rounds=2)
+    return measure(strike(), clock=count(0, 1000).__next__, rounds=2)
 
 
 def by_key(got: Precision) -> dict[str, Entry]:
@@ -80,96 +74,43 @@ class TestTheReference:
         ("canonical", {"k_e": 1e9, "d_e": 100.0}), ("hard_wall", {"k_e": 1e6, "duration": 2.0}),
         ("canonical", {"k_e": 1e3, "d_e": 100.0}), ("soft_tissue", {}), ("free_motion", {}),
     ])
-    def test_one_exact_step_is_that_of_dop853_and_radau_with_events(
-        self, name: str, knobs: dict[str, float], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(agreement_module, "RADAU", 2)
+    def test_one_exact_step_is_that_of_40_digits_at_every_tick(self, name: str, knobs: dict[str, float]) -> None:
         scene = load_scene(name, **{"duration": 0.7, **knobs})
-        trace = run(scene).trace
-        got = agreement(scene, trace)
-        assert set(got.differences) == {"DOP853", "Radau"}
-        assert all(x < 1e-11 and v < 1e-9 for x, v in got.differences.values())
-        assert "gave up" not in got.sentence
+        _, _, steps = run_in_digits(scene, 0)
+        assert steps.count == 2 * scene.ticks
+        assert (steps.gave_up, steps.integrated) == (0, 0)
+        assert steps.x < 1e-15
+        assert steps.v < 1e-11
         walled = isinstance(scene.environment, Wall)
-        assert (got.changes > 0) == walled  # or it would compare smooth motion only
+        assert (steps.changes > 0) == walled  # or it would compare smooth motion only
 
-    def test_the_ticks_compared_are_those_in_which_contact_is_made_and_lost(self, quick: None) -> None:
-        scene = strike(environment=Wall(k=1e5, d=50.0, at=1e-3))
-        trace = run(scene).trace
-        at = trace["f_env"] > 0.0
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(agreement_module, "CHANGES", 1000)
-            got = agreement(scene, trace)
-        assert got.changes >= (at[1:] != at[:-1]).sum() >= 3
-        assert f"({got.changes} with a change of mode)" in got.sentence
-
-    def test_a_bounce_between_two_ticks_is_among_them(self) -> None:
+    def test_a_bounce_between_two_ticks_is_followed(self) -> None:
         scene = strike(environment=Wall(k=1e9, d=0.0, at=1.0005e-3))
         trace = run(scene).trace
         unseen = felt(scene, trace)[:-1] & (trace["f_env"][:-1] == 0.0) & (trace["f_env"][1:] == 0.0)
-        assert unseen.any()
-        got = agreement(scene, trace)
-        assert got.changes >= min(unseen.sum(), 20)
-        assert got.differences["DOP853"][0] < 1e-11
+        _, _, steps = run_in_digits(scene, 0)
+        assert steps.changes >= unseen.sum() > 0
 
-    def test_events_are_located_to_rounding_not_to_interpolation(self, quick: None) -> None:
-        scene = load_scene("canonical", duration=2.5, k_e=1e6, d_e=0.0)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(agreement_module, "CHANGES", 24)
-            assert agreement(scene, run(scene).trace).differences["DOP853"][1] < 2e-14
+    def test_an_error_that_may_be_the_references_own_is_shown_as_a_bound(self, struck: Precision) -> None:
+        truth = replace(struck.truth, off={name: 10.0 * error.max for name, error in struck.entries[0].errors.items()})
+        coarse = replace(struck, truth=truth)
+        exact, other = (next(line for line in table(coarse).splitlines() if line.startswith(f"{key} "))
+                        for key in ("exact", "euler/1"))
+        assert exact.count("<= ") == 5
+        assert "<=" not in other
+        resolved = {m["name"]: m["errors"]["x_s"]["resolved"] for m in summary(coarse)["methods"]}
+        assert (resolved["exact"], resolved["euler/1"]) == (False, True)
 
-    def test_a_whole_run_with_located_events_is_the_exact_run(self) -> None:
-        scene = strike()
-        exact = run(scene).trace
-        assert len(contacts(exact["f_env"] > 0.0)) >= 1
-        assert np.diff(exact["f_env"] > 0.0).sum() >= 3
-        for solver, ticks in (("DOP853", 80), ("Radau", 25)):
-            own = exact_bodies(scene)
-            touch = touch_of(own.slaves[0], scene.slave)
+    def test_how_good_it_is_is_said_in_the_table_and_in_json(self, struck: Precision) -> None:
+        off = struck.truth.off
+        assert f"by at most {si(off['x_s'], 'm')}, {si(off['f_env'], 'N')}" in table(struck)
+        assert summary(struck)["reference"]["off_by"] == off
+        assert f"all {2 * 80} steps of the run" in table(struck)
 
-            def move(_: Any, x: float, v: float, f: float, touch: Any = touch, solver: str = solver) -> Any:
-                return *located(touch, 1e-3, x, v, f, solver)[:2], 0
-
-            slaves = [own.slaves[0]._replace(move=move)]
-            some = replace(scene, duration=ticks * 1e-3)
-            got = run(some, bodies=Bodies(own.master, slaves)).trace
-            assert np.abs(got["x_s"] - exact["x_s"][:ticks]).max() < 1e-11
-            assert np.abs(got["f_env"] - exact["f_env"][:ticks]).max() < 1e-6
-
-    def test_an_exact_step_that_were_wrong_would_show(self, quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
-        scene = strike()
-        trace = run(scene).trace
-        crooked = exact_bodies(scene)
-        plant = crooked.slaves[0]
-        bent = plant._replace(move=lambda c, x, v, f: (plant.move(c, x, v, f)[0] + 1e-9, *plant.move(c, x, v, f)[1:]))
-        monkeypatch.setattr(agreement_module, "exact_bodies", lambda _: crooked._replace(slaves=[bent]))
-        monkeypatch.setattr(agreement_module, "touch_of", lambda _, body: touch_of(plant, body))
-        assert agreement(scene, trace).differences["DOP853"][0] == pytest.approx(1e-9, rel=1e-3)
-
-    def test_the_run_put_off_by_nothing_is_the_run_and_by_more_is_further_off(self, quick: None) -> None:
-        scene = strike()
-        reference = run(scene)
-        worth = agreement(scene, reference.trace)
-        assert same(reference, run(scene, bodies=wobbled(scene, replace(worth, x=0.0, v=0.0))))
-        off = [errors(run(scene, bodies=wobbled(scene, replace(worth, x=x, v=0.0))).trace, reference.trace)["x_s"].max
-               for x in (1e-13, 1e-11)]
-        assert 1e-13 < off[0] < 1e-9
-        assert off[1] == pytest.approx(100.0 * off[0], rel=0.5)
-
-    def test_what_no_integrator_can_follow_is_not_compared_and_says_so(self) -> None:
-        scene = strike(environment=Wall(k=1e14, d=0.0, at=1e-3))
-        got = agreement(scene, run(scene).trace)
-        assert got.differences == {}
-        assert got.sentence.startswith("not compared: the fastest mode goes through")
-        assert got.x > 0.0
-
-    def test_without_scipy_the_rest_is_measured_and_that_is_said(
-        self, quick: None, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(agreement_module, "there", lambda: False)
+    def test_without_scipy_the_rest_is_measured(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(teleop.analysis.precision.measure, "there", lambda: False)
         got = measure(strike(duration=0.02), clock=count(0, 1000).__next__, rounds=1)
-        assert got.agreement.sentence == "not compared: scipy is not installed"
+        assert got.truth.method == "40 digits"
         assert all(e.contender.rtol is None for e in got.entries)
         assert len(got.entries) == 37
 
@@ -370,7 +311,7 @@ class TestTheCommand:
         assert told == json.loads((tmp_path / "runs" / "canonical-precision-1" / "summary.json").read_text())
         assert told["methods"][0]["name"] == "exact"
         assert told["ticks"] == 50
-        assert told["reference"]["per_tick"]["DOP853"]["x"] < 1e-11
+        assert told["reference"]["per_tick"]["40 digits"]["x"] < 1e-15
         assert set(told["reference"]["step_ns"]) == {"exact", "semi_implicit_euler/1"}
 
     @pytest.mark.parametrize(("arguments", "words"), [
