@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
@@ -61,7 +62,8 @@ def draw(result: Result, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     bin, see `binned`. Raises `Refused` if the extra is missing or the file cannot be written.
     """
     panels = [panel for panel in PANELS if any(curve.name in result.trace for curve in panel.curves)]
-    figure = new_figure((9.5, 2.0 * len(panels) + 0.9), f"{literal(heading(result))}\n{literal(verdict(result))}")
+    title = "\n".join(fill(literal(text), 115) for text in (heading(result), verdict(result)))
+    figure = new_figure((9.5, 2.0 * len(panels) + 0.9), title)
     every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(every, panels, strict=True):
         _fill(axes, panel, result.trace, result.dt)

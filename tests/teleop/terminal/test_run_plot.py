@@ -79,6 +79,12 @@ class TestWhatIsDrawn:
             assert over.get_alpha() is None
             assert under.get_color() != over.get_color()
 
+    def test_a_long_sentence_is_not_cut_off_at_the_edges(self, drawn: Any, wave: Result) -> None:
+        figure = drawn(replace(wave, sentence="diverged, " + "and more of it, " * 12))
+        figure.canvas.draw()
+        box = figure._suptitle.get_window_extent()
+        assert 0.0 < box.x0 < box.x1 < figure.bbox.width
+
     def test_a_scene_without_energy_has_no_such_panel(self, drawn: Any) -> None:
         assert len(drawn(run(load_scene("canonical", duration=0.1, energy=False))).axes) == 3
 

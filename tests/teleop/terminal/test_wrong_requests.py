@@ -171,14 +171,22 @@ class TestAWrongRequest:
         assert "interrupted" in answer.err
         assert left_in(tmp_path) == before
 
+    @pytest.mark.parametrize("option", [["--plot"], ["--format", "pdf,svg"]])
+    @pytest.mark.parametrize("words", [
+        ["run", "canonical"], ["demo"], ["sweep", "soft_tissue", "--grid", "k_e=1,2"], ["precision", "hard_wall"],
+        ["passivity", "virtual_wall"], ["zwidth", "virtual_wall"], ["report", "taken"],
+    ], ids=lambda words: words[0])
     def test_without_matplotlib_a_plot_is_refused_before_it_runs(
-        self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], option: list[str]
     ) -> None:
         before = left_in(tmp_path)
         monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
-        answer = typed("run", "canonical", *SHORT, "--plot")
-        answer.assert_refused("pip install 'bilateral-teleop[plot]'")
+        typed(*words, *option).assert_refused("pip install 'bilateral-teleop[plot]'")
         assert left_in(tmp_path) == before
+
+    @pytest.mark.parametrize("format", ["jpg", "png,", "", "png;pdf"])
+    def test_of_a_format_that_is_none_is_refused_by_name(self, typed: Typed, format: str) -> None:
+        typed("run", "canonical", "--format", format).assert_refused("png, pdf, svg", "for example pdf,svg")
 
     @pytest.mark.parametrize("arguments", [["rnu"], ["report"], ["report", "nowhere"], ["report", "taken"],
                                            ["report", "mine.py"], ["list", "delai"], ["list", "a", "b"]])
