@@ -180,7 +180,7 @@ from mine import Mine
 from teleop import Scene, load_scene
 
 def scene(*, duration: float = 0.2) -> Scene:
-    return replace(load_scene("canonical"), law=Mine(), duration=duration)
+    return replace(load_scene("free_motion"), law=Mine(), duration=duration)
 """
 PROGRAM = """
 from teleop import load_scene, run
@@ -228,7 +228,7 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
 SCRIPT = LAW.replace("import gains", "").replace("* PARTS[0] * gains.G", "").replace("{factor}", "50.0").replace(
     "{tuple}", "1.0") + """
 from teleop.sweeps.runner import carry_out, plan_sweep
-plan = plan_sweep("canonical", {"k_e": [1e3, 2e3]}, fixed={"law": Mine(), "duration": 0.1}, engine="scalar")
+plan = plan_sweep("free_motion", {"delay": [0.01, 0.02]}, fixed={"law": Mine(), "duration": 0.1}, engine="scalar")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
 
