@@ -135,8 +135,10 @@ def _stability(added: ArgumentParser) -> None:
     added.add_argument("--continuous", action="store_true", help="the delay margin in continuous time too")
     added.add_argument("--time", action="store_true",
                        help="judge by a run in virtual time: for scenes that are not linear")
-    added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json into; left out: none")
+    added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json into; left out: none, or "
+                       "with --plot runs/SCENE-stability-NUMBER")
     _json(added)
+    _plot(added, "stability.png, and with --critical critical.png,")
 
 
 def _passivity(added: ArgumentParser) -> None:

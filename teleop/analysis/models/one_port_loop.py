@@ -161,22 +161,27 @@ class Margins(NamedTuple):
 
 def margins(scene: Scene) -> Margins:
     """Roots and margins of a scene without a slave."""
+    from teleop.analysis.models.margins import critical_round_trip
+
+    linear = opened(scene)
+    found = gain_and_mode(scene, linear)
+    if linear is None:
+        return found._replace(critical_delay=_critical_delay(scene), tried=MOST_DELAY)
+    return found._replace(critical_delay=critical_round_trip(linear, 0))
+
+
+def gain_and_mode(scene: Scene, linear: LinearScene | None) -> Margins:
+    """The same but for the delay; `linear` is the scene `opened`."""
     from teleop.analysis.models import margins as of_two
     from teleop.analysis.models.loop import sampled_loop
     from teleop.analysis.models.roots import dominant
 
-    linear = opened(scene)
-    if linear is None:
+    if linear is None or linear.forth == 0:
         whole = one_port(scene)
-        resting, mode = _dominant(whole)
-        return Margins(unstable_roots(whole), resting, mode, _gain_margin(scene), _critical_delay(scene), MOST_DELAY)
-    if linear.forth == 0:
-        whole = one_port(scene)
-        unstable, (resting, mode) = unstable_roots(whole), _dominant(whole)
-    else:
-        unstable, resting = sampled_loop(linear).outside(linear.round_trip), of_two.integrators(linear)
-        mode = dominant(linear, resting)
-    return Margins(unstable, resting, mode, of_two.gain_margin(linear), of_two.critical_round_trip(linear, 0), None)
+        gain = _gain_margin(scene) if linear is None else of_two.gain_margin(linear)
+        return Margins(unstable_roots(whole), *_dominant(whole), gain, None, None)
+    unstable, resting = sampled_loop(linear).outside(linear.round_trip), of_two.integrators(linear)
+    return Margins(unstable, resting, dominant(linear, resting), of_two.gain_margin(linear), None, None)
 
 
 def settles(scene: Scene) -> bool:

@@ -2,5 +2,5 @@
 
 `linear` finds the two ends as matrices, `curve` and `loop` count the roots that grow, `roots` finds the dominant one,
 `margins` looks for the edge, `continuous` does so without sampling; `swing` is the verdict of virtual time for what is
-not linear. `assess` puts them together, `report` tells it.
+not linear. `assess` puts them together, `report` tells it, `picture` and `plot` draw it.
 """

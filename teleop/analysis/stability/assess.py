@@ -149,7 +149,7 @@ def critical(
     """
     if tol is not None:
         number("tol", tol, above=0.0)
-    values = _places(knob, low, high, places, whole)
+    values = places_of(knob, low, high, places, whole)
     asked = _asking(make, judge, tell)
     brackets = _brackets(knob, values, asked, near)
 
@@ -181,7 +181,7 @@ def lowest(
     """
     if tol is not None:
         number("tol", tol, above=0.0)
-    values = _places(knob, low, high, places, whole)
+    values = places_of(knob, low, high, places, whole)
     asked = _asking(make, judge, tell)
     brackets = _brackets(knob, values, asked, near)
     under, over = values[brackets[0]], values[brackets[0] + 1]
@@ -211,7 +211,7 @@ def _asking(make: Callable[[float], Scene], judge: Callable[[Scene], bool], tell
     return asked
 
 
-def _places(knob: str, low: float, high: float, places: int, whole: bool) -> list[float]:
+def places_of(knob: str, low: float, high: float, places: int, whole: bool) -> list[float]:
     """The values of a range that are tried first."""
     low, high = number("the range's low end", low), number("the range's high end", high)
     if not low < high:

@@ -15,6 +15,7 @@ from teleop.analysis.stability.assess import (
     Stability,
     critical,
     lowest,
+    places_of,
     rests,
     stability,
 )
@@ -36,7 +37,7 @@ TOLD = 4  # further changes in the table
 UNITS = {
     "dt": "s", "fwd": "ticks", "bwd": "ticks", "round_trip": "ticks", "critical_round_trip": "ticks",
     "delay_margin": "ticks", "gain_margin": "1", "frequency": "Hz", "growth": "1/s", "damping": "1", "amplitude": "m",
-    "continuous.round_trip": "s",
+    "continuous.round_trip": "s", "phase_margin": "rad", "gain_crossover": "Hz", "phase_crossover": "Hz",
 }
 
 
@@ -70,6 +71,7 @@ class StabilityAnswer(NamedTuple):
     seed: int = 0
     so_far: SoFar | None = None  # of a search that was interrupted
     in_time: bool = False
+    places: tuple[float, ...] = ()  # values of the knob over its range, those of the critical value among them
 
     @property
     def sentence(self) -> str:
@@ -128,12 +130,14 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
             edge = lowest(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME, tol=closeness, whole=whole,
                           judge=lambda one: rests(one, seed=seed), tell=so_far)
         else:
-            edge = critical(make, knob, low=low, high=high, near=own, tol=closeness, whole=whole, tell=so_far)
+            edge = critical(make, knob, low=low, high=high, near=own, places=PLACES, tol=closeness, whole=whole,
+                            tell=so_far)
     except KeyboardInterrupt:
         return answer._replace(so_far=so_far.known)
     if show is not None:
         show(1.0, "done")
-    return answer._replace(edge=edge)
+    places = sorted({*places_of(knob, low, high, PLACES, whole), *(one.value for one in edge.all)})
+    return answer._replace(edge=edge, places=tuple(places))
 
 
 class _Search:

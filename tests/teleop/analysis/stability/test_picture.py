@@ -1,0 +1,125 @@
+"""The numbers behind the plots of stability, against the loop's own equations, and the files that a user gets."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from teleop import Scene, load_scene
+from teleop.analysis.models.linear import linear_scene
+from teleop.analysis.stability import report
+from teleop.analysis.stability.assess import stability
+from teleop.analysis.stability.picture import Picture, picture, sweep
+
+Typed = Callable[..., Any]
+
+
+def drawn(scene: Scene) -> Picture:
+    found = stability(scene)
+    return picture(scene, unstable=found.unstable > 0, gain_margin=found.gain_margin)
+
+
+def open_loop_at(scene: Scene, f: float) -> complex:
+    """-z^-d P_m P_s of a scene that sends one field back, straight from its matrices."""
+    linear = linear_scene(scene)
+    z = np.exp(2j * np.pi * f * linear.dt)
+    both = [C @ np.linalg.inv(z * np.eye(len(A)) - A) @ B + D for A, B, C, D in (linear.master, linear.slave)]
+    return complex(-np.trace(both[0] @ both[1]) * z**-linear.round_trip)
+
+
+class TestTheOpenLoop:
+    def test_has_its_margins_where_it_passes_1_and_minus_1(self) -> None:
+        scene = load_scene("soft_tissue", law="direct", delay=0.005)
+        loop, gain = drawn(scene).loop, stability(scene).gain_margin
+        assert loop is not None
+        assert gain is not None
+        at = brentq(lambda f: abs(open_loop_at(scene, f)) - 1.0, 3.5, 5.0, xtol=1e-12)
+        slow = brentq(lambda f: abs(open_loop_at(scene, f)) - 1.0, 0.5, 2.5, xtol=1e-12)
+        least = min(abs(np.angle(-open_loop_at(scene, f))) for f in (at, slow))
+        assert loop.phase_margin == pytest.approx(least, abs=1e-6)
+        assert loop.gain_crossover == pytest.approx(at, rel=1e-6)
+        crossing = brentq(lambda f: open_loop_at(scene, f).imag, 4.5, 6.0, xtol=1e-12)
+        assert open_loop_at(scene, crossing).real == pytest.approx(-1.0 / gain, rel=1e-6)
+        assert loop.phase_crossover == pytest.approx(crossing, rel=0.02)
+
+    def test_is_the_same_by_every_branch_of_three_equal_axes(self) -> None:
+        tissue = load_scene("soft_tissue", law="direct", delay=0.005)
+        three = Scene(law=tissue.law, master=tissue.master, slave=tissue.slave, hand=tissue.hand, link=tissue.link,
+                      environment=tissue.environments * 3, axes=3, duration=1.0)
+        one, all_three = drawn(tissue).loop, drawn(three).loop
+        assert one is not None
+        assert all_three is not None
+        assert all_three.L.shape[1] == 3
+        assert np.sort(np.abs(all_three.L), axis=1)[:, 0] == pytest.approx(np.abs(one.L[:, 0]), rel=1e-6, abs=1e-9)
+        assert all_three.phase_margin == pytest.approx(one.phase_margin, abs=1e-6)
+
+    def test_of_an_unstable_loop_has_no_phase_margin(self) -> None:
+        loop = drawn(load_scene("soft_tissue", law="direct", delay=0.05)).loop
+        assert loop is not None
+        assert loop.phase_margin is None
+        assert loop.gain_crossover is not None
+
+    def test_of_a_force_that_is_renewed_slowly_is_none(self) -> None:
+        found = drawn(load_scene("virtual_wall", every=3))
+        assert found.loop is None
+        assert found.period == pytest.approx(3e-3)
+        assert len(found.roots.z) == found.roots.total
+
+
+class TestTheRoots:
+    @pytest.mark.parametrize("delay", [0.005, 0.5])
+    def test_have_the_dominant_mode_and_all_that_grow(self, delay: float) -> None:
+        scene = load_scene("soft_tissue", law="direct", delay=delay)
+        found, roots = stability(scene), drawn(scene).roots
+        assert found.mode is not None
+        assert roots.complete
+        assert np.abs(roots.z - found.mode.z).min() < 1e-9
+        assert np.count_nonzero(np.abs(roots.z) > 1.0) == found.unstable
+        assert len(roots.z) == min(200, roots.total)
+
+
+class TestAKnob:
+    def test_has_margins_that_end_where_the_growth_begins(self) -> None:
+        swept = sweep(lambda K: load_scene("virtual_wall", **{"law.K": K}), [100.0, 1000.0, 3000.0, 6000.0])
+        stable = swept.growth < 0.0
+        assert list(stable) == [True, True, True, False]
+        assert ((swept.gain_margin > 1.0) == stable).all()
+        assert (np.isfinite(swept.phase_margin) <= stable).all()
+
+
+class TestTheCommand:
+    def test_draws_roots_open_loop_and_the_knob(
+        self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(report, "PLACES", 4)
+        answer = typed("stability", "virtual_wall", "--critical", "law.K", "--range", "3000:5000", "--tol", "1",
+                       "--plot", "--out", "here")
+        assert answer.code == 0
+        assert {path.name for path in (tmp_path / "here").iterdir()} == {
+            "summary.json", "curves.npz", "stability.png", "critical.png"}
+        told = json.loads((tmp_path / "here" / "summary.json").read_text())
+        assert told["open_loop"]["phase_margin"] > 0.0
+        assert told["roots"] == {"drawn": 4, "total": 4, "complete": True}
+        with np.load(tmp_path / "here" / "curves.npz") as arrays:
+            assert (np.diff(arrays["swept_values"]) > 0.0).all()
+            assert told["critical"]["value"] in arrays["swept_values"]
+            assert arrays["L"].shape == (len(arrays["frequency"]), 1)
+
+    @pytest.mark.parametrize("arguments", [
+        ["soft_tissue"], ["soft_tissue", "--set", "law=direct", "--set", "delay=0.5"],
+        ["free_motion", "--set", "law=direct"], ["virtual_wall", "--set", "every=3"],
+    ])
+    def test_draws_what_rests_what_is_long_what_nothing_closes_and_what_has_no_open_loop(
+        self, typed: Typed, tmp_path: Path, arguments: list[str]
+    ) -> None:
+        assert typed("stability", *arguments, "--plot", "--out", "here").code == 0
+        assert (tmp_path / "here" / "stability.png").read_bytes().startswith(b"\x89PNG")
+
+    def test_refuses_a_plot_of_a_run_in_virtual_time(self, typed: Typed) -> None:
+        typed("stability", "hard_wall", "--time", "--plot").assert_refused("roots", "teleop run hard_wall --plot")
