@@ -25,12 +25,6 @@ def slave_of(scene: Scene) -> MassDamper:
     return scene.slave
 
 
-def inner(scene: Scene) -> bool:
-    """True if any of the bodies has an inner state."""
-    return scene.master.friction > 0.0 or scene.electrical is not None or any(
-        plant.start is not None for plant in exact_bodies(scene).slaves)
-
-
 def closed(scene: Scene) -> bool:
     """True if every body has a closed form, so that the run is exact."""
     return scene.master.friction == 0.0 and not any(core_of(still) for still, _ in stills(scene))

@@ -84,8 +84,8 @@ def stepped(method: IntegrationMethod, branch: Branch, dt: float, n: int) -> Ste
     return steps
 
 
-def solved(branch: Branch, dt: float, solver: str, rtol: float, atol: float | None = None) -> Steps:
-    """One call of scipy's `solver` over dt; NaN where it gives up. Without `atol` it is 1e-3 of `rtol`."""
+def solved(branch: Branch, dt: float, solver: str, rtol: float) -> Steps:
+    """One call of scipy's `solver` over dt; NaN where it gives up."""
     from scipy.integrate import solve_ivp
 
     a = rates(branch)[:3]
@@ -97,7 +97,7 @@ def solved(branch: Branch, dt: float, solver: str, rtol: float, atol: float | No
             return nan, nan, nan
         push = a[:, 3] * f
         done = solve_ivp(lambda _, y: system @ y + push, (0.0, dt), (x, v, z), solver, rtol=rtol,
-                         atol=1e-3 * rtol if atol is None else atol, **more)
+                         atol=1e-3 * rtol, **more)
         x, v, z = map(float, done.y[:, -1])
         return (x, v, z) if done.success else (nan, nan, nan)
 

@@ -22,10 +22,10 @@ class Contender:
 
     @property
     def step(self) -> str:
-        """What is finer or coarser about it."""
+        """Number of its sub-steps, or its rtol."""
         return str(self.substeps) if self.substeps else f"{self.rtol:.0e}" if self.rtol else ""
 
     @property
     def key(self) -> str:
-        """Its name among all."""
+        """Name among all contenders, for example `rk4/16`."""
         return f"{self.method}/{self.step}" if self.step else self.method

@@ -1,7 +1,4 @@
-"""Integrators of scipy's as contenders, called once per tick.
-
-They are used the way anybody would: `solve_ivp` over the tick, the wall's force in the right-hand side, no events.
-"""
+"""Solvers of scipy's as contenders: `solve_ivp` over each tick, the wall's force in the right-hand side, no events."""
 
 from __future__ import annotations
 
@@ -21,6 +18,8 @@ if TYPE_CHECKING:
     from teleop.physics.sdirk import Core
     from teleop.scene.scene import Scene
 
+Rate = Callable[[float, Any, float], tuple[float, float]]  # (t, (p, u), f) -> (p', u')
+
 SOLVERS = ("DOP853", "LSODA", "Radau")
 TOLERANCES = (1e-3, 1e-6, 1e-9)  # relative; absolute 1e-3 of it, in m and m/s
 
@@ -35,20 +34,19 @@ def outsider_bodies(scene: Scene, solver: str, rtol: float) -> Bodies:
     dt = scene.dt_ns / 1e9
 
     def moved(still: Plant, environment: Any) -> Plant:
-        if (held := core_of(still)) is not None:
-            return still._replace(move=_resisted(*held, dt, solver, rtol), start=(), report=None)
+        if (equation := core_of(still)) is not None:
+            side, at, core = equation
+            return still._replace(move=_solved(_resisted(core), side, at, dt, solver, rtol), start=(), report=None)
         if (branch := relaxing_branch(still, environment, slave_of(scene))) is not None:
             return still._replace(move=relaxed.bonded(relaxed.solved(branch, dt, solver, rtol)))
-        return still._replace(move=outsider(touch_of(still, slave_of(scene)), dt, solver, rtol))
+        touch = touch_of(still, slave_of(scene))
+        return still._replace(move=_solved(_touching(touch), touch.side, touch.at, dt, solver, rtol))
 
     return exact_bodies(scene)._replace(slaves=rebuilt(scene, moved))
 
 
-def _resisted(side: float, at: float, core: Core, dt: float, solver: str, rtol: float
-              ) -> Callable[..., tuple[float, float, int, Any]]:
-    """`move` of a body without friction in what resists it; NaN where the solver gives up."""
-    from scipy.integrate import solve_ivp
-
+def _resisted(core: Core) -> Rate:
+    """The rates of depth and speed of a body without friction in what resists it."""
     from teleop.physics.sdirk import resistance_force
 
     m, b = core[1], core[2]
@@ -57,23 +55,12 @@ def _resisted(side: float, at: float, core: Core, dt: float, solver: str, rtol: 
         p, u = y
         return u, (f - b * u - resistance_force(core, p, u)) / m
 
-    def move(_: Any, x: float, v: float, f: float, z: Any) -> tuple[float, float, int, Any]:
-        if not isfinite(abs(x) + abs(v) + abs(f)):
-            return nan, nan, 0, z
-        start = side * (x - at), side * v
-        done = solve_ivp(rate, (0.0, dt), start, solver, args=(side * f,), rtol=rtol, atol=1e-3 * rtol)
-        if not done.success:
-            return nan, nan, 0, z
-        return at + side * float(done.y[0, -1]), side * float(done.y[1, -1]), 0, z
-
-    return move
+    return rate
 
 
-def outsider(touch: Touch, dt: float, solver: str, rtol: float) -> Callable[..., tuple[float, float, int]]:
-    """`move` by `solver` over one tick; NaN where it gives up."""
-    from scipy.integrate import solve_ivp
-
-    m, b, k, d, side, at, edge, floor = touch
+def _touching(touch: Touch) -> Rate:
+    """The rates of depth and speed of a body beside a wall, bonded or free."""
+    m, b, k, d, _, _, edge, floor = touch
 
     def rate(_: float, y: Any, f: float) -> tuple[float, float]:
         p, u = y
@@ -84,13 +71,20 @@ def outsider(touch: Touch, dt: float, solver: str, rtol: float) -> Callable[...,
                 pull -= g
         return u, pull / m
 
-    def move(_: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
+    return rate
+
+
+def _solved(rate: Rate, side: float, at: float, dt: float, solver: str, rtol: float) -> Callable[..., tuple[Any, ...]]:
+    """`move` by one call of `solver` over the tick; NaN where it gives up."""
+    from scipy.integrate import solve_ivp
+
+    def move(_: Any, x: float, v: float, f: float, *inner: Any) -> tuple[Any, ...]:
         if not isfinite(abs(x) + abs(v) + abs(f)):
-            return nan, nan, 0
+            return nan, nan, 0, *inner
         start = side * (x - at), side * v
         done = solve_ivp(rate, (0.0, dt), start, solver, args=(side * f,), rtol=rtol, atol=1e-3 * rtol)
         if not done.success:
-            return nan, nan, 0
-        return at + side * float(done.y[0, -1]), side * float(done.y[1, -1]), 0
+            return nan, nan, 0, *inner
+        return at + side * float(done.y[0, -1]), side * float(done.y[1, -1]), 0, *inner
 
     return move

@@ -1,4 +1,4 @@
-"""The independent reference: a tick integrated by scipy at its tightest, with every change of mode located.
+"""The reference for bodies without a closed form: a tick by scipy, tight, with every change of mode located.
 
 A body in one axis, at depth p in what it touches and with speed u against it, as in `teleop/physics/sdirk.py`:
 
@@ -29,7 +29,7 @@ ACROSS, FOLLOW, STOP, BREAK = range(4)  # what ends a piece: p = 0, g = 0, the s
 
 
 class Settled(NamedTuple):
-    """Depth and speed after a tick, and how many changes of mode were located; NaN where the integrator gave up."""
+    """Depth and speed after a tick, and the number of changes of mode located; NaN where the integrator gave up."""
 
     p: float
     u: float
@@ -37,7 +37,7 @@ class Settled(NamedTuple):
 
 
 class Exit(NamedTuple):
-    """What ends a piece where it falls through zero: `value(p, u, a)` gives it and its rate of change."""
+    """A quantity that ends a piece where it falls through zero: `value(p, u, a)` gives it and its rate of change."""
 
     value: Callable[[float, float, float], tuple[float, float]]
     kind: int
@@ -45,7 +45,7 @@ class Exit(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """One smooth piece of the motion: the equation, where it is, and which way it slides (0: it sticks, if fc > 0)."""
+    """One smooth piece of the motion: its equation, its touch, and the way it slides (0: it sticks, if fc > 0)."""
 
     core: Core
     touch: int
@@ -54,7 +54,7 @@ class Piece(NamedTuple):
     s: float
 
     def rate(self, _: float, y: Any) -> tuple[float, float]:
-        """(p', u')."""
+        """Rates (p', u')."""
         p, u = y
         return u, self.pull(p, u)
 
@@ -84,7 +84,7 @@ class Piece(NamedTuple):
         return (n * k * p ** (n - 1.0) * (1.0 + lam * u), lam * k * p**n) if p > 0.0 else (0.0, 0.0)
 
     def jacobian(self, _: float, y: Any) -> list[list[float]]:
-        """Of `rate`."""
+        """Jacobian of `rate`."""
         _, m, b, _, _, _, _, fc = self.core
         if fc > 0.0 and self.way == 0:
             return [[0.0, 1.0], [0.0, 0.0]]
@@ -96,7 +96,7 @@ class Piece(NamedTuple):
         return self.f + self.core[2] * self.s - self.push(p, -self.s)
 
     def exits(self) -> list[Exit]:
-        """All that may end it."""
+        """All exits that may end it."""
         kind, _, _, k, d, _, lam, fc = self.core
         found = []
         if kind in (WALL, HUNT_CROSSLEY):
@@ -116,14 +116,14 @@ class Piece(NamedTuple):
         return found
 
     def hold(self, way: int) -> Callable[[float, float, float], tuple[float, float]]:
-        """What friction has left to hold with against a start one way; a little more, so that it does start then."""
+        """The force that friction has left against a start one way; slightly more, so that the body does start then."""
         fc = self.core[7] + ROUNDING * (self.core[7] + abs(self.f))
         return lambda p, u, _: (fc - way * self.left_over(p), way * self.slopes(p, u)[0] * u)
 
 
 def settle(core: Core, p: float, u: float, f: float, s: float, dt: float, solver: str, rtol: float | None = None
            ) -> Settled:
-    """Depth and speed after dt, by `solver` (DOP853 or Radau), without `rtol` at its tightest. From 0.2 ms to 1 s.
+    """Depth and speed after dt, by `solver` (DOP853 or Radau), `rtol` left out at its tightest. It takes 0.2 ms to 1 s.
 
     What touches nothing and provably slides one way, and what sticks to the ground, takes the closed form.
     """
@@ -148,7 +148,7 @@ def settle(core: Core, p: float, u: float, f: float, s: float, dt: float, solver
 
 
 def _begun(core: Core, p: float, u: float, f: float, s: float) -> Piece:
-    """The piece that a tick begins in. On the surface itself the way on decides: the speed, else the force."""
+    """The piece that a tick begins in. At p = 0 the speed decides, and at rest there the force."""
     kind, _, b, k, d, _, lam, fc = core
     touch = OUTSIDE
     if kind == BOND:
@@ -162,7 +162,7 @@ def _begun(core: Core, p: float, u: float, f: float, s: float) -> Piece:
 
 
 def _held(piece: Piece, p: float, u: float) -> Piece:
-    """The piece at rest on the ground, where the force decides whether it sticks or which way it sets out."""
+    """The piece of a body at rest on the ground: the force decides if it sticks, or which way it slides."""
     fc = piece.core[7]
     if fc == 0.0:
         return piece._replace(way=0)
@@ -181,7 +181,7 @@ def _next(piece: Piece, which: Exit, p: float, u: float) -> Piece:
 
 
 def _free(piece: Piece, p: float, u: float, span: float) -> tuple[float, float] | None:
-    """Where a body is after `span` outside, if it provably touches nothing and slides one way; else None.
+    """Depth and speed after `span` outside, if the body provably touches nothing and slides one way; else None.
 
     Its speed is monotone: it keeps its sign if both ends do, and p is largest at an end unless u turns from in to out.
     """
@@ -195,7 +195,7 @@ def _free(piece: Piece, p: float, u: float, span: float) -> tuple[float, float] 
 
 def _ended(piece: Piece, p: float, u: float, span: float, solver: str, rtol: float
            ) -> tuple[float, float, float, Exit | None]:
-    """When the piece ends within `span`, the state there, and by which exit; `span` and None if it lasts."""
+    """Time within `span` at which the piece ends, the state there, and the exit; `span` and None if it lasts."""
     exits = piece.exits()
     a = piece.pull(p, u)
     before = 0.0
@@ -216,7 +216,7 @@ def _ended(piece: Piece, p: float, u: float, span: float, solver: str, rtol: flo
 
 
 def _tolerance(piece: Piece, p: float, u: float, span: float, rtol: float) -> dict[str, Any]:
-    """How tight: relative to the largest speed that the energy at hand could make, and how far that goes."""
+    """The solver's tolerances: relative to the largest speed that the energy at hand could make, and its distance."""
     m = piece.core[1]
     stiff, damp = piece.slopes(p, u)
     brief = 1.0 / max(sqrt(max(stiff, 0.0) / m), damp / m, 1.0 / span)
@@ -242,7 +242,7 @@ def _steps(piece: Piece, p: float, u: float, span: float, solver: str, tolerance
 
 
 def _falls(e0: float, d0: float, e1: float, d1: float, h: float) -> float | None:
-    """Where the cubic through both ends of a step first falls through zero from above, or None.
+    """Time at which the cubic through both ends of a step first falls through zero from above, or None.
 
     A value that is not above zero at the start is rounding of an event that just was; it counts if it rises first.
     """
@@ -268,7 +268,7 @@ def _falls(e0: float, d0: float, e1: float, d1: float, h: float) -> float | None
 
 
 def _roots(a: float, b: float, c: float) -> Iterator[float]:
-    """Of a t^2 + b t + c."""
+    """Roots of a t^2 + b t + c."""
     under = b * b - 4.0 * a * c
     if under < 0.0:
         return
