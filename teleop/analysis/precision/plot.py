@@ -148,7 +148,8 @@ def _drawn(e: Entry, series: str, top: float, off: float) -> float:
 def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: str) -> None:
     """Tracking error, and the numerical error of some methods, along the run.
 
-    The methods' curves get thinner one after the other, so that one that another covers is still seen beside it.
+    The methods' curves get thinner one after the other, with the stack's own above them all, so that one that another
+    covers is still seen beside it.
     """
     t = got.along["t"]
     axes.plot(t, _above(got.along[track], 0.0), color=BLACK, linewidth=4.0, alpha=0.25,
@@ -159,7 +160,7 @@ def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: 
         label = f"numerical, {e.contender.label} {e.contender.step}".rstrip()
         width = 0.7 + 0.4 * (len(some) - 1 - i) * (i > 0)
         axes.plot(t, _above(got.along[f"{series}:{e.key}"], got.truth.off[series]), color=look.colour, linewidth=width,
-                  marker=".", markersize=1.5 * width, label=label)
+                  zorder=3.0 if i == 0 else 2.0, marker=".", markersize=1.5 * width, label=label)
     axes.set_yscale("log")
     axes.set_xlabel("time (s)")
     axes.set_ylabel(f"error of the {what} ({unit})")

@@ -93,11 +93,11 @@ def _facts(got: Precision) -> list[tuple[str, str]]:
 def one_tick(got: Precision) -> str:
     """The error of single steps of the stack's own, over all of the run, in one sentence."""
     first = next(iter(got.truth.steps.values()))
-    integrated = f", {first.integrated} of them integrated" if got.truth.estimates else ""
-    bodies = round(first.count / got.result.ticks)
-    one = f"all {first.count} steps of the run (each of {bodies} bodies over each tick{integrated}, "
-    one += f"{first.changes} with a change of mode), each from the reference's state: "
-    return one + "; ".join(
+    integrated = f"{first.integrated} of them integrated, " if got.truth.estimates else ""
+    bodies = number_of(round(first.count / got.result.ticks), "body", "bodies")
+    every = (f"all {number_of(first.count, 'step')} of the run ({bodies}, every tick; {integrated}{first.changes} with "
+             "a change of mode), each from the reference's state: ")
+    return every + "; ".join(
         f"off {method} by at most {si(own.x, 'm')}, {si(own.v, 'm/s')}" + f" ({own.gave_up} not compared: it gave up)"
         * (own.gave_up > 0) for method, own in got.truth.steps.items())
 

@@ -290,6 +290,17 @@ class TestTheBudget:
             measure(strike(), clock=lambda: 0, rounds=rounds)
 
 
+class TestTheFigure:
+    def test_no_two_contenders_look_alike_scipys_solvers_among_them(self, struck: Precision) -> None:
+        pytest.importorskip("matplotlib")
+        from teleop.analysis.precision.plot import LOOKS
+
+        methods = {e.contender.method for e in struck.entries} - {"exact"}
+        assert methods == set(LOOKS)
+        for kind in ("colour", "marker"):
+            assert len({getattr(look, kind) for look in LOOKS.values()}) == len(LOOKS)
+
+
 class TestTheCommand:
     def test_table_files_and_figure(self, typed: Typed, quick: None, tmp_path: Path) -> None:
         pytest.importorskip("matplotlib")
