@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from numbers import Integral
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.scene.playout import Fixed, Playout
@@ -109,19 +109,20 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
     return LinkPlans(*plans)
 
 
-def median_age(played: NDArray[np.int64]) -> int:
+def median_age(played: Any) -> int:
     """The median age of the messages that were played, in ticks, the later of two; 0 of none.
 
-    `played`: for each tick the packet played, or -1.
+    `played`: for each tick the packet played, or -1; anything that numpy makes an array of.
     """
     import numpy as np
 
-    fresh = np.flatnonzero(played >= 0)
-    ages = np.sort(fresh - played[fresh])
+    packets = np.asarray(played, dtype=np.int64)
+    fresh = np.flatnonzero(packets >= 0)
+    ages = np.sort(fresh - packets[fresh])
     return int(ages[len(ages) // 2]) if len(ages) else 0
 
 
-def round_trip(played: Iterable[NDArray[np.int64] | None]) -> int:
+def round_trip(played: Iterable[Any | None]) -> int:
     """The round trip that the messages of a run had, ticks: the median ages of both directions; 1 each without a link.
 
     `played`: of each direction for each tick the packet played, or -1; None without a link.

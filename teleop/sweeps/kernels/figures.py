@@ -190,10 +190,10 @@ class Figures(Recorder):
         elif k > self.start:
             for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
                 if run.has.compiled:
-                    own.low = least(own.low, a.x)
-                    own.high = most(own.high, a.x)
-                    own.rise = most(own.rise, a.x - own.low)
-                    own.fall = most(own.fall, own.high - a.x)
+                    own.low = where(a.x < own.low, a.x, own.low)
+                    own.high = where(a.x > own.high, a.x, own.high)
+                    own.rise = where(a.x - own.low > own.rise, a.x - own.low, own.rise)
+                    own.fall = where(own.high - a.x > own.fall, own.high - a.x, own.fall)
                 elif a.x < own.low:
                     own.low = a.x
                     own.fall = max(own.fall, own.high - a.x)
