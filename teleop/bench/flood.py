@@ -1,7 +1,7 @@
 """The cost of bad datagrams to a live run: the lateness of its ticks, and the share of good packets still used.
 
 Between the two ends stands a forwarder in C (`c/between.c`) which both take for their peer, so that what it throws
-comes from the peer's own address, as it does from whoever is on the way; a second socket of its own is the stranger.
+comes from the peer's own address, as it does from a host on the way; the other sender is a second socket of its own.
 A quarter each of what it throws is random bytes, a good packet with one bit wrong, a good packet cut short, and
 something like a DTLS record of the right length.
 
@@ -30,12 +30,12 @@ SLOW, FAST = 20_000, 200_000  # datagrams a second
 
 
 class Flood(NamedTuple):
-    """Bad datagrams a second: from the peer's own address to slave and master, and the same from a stranger's."""
+    """Bad datagrams a second: from the peer's own address to slave and master, and the same from another sender's."""
 
     own_slave: int = 0
     own_master: int = 0
-    strange_slave: int = 0
-    strange_master: int = 0
+    other_slave: int = 0
+    other_master: int = 0
 
 
 class FloodRun(NamedTuple):
@@ -50,9 +50,9 @@ class FloodRun(NamedTuple):
 
 CALM = Flood()
 FLOODS = {
-    "a stranger": Flood(strange_slave=SLOW, strange_master=SLOW),
+    "another sender": Flood(other_slave=SLOW, other_master=SLOW),
     "the peer's own address": Flood(own_slave=SLOW, own_master=SLOW),
-    "a stranger, at the slave": Flood(strange_slave=FAST),
+    "another sender, at the slave": Flood(other_slave=FAST),
     "the peer's own address, at the slave": Flood(own_slave=FAST),
 }
 
@@ -92,7 +92,7 @@ def _rows(link: str, runs: dict[str, list[FloodRun]]) -> list[Row]:
         rows.append((f"{link}, {f'{rate:,} a second from {what}' if rate else 'no flood'}: p99 late",
                      " / ".join(f"{p99:.0f}" for p99 in late) + " us",
                      f"asked: at most {bounds[0]:.0f} / {bounds[1]:.0f}" if bounds else ""))
-        notes = ["asked of the slave: at least 99 %, gain 1"] if rates.strange_slave == FAST else []
+        notes = ["asked of the slave: at least 99 %, gain 1"] if rates.other_slave == FAST else []
         notes += [f"thrown were {thrown:,.0f} a second"] if thrown < 0.9 * sum(rates) else []
         rows.append((f"  good packets used; least gain of a watchdog{', '.join(['', *sorted(ended)])}",
                      " / ".join(f"{share:.2f}" for share in used) + f" %; {gain:g}", "; ".join(notes)))

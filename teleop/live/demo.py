@@ -28,7 +28,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
 
-PATIENCE = 15.0  # s for a process to come up
+START_TIMEOUT = 15.0  # s for a process to come up
 FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
 LONGEST_LINE = 1 << 20  # bytes of an event; a longer line is a scene's own print
 KEPT = 1 << 16  # bytes, the last ones, of what a process writes to its standard error
@@ -68,23 +68,23 @@ class Child:
                 live[event["end"]] = event
             elif event["event"] == "done":
                 self.done = event["summary"]
-        said = (await trouble).decode(errors="replace").strip()
+        errors = (await trouble).decode(errors="replace").strip()
         code = await self.process.wait()
         if not self.listening.done():
-            self.listening.set_exception(self.failed(code, said))
-        return code, said
+            self.listening.set_exception(self.failed(code, errors))
+        return code, errors
 
     async def port(self) -> int:
         """The port that it listens on, as soon as it does. Raises `Refused` if it never does."""
         try:
-            return await asyncio.wait_for(asyncio.shield(self.listening), PATIENCE)
+            return await asyncio.wait_for(asyncio.shield(self.listening), START_TIMEOUT)
         except TimeoutError:
-            raise Refused(f"the {self.name} did not come up in {PATIENCE:g} s; give this machine some rest, and try "
-                          f"again") from None
+            raise Refused(f"the {self.name} did not come up in {START_TIMEOUT:g} s; give this machine some rest, and "
+                          "try again") from None
 
-    def failed(self, code: int, said: str) -> Refused:
+    def failed(self, code: int, errors: str) -> Refused:
         """Why it ended with `code`, having said so much on stderr."""
-        return Refused(said.removeprefix("teleop: ") or f"the {self.name} ended with exit code {code} and no word")
+        return Refused(errors.removeprefix("teleop: ") or f"the {self.name} ended with exit code {code} and no word")
 
     def interrupt(self, name: str = "SIGTERM") -> None:
         """Ask it to stop cleanly, with the signal that asked us."""
@@ -223,9 +223,9 @@ async def _until_over(children: list[Child], watches: list[asyncio.Task[tuple[in
     while not all(watch.done() for watch in ends):
         await asyncio.wait([watch for watch in watches if not watch.done()], return_when=asyncio.FIRST_COMPLETED)
         over = [(child, *watch.result()) for child, watch in both if watch.done()]
-        for child, code, said in over:
+        for child, code, errors in over:
             if code < 0 or child.name == "channel":
-                raise child.failed(code, said)
+                raise child.failed(code, errors)
         if any(code for _, code, _ in over):
             await asyncio.wait(ends, timeout=FAREWELL)
             break

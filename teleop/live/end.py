@@ -87,7 +87,7 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
             about = {"scene": args.scene, "knobs": knobs_from(args), "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
             recorder = RecordWriter(scene, e, folder, about)
-            shell = Shell(endpoint, watched_device, wire, recorder, say, patience=args.wait, interrupt=interrupt)
+            shell = Shell(endpoint, watched_device, wire, recorder, say, peer_timeout=args.wait, interrupt=interrupt)
             last.shell = shell
             shell.realtime = granted
             shell.security.insecure = insecure

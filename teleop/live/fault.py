@@ -49,8 +49,8 @@ def sentence(error: BaseException, law: Any = None, method: str = "") -> str:
     part = part_of(frame for frame, _ in traceback.walk_tb(error.__traceback__))
     if law is not None and part == PARTS[Endpoint.tick.__code__]:
         part = f"the answer of {Method(law, method).label}{Method(law, method).first_line()}"
-    said = f": {text}" if (text := one_line(_text(error))) else ""
-    return f"{part or 'the live loop'} raised {type(error).__name__}{said}"
+    detail = f": {text}" if (text := one_line(_text(error))) else ""
+    return f"{part or 'the live loop'} raised {type(error).__name__}{detail}"
 
 
 def named(function: Any, part: str) -> None:

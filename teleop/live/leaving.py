@@ -59,8 +59,8 @@ async def let_go(shell: Shell) -> None:
     device.let_go()
     rest = max(map(abs, force))
     jump = f", the last {rest:.3g} N at once" if rest > 0.0 else ""
-    told = f"{most:.3g} N taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
-    endpoint.guard.tell(shell.counts.ran, "zero", told)
+    sentence = f"{most:.3g} N taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
+    endpoint.guard.tell(shell.counts.ran, "zero", sentence)
 
 
 async def leave(shell: Shell) -> None:

@@ -53,8 +53,8 @@ async def meet(shell: Shell) -> bool:
             # Until then what was lost of the exchange can be said again.
             if stepped or now > session.start_ns - EARLY_NS:
                 return True
-        elif shell.patience is not None and now - began > shell.patience * 1e9:
-            shell.outcome.end("refused", _why_no_peer(shell, f"in {shell.patience:g} s"))
+        elif shell.peer_timeout is not None and now - began > shell.peer_timeout * 1e9:
+            shell.outcome.end("refused", _why_no_peer(shell, f"in {shell.peer_timeout:g} s"))
         elif now - began > HINT_NS and _has_hint(shell):
             if (hint := _why_no_peer(shell, "yet")) != hinted:
                 shell.hint(hint)
@@ -76,13 +76,13 @@ def _why_no_peer(shell: Shell, since: str) -> str:
     """Why there is no peer, as far as it is known."""
     peer, secure_link = shell.connection.peer, shell.wire.secure_link
     if secure_link is not None and secure_link.trouble is not None:
-        said = f"no peer was let in {since}: {secure_link.trouble}"
+        why = f"no peer was let in {since}: {secure_link.trouble}"
     elif peer is None:
-        said = f"no master came {since}; start one that has this address as its --peer, or --wait longer"
+        why = f"no master came {since}; start one that has this address as its --peer, or --wait longer"
     else:
-        said = f"no answer from {shown(peer)} {since}; start the other end first, and check address and port"
+        why = f"no answer from {shown(peer)} {since}; start the other end first, and check address and port"
     keys = "; what came was from no such end: has one of the two keys, and the other none?"
-    return said + keys * _unknown_came(shell)
+    return why + keys * _unknown_came(shell)
 
 
 def _unknown_came(shell: Shell) -> bool:

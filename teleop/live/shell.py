@@ -44,7 +44,7 @@ class Shell:
 
     def __init__(
         self, endpoint: Endpoint, device: LiveDevice, wire: Wire, recorder: RecordWriter, say: Say,
-        *, patience: float | None, interrupt: Interrupt,
+        *, peer_timeout: float | None, interrupt: Interrupt,
     ) -> None:
         self.endpoint, self.wire, self.recorder, self.interrupt = endpoint, wire, recorder, interrupt
         self.scene: Scene = endpoint.scene
@@ -57,7 +57,7 @@ class Shell:
         self.live_line = LiveLine(endpoint, say)
         self.security = LinkSecurity()
         self.realtime: dict[str, str] | None = None  # what the system gave of it, if it was asked
-        self.patience = patience  # s for the first exchange; None: without a bound
+        self.peer_timeout = peer_timeout  # s for the first exchange; None: without a bound
         self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is no peer, while that is waited for
         self.free = False  # it has let go of its device, or given that up
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped

@@ -56,7 +56,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         received=earlier["received"] + getattr(inbox, "received", endpoint.received), rejected=dict(endpoint.rejected),
         **{name: earlier[name] + getattr(inbox, name, 0) for name in ("late", "overtaken", "duplicates")},
     )
-    told = {
+    facts = {
         "skipped": shell.counts.skipped, **_estimates(endpoint.link, session.peer_every),
         "sessions": session.met, "safe_entries": endpoint.guard.entries, "events": read_events(folder),
         "clock": {"start_ns": session.start_ns, "offset_ns": session.offset_ns,
@@ -70,7 +70,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
     old = [age_note(NAMES[endpoint.e], guard.old, guard.oldest, guard.age)] if guard.old and guard.age else []
     return end_result(
         scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
-        status=shell.outcome.status, sentence=shell.outcome.sentence, told=told,
+        status=shell.outcome.status, sentence=shell.outcome.sentence, facts=facts,
         packets={sends: Packets(sent=shell.counts.data_sent), hears: heard},
         first=shell.counts.first, every=endpoint.every,
         notes=[*old, *cut, *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),

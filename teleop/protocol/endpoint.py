@@ -234,8 +234,8 @@ class Endpoint:
         x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
         own, newest = k // self.every, seq if self.every == 1 else seq / self.every
         held = self.held.force, self.held.since(k)
-        told = own, x, reading.v, reading.f, got is not None, newest, rx, gain, *held
-        force, tx, row = self._started.send(told)
+        inputs = own, x, reading.v, reading.f, got is not None, newest, rx, gain, *held
+        force, tx, row = self._started.send(inputs)
         if got is not None and self._E_out is not None and got[1].E_in is not None:
             margin = got[1].E_in - row[self._E_out]
             if self.stamp_margin is None or margin < self.stamp_margin:

@@ -125,14 +125,14 @@ def _causes(apart: list[str]) -> list[str]:
 def parted(payload: object) -> tuple[dict[str, str], dict[str, int]]:
     """What of a manifest is compared, and the whole numbers that it tells beside that."""
     assert isinstance(payload, dict)
-    told = {}
+    extras = {}
     for name in (EVERY, TICK_0, INSECURE):
         text = payload.get(name, "")
         digits = text.removeprefix("-")
         if digits.isascii() and digits.isdigit() and len(text) < 20:
-            told[name] = int(text)
-    if not 1 <= told.get(EVERY, 1) <= MOST_EVERY:
-        del told[EVERY]
-    if abs(told.get(TICK_0, 0)) > MOST_CLOCK_NS:
-        del told[TICK_0]
-    return {name: text for name, text in payload.items() if name not in (EVERY, TICK_0, INSECURE)}, told
+            extras[name] = int(text)
+    if not 1 <= extras.get(EVERY, 1) <= MOST_EVERY:
+        del extras[EVERY]
+    if abs(extras.get(TICK_0, 0)) > MOST_CLOCK_NS:
+        del extras[TICK_0]
+    return {name: text for name, text in payload.items() if name not in (EVERY, TICK_0, INSECURE)}, extras

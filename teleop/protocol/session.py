@@ -263,12 +263,12 @@ class Session:
             return []
         if not self.take(SessionEvent.HELLO):
             return []
-        theirs, told = parted(hello.payload)
-        self.in_the_open = self.in_the_open or INSECURE in told
+        theirs, extras = parted(hello.payload)
+        self.in_the_open = self.in_the_open or INSECURE in extras
         difference = manifest_difference(self.manifest, theirs)
         if difference is None:
             self._asking = hello.session
-            self._welcomed[hello.session, now] = told.get(EVERY, 1)
+            self._welcomed[hello.session, now] = extras.get(EVERY, 1)
             if len(self._welcomed) > MOST_WELCOMED:
                 del self._welcomed[next(iter(self._welcomed))]
             reply = self._packet(Kind.WELCOME, now, self._entries(), Echo(hello.sent_ns, 0), number=hello.session)
@@ -303,8 +303,8 @@ class Session:
     def _answer_welcome(self, welcome: Packet, now: int) -> list[bytes]:
         if not self.take(SessionEvent.WELCOME):
             return []
-        theirs, told = parted(welcome.payload)
-        self.in_the_open = self.in_the_open or INSECURE in told
+        theirs, extras = parted(welcome.payload)
+        self.in_the_open = self.in_the_open or INSECURE in extras
         difference = manifest_difference(self.manifest, theirs)
         if difference is not None:
             if self.take(SessionEvent.REFUSE):
@@ -312,10 +312,10 @@ class Session:
             return [self._packet(Kind.BYE, now, "the master refused")]
         if not self.clock.take(welcome, now):
             return []
-        self.peer_every = told.get(EVERY, 1)
+        self.peer_every = extras.get(EVERY, 1)
         self._welcome_ns = welcome.sent_ns
         self._next_ns = now + AGAIN_NS
-        theirs_0 = told.get(TICK_0)
+        theirs_0 = extras.get(TICK_0)
         if theirs_0 is not None and theirs_0 - self.offset_ns > now + AHEAD_NS:
             return []  # implausible time: ignore
         if not self.clock.enough:

@@ -269,7 +269,7 @@ def test_a_run_that_diverges_is_saved_and_its_status_says_so(command: Start, tmp
     assert all("passed 0.01 m" in end["sentence"] for end in left)
 
 
-# Strangers, and the state of the machine
+# Other senders, and the state of the machine
 
 
 def test_garbage_at_a_slaves_port_is_counted_and_the_run_goes_on(command: Start, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ print(sent)
 def test_a_flood_from_a_wrong_address_costs_no_good_packet(
     sealed: bool, command: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """Tens of thousands a second. Strangers' datagrams are dropped by the system once the two have met."""
+    """Tens of thousands a second. Datagrams of other senders are dropped by the system once the two have met."""
     scene = ["hard_wall", "--set", "duration=3", "--set", "link=none"]
     keys = pair_of_keys(tmp_path) if sealed else {"master": [], "slave": []}
     flood = subprocess.Popen([sys.executable, "-c", FLOOD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -124,7 +124,7 @@ def test_a_device_without_a_force_under_a_law_that_reads_it_was_a_type_error_in_
 ) -> None:
     scene = replace(SCENE, law=law, observer=None)
     device = Standing(None)
-    both = pair(scene, parts={**{"m": {"patience": 0.5}, "s": {"patience": 0.5}}, e: {"device": device}}).run()
+    both = pair(scene, parts={**{"m": {"peer_timeout": 0.5}, "s": {"peer_timeout": 0.5}}, e: {"device": device}}).run()
     own, other = both.shells[e], both.shells["sm"["ms".index(e)]]
     assert own.outcome.status == other.outcome.status == "refused"
     assert own.outcome.fault is None
@@ -178,7 +178,7 @@ def test_a_device_that_cannot_be_read_for_two_seconds_is_no_run(pair: Callable[.
             raise DeviceError(f"no answer to the question for tick {k}")
 
     device = Gone(None)
-    both = pair(SCENE, parts={"m": {"patience": 0.5}, "s": {"device": device}}).run()
+    both = pair(SCENE, parts={"m": {"peer_timeout": 0.5}, "s": {"device": device}}).run()
     assert both.shells["s"].outcome.sentence == "the device cannot be read: no answer to the question for tick 0"
     assert both.status() == {"m": "refused", "s": "refused"}
     assert "no answer from" in both.shells["m"].outcome.sentence

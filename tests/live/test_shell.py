@@ -147,7 +147,8 @@ def test_an_interrupt_stops_both_ends_and_both_keep_their_records(e: str, seed: 
 def test_an_interrupt_before_the_start_is_a_run_that_never_was(e: str, pair: Make) -> None:
     interrupt = Interrupt()
     interrupt.name = "SIGTERM"
-    both = pair(SCENE, parts={"m": {"patience": 1.0}, "s": {"patience": 1.0}, e: {"interrupt": interrupt}}).run()
+    parts = {"m": {"peer_timeout": 1.0}, "s": {"peer_timeout": 1.0}, e: {"interrupt": interrupt}}
+    both = pair(SCENE, parts=parts).run()
     assert both.shells[e].outcome.status == "stopped"
     assert both.shells["sm"["ms".index(e)]].outcome.status == "refused"
     assert [shell.counts.ticks for shell in both.shells.values()] == [0, 0]
@@ -226,7 +227,7 @@ def test_a_start_that_is_lost_is_repeated_before_tick_0(pair: Make) -> None:
 
 @pytest.mark.parametrize("e", ["m", "s"])
 def test_nobody_there_is_said_in_one_sentence(e: str, pair: Make) -> None:
-    both = pair(SCENE, parts={"m": {}, "s": {}, e: {"patience": 0.2}})
+    both = pair(SCENE, parts={"m": {}, "s": {}, e: {"peer_timeout": 0.2}})
     shell = both.shells[e]
     if e == "m":
         shell.connection.asked = shell.connection.peer = ("127.0.0.1", 9)  # discard: nobody
@@ -238,7 +239,7 @@ def test_nobody_there_is_said_in_one_sentence(e: str, pair: Make) -> None:
         other.wire.sock.close()
 
 
-# Strangers
+# Other senders
 
 
 class Tapped(Wire):

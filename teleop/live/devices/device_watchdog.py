@@ -100,8 +100,8 @@ def main(argv: list[str]) -> int:
             lock = _alone(about)
             zero = opened(about["open"], about["arguments"])
         except Refused as refused:
-            told = str(refused).encode()[: SIZE - TEXT - 1]
-            page[TEXT : TEXT + len(told)] = told
+            sentence = str(refused).encode()[: SIZE - TEXT - 1]
+            page[TEXT : TEXT + len(sentence)] = sentence
             return 2
         _first()
         watching = Watching(words, zero, about["deadline"], lambda what: _tell(what, words[K], Path(about["folder"])))
@@ -130,11 +130,11 @@ def _watch(watching: Watching, pipe: int) -> int:
 def opened(target: str, arguments: list[str]) -> Callable[[], object]:
     """The function that sets the force of the device to zero. Raises `Refused`."""
     name, _, function = target.partition(":")
-    said = StringIO()
+    printed = StringIO()
     try:
-        with redirect_stderr(said):
+        with redirect_stderr(printed):
             module = import_module(name)
-        print(said.getvalue(), end="", file=sys.stderr, flush=True)
+        print(printed.getvalue(), end="", file=sys.stderr, flush=True)
         zero = getattr(module, function)(*arguments)
     except SystemExit as error:
         raise Refused(f"the device's watchdog imported {name}, which ran as a program; write `if __name__ == "

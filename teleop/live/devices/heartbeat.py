@@ -187,8 +187,8 @@ def _await(process: subprocess.Popen[bytes], page: mmap) -> None:
     with memoryview(page) as plain, plain.cast("q") as words:
         while not words[SEEN]:
             if process.poll() is not None:
-                told = bytes(page[TEXT:]).partition(b"\0")[0].decode(errors="replace")
-                raise Refused(told or f"the device's watchdog ended with exit code {process.returncode} at its start")
+                reason = bytes(page[TEXT:]).partition(b"\0")[0].decode(errors="replace")
+                raise Refused(reason or f"the device's watchdog ended with exit code {process.returncode} at its start")
             if time.monotonic() > until:
                 raise Refused(f"the device's watchdog was not ready in {START_S:g} s; see what its `open` waits for")
             time.sleep(0.005)

@@ -123,8 +123,8 @@ class Bulk:
         if len(self._known) >= _KNOWN:
             self._known.clear()
         _, port, host = _NAME.unpack(name.ljust(_NAME.size, b"\0"))
-        told = self._known[name] = socket.inet_ntoa(host), socket.ntohs(port)
-        return told
+        address = self._known[name] = socket.inet_ntoa(host), socket.ntohs(port)
+        return address
 
     def _sent(self, datagrams: Sequence[bytes], peer: Address) -> None:
         box = self._out

@@ -78,9 +78,9 @@ def attach(sock: socket.socket, code: bytes) -> bool:
     if not sys.platform.startswith("linux"):
         return False
     lines = ctypes.create_string_buffer(code, len(code))
-    told = struct.pack("@HP", len(code) // _INSTRUCTION.size, ctypes.addressof(lines))
+    program = struct.pack("@HP", len(code) // _INSTRUCTION.size, ctypes.addressof(lines))
     try:
-        sock.setsockopt(socket.SOL_SOCKET, _ATTACH, told)  # the kernel copies the lines
+        sock.setsockopt(socket.SOL_SOCKET, _ATTACH, program)  # the kernel copies the lines
     except OSError:
         return False
     return True

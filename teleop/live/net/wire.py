@@ -118,10 +118,10 @@ class Wire:
     def dropped(self) -> int | None:
         """How many datagrams the system did not hand over: not ours, or no room; None if it does not tell."""
         try:
-            told = self.sock.getsockopt(socket.SOL_SOCKET, MEMINFO, 4 * (DROPS + 1))
+            counters = self.sock.getsockopt(socket.SOL_SOCKET, MEMINFO, 4 * (DROPS + 1))
         except OSError:
             return None
-        return int.from_bytes(told[4 * DROPS :], sys.byteorder) if len(told) == 4 * (DROPS + 1) else None
+        return int.from_bytes(counters[4 * DROPS :], sys.byteorder) if len(counters) == 4 * (DROPS + 1) else None
 
     def due(self, now: int) -> None:
         """Send what the secure link has due: handshakes, and what was not answered of them."""

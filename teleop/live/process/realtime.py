@@ -22,10 +22,10 @@ def asked(args: Namespace, name: str) -> dict[str, str] | None:
     """The answers of the system to --realtime, printed on the terminal too; None without --realtime."""
     if not args.realtime:
         return None
-    told = ask()
+    granted = ask()
     if not args.json:
-        print(f"{name}: {sentence(told)}", file=sys.stderr, flush=True)
-    return told
+        print(f"{name}: {sentence(granted)}", file=sys.stderr, flush=True)
+    return granted
 
 
 def ask() -> dict[str, str]:
@@ -34,12 +34,12 @@ def ask() -> dict[str, str]:
             "memory": _granted(_lock, "locked"), "garbage collection": _granted(gc.disable, "off")}
 
 
-def sentence(told: dict[str, str]) -> str:
+def sentence(granted: dict[str, str]) -> str:
     """What came of it, in one line, and what would grant the rest."""
-    said = ", ".join(f"{name} {what}" for name, what in told.items())
-    refused = [name for name, what in told.items() if what.startswith("no")]
+    answers = ", ".join(f"{name} {what}" for name, what in granted.items())
+    refused = [name for name, what in granted.items() if what.startswith("no")]
     cure = "; allow it with `ulimit -r 99 -l unlimited`, or give the process CAP_SYS_NICE and CAP_IPC_LOCK"
-    return f"realtime: {said}{cure if refused else ''}"
+    return f"realtime: {answers}{cure if refused else ''}"
 
 
 def _granted(ask_for: Callable[[], None], what: str) -> str:

@@ -26,7 +26,7 @@ WAYS = {"m": ("fwd", "bwd"), "s": ("bwd", "fwd")}  # the direction an end sends 
 
 def end_result(
     scene: Scene, e: str, record: EndRecord, late: Any, *, seed: int, mode: str, status: str, sentence: str,
-    told: dict[str, Any], packets: dict[str, Packets], notes: Sequence[str], first: int = 0, every: int = 1,
+    facts: dict[str, Any], packets: dict[str, Packets], notes: Sequence[str], first: int = 0, every: int = 1,
 ) -> Result:
     """One end's part of a run as a result of its own: its columns, and the figures that they are enough for.
 
@@ -37,7 +37,7 @@ def end_result(
     if record.force == "unknown":
         notes = [*notes, UNSENSED[e]]
     own = {
-        "status": status, "sentence": sentence, "ticks": len(record.ticks), **told,
+        "status": status, "sentence": sentence, "ticks": len(record.ticks), **facts,
         "late_us": spread_us(lateness(record.ticks, late, scene.dt_ns, first, every)),
     }
     return Result.make(scene, seed=seed, mode=mode, status=status, sentence=sentence, ticks=len(record.ticks),

@@ -92,10 +92,10 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
         raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
     events = {e: read_events(folder) for e, folder in folders.items()}
-    met = [{event["why"] for event in told if event.get("what") == "met"} for told in events.values()]
+    met = [{event["why"] for event in noted if event.get("what") == "met"} for noted in events.values()]
     if all(met) and not met[0] & met[1]:
         raise Refused(f"{master} and {slave} never met; give two that ran together")
-    firsts, lasts = [_first(told) for told in events.values()], [_last(record) for record in records.values()]
+    firsts, lasts = [_first(noted) for noted in events.values()], [_last(record) for record in records.values()]
     span = range(max(firsts), min(lasts) + 1)
     alone = max(max(firsts) - min(firsts), max(lasts) - min(lasts)) * scene.dt > ALONE
     apart = not stepped and (alone or met[0] != met[1] or any(_killed(end) for end in ends.values()))
@@ -103,7 +103,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(prepared := prepare(scene), records)
     within = span[1:]  # at its first tick there is nothing yet that another session has summed up
-    again = any(one.get("what") == "session" and one.get("k") in within for told in events.values() for one in told)
+    again = any(one.get("what") == "session" and one.get("k") in within for noted in events.values() for one in noted)
     if again:
         trace.makers.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
     came = _verdict(ends, prepared, trace, records, stepped)
@@ -197,7 +197,7 @@ def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tu
     came = int((np.asarray(record.played) >= 0).sum())
     result = end_result(
         scene, e, record, late, seed=header["seed"], mode=header["mode"], status=status, sentence=sentence,
-        told={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
+        facts={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
         packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=came)},
     )
     return result, header.get("command", [])

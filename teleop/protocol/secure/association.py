@@ -221,12 +221,12 @@ class Association:
                 self.data = DataRecords(exported(self._tls, MATERIAL, server=self._server), server=self._server)
             else:
                 self.failure = "the other end has shown no certificate that could be checked"
-        said = records(self._taken_out())
-        if said is None:
+        flight = records(self._taken_out())
+        if flight is None:
             return []
-        if self._key is not None and said[0].is_hello and said[0].cookie:
-            said.append(proof(self._key, said[0]))
-        self._flight, self._wait = said, AGAIN_NS
+        if self._key is not None and flight[0].is_hello and flight[0].cookie:
+            flight.append(proof(self._key, flight[0]))
+        self._flight, self._wait = flight, AGAIN_NS
         self._again = now + AGAIN_NS if not self._server or self.ready else None
         return self._flown()
 
@@ -261,8 +261,8 @@ class Association:
             self.failure = another_certificate(shown, self._peer)
             return
         # OpenSSL's reasons are a list of (library, function, reason); they are fixed texts, which quote no bytes.
-        told = error.args[0] if isinstance(error, SSL.Error) and error.args else None
-        reasons = ", ".join(str(entry[-1]) for entry in told if entry) if isinstance(told, list) else ""
+        entries = error.args[0] if isinstance(error, SSL.Error) and error.args else None
+        reasons = ", ".join(str(entry[-1]) for entry in entries if entry) if isinstance(entries, list) else ""
         self.failure = f"the association broke: {reasons or type(error).__name__}"
 
 

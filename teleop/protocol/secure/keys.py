@@ -70,13 +70,13 @@ def parse_fingerprint(text: str) -> str:
     bare = re.sub(r"(?i)^\s*sha-?256( fingerprint)?\s*[:=]", "", text)
     digits = re.sub(r"[-:\s]", "", bare).lower()
     if not re.fullmatch(r"[0-9a-f]*", digits):
-        said = "has letters in it that no hexadecimal number has"
+        wrong = "has letters in it that no hexadecimal number has"
     elif len(digits) == _DIGITS:
         return _grouped(digits)
     else:
-        said = f"has {len(digits)} hexadecimal digits where a SHA-256 has {_DIGITS}"
+        wrong = f"has {len(digits)} hexadecimal digits where a SHA-256 has {_DIGITS}"
     # The text itself is not shown: it may be a key that was pasted in the wrong place.
-    raise Refused(f"what was given as the peer's fingerprint is none: it {said}; copy the line that `teleop keygen` "
+    raise Refused(f"what was given as the peer's fingerprint is none: it {wrong}; copy the line that `teleop keygen` "
                   f"printed at the other end, of the form {_EXAMPLE}")
 
 

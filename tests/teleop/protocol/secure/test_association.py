@@ -263,7 +263,7 @@ class TestDatagrams:
         assert early.dropped == {Dropped.EARLY: 1}
 
 
-class TestStrangers:
+class TestOtherSenders:
     def test_a_replay_never_surfaces(self, associated: Associated) -> None:
         one, other = associated()
         data = sealed(one, *[i.to_bytes(2, "big") for i in range(WINDOW + 100)])
