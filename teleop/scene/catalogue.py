@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -66,14 +67,18 @@ def find(name: str) -> list[Named]:
     return found
 
 
-def units_of(name: str, knobs: Sequence[str]) -> dict[str, str]:
-    """Units that the knobs of a scene declare, by knob; those of the built-in laws too if `knobs` names a law's."""
+def units_of(name: str, knobs: Sequence[str], law: type[Any] | None = None) -> dict[str, str]:
+    """Units that the knobs of a scene declare, by knob; those of its law too if `knobs` names one of them.
+
+    `law`: its class; left out, the units are those of the built-in laws.
+    """
     try:
         found = dict(knobs_of(scene_function(name)))
     except Refused:  # the scene's file is gone, or is no scene any more
         return {}
     if any(knob.startswith("law.") for knob in knobs):
-        found |= {f"law.{key}": each for law in BUILT_IN for key, each in knobs_of_fields(find_law(law)).items()}
+        laws: list[Any] = [find_law(each) for each in BUILT_IN] if law is None else [law] * is_dataclass(law)
+        found |= {f"law.{key}": each for one in laws for key, each in knobs_of_fields(one).items()}
     return {key: each.knob.unit for key, each in {**WIDE, **found}.items() if each.knob.unit}
 
 

@@ -16,6 +16,7 @@ import pytest
 
 from teleop import load_result
 from teleop.live.demo import demo
+from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from tests.waiting import until
@@ -85,6 +86,7 @@ def test_a_demo_ends_with_a_table_and_a_folder(command: Start, tmp_path: Path) -
     {"scene": "jittery_wan", "duration": "0.4"},
     {"scene": "canonical", "duration": "0.3", "law": "pfra", "link": "uniform(0.01) | duplicate(0.1) ; delay(0.03)"},
     {"scene": "local", "duration": "0.3", "law": "direct"},
+    {"scene": "soft_tissue", "duration": "0.3", "law": f"{ROOT}/scenarios/examples/law.py", "law.K": "300"},
 ])
 def test_a_stepped_demo_is_the_virtual_run_to_the_bit(knobs: dict[str, str], tmp_path: Path) -> None:
     name, given = knobs["scene"], {key: value for key, value in knobs.items() if key != "scene"}

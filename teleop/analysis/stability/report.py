@@ -121,7 +121,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
 
     from teleop.scene.catalogue import units_of
 
-    unit = units_of(name, [knob]).get(knob)
+    unit = units_of(name, [knob], type(scene.law)).get(knob)
     so_far = _Search(knob, own, f" {unit}" if unit else "", in_time, show)
     answer = StabilityAnswer(scene, found, limit, None, so_far.unit, seed, in_time=in_time)
     whole = _whole(name, knob)

@@ -13,6 +13,7 @@ import pytest
 
 from teleop import Refused, load_scene, run, sweep
 from teleop.protocol.manifest import manifest_difference, manifest_of
+from teleop.scene.catalogue import units_of
 from teleop.scene.library import ROOT
 from teleop.scene.trust import asks_for_trust, stored_scene
 from teleop.simulation.bodies import exact_bodies
@@ -82,6 +83,11 @@ class TestOnTheCommandLine:
         mine = own["PositionPosition"](K=150.0)  # type: ignore[operator]
         assert (run(load_scene("hard_wall", law=law, duration=0.5, **{"law.K": "150"})).trace["x_s"].tobytes()
                 == run(load_scene("hard_wall", law=mine, duration=0.5)).trace["x_s"].tobytes())
+
+    def test_its_number_was_told_in_the_unit_of_a_built_in_law_that_has_one_of_the_same_name(self) -> None:
+        law = type(load_scene("soft_tissue", law="law_mine.py").law)
+        assert "law.K" not in units_of("soft_tissue", ["law.K"], law)
+        assert units_of("soft_tissue", ["law.K"], type(load_scene("soft_tissue", law="wave").law))["law.K"] == "N/m"
 
     def test_the_example_script_can_be_named_as_it_stands(self, written: Path) -> None:
         (written / "law.py").write_text(EXAMPLE)
