@@ -174,6 +174,7 @@ class TestAWrongRequest:
     @pytest.mark.parametrize("option", [["--plot"], ["--format", "pdf,svg"]])
     @pytest.mark.parametrize("words", [
         ["run", "canonical"], ["demo"], ["sweep", "soft_tissue", "--grid", "k_e=1,2"], ["precision", "hard_wall"],
+        ["stability", "virtual_wall"],
         ["passivity", "virtual_wall"], ["zwidth", "virtual_wall"], ["report", "taken"],
     ], ids=lambda words: words[0])
     def test_without_matplotlib_a_plot_is_refused_before_it_runs(
