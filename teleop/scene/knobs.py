@@ -126,7 +126,8 @@ def read(key: str, value: object, hint: Any) -> object:
     if Zero in kinds or hint == Zero | Hold | Fixed:
         return _playout(key, value)
     if float in kinds or int in kinds:
-        return _number(key, value, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds))
+        return _number(key, value, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds),
+                       none=NoneType in kinds)
     if key == "law" or Law in kinds or OnePortLaw in kinds:
         return _law(key, value)
     if any(getattr(kind, "__name__", "") == "VelocityEstimator" for kind in kinds) and isinstance(value, str):
@@ -154,7 +155,7 @@ def _path(key: str, value: object) -> Path:
     raise Refused(f"{key} is the path of a file, not {value!r}")
 
 
-def _number(key: str, value: object, *, whole: bool, vector: bool) -> object:
+def _number(key: str, value: object, *, whole: bool, vector: bool, none: bool = False) -> object:
     if vector and isinstance(value, str) and "," in value:
         return tuple(_number(key, part, whole=whole, vector=False) for part in value.split(","))
     if vector and isinstance(value, tuple):
@@ -163,7 +164,7 @@ def _number(key: str, value: object, *, whole: bool, vector: bool) -> object:
         try:
             value = float(value)
         except ValueError:
-            what = "one number" if "," in str(value) else "a number"
+            what = ("one number" if "," in str(value) else "a number") + " or none" * none
             raise Refused(f"{key} must be {what}, not {value!r}; write for example {key}=1.5") from None
     return whole_number(key, value) if whole else number(key, value)
 
