@@ -134,9 +134,10 @@ class TestTheReference:
         assert (found.estimated is None) == exact
         assert same(found.own, run(scene))
 
-    def test_it_is_shown_how_far_it_is(self) -> None:
+    def test_it_is_shown_how_far_it_is(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(truth_module, "OFTEN", 5)
         shown: list[tuple[float, str]] = []
-        truth_of(strike(environment=HC, duration=0.06), 0, clock(), patient=True, show=lambda *said: shown.append(said))
+        truth_of(strike(environment=HC, duration=0.02), 0, clock(), patient=True, show=lambda *said: shown.append(said))
         parts = [part for part, _ in shown]
         assert parts == sorted(parts)
         assert {text for _, text in shown} >= {"the reference by DOP853", "the reference by Radau"}
