@@ -16,6 +16,7 @@ from teleop.storage.files import replacing
 from teleop.storage.folder import NewFolder, new_folder
 from teleop.storage.strict_json import write_document
 from teleop.terminal.answer import Answer
+from teleop.terminal.interrupt import interrupts_wait
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import shown_on
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 def command(args: Namespace) -> Answer:
     """Judge the scene and find its margins; with --out or --plot leave summary.json, and plots, in a new folder.
 
-    An interrupt of the search for a critical value leaves what that knows. Raises `Refused`, and KeyboardInterrupt
-    before the search.
+    An interrupt of the search for a critical value, or of the margins over its knob, leaves what is known until then.
+    Raises `Refused`, and KeyboardInterrupt before the search.
     """
     formats = asked_formats(args)
     if formats and args.time:
@@ -39,20 +40,26 @@ def command(args: Namespace) -> Answer:
     with shown_on(None if args.json or args.critical is None else sys.stderr, args.seconds) as show:
         found = ask(args.scene, knobs_from(args), seed=args.seed, in_time=args.time, continuous=args.continuous,
                     knob=args.critical, span=args.range, tol=args.tol, show=show)
-    code = DONE if found.so_far is None else INTERRUPTED
     if args.out is None and not formats:
-        return Answer(table(found), summary(found, args.typed), code)
+        return Answer(table(found), summary(found, args.typed), DONE if found.so_far is None else INTERRUPTED)
     with new_folder(args.out, f"{found.scene.name}-stability") as new:
-        document = summary(found, args.typed)
-        plots: list[Path] = []
-        if formats:
-            more, plots = _drawn(args, found, new, formats)
-            document |= more
-        write_document(new.inside / "summary.json", document)
+        swept = None
+        if formats and found.edge is not None:
+            try:
+                swept = _swept(args, found)
+            except KeyboardInterrupt:
+                found = found._replace(cut_short=True)
+        document, plots = summary(found, args.typed), list[Path]()
+        with interrupts_wait():
+            if formats:
+                more, plots = _drawn(args, found, swept, new, formats)
+                document |= more
+            write_document(new.inside / "summary.json", document)
+    code = DONE if found.finished else INTERRUPTED
     return Answer(table(found), document, code).kept_in(new.path).with_plots(new.path, plots)
 
 
-def _drawn(args: Namespace, found: StabilityAnswer, new: NewFolder, formats: Sequence[str]
+def _drawn(args: Namespace, found: StabilityAnswer, swept: Swept | None, new: NewFolder, formats: Sequence[str]
            ) -> tuple[dict[str, Any], list[Path]]:
     """The numbers behind the plots, for the document, and their files."""
     from teleop.analysis.stability.picture import curves, numbers, picture
@@ -60,7 +67,6 @@ def _drawn(args: Namespace, found: StabilityAnswer, new: NewFolder, formats: Seq
 
     assert isinstance(found.found, Stability)  # refused above
     drawn = picture(found.scene, unstable=found.found.unstable > 0, gain_margin=found.found.gain_margin, seed=args.seed)
-    swept = _swept(args, found) if found.edge is not None else None
     with replacing(new.inside / "curves.npz") as file:
         write_arrays(file, curves(drawn, swept))
     plots = draw(found, drawn, new.inside / "stability", formats)

@@ -72,6 +72,12 @@ class StabilityAnswer(NamedTuple):
     so_far: SoFar | None = None  # of a search that was interrupted
     in_time: bool = False
     places: tuple[float, ...] = ()  # values of the knob over its range, those of the critical value among them
+    cut_short: bool = False  # were the margins over the knob interrupted
+
+    @property
+    def finished(self) -> bool:
+        """True if nothing was interrupted."""
+        return self.so_far is None and not self.cut_short
 
     @property
     def sentence(self) -> str:
@@ -214,7 +220,7 @@ def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, A
     """The JSON document: SI units; fwd, bwd, round trips and the delay margin in ticks."""
     found = answer.found
     told = scene_head(answer.scene, "stability", sentence=answer.sentence, seed=answer.seed, command=command,
-                      status="done" if answer.so_far is None else "interrupted")
+                      status="done" if answer.finished else "interrupted")
     told |= {"units": UNITS, "verdict": found.verdict}
     if isinstance(found, Stability):
         root = found.mode
@@ -246,6 +252,8 @@ def table(answer: StabilityAnswer) -> str:
         rows.append(("critical", _edge(edge, answer.unit, _steps(answer.scene))))
     if answer.so_far is not None:
         rows.append(("interrupted", _unfinished(answer.so_far, answer)))
+    if answer.cut_short:
+        rows.append(("interrupted", "the margins over the knob are missing, and their plot"))
     return facts(rows)
 
 

@@ -146,7 +146,7 @@ class TestTheMargins:
 
     @pytest.mark.parametrize("seed", [*range(6), 35])
     def test_find_the_same_last_mode_by_either_way(self, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        linear = random_loop(seed)._replace(forth=70, back=60)
+        linear = random_loop(seed)._replace(forth=40, back=30)
         roots = roots_of(linear)
         greatest = roots[np.abs(roots).argmax()]
         for most in (400, 0):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+import teleop.analysis.stability.picture
 from teleop import Scene, load_scene
 from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.stability import report
@@ -120,6 +121,22 @@ class TestTheCommand:
     ) -> None:
         assert typed("stability", *arguments, "--plot", "--out", "here").code == 0
         assert (tmp_path / "here" / "stability.png").read_bytes().startswith(b"\x89PNG")
+
+    def test_keeps_the_critical_value_when_the_margins_over_the_knob_are_interrupted(
+        self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def interrupted(*_: Any, **__: Any) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(report, "PLACES", 4)
+        monkeypatch.setattr(teleop.analysis.stability.picture, "sweep", interrupted)
+        answer = typed("stability", "virtual_wall", "--critical", "law.K", "--range", "3000:5000", "--tol", "100",
+                       "--plot", "--out", "here")
+        assert answer.code == 130
+        assert "the margins over the knob are missing" in answer.out
+        assert {path.name for path in (tmp_path / "here").iterdir()} == {"summary.json", "curves.npz", "stability.png"}
+        told = json.loads((tmp_path / "here" / "summary.json").read_text())
+        assert (told["status"], told["critical"]["stable"]) == ("interrupted", "below")
 
     def test_refuses_a_plot_of_a_run_in_virtual_time(self, typed: Typed) -> None:
         typed("stability", "hard_wall", "--time", "--plot").assert_refused("roots", "teleop run hard_wall --plot")
