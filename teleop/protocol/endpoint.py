@@ -76,7 +76,7 @@ class Stepped:
             self._held.pop(packet - self._keep, None)
 
     def has(self, packet: int) -> bool:
-        """Has this packet come? Asked for the newest only: old ones are dropped."""
+        """True if this packet has come. Asked for the newest alone: old ones are dropped."""
         return packet < 0 or packet in self._held
 
     def take(self, tick: int) -> tuple[int, Heard] | None:
@@ -255,11 +255,11 @@ class Endpoint:
         return force
 
     def stood_still(self, ns: int) -> None:
-        """This machine was suspended for `ns`: what it has of its peer is older than its clock says."""
+        """End the session, for this machine was suspended for `ns`: what it has of its peer is older than its clock says."""
         self.session.end(f"stood still: this machine was suspended for {ns / 1e9:.3f} s")
 
     def place(self, x: Axes) -> None:
-        """Where the device is before tick 0. If that is not where the scene begins, the law begins there from rest."""
+        """Take note of where the device is before tick 0; if the scene begins elsewhere, the law begins there from rest."""
         self._placed = True
         starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
         if x != starts and not self.stepped:

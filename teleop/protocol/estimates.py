@@ -28,7 +28,7 @@ class Times:
         self.recent = 0.0  # mean over about the last 200
 
     def add(self, ns: int) -> None:
-        """One more."""
+        """Count one more time (ns)."""
         self.least = ns if not self.count else min(self.least, ns)
         self.most = ns if not self.count else max(self.most, ns)
         self.count += 1
@@ -59,7 +59,7 @@ class PeerClock:
         self._windows: deque[tuple[int, int, int]] = deque(maxlen=WINDOWS)  # the same of each
 
     def add(self, t1: int, held: int, t3: int, t4: int) -> int | None:
-        """One echo, `held` = t3 - t2; its round trip, or None if it is impossible."""
+        """Take in one echo, `held` = t3 - t2; returns its round trip, or None if that is impossible."""
         rtt = t4 - t1 - held
         if not 0 <= rtt <= MOST_RTT_NS:
             return None
@@ -150,7 +150,7 @@ class LinkEstimates:
                 self.rtt.add(rtt)
 
     def lost(self, every: int = 1) -> int:
-        """How many did not come, of those up to the newest that came."""
+        """Number of packets that did not come, of those up to the newest that came."""
         return self._lost + self._missing(every)
 
     def loss(self, every: int = 1) -> float:

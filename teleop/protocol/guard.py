@@ -66,7 +66,7 @@ class Guard:
 
     @property
     def lets_go_ns(self) -> int:
-        """How long after the last packet there is no force any more."""
+        """Time (ns) after the last packet from which on there is no force."""
         return 0 if self._dog is None else round((self._dog.timeout + self._dog.ramp) * 1e9)
 
     def lapse_after(self, deadline: float) -> None:
@@ -83,12 +83,12 @@ class Guard:
 
     @property
     def age(self) -> float | None:
-        """How old (s) a message may be; None: of any age."""
+        """Greatest age (s) that a message may have; None: any."""
         return None if self._dog is None else self._dog.age
 
     @property
     def timeout_ns(self) -> int:
-        """How long a silence it lets pass."""
+        """Longest silence (ns) that it lets pass."""
         return 0 if self._dog is None else round(self._dog.timeout * 1e9)
 
     def step(
@@ -137,7 +137,7 @@ class Guard:
         return self.gain
 
     def _is_well(self, unheard: float, age: int, silent: int) -> bool:
-        """Does full gain stay so, with a message of this age and these silences: all that the rest of `step` asks?"""
+        """True if full gain stays so with a message of this age and these silences: all that the rest of `step` asks."""
         timeout_ticks, _, settle, oldest = self._c or (0.0, 0.0, 0.0, 0.0)
         return (silent <= timeout_ticks and unheard <= timeout_ticks * self._dt and age <= oldest * self._every
                 and self._quiet_ticks + 1.0 - silent > settle)
@@ -153,7 +153,7 @@ class Guard:
         self._waits = self._waits and (k - self._heard) // self._every > self._c.timeout_ticks
 
     def _cause_of(self, k: int, missed: int, silent: int, not_heard: bool, over: str | None) -> str | None:
-        """Why this end has to be safe though its device does well; None if it need not.
+        """Cause for which this end has to be safe though its device does well; None if it need not.
 
         `missed`: own ticks that were left out before this one; `silent`: own ticks since a packet came; `not_heard`:
         does the other end say that it hears nothing of this one; `over`: why the session is over, if it is.

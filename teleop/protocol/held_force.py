@@ -32,19 +32,19 @@ class HeldForce:
         self._k = k - self._every
 
     def since(self, k: int) -> int:
-        """How many own ticks before tick k it was set last; it is set again at k."""
+        """Number of own ticks since it was set last, at tick k, where it is set again."""
         ticks, self._k = (k - self._k) // self._every, k
         return ticks
 
     def take(self, force: tuple[float, ...]) -> bool:
-        """It is `force` (N, per axis) from now on; False if that is not finite, and then it is what it was."""
+        """Set it to `force` (N, per axis); False if that is not finite, and then it stays what it was."""
         if not all(map(isfinite, force)):
             return False
         self.force = force
         return True
 
     def zero(self) -> None:
-        """It is zero, as its device has set it."""
+        """Set it to zero, as its device has done by itself."""
         self.force = (0.0,) * len(self.force)
 
     def lost(self) -> None:

@@ -45,7 +45,7 @@ class Liveness:
         """True if nothing has come for so long that the session is no longer kept."""
         if self._heard_ns is not None:
             return now - self._heard_ns > self.renew_ns
-        return now - self.begun_ns > (self._patience_ns if self._master else self.renew_ns)
+        return now - self.begun_ns > (self._first_timeout_ns if self._master else self.renew_ns)
 
     def judge(self, now: int) -> str | None:
         """Judge at every tick."""
@@ -54,7 +54,7 @@ class Liveness:
         if self.silent(now):
             if self._master or self._heard_ns is not None:  # before its first message a link may just be long
                 return f"nothing came for {self.renew_ns / 1e9:g} s"
-        elif self._master and not self._answered and now - self.begun_ns > 2 * self._patience_ns:
+        elif self._master and not self._answered and now - self.begun_ns > 2 * self._first_timeout_ns:
             return "nothing of this end arrives at the other"  # there and back it takes twice as long
         return None
 
@@ -78,6 +78,6 @@ class Liveness:
         return None
 
     @property
-    def _patience_ns(self) -> int:
-        """How long a master waits for the first message."""
+    def _first_timeout_ns(self) -> int:
+        """Time (ns) that a master waits for the first message."""
         return max(self._first_ns, self.renew_ns)

@@ -1,4 +1,4 @@
-"""Does the other end still hear this one, and do the two still count the same ticks? Sans-IO; times are ns.
+"""Presence of the other end: does it still hear this one, and do the two count the same ticks? Sans-IO; times are ns.
 
 Both are told by the messages that come, whatever is in them of the law. Each says when the newest of ours came that its
 sender has, and how long ago: if that is long, ours are lost on their way, and nothing answers the force that we hold.
@@ -45,13 +45,13 @@ class Presence:
             self.session.answer_came(echo)
 
     def most_ahead(self) -> int:
-        """How many ticks a message can be ahead of the grid, which is uncertain; what is more is no clock's error."""
+        """Greatest number of ticks that a message can be ahead of the grid by the uncertainty of the clocks alone."""
         session = self.session
         uncertain = max(session.rtt_ns or 0, session.start_rtt_ns) // 2 + self.link.clock.sure_ns
         return min(EARLY_NS, uncertain + self._margin_ns) // self._dt_ns + 1
 
     def ahead(self, tick: int, ticks: int, sent_ns: int, now: int) -> None:
-        """After tick `tick` a message came that is more than `most_ahead`, `ticks`, ahead of the grid.
+        """Take note that after tick `tick` a message came `ticks` ahead of the grid, which is more than `most_ahead`.
 
         Its send time (by the peer's clock) has to say as much: a number alone is easily forged.
         """
@@ -60,11 +60,11 @@ class Presence:
             self._ahead = (tick if self._ahead is None else self._ahead[0], ticks)
 
     def in_time(self) -> None:
-        """A new message came that is not ahead."""
+        """Take note that a new message came that is not ahead."""
         self._ahead = None
 
     def judge(self, k: int, now: int) -> None:
-        """At tick k: is the session over for this end?"""
+        """End the session if it is over for this end at tick k."""
         if self._ahead is not None and k - self._ahead[0] > STILL * max(self._every, self.session.peer_every):
             ahead = self._ahead[1] * self._dt_ns / 1e9
             self.session.end(f"stood still: the other end's messages are {ahead:.3f} s ahead of this end's clock")

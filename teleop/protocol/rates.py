@@ -70,7 +70,7 @@ class Resampling:
         return self._last[1] if self._last is not None and j - self._last[0] < self.theirs else None
 
     def _mean(self, came: list[tuple[int, Heard]], due: int) -> tuple[int, Heard]:
-        """Of messages that stand for one tick, out of `due` at least that were sent for it."""
+        """Mean of the messages that came for one tick, of `due` at least that were sent for it."""
         newest, heard = came[-1]
         rx = []
         for i in range(len(heard.rx)):

@@ -62,7 +62,7 @@ class RecordWriter:
         self._file.flush()
 
     def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
-        """One tick."""
+        """Append the row of one tick."""
         self._rows += (k, late_ns, played, *row)
         self._count += 1
         if self._count % self._every == 0:
