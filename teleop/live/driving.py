@@ -1,4 +1,4 @@
-"""What drives a live end through its run: the first reading and exchange, its ticks by the clock or by packets, the way out."""
+"""What drives a live end: the first reading and exchange, its ticks by the clock or by packets, the way out."""
 
 from __future__ import annotations
 

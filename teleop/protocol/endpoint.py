@@ -255,11 +255,11 @@ class Endpoint:
         return force
 
     def stood_still(self, ns: int) -> None:
-        """End the session, for this machine was suspended for `ns`: what it has of its peer is older than its clock says."""
+        """End the session, for this machine was suspended for `ns`: what it has of its peer is too old by as much."""
         self.session.end(f"stood still: this machine was suspended for {ns / 1e9:.3f} s")
 
     def place(self, x: Axes) -> None:
-        """Take note of where the device is before tick 0; if the scene begins elsewhere, the law begins there from rest."""
+        """Take note of where the device is before tick 0; if not where the scene is, the law begins from rest there."""
         self._placed = True
         starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
         if x != starts and not self.stepped:

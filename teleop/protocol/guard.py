@@ -137,7 +137,7 @@ class Guard:
         return self.gain
 
     def _is_well(self, unheard: float, age: int, silent: int) -> bool:
-        """True if full gain stays so with a message of this age and these silences: all that the rest of `step` asks."""
+        """True if full gain stays so with a message of this age and these silences: then `step` has no more to ask."""
         timeout_ticks, _, settle, oldest = self._c or (0.0, 0.0, 0.0, 0.0)
         return (silent <= timeout_ticks and unheard <= timeout_ticks * self._dt and age <= oldest * self._every
                 and self._quiet_ticks + 1.0 - silent > settle)
