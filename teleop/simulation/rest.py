@@ -13,8 +13,10 @@ period P takes at most c P/2 off. The swing of a window is the greatest of all e
 
 The *trend* of the swings of the late windows says what they come to:
 
-- falls: each is no greater than the one before, by more than `SLOW` in all, or the last is half of the first or less;
-- grows: each is no smaller, by more than `SLOW` in all, or the last is twice the first or more;
+- falls: the last two are half of the first or less; or each is no greater than the one before, by steps that are alike
+  (of the mean step at least half and at most twice) and by more than `SLOW` in all;
+- grows: each is no smaller than the one before, and the last is twice the first or more, or the steps are alike and
+  more than `SLOW` in all;
 - stays: all else, and what falls or grows but levels off: over the second half of the late windows it changed by less
   than half of what it did over the first, and more than twice that change is left of the swing. If the changes go on
   so, what is still to come is less than the last of them. An exponential decay or growth never levels off so.
@@ -133,12 +135,14 @@ def trend(swings: Sequence[float]) -> str:
     """What successive swings come to: "falls", "stays" or "grows", see the head of this file."""
     first, middle, last = swings[0], swings[len(swings) // 2], swings[-1]
     before, after = abs(middle - first), abs(last - middle)
-    pairs = [*pairwise(swings)]
+    steps = [b - a for a, b in pairwise(swings)]
+    mean = (last - first) / len(steps)
+    alike = all(0.5 <= step / mean <= 2.0 for step in steps) if abs(last - first) > SLOW * first else False
     if after < 0.5 * before and last > 2.0 * after and (middle - first) * (last - middle) >= 0.0:
         return "stays"
-    if last <= 0.5 * first or (last < (1.0 - SLOW) * first and all(b <= a for a, b in pairs)):
+    if max(swings[-2:]) <= 0.5 * first or (last < first and alike):
         return "falls"
-    if last >= 2.0 * first or (last > (1.0 + SLOW) * first and all(b >= a for a, b in pairs)):
+    if min(steps) >= 0.0 and last > first and (last >= 2.0 * first or alike):
         return "grows"
     return "stays"
 

@@ -77,7 +77,7 @@ def needs_record(measures: Sequence[Measure], scene: Scene) -> bool:
 @lru_cache(maxsize=256)
 def _kinds(measures: tuple[Measure, ...]) -> tuple[bool, bool]:
     """Is one of these metrics none that a sweep works out as it goes, and one an energy compared with its stamp."""
-    without_record = {*KEPT_ALONG, *OF_PLAN, *STAMPED}
+    without_record = {*KEPT_ALONG, *OF_PLAN, *STAMPED, "swing_end"}
     return any(one not in without_record for one in measures), not STAMPED.isdisjoint(measures)
 
 

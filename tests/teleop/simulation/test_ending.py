@@ -12,6 +12,8 @@ from teleop.analysis.stability.assess import is_stable
 from teleop.laws.direct import Direct
 from teleop.scene.loading import load_scene
 from teleop.simulation.ending import typed
+from teleop.simulation.notes import unplayed
+from teleop.simulation.packets import Packets
 from teleop.simulation.virtual import run
 
 
@@ -81,6 +83,13 @@ class TestPacketsThatWereNotPlayed:
                              duration=0.5))
         assert got.packets["fwd"].late <= 0.01 * got.packets["fwd"].received
         assert not warned(got, "too late")
+
+    def test_of_a_live_run_say_a_playout_that_has_room_for_what_the_machine_adds(self) -> None:
+        scene = load_scene("burst_loss", playout="fixed:0.02", link="delay(0.02)", duration=0.5)
+        counts = {"fwd": Packets(sent=500, received=480, late=480), "bwd": Packets(sent=500, received=480)}
+        trace = {"seq_s": np.full(500, -1), "seq_m": np.arange(500) - 20}
+        note, = unplayed(scene, trace, counts, seed=0, live=True)
+        assert note.endswith("type --set playout=fixed:0.03")
 
     def test_that_were_all_lost_are_told_of(self) -> None:
         note, = warned(run(load_scene("hard_wall", link="bernoulli(1) ; delay(0.01)", duration=0.2)), "played none")
