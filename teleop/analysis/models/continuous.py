@@ -60,6 +60,8 @@ def refuse_ticks(scene: Scene) -> None:
     """Refuse what is made of ticks, or has more states than the ends here are built with."""
     from teleop.simulation.structure import structure_of
 
+    if scene.slave is None:
+        raise Refused("a scene without a slave has no link whose delay could be asked for; ask without --continuous")
     structure = structure_of(scene)
     if scene.device_m is not None or scene.device_s is not None:
         raise Refused("a device's estimator and delays are counted in ticks, which continuous time has not; ask "
@@ -70,8 +72,6 @@ def refuse_ticks(scene: Scene) -> None:
     if scene.scaling is not None:
         raise Refused("scaling between master and slave is not known in continuous time here; ask without "
                       "--continuous, or leave scaling out")
-    if scene.slave is None:
-        raise Refused("a scene without a slave has no link whose delay could be asked for; ask without --continuous")
 
 
 def _distinct(scene: Scene) -> list[Any]:

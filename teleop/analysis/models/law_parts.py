@@ -9,7 +9,7 @@ from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.gains import linear_part, scales, with_gains
-from teleop.analysis.models.linear import matrix
+from teleop.analysis.models.linear import linear_estimator, matrix
 from teleop.analysis.models.loop import transfer
 from teleop.analysis.models.one_port_loop import controller
 from teleop.errors import Refused
@@ -52,8 +52,7 @@ def law_parts(scene: Scene) -> Parts:
     K0, B0 = scales(scene)
     velocity = bare.device_m and bare.device_m.velocity
     if velocity is not None and not is_linear(velocity, bare.dt_ns / 1e9):
-        raise Refused(f"the velocity estimator {type(velocity).__name__} is not linear; take BackwardDifference or "
-                      "LowPass")
+        raise Refused(f"the velocity estimator {type(velocity).__name__} is not linear; {linear_estimator(scene)}")
     parts = Parts(controller(with_gains(bare, K0, 0.0)), controller(with_gains(bare, K0, B0)), K0, B0)
     z = np.exp(1j * np.array([1e-3, 0.1, 1.0, 2.0, 3.1]))
     for K, B in ((3.0 * K0, 0.4 * B0), (0.7 * K0, 0.0)):

@@ -118,6 +118,13 @@ def without(scene: Scene, words: str, **knobs: str) -> str:
     return f"leave it out with {' '.join(typed)}" if typed else words
 
 
+def linear_estimator(scene: Scene) -> str:
+    """What to type for a velocity estimator that is linear."""
+    if "velocity" in scene.knobs:
+        return "take a linear one, --set 'velocity=backward_difference()' or 'velocity=low_pass(cutoff=30)'"
+    return "take BackwardDifference or LowPass"
+
+
 def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
     """Whole ticks from sending to use, forth and back, as the scene's own run has them.
 
@@ -279,9 +286,9 @@ def not_linear(scene: Scene, e: str) -> Refused:
     estimator = device and device.velocity
     if estimator is not None and not is_linear(estimator, scene.dt_ns / 1e9):
         return Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
-                       f"eigenvalues; {INSTEAD}, or take BackwardDifference or LowPass")
+                       f"eigenvalues; {INSTEAD}, or {linear_estimator(scene)}")
     name = law_name(scene.law)
-    hint = " or set law.alpha=1" if name == "pfra" else ""
+    hint = ", or write --set law.alpha=1" if name == "pfra" else ""
     where = "where it is in contact" if scene.slave is None else f"at the {NAMES[e]}"
     return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
 
