@@ -79,8 +79,13 @@ def test_no_random_link_gives_more_than_it_got(few: Drawn) -> None:
 
 
 def test_the_rows_are_runs_in_which_energy_goes_through_the_link(few: Drawn) -> None:
-    """Those that nothing gets through are among them, and everything is there that may be drawn."""
-    assert Counter(row["status"] for row in few.came).keys() <= {"ok", "diverged"}
+    """Those that nothing gets through are among them, and everything is there that may be drawn.
+
+    Where a hand waits in contact, gaps that come at random may shake it to the end by as much as is felt.
+    """
+    ended = Counter(row["status"] for row in few.came)
+    assert ended.keys() <= {"ok", "limit cycle", "diverged"}
+    assert ended["limit cycle"] < 0.02 * FEW
     lively = [row for row in few.came if min(row["fresh_fwd"], row["fresh_bwd"]) > 0.1 and row["E_link_end"] > 1e-6]
     assert len(lively) > 0.4 * FEW
     assert sum(row["f_env_max"] > 0.0 for row in lively) > 0.2 * FEW

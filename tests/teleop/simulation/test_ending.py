@@ -8,12 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from master.hand import Grip, Sine
 from teleop.analysis.stability.assess import is_stable
 from teleop.laws.direct import Direct
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.ending import typed
 from teleop.simulation.notes import unplayed
 from teleop.simulation.packets import Packets
+from teleop.simulation.rest import swings, trend
 from teleop.simulation.virtual import run
 
 
@@ -51,6 +56,16 @@ class TestMotionThatGrows:
     def test_of_a_wall_that_moves_is_warned_of_too(self) -> None:
         assert warned(run(load_scene("beating_heart", law="direct", delay=0.1)), "grows")
         assert not warned(run(load_scene("beating_heart", law="direct", delay=0.005)), "grows")
+
+
+    def test_of_a_body_at_resonance_that_the_hand_alone_feeds_is_not_warned_of(self) -> None:
+        """Undamped at 10 Hz: a reference of 1 mm at 10 Hz makes it swing by 63 mm more each second."""
+        scene = Scene(law=VirtualWall(K=1.0, at=1.0), master=MassDamper(mass=1.0), dt=1e-3, duration=2.0,
+                      hand=Grip(mass=0.0, k=(20.0 * np.pi) ** 2, d=0.0, reference=Sine(amplitude=1e-3, frequency=10.0)))
+        got = run(scene)
+        assert swings([got.trace["x_m"]], 250)[-1] == pytest.approx(2.0 * 2e-3 * np.pi * 10.0, rel=0.1)
+        assert trend(swings([got.trace["x_m"]], 250)) == "grows"
+        assert not got.notes
 
 
 class TestPacketsThatWereNotPlayed:
