@@ -155,10 +155,7 @@ class Local:
 LAW = '''
 import gains
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
-
-class Word(NamedTuple):
-    x: float
+from typing import ClassVar
 
 PARTS = ({tuple}, 1.0)
 
@@ -167,12 +164,9 @@ def push(x):
 
 @dataclass(frozen=True, kw_only=True)
 class Mine:
-    K: float = 100.0
     claims: ClassVar[frozenset] = frozenset()
-    def master_start(self, at): return (), Word(at.x)
-    def slave_start(self, at): return (), Word(at.x)
-    def master(self, s, at, rx): return push(at.x - rx.x), Word(at.x), s
-    def slave(self, s, at, rx): return self.K * (rx.x - at.x) - 4.0 * at.v, Word(at.x), s
+    def start(self, at): return ()
+    def force(self, s, at): return push(at.x), s
 '''
 SCENE = """
 from dataclasses import replace
@@ -180,12 +174,12 @@ from mine import Mine
 from teleop import Scene, load_scene
 
 def scene(*, duration: float = 0.2) -> Scene:
-    return replace(load_scene("free_motion"), law=Mine(), duration=duration)
+    return replace(load_scene("virtual_wall", energy=False), law=Mine(), duration=duration)
 """
 PROGRAM = """
 from teleop import load_scene, run
 from teleop.sweeps.chunk import Job, work
-done = work(Job("./own.py", {}, [(0, {}, 1)], ("f_m_max", "x_err_max"), "scalar"))
+done = work(Job("./own.py", {}, [(0, {}, 1)], ("f_m_max",), "scalar"))
 single = run(load_scene("./own.py"), seed=1)
 assert list(done.ran) == [("scalar", "")], done.ran
 assert done.rows[0]["f_m_max"] == single.metrics["f_m_max"], (done.rows, single.metrics)
@@ -225,10 +219,32 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
     assert "def loop(" in text
 
 
-SCRIPT = LAW.replace("import gains", "").replace("* PARTS[0] * gains.G", "").replace("{factor}", "50.0").replace(
-    "{tuple}", "1.0") + """
+SCRIPT = """
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 from teleop.sweeps.runner import carry_out, plan_sweep
+
+class Word(NamedTuple):
+    x: float
+
+def push(x):
+    return 50.0 * x
+
+@dataclass(frozen=True, kw_only=True)
+class Mine:
+    K: float = 100.0
+    claims: ClassVar[frozenset] = frozenset()
+    def master_start(self, at): return (), Word(at.x)
+    def slave_start(self, at): return (), Word(at.x)
+    def master(self, s, at, rx): return push(at.x - rx.x), Word(at.x), s
+    def slave(self, s, at, rx): return self.K * (rx.x - at.x) - 4.0 * at.v, Word(at.x), s
+
 plan = plan_sweep("free_motion", {"delay": [0.01, 0.02]}, fixed={"law": Mine(), "duration": 0.1}, engine="scalar")
+print(carry_out(plan).counts(), dict(plan.ran))
+"""
+SMALL = """
+from teleop.sweeps.runner import carry_out, plan_sweep
+plan = plan_sweep("virtual_wall", {"k": [1e3, 2e3]}, fixed={"energy": False, "duration": 0.1}, engine="scalar")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
 
@@ -243,7 +259,7 @@ def test_a_law_in_the_users_own_script_is_compiled_too(tmp_path: Path) -> None:
 
 
 def test_processes_that_make_the_same_kernel_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
-    (tmp_path / "script.py").write_text(SCRIPT)
+    (tmp_path / "script.py").write_text(SMALL)
     env = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     at_once = [subprocess.Popen([sys.executable, "script.py"], cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True)
                for _ in range(3)]
