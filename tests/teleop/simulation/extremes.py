@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 from scipy.stats import qmc
 
 from channel.bernoulli import Bernoulli
@@ -35,6 +38,7 @@ from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
 from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
+from teleop.simulation import source
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap
@@ -195,6 +199,14 @@ def tried(seed: int, row: dict[str, Any], scene: Scene | None = None) -> Case:
         except Exception as error:  # whatever it is, it is to be seen beside its row
             return Case(seed=seed, row=row, scene=scene, result=None, trouble=repr(error))
     return Case(seed=seed, row=row, scene=scene, result=result)
+
+
+@contextmanager
+def lines_kept() -> Iterator[None]:
+    """The lines of every structure are written once: a matrix has more structures than a process keeps otherwise."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(source, "lines", cache(source.lines.__wrapped__))
+        yield
 
 
 def failing(cases: list[Case], holds: Callable[[Case], bool]) -> list[str]:

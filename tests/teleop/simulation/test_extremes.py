@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations, product
 from math import hypot, inf, isfinite
@@ -26,15 +27,16 @@ from teleop.scene.scene import Scene
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.terminal.run_table import table
-from tests.teleop.simulation.extremes import CHOICES, RANGES, TICKS, Case, failing, rows, scene_of, tried
+from tests.teleop.simulation.extremes import CHOICES, RANGES, TICKS, Case, failing, lines_kept, rows, scene_of, tried
 
 EPS = float(np.finfo(float).eps)
 
 
 @pytest.fixture(scope="module")
-def tries() -> list[Case]:
+def tries() -> Iterator[list[Case]]:
     """Every row of the matrix."""
-    return [tried(seed, row) for seed, row in enumerate(rows())]
+    with lines_kept():
+        yield [tried(seed, row) for seed, row in enumerate(rows())]
 
 
 @pytest.fixture

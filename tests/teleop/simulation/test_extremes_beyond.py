@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from itertools import combinations, product
 from math import floor, isfinite
 
@@ -13,16 +14,17 @@ from teleop.physics.sdirk import MOST_SUBSTEPS
 from teleop.scene.playout import repeats
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
-from tests.teleop.simulation.extremes import Case, failing, tried
+from tests.teleop.simulation.extremes import Case, failing, lines_kept, tried
 from tests.teleop.simulation.extremes_beyond import FAMILIES, balance, rows, scene_of, ticks_of
 
 EPS = float(np.finfo(float).eps)
 
 
 @pytest.fixture(scope="module")
-def tries() -> list[Case]:
+def tries() -> Iterator[list[Case]]:
     """Every row of the matrix."""
-    return [tried(seed, row, scene_of(row)) for seed, row in enumerate(rows())]
+    with lines_kept():
+        yield [tried(seed, row, scene_of(row)) for seed, row in enumerate(rows())]
 
 
 @pytest.fixture
