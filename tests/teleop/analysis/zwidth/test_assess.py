@@ -16,6 +16,7 @@ import teleop.analysis.zwidth.assess
 import teleop.analysis.zwidth.command
 import teleop.analysis.zwidth.measured
 from teleop.analysis.zwidth.assess import ZWidth, assess, span
+from teleop.analysis.zwidth.levers import levers
 from teleop.analysis.zwidth.plane import Span
 from teleop.analysis.zwidth.plot import PLOTS
 from teleop.analysis.zwidth.report import numbers, ratios, said, summary, table
@@ -88,11 +89,14 @@ class TestLevers:
         assert any("its encoder, its Coulomb friction" in note for note in got.notes)
         assert any("electrical damping left out" in note for note in got.notes)
 
-    def test_a_scene_with_a_controller_has_the_row_without(self) -> None:
-        got = assess(load_scene("encoder_wall", every=5, cap=0.8))
-        own = rows(got)
+    def test_a_scene_with_a_controller_has_the_row_without(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        scene = load_scene("encoder_wall", every=5, cap=0.8)
+        own = rows(theory(scene))
         assert own["as it is"]["passive_K"] is None
         assert own["no controller"]["passive_K"] == 0.0
+        both = [lever for lever in levers(scene) if lever.name in ("as it is", "no controller")]
+        monkeypatch.setattr(teleop.analysis.zwidth.assess, "levers", lambda _: iter(both))
+        own = rows(assess(scene, span_B=Span(0.0, 0.1)))
         assert (own["as it is"]["K_at_rest"] or 0.0) > 1.5 * (own["no controller"]["K_at_rest"] or 1e9)
 
     def test_a_coupled_scene_is_asked_too(self) -> None:
