@@ -219,7 +219,9 @@ def same(one: Result, other: Result) -> bool:
 
 
 def test_the_same_seed_gives_the_same_bits(cases: list[Case]) -> None:
-    assert failing(cases, lambda case: same(case.result, run(case.scene, seed=case.seed))) == []
+    """Of a third and of those that diverged; all that is drawn is drawn again for the mirror image of every row."""
+    some = [case for case in cases if case.seed % 3 == 0 or case.result.status == "diverged"]
+    assert failing(some, lambda case: same(case.result, run(case.scene, seed=case.seed))) == []
 
 
 def test_the_mirror_image_of_a_scene_runs_as_the_mirror_image(cases: list[Case]) -> None:
@@ -228,7 +230,8 @@ def test_the_mirror_image_of_a_scene_runs_as_the_mirror_image(cases: list[Case])
     def holds(case: Case) -> bool:
         got = run(scene_of(case.row, mirror=-1.0), seed=case.seed)
         turned = {name: -1.0 if name.startswith(("x_", "v_", "f_")) else 1.0 for name in got.trace}
-        return got.sentence == case.result.sentence and all(
+        told = got.sentence == case.result.sentence and got.packets == case.result.packets
+        return told and got.ticks == case.result.ticks and all(
             np.array_equal(turned[name] * column, case.result.trace[name], equal_nan=True)
             for name, column in got.trace.items()
         )
