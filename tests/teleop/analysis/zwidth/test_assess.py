@@ -347,7 +347,7 @@ every = assess.levers
 assess.levers = lambda scene: islice(every(scene), 1)
 measured.LASTING, measured.TICKS = 0.1, (100, 100)
 from teleop.__main__ import main
-raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here", "--plot"]))
+raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here", "--plot", "--range-b", "0:0.1"]))
 """
 
 
