@@ -178,7 +178,7 @@ class Counts(Direct):
 def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(law: Any, engine: str, why: str) -> None:
     """Each row with a schedule of its own: another kernel over lanes, compiled when it is needed."""
     rows = [(n, {"k_e": 100.0 + n}, n) for n in range(9)]
-    fixed = {"law": law, "duration": 0.1, "link": "delay(0.005) | bernoulli(0.3)"}
+    fixed = {"law": law, "duration": 0.1, "link": "delay(0.005) | bernoulli(0.3)", "energy": False}
     done = {one: work(Job("canonical", fixed, rows, MEASURES, one)) for one in ("plain", "vector")}
     assert repr(done["plain"].rows) == repr(done["vector"].rows)
     ((ran, reason), count), = done["vector"].ran.items()
