@@ -139,7 +139,7 @@ def demo(
     and `spin` are those of both ends, `realtime` is of all three processes.
     """
     scene = both_ends(load_scene(scene_name, **knobs))
-    ticks_of(scene, rate, lockstep=lockstep)  # refused here, before a process is started
+    ticks_of(scene, rate, lockstep=lockstep, spin=spin)  # refused here, before a process is started
     options = [scene_name, "--seed", str(seed)]
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]

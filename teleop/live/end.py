@@ -149,7 +149,8 @@ def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
         manifest["seed"] = str(args.seed)  # by the clock, the channel alone draws
         inbox = Stepped(link_plans(scene, args.seed)[0 if e == "s" else 1])
     session = Session(master=e == "m", manifest=manifest, number=randbits(64) if e == "m" else None,
-                      every=ticks_of(scene, args.rate, lockstep=args.lockstep), heals=not args.lockstep)
+                      every=ticks_of(scene, args.rate, lockstep=args.lockstep, spin=args.spin),
+                      heals=not args.lockstep)
     return Endpoint(scene, e, session, inbox)
 
 

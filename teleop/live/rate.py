@@ -1,4 +1,4 @@
-"""The rate at which a live end ticks, a whole part of its scene's."""
+"""What a live end is asked of its ticks: the rate, a whole part of its scene's, and the clock or packets."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.scene import Scene
 
 
-def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool) -> int:
-    """The ticks of the scene to one of an end that ticks at `rate` (Hz); None: the scene's own. Raises `Refused`."""
+def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool, spin: bool) -> int:
+    """The ticks of the scene to one of an end that ticks at `rate` (Hz); None: the scene's own.
+
+    Raises `Refused`, also where what is asked of the clock is asked of an end that goes by packets.
+    """
+    if lockstep and spin:
+        raise Refused("--spin is for ends that tick by the clock, and with --lockstep they tick by packets; leave one "
+                      "of them out")
     if rate is None:
         return 1
     number("--rate", rate, above=0.0)

@@ -180,6 +180,7 @@ def test_a_scene_may_print_what_it_likes(command: Start, tmp_path: Path) -> None
     (("nowhere",), ["nowhere"]),
     (("hard_wall", "--set", "k_e=-1"), ["k_e"]),
     (("hard_wall", "--rate", "300"), ["--rate 300 is no whole part of the scene's 1000 Hz"]),
+    (("hard_wall", "--lockstep", "--spin"), ["--spin is for ends that tick by the clock", "leave one of them out"]),
     (("hard_wall", "--out", "/dev/null/x"), ["cannot write to /dev/null/x"]),
     (("canonical", "--set", "law=pfra", "--link", "dely(1)"), ["dely"]),
 ])
