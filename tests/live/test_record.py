@@ -12,7 +12,7 @@ import pytest
 
 from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES, WAYS
-from teleop.live.records.merge import merge, recover, scene_of
+from teleop.live.records.merge import load_result, merge, recover, scene_of
 from teleop.live.records.record import (
     EVENTS,
     EVERY,
@@ -69,6 +69,28 @@ def test_the_columns_are_named_once_for_each_axis(tmp_path: Path) -> None:
     recorded(tmp_path, 0, replace(SCENE, axes=3, environment=(None,) * 3)).close()
     names = read_record(tmp_path)[0]["columns"]
     assert names[:9] == ["k", "late_ns", "seq", "x_m", "x_m", "x_m", "v_m", "v_m", "v_m"]
+
+
+@pytest.mark.parametrize(("law", "column"), [("wave", False), ("pfra", True)])
+def test_a_record_of_an_earlier_release_was_said_to_be_none_since_its_header_does_not_tell_where_the_force_is_from(
+    law: str, column: bool, tmp_path: Path
+) -> None:
+    """Such a record has a force if its law read one, and then of the device's sensor: what else stood there it
+    does not say, so none is worked out."""
+    scene = load_scene("hard_wall", duration=1.0, law=law, observer="none")
+    about = {**ABOUT, "knobs": {"duration": "1.0", "law": law, "observer": "none"}}
+    recorder = RecordWriter(scene, "m", tmp_path, about)
+    recorder.begin("sensor" if column else "unknown")
+    for k in range(20):
+        recorder.add(k, 1000, k - 5, (0.001 * k,) * len(columns(scene, "m", column)))
+    recorder.close()
+    first, rows = (tmp_path / FILE).read_bytes().split(b"\n", 1)
+    header = {key: value for key, value in json.loads(first).items() if key != "force"}
+    (tmp_path / FILE).write_bytes(json.dumps(header).encode() + b"\n" + rows)
+    result = load_result(tmp_path)
+    assert result.ticks == 20
+    assert ("f_h" in result.trace) is column
+    assert any("no force sensor" in note for note in result.notes) is not column
 
 
 def test_a_process_that_is_killed_leaves_all_but_the_last_rows(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 from teleop.errors import Refused
 from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.scene import MOST_TICKS, Scene
-from teleop.simulation.structure import columns
+from teleop.simulation.structure import SENSED, columns
 from teleop.simulation.summary_shape import MOST_SEED
 from teleop.simulation.trace import ForceSource
 from teleop.storage.strict_json import Misshapen, each, named, one_of, parse, record, text, whole
@@ -20,8 +20,8 @@ _LARGEST = float(1 << 53)  # a whole number that a float holds exactly
 _HEADER = record({
     "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=3), "scene": text,
     "knobs": named(text), "seed": whole(low=0, high=MOST_SEED), "mode": one_of("live", "lockstep"),
-    "columns": each(text, most=100), "force": one_of("sensor", "bodies", "unknown"),
-}, {"every": whole(low=1, high=MOST_EVERY), "command": each(text)})
+    "columns": each(text, most=100),
+}, {"every": whole(low=1, high=MOST_EVERY), "command": each(text), "force": one_of("sensor", "bodies", "unknown")})
 
 
 def header_columns(scene: Scene, e: str, force: ForceSource) -> list[str]:
@@ -41,6 +41,8 @@ def read_header(file: BinaryIO) -> dict[str, Any]:
     _HEADER(header, "its header")
     if len(header["columns"]) <= len(OWN):
         raise Misshapen("its header names no column")
+    if "force" not in header:  # of a release that did not say whose device it was
+        header["force"] = "sensor" if SENSED[header["end"]] in header["columns"] else "unknown"
     return header
 
 
