@@ -12,7 +12,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.knob import Declared, Knob
 from teleop.scene.library import import_bundled
-from teleop.scene.playout import Fixed, Hold, Zero
+from teleop.scene.playout import Fixed, Hold, Zero, as_typed
 from teleop.scene.scene import Scene
 
 _SCALES = ("scale_x", "scale_f")
@@ -50,6 +50,7 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
         parts["scaling"] = replace(scene.scaling or Scaling(), **scales)
     made = replace(scene, **parts)
     if "playout" in parts and made.link is None:
-        raise Refused(f"playout={values['playout']} sets nothing in a scene without a link; leave it out, or write for "
-                      "example link='delay(0.05)'")
+        cure = "" if made.slave is None else ", or write for example link='delay(0.05)'"
+        raise Refused(f"playout={as_typed(values['playout'])} sets nothing in a scene without a link; leave it "
+                      f"out{cure}")
     return made

@@ -14,13 +14,9 @@ from teleop.knob import Declared, Knob
 from teleop.scene.catalogue import Named, find, names
 from teleop.scene.library import ROOT
 from teleop.scene.wide import WIDE
-from teleop.simulation.integrators.methods import METHODS
-from teleop.simulation.integrators.named import EXACT
-from teleop.simulation.metrics import METRICS
-from teleop.stages.order import AFTER_LAW, BEFORE_LAW
 from teleop.terminal.answer import Answer
 
-Rows = list[dict[str, str]]
+Rows = list[dict[str, Any]]  # one named cell beside the other, all rows alike; None is an empty one
 
 HEADINGS = {"estimators": "velocity estimators"}  # where it is not the kind itself
 MEANINGS = {  # of knobs that declare nothing, by their type
@@ -75,6 +71,8 @@ def _kind_of(kind: str) -> tuple[Rows, list[str]]:
 
 
 def _metrics() -> tuple[Rows, list[str]]:
+    from teleop.simulation.metrics import METRICS
+
     rows = [{"name": name, "unit": one.unit, "meaning": one.meaning, "needs": one.needs or "nothing"}
             for name, one in METRICS.items()]
     return rows, ["in summary.json of a run that has what each needs; in sweeps by --metrics NAME,NAME",
@@ -89,6 +87,8 @@ def _playouts() -> tuple[Rows, list[str]]:
 
 
 def _stages() -> tuple[Rows, list[str]]:
+    from teleop.stages.order import AFTER_LAW, BEFORE_LAW
+
     before, after = ([{"name": place.name, "ends": place.ends, "does": place.what, "named by": place.field}
                       for place in places] for places in (BEFORE_LAW, AFTER_LAW))
     law = {"name": "(law)", "ends": "both", "does": "answers with its force and its message", "named by": "law=Wave()"}
@@ -98,8 +98,11 @@ def _stages() -> tuple[Rows, list[str]]:
 
 
 def _bodies() -> tuple[Rows, list[str]]:
-    exact = {"name": EXACT, "order": "", "method": "the scene's own: in closed form, or to its tolerance"}
-    rows = [{"name": f"{one.name}:N", "order": str(one.order), "method": one.label} for one in METHODS]
+    from teleop.simulation.integrators.methods import METHODS
+    from teleop.simulation.integrators.named import EXACT
+
+    exact = {"name": EXACT, "order": None, "method": "the scene's own: in closed form, or to its tolerance"}
+    rows = [{"name": f"{one.name}:N", "order": one.order, "method": one.label} for one in METHODS]
     return [exact, *rows], ["set with: teleop run SCENE --bodies semi_implicit_euler:40, with 40 sub-steps a tick; "
                             "`teleop precision` compares all"]
 
@@ -146,8 +149,9 @@ def _knob_rows(knobs: Mapping[str, Declared]) -> Rows:
 
 def _aligned(rows: Rows, *, heading: bool = True) -> str:
     """Rows of named cells below each other, under the names."""
-    lines = [[*rows[0]], *([*row.values()] for row in rows)][0 if heading else 1:]
-    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    cells = (["" if cell is None else str(cell) for cell in row.values()] for row in rows)
+    lines = [[*rows[0]], *cells][0 if heading else 1:]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     told = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
     return "\n".join(f"  {line}".rstrip() for line in told)
 

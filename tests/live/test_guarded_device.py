@@ -265,7 +265,7 @@ def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_end
 @pytest.mark.parametrize(("axes", "wrong", "words"), [
     (1, Reading(0.0, 0.0, None), r"Reading\(\(x,\), \(v,\), None\)"),  # type: ignore[arg-type]
     (1, ((0.0,), (0.0,), None), "tuple"), (1, None, "gave None"), (1, Reading((0.0,), (0.0, 0.0), None), "here 1"),
-    (3, Reading((0.0,) * 3, (0.0,) * 3, (0.0,)), r"Reading\(\(x, x2, x2\), "),
+    (3, Reading((0.0,) * 3, (0.0,) * 3, (0.0,)), r"Reading\(\(x, x2, x3\), \(v, v2, v3\), "),
 ])
 def test_a_device_that_reads_something_else_is_told_so_at_once_and_how_to_write_it(
     axes: int, wrong: Any, words: str

@@ -165,7 +165,8 @@ def _in_floats(reading: Any, axes: int) -> Reading:
         if all(isinstance(part, tuple) and len(part) == axes and all(map(_is_number, part))
                for part in (x, v, *(() if f is None else (f,)))):
             return Reading(_floats(x), _floats(v), None if f is None else _floats(f))
-    sample_x, sample_v = (f"({letter}{',' if axes == 1 else f', {letter}2' * (axes - 1)})" for letter in "xv")
+    more = "," if axes == 1 else "".join(f", {{0}}{axis}" for axis in range(2, axes + 1))
+    sample_x, sample_v = (f"({letter}{more.format(letter)})" for letter in "xv")
     raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "
                   f"{axes}, in m, m/s and N, f None without a force sensor; this one gave {str(reading)[:99]}; "
                   f"write for example Reading({sample_x}, {sample_v}, None)")

@@ -105,6 +105,7 @@ class TestTables:
     def test_bodies_are_the_methods_by_names_that_run_takes(self, typed: Typed) -> None:
         rows = json.loads(typed("list", "bodies", "--json").out)["bodies"]
         assert [row["name"] for row in rows] == ["exact", *(f"{method.name}:N" for method in METHODS)]
+        assert [row["order"] for row in rows] == [None, *(method.order for method in METHODS)]
         for row in rows:
             run(load_scene("hard_wall", duration=0.01), bodies=row["name"].replace("N", "2"))
 
@@ -154,7 +155,7 @@ class TestKnobsOfEveryScene:
     @pytest.mark.parametrize(("knobs", "words"), [
         ({"scale_x": "0"}, "scale_x must be above 0"), ({"scale_f": "none"}, "scale_f must be a number"),
         ({"x_limit": "-1"}, "x_limit must be above 0 m"), ({"playout": "zeros"}, "playout is zero, hold"),
-        ({"playout": "hold", "link": "none"}, "sets nothing in a scene without a link"),
+        ({"playout": "hold", "link": "none"}, "^playout=hold sets nothing in .* without a link.*or write"),
     ])
     def test_that_cannot_be_are_refused(self, knobs: dict[str, str], words: str) -> None:
         with pytest.raises(Refused, match=words):
@@ -163,3 +164,5 @@ class TestKnobsOfEveryScene:
     def test_of_a_scene_without_a_slave_are_refused_where_they_need_one(self) -> None:
         with pytest.raises(Refused, match="without a slave has no scaling"):
             load_scene("virtual_wall", scale_x=2.0)
+        with pytest.raises(Refused, match=r"^playout=fixed:0\.1 sets nothing in a scene without a link; leave it out$"):
+            load_scene("virtual_wall", playout="fixed:0.1")  # nor would a link go with it
