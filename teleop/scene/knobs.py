@@ -13,12 +13,13 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints
 
 from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
-from teleop.knob import UNDECLARED, Declared, declared
+from teleop.knob import UNDECLARED, Declared, declared, knobs_of_fields
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
 from teleop.scene.own_law import file_law, file_named
 from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.wide import WIDE, read_link
 
+_PLAIN = Declared(float, ..., UNDECLARED)  # a number of which nothing else is known
 _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
 
@@ -109,13 +110,16 @@ def read_knob(key: str, value: object, own: Declared) -> object:
     knob = own.knob
     if own.kind is float and type(value) is float:  # nearly always
         return number(key, value, low=knob.low, above=knob.above, high=knob.high, unit=knob.unit)
-    found = read(key, value, own.kind)
+    found = read(key, value, own.kind, own)
     knob.check(key, found)
     return found
 
 
-def read(key: str, value: object, hint: Any) -> object:
-    """Convert `value`, a text or already of the type, to the type `hint` of the knob `key`. Raises `Refused`."""
+def read(key: str, value: object, hint: Any, own: Declared = _PLAIN) -> object:
+    """Convert `value`, a text or already of the type, to the type `hint` of the knob `key`. Raises `Refused`.
+
+    The sentence has the unit and, as the example, the default of the knob that is declared as `own`.
+    """
     kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
     if NoneType in kinds and (value is None or value == "none"):
         return None
@@ -126,7 +130,7 @@ def read(key: str, value: object, hint: Any) -> object:
     if Zero in kinds or hint == Zero | Hold | Fixed:
         return _playout(key, value)
     if float in kinds or int in kinds:
-        return _number(key, value, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds),
+        return _number(key, value, own, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds),
                        none=NoneType in kinds)
     if key == "law" or Law in kinds or OnePortLaw in kinds:
         return _law(key, value)
@@ -155,17 +159,21 @@ def _path(key: str, value: object) -> Path:
     raise Refused(f"{key} is the path of a file, not {value!r}")
 
 
-def _number(key: str, value: object, *, whole: bool, vector: bool, none: bool = False) -> object:
+def _number(
+    key: str, value: object, own: Declared, *, whole: bool, vector: bool, none: bool = False
+) -> object:
     if vector and isinstance(value, str) and "," in value:
-        return tuple(_number(key, part, whole=whole, vector=False) for part in value.split(","))
+        return tuple(_number(key, part, own, whole=whole, vector=False) for part in value.split(","))
     if vector and isinstance(value, tuple):
-        return tuple(_number(key, part, whole=whole, vector=False) for part in value)
+        return tuple(_number(key, part, own, whole=whole, vector=False) for part in value)
     if isinstance(value, str):
         try:
             value = float(value)
         except ValueError:
-            what = ("one number" if "," in str(value) else "a number") + " or none" * none
-            raise Refused(f"{key} must be {what}, not {value!r}; write for example {key}=1.5") from None
+            unit = f" of {own.knob.unit}" if own.knob.unit not in ("", "1") else ""
+            what = ("one number" if "," in str(value) else "a number") + unit + " or none" * none
+            example = own.default if type(own.default) in (float, int) else 1.5
+            raise Refused(f"{key} must be {what}, not {value!r}; write for example {key}={example:g}") from None
     return whole_number(key, value) if whole else number(key, value)
 
 
@@ -205,7 +213,7 @@ def _find_law(name: str) -> Any:
     try:
         return find_law(name)
     except Refused as refused:
-        raise Refused(f"{refused}; a law in a file of your own is FILE.py or FILE.py:CLASS") from None
+        raise Refused(f"{refused} (a law in a file of your own is FILE.py or FILE.py:CLASS)") from None
 
 
 def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
@@ -227,7 +235,9 @@ def _numbers_of_law(kind: Any, changes: Mapping[str, object]) -> dict[str, objec
             whose = [name for name in BUILT_IN if key in [f.name for f in fields(find_law(name))]]  # type: ignore[arg-type]  # laws are dataclasses
             also = f" (law {' and '.join(whose)} has)" if whose else ""
             raise Refused(f"law {name_of_law(kind)} has no knob {key!r}{also}; {nearest(key, own)}")
-    return {key: _number(f"law.{key}", value, whole=False, vector=False) for key, value in changes.items()}
+    known = knobs_of_fields(kind) if changes else {}
+    return {key: _number(f"law.{key}", value, known.get(key, _PLAIN), whole=False, vector=False)
+            for key, value in changes.items()}
 
 
 def _playout(key: str, value: object) -> Zero | Hold | Fixed:

@@ -45,7 +45,7 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
     elif status != "ok":
         does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} m before)"
         hertz = pitch(motion, still.window, scene.dt)
-        sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} m peak to peak; what becomes of it says: "
+        sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} m peak to peak; to see what becomes of it: "
                     f"teleop stability {typed(scene, '--time')}")
     return Ending(status, sentence, swung[-1])
 
@@ -84,8 +84,8 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
         return []
     return [f"the motion still grows at the end: a swing of {swung[-1]:.3g} m peak to peak in the last eighth of the "
             f"run and of {swung[0]:.3g} m half a run before, where the hand's reference moves over {way:.3g} m; law "
-            f"and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; whether the loop is "
-            f"stable says: teleop stability {typed(scene)}"]
+            f"and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see whether "
+            f"the loop is stable: teleop stability {typed(scene)}"]
 
 
 def _port(trace: Mapping[str, Any]) -> float:

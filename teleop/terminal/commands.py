@@ -211,8 +211,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
                   "passive.", _passivity),
     "zwidth": ("Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, and "
                "what widens it. Ctrl-C keeps what is done.", _zwidth),
-    "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages and integrators, or the "
-             "knobs of one.", _list),
+    "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages and bodies (their "
+             "integrators), or the knobs of one.", _list),
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
     "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),

@@ -47,8 +47,12 @@ def command(args: Namespace) -> Answer:
     try:
         found = find(args.name)
     except Refused as refused:
-        if (near := nearest(args.name, TABLES)).startswith("did you mean"):
-            raise Refused(f"{str(refused).partition(';')[0]}; {near}") from None
+        unknown, _, known = str(refused).partition("; ")
+        near = nearest(args.name, TABLES)
+        if near.startswith("did you mean"):
+            raise Refused(f"{unknown}; {near}") from None
+        if known.startswith("there are"):
+            raise Refused(f"{refused}; and the kinds {', '.join(TABLES)}") from None
         raise
     return Answer("\n\n".join(map(_told, found)), {"found": [_document(one) for one in found]})
 

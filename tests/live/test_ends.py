@@ -154,7 +154,7 @@ def test_a_port_in_use_is_refused_in_one_sentence(command: Start, tmp_path: Path
     ("master", ("--peer", "127.0.0.1:0"), ["--peer needs the port"]),
     ("master", ("--peer", "no..such..host:1"), ["--peer names the host 'no..such..host'"]),
     ("slave", ("--listen", "127.0.0.1:99999"), ["--listen takes HOST:PORT"]),
-    ("slave", ("--listen", "203.0.113.1:9001"), ["203.0.113.1:9001 is not on this machine", "--insecure"]),
+    ("slave", ("--listen", "203.0.113.1:9001"), ["203.0.113.1:9001 reaches beyond this machine", "--insecure"]),
     ("slave", (*ANY, "--wait", "nan"), ["--wait", "finite"]),
     ("slave", (*ANY, "--wait", "0"), ["--wait", "above 0"]),
     ("slave", (*ANY, "--out", "/dev/null/x"), ["cannot write to /dev/null/x", "--out"]),

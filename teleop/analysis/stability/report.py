@@ -284,11 +284,11 @@ def _roots(found: Stability) -> list[tuple[str, str]]:
         rows.append(("round trip", f"{found.forth} + {found.back} = {number_of(trip, 'tick')}, {si(trip * dt, 's')}"))
     first = "none: stable at every delay" if found.tried is None else f"none up to {number_of(found.tried, 'tick')}"
     if edge is not None:
-        first = f"{number_of(edge, 'tick')}, {si(edge * dt, 's')}, is the least unstable"
+        first = f"unstable from a {rows[-1][0]} of {number_of(edge, 'tick')}, {si(edge * dt, 's')}, on"
     if edge == 0:
         first = "unstable without any delay"
     elif edge == 2 and not found.alone:
-        first = "unstable already at 2 ticks, the least there is"
+        first = "unstable already at 2 ticks, the shortest round trip there is"
     rows.append(("delay margin", first))
     gain = found.gain_margin
     said = "none: no factor from 1e-6 to 1e6 changes the verdict"

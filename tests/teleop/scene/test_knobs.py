@@ -185,7 +185,7 @@ class TestWithoutAnnotation:
         assert settle("s", ruled, {"law": "wave", "law.b": "3"})[0] == {"law": Wave(b=3.0)}
 
     @pytest.mark.parametrize(("name", "text", "words"), [
-        ("law", "directt", "did you mean direct"), ("energy", "2", "energy is true or false"), ("k", "x", "k=1.5"),
+        ("law", "directt", "did you mean direct"), ("energy", "2", "energy is true or false"), ("k", "x", "k=1000"),
         ("other", "delay", "other cannot be written as text"), ("play", "x", "play is zero, hold"),
     ])
     def test_what_is_wrong_is_refused_in_its_terms(self, name: str, text: str, words: str) -> None:

@@ -120,7 +120,7 @@ class TestStatus:
         assert got.status == "limit cycle"
         last = got.trace["x_m"][-1000:], got.trace["x_s"][-1000:]
         assert got.metrics["swing_end"] == pytest.approx(max(np.ptp(x) for x in last), rel=2e-3)
-        assert got.sentence.endswith("what becomes of it says: teleop stability hard_wall --set law=direct --time")
+        assert got.sentence.endswith("to see what becomes of it: teleop stability hard_wall --set law=direct --time")
 
     def test_where_the_delay_takes_most_of_the_time_there_is_none_and_the_sentence_says_how_long_it_takes(self) -> None:
         got = run(load_scene("hard_wall", law="direct", delay=0.3))

@@ -67,6 +67,10 @@ class TestList:
     def test_of_a_kind_that_is_misspelt_names_it(self, typed: Typed) -> None:
         typed("list", "metric").assert_refused("did you mean metrics?")
 
+    def test_of_a_kind_that_has_another_name_names_the_kinds(self, typed: Typed) -> None:
+        """`teleop list integrators` named forty scenes, laws and effects, and not `bodies`."""
+        typed("list", "integrators").assert_refused("and the kinds scenes", "bodies")
+
     def test_of_a_scene_shows_the_knobs_that_every_scene_takes(self, typed: Typed) -> None:
         """`x_limit` was accepted by --set and named by no list."""
         lines = typed("list", "canonical").out.partition("knobs of every scene")[2].splitlines()

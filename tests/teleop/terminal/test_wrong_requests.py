@@ -60,6 +60,8 @@ WRONG = {
     "zero rate": (["canonical", "--set", "law=pfra", "--set", "observer=0"], ["observer", "above 0"]),
     "a run without end": (["canonical", "--set", "duration=1e12"], ["ticks", "change duration or dt"]),
     "a run without end at all": (["canonical", "--set", "duration=1e300"], ["duration=1e+300 s", "change duration"]),
+    "a unit behind the number": (["canonical", "--set", "delay=50ms"], ["a number of s", "'50ms'", "delay=0.05"]),
+    "a word for a number of a law": (["canonical", "--set", "law.b=x"], ["law.b must be a number of N s/m", "law.b=2"]),
     "three numbers for one": (["canonical", "--set", "amplitude=1,2,3"], ["amplitude must be one number", "'1,2,3'"]),
     "no folder": (["canonical", "--out", ""], ["--out DIR must not be empty", "the new folder"]),
     "no link": (["canonical", "--link", ""], ["--link SPEC must not be empty", "none is no link"]),
