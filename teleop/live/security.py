@@ -85,9 +85,9 @@ def _open(at: Address, args: Namespace) -> bool:
     if is_local(at):
         return False
     if not args.insecure:
-        raise Refused(f"{shown(at)} reaches beyond this machine, and a link without keys can be read, changed and taken "
-                      "over; make a key at each end with `teleop keygen NAME` and give --key and --peer-fingerprint, "
-                      "or write --insecure in a network you trust")
+        raise Refused(f"{shown(at)} reaches beyond this machine, and a link without keys can be read, changed and "
+                      "taken over; make a key at each end with `teleop keygen NAME` and give --key and "
+                      "--peer-fingerprint, or write --insecure in a network you trust")
     tell_insecure(at)
     return True
 
