@@ -210,7 +210,8 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
     told = (stop.is_set,) if executor is None else ()  # others may be in other processes
     each, size = 0.0, 1  # s a row, rows of the last chunk
     running: dict[Future[ChunkResult], None] = {}  # in the order in which they were handed out
-    complete = frozen = False
+    complete = False
+    frozen: bool | None = None  # by this sweep; None: not asked for yet
     try:
         while True:
             while len(running) < 2 * (workers := workers_of()):
@@ -226,9 +227,8 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
             if not running:
                 complete = True
                 return
-            if executor is None and each > 0.0 and not gc.get_freeze_count():  # by now the compiler is loaded
-                gc.freeze()
-                frozen = True
+            if executor is None and frozen is None and each > 0.0:  # by now the compiler is loaded
+                frozen = _freeze()
             ended = wait(running, POLL, FIRST_COMPLETED).done
             for future in sorted([one for one in running if one in ended], key=_ends_the_sweep):
                 del running[future]
@@ -244,6 +244,14 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
             future.cancel()
         if own:  # a job that compiles cannot be stopped: it ends by itself, and what it has compiled is kept
             pool.shutdown(wait=complete, cancel_futures=True)
+
+
+def _freeze() -> bool:
+    """Hide what is there from the garbage collector, unless others have; to tell so, it counts what they hid."""
+    if gc.get_freeze_count():
+        return False
+    gc.freeze()
+    return True
 
 
 def _ends_the_sweep(future: Future[ChunkResult]) -> bool:

@@ -363,6 +363,19 @@ class TestTheGarbageCollector:
             sweep("soft_tissue", {"k_e": [1.0 + n for n in range(9)]}, fixed=FIXED, workers=1, show=show)
         assert calls == ["freeze", "unfreeze"]
 
+    def test_counted_what_is_frozen_at_every_job_which_took_two_thirds_as_long_as_the_rows(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        asked: list[int] = []
+        count = gc.get_freeze_count
+        monkeypatch.setattr(gc, "get_freeze_count", lambda: asked.append(count()) or asked[-1])
+        done: list[int] = []
+        sweep("soft_tissue", {"k_e": [1.0 + n for n in range(9)]}, fixed=FIXED, workers=1,
+              show=lambda so_far, _: done.append(so_far))
+        assert len(done) > 2
+        assert asked == [0]
+        assert count() == 0
+
     def test_keeps_what_others_have_frozen(self, monkeypatch: pytest.MonkeyPatch) -> None:
         calls = self.frozen(monkeypatch, 5)
         sweep("soft_tissue", AXES, fixed=FIXED)
