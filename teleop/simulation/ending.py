@@ -30,7 +30,7 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
     """How a run ended that came to its end, as `sentence` says; `trip`: the round trip of its link, ticks.
 
     Where nothing moves the scene any more the status goes by what is left, see `teleop.simulation.rest`; where the hand
-    moves to the end a note says if the motion grows.
+    moves to the end, and where the link's delay leaves no verdict, a note says if the motion grows.
     """
     scene, still = prepared.scene, prepared.still
     if still is None:
@@ -42,7 +42,8 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
         enough = (still.since + WINDOWS * TRIPS * trip) * scene.dt_ns / 1e9
         sentence = (f"{since} {swung[-1]:.3g} m of swing are left, but with this delay that was too short a time for a "
                     f"verdict; type --set duration={enough:g}")
-    elif status != "ok":
+        return Ending(status, sentence, swung[-1], tuple(growth(prepared, trace)))
+    if status != "ok":
         does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} m before)"
         hertz = pitch(motion, still.window, scene.dt)
         sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} m peak to peak; to see what becomes of it: "

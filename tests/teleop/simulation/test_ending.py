@@ -57,6 +57,13 @@ class TestMotionThatGrows:
         assert warned(run(load_scene("beating_heart", law="direct", delay=0.1)), "grows")
         assert not warned(run(load_scene("beating_heart", law="direct", delay=0.005)), "grows")
 
+    def test_to_138_m_after_a_reach_that_its_delay_left_no_time_to_judge_was_ok_without_a_word(self) -> None:
+        got = run(load_scene("relaxing_tissue", law="direct", delay=0.1))
+        assert (got.status, round(got.metrics["swing_end"])) == ("ok", 138)
+        assert "too short a time for a verdict" in got.sentence
+        note, = warned(got, "grows")
+        assert "where the hand's reference moves over 0.03 m" in note
+        assert not warned(run(load_scene("rubber", law="wave", delay=0.1)), "grows")  # it dies away
 
     def test_of_a_body_at_resonance_that_the_hand_alone_feeds_is_not_warned_of(self) -> None:
         """Undamped at 10 Hz: a reference of 1 mm at 10 Hz makes it swing by 63 mm more each second."""
