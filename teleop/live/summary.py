@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 INSECURE = "the link was neither authenticated nor encrypted, beyond loopback, as --insecure asked"
 UNWATCHED = ("the device has neither a deadline nor a watchdog: if this process is killed, stopped or hangs, its force "
              "stays on; see teleop/live/devices/README.md")
+MISSED = 0.01  # share of the ticks, from which on a note says that they were left out
 FEWEST_NS = 3_000_000_000  # of two clocks beside each other, before their rates are judged
 
 
@@ -74,7 +75,8 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         packets={sends: Packets(sent=shell.counts.data_sent), hears: heard},
         first=shell.counts.first, every=endpoint.every,
         notes=[*old, *cut, *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),
-               *filter(None, [shell.recorder.trouble, clock_note(endpoint.link)]),
+               *filter(None, [shell.recorder.trouble, clock_note(endpoint.link), missed_note(
+                   shell.counts.skipped, shell.counts.skipped + shell.counts.ticks, endpoint.own.dt)]),
                *([sentence(shell.realtime)] if shell.realtime else [])],
     )
 
@@ -105,6 +107,20 @@ def clock_note(link: LinkEstimates) -> str | None:
             f"ticks follows {1e6 / SLEW:.0f} ppm: in {seen / 1e9:.0f} s the two grids came apart by {apart / 1e6:.1f} "
             "ms, by which delays and ages as told, a fixed playout and the tracking error are wrong, until the two "
             "begin a new session for it; have a time service (NTP, PTP) keep both clocks, or mend the one that is off")
+
+
+def missed_note(skipped: int, due: int, dt: float) -> str | None:
+    """A sentence if more than `MISSED` of an end's `due` ticks of `dt` s were left out; None if not.
+
+    >>> missed_note(10, 1000, 0.001), missed_note(11, 1000, 0.001)[:34]
+    (None, '11 of 1000 ticks (1.1 %) were left')
+    """
+    if skipped <= MISSED * due:
+        return None
+    return (f"{skipped} of {due} ticks ({100.0 * skipped / due:.3g} %) were left out, as this end was not ready in "
+            f"time for one every {dt:g} s: the machine is busy, or its device or law is slow; the other end has no "
+            "message of these ticks, so under waves the force fades; close what else runs here, or try --spin, "
+            f"--realtime or --rate {0.5 / dt:g}")
 
 
 def holds_on(shell: Shell) -> bool:

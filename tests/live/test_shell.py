@@ -22,6 +22,7 @@ from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS, FILE, read_record
+from teleop.live.summary import missed_note
 from teleop.protocol.packet import DATA, Kind, peek
 from teleop.scene.loading import load_scene
 from teleop.stages.watchdog import Watchdog
@@ -173,6 +174,18 @@ def test_a_stall_skips_whole_ticks_and_says_how_many(pair: Make) -> None:
     assert slave.counts.skipped >= 48
     assert slave.counts.ticks + slave.counts.skipped == SCENE.ticks
     assert f"{slave.counts.skipped} of them skipped" in slave.outcome.sentence
+    left_out = f"slave: {slave.counts.skipped} of {SCENE.ticks} ticks"
+    assert any(note.startswith(left_out) for note in merge(SCENE, *both.write()).notes)
+
+
+def test_a_run_of_which_a_third_of_the_ticks_was_left_out_is_not_ok_without_a_word() -> None:
+    """On a busy machine the first demo said `ok`, with no force where virtual time has 0.94 N."""
+    note = missed_note(3637, 10000, 0.001)
+    assert note is not None
+    assert note.startswith("3637 of 10000 ticks (36.4 %) were left out")
+    assert note.endswith("--rate 500")
+    assert missed_note(100, 10000, 0.001) is None, "one of a hundred changes no force that a hand feels"
+    assert missed_note(0, 0, 0.001) is None, "an end that never came to a tick"
 
 
 def test_ticks_that_are_missed_at_the_very_end_are_counted_too(pair: Make) -> None:
