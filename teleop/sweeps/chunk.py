@@ -13,13 +13,14 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
+from teleop.scene.library import OwnFile
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import of_plan
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import OF_PLAN, WHOLE, Measure
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, figures
 from teleop.sweeps.own_metric import MetricMistake, asked
-from teleop.sweeps.rows import Group, Ready, RowMaker
+from teleop.sweeps.rows import Edited, Group, Ready, RowMaker
 from teleop.sweeps.shared import TICKS, Schedules
 
 Row = dict[str, Any]
@@ -34,6 +35,7 @@ class Job(NamedTuple):
     rows: Sequence[tuple[int, dict[str, object], int]]
     measures: tuple[Measure, ...]
     engine: str
+    files: tuple[OwnFile, ...] = ()  # of the user's own, as they were when the sweep began
 
 
 class ChunkResult(NamedTuple):
@@ -78,7 +80,7 @@ def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], sto
 
     With them the mistake of a metric of the user's own, after which no row is made ready.
     """
-    maker = RowMaker(job.scene, job.fixed, job.measures, job.engine)
+    maker = RowMaker(job.scene, job.fixed, job.measures, job.engine, job.files)
     for number, knobs, seed in job.rows:
         row = rows[number]
         if stopped is not None and stopped():
@@ -90,6 +92,8 @@ def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], sto
                 ran["plain", WHOLE if job.engine != "plain" else ""] += 1
         except MetricMistake as mistake:
             return maker.groups, mistake
+        except Edited:
+            raise
         except Refused as refused:  # bodies and paths have refusals of their own
             _refuse(row, refused)
     return maker.groups, None

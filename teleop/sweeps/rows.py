@@ -7,15 +7,16 @@ a few parts alone, only the numbers of these parts are worked out, and it takes 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import compress
 from math import copysign
 from operator import attrgetter, is_not
 from typing import Any, NamedTuple
 
+from teleop.errors import Refused
 from teleop.law import functions_of
-from teleop.scene.library import scene_function
+from teleop.scene.library import OwnFile, own_file, scene_function
 from teleop.scene.loading import SceneMaker
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
@@ -31,6 +32,10 @@ from teleop.sweeps.shared import Schedules, path_of, schedules_key
 ATOMS = frozenset((float, int, bool, str, bytes, type(None)))
 LIGHT = frozenset(("law", "hand", "environment", "link"))  # parts that a structure stays the same without
 PARTS = tuple([each.name for each in fields(Scene) if each.name not in ("name", "knobs")])  # what decides a run
+
+
+class Edited(Refused):
+    """A file of the user's own was edited while its sweep ran: the rows from here on would be of another content."""
 
 
 class Ready(NamedTuple):
@@ -59,9 +64,15 @@ class Group:
 class RowMaker:
     """Makes the rows of a chunk ready, and gathers them in `groups`."""
 
-    def __init__(self, scene: str, fixed: Mapping[str, object], measures: tuple[Measure, ...], engine: str) -> None:
+    def __init__(self, scene: str, fixed: Mapping[str, object], measures: tuple[Measure, ...], engine: str,
+                 files: Sequence[OwnFile] = ()) -> None:
+        """`files`: those of the user's own with the scene and its laws, as the sweep began. Raises `Edited`."""
         self._measures, self._engine = measures, engine
-        self._maker = SceneMaker(scene_function(scene), scene, fixed)
+        self._files = {file.path: file.digest for file in files}
+        self._as_begun: set[type] = set()  # classes of laws that are so
+        function = scene_function(scene)
+        self._check(function)
+        self._maker = SceneMaker(function, scene, fixed)
         self._stamps = Stamps(engine)
         self._known: dict[Any, KnownScene] = {}  # by the law's class, the last one that was worked out in full
         self._knobs: dict[str, object] | None = None  # those of the row before, and what came of them
@@ -77,11 +88,14 @@ class RowMaker:
     def add(self, row: dict[str, Any], knobs: dict[str, object], seed: int) -> Scene | None:
         """Make a row ready; the scene of a row whose metrics need its whole record, which no kernel gives.
 
-        Raises `Refused` where the scene, a body or the path of the hand does.
+        Raises `Refused` where the scene, a body or the path of the hand does, and `Edited`.
         """
         if self._knobs is None or not _same_knobs(self._knobs, knobs):
             self._knobs = None
             scene = self._maker.scene(knobs)
+            if type(scene.law) not in self._as_begun:  # an edited file has another class
+                self._check(type(scene.law))
+                self._as_begun.add(type(scene.law))
             self._before = scene, None if needs_record(self._measures, scene) else self._made(scene)
             self._knobs = knobs
         scene, made = self._before
@@ -94,6 +108,12 @@ class RowMaker:
                 key, Schedules(key, scene, seed))
         made.group.rows.append(Ready(row, made.tree, made.flat, made.path, schedules))
         return None
+
+    def _check(self, thing: type | Callable[..., Any]) -> None:
+        own = own_file(thing)
+        if own is not None and self._files.get(own.path, own.digest) != own.digest:
+            raise Edited(f"{own.path} was edited while the sweep ran; the rows until then are of the file as it was, "
+                         "so run the sweep again, one with --out into another folder")
 
     def _made(self, scene: Scene) -> Made:
         kind = type(scene.law)

@@ -17,7 +17,7 @@ from typing import Any
 
 from teleop.errors import Refused, nearest
 from teleop.law import is_built_in
-from teleop.scene.library import own_file
+from teleop.scene.library import OwnFile, own_file, scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
@@ -52,6 +52,7 @@ class Sweep:
     engine: str
     why: str  # the engine
     sources: str = ""  # a digest of what of the sweep is the user's own: scene file and laws
+    files: tuple[OwnFile, ...] = ()  # that have these, as they were read
     ran: Counter[tuple[str, str]] = field(default_factory=Counter)  # rows by engine, and why it was not the one above
     workers: int = 0  # threads that rows are run by at a time; 0 before any was run
 
@@ -109,8 +110,10 @@ def plan_sweep(
     # As the scene has it, so that "0.30" and 0.3 are the same sweep.
     read = {key: first.knobs[key] for key, value in fixed.items()
             if isinstance(value, str) and isinstance(first.knobs.get(key), bool | int | float)}
+    laws = [one.law for one in (first, *others)]
+    files = map(own_file, (scene_function(scene), *map(type, laws)))
     return Sweep(scene=scene, first=first, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen,
-                 why=why, sources=_own_sources(scene, [one.law for one in (first, *others)]))
+                 why=why, sources=_own_sources(scene, laws), files=tuple([file for file in files if file is not None]))
 
 
 def _of_each_law(name: str, points: Grid, fixed: Mapping[str, object]) -> list[Scene]:
@@ -280,4 +283,4 @@ def _pool(executor: Executor | None, workers: int) -> tuple[Executor, bool, Call
 
 
 def _job(plan: Sweep, numbers: list[int]) -> Job:
-    return Job(plan.scene, dict(plan.fixed), plan.grid.rows(numbers), plan.measures, plan.engine)
+    return Job(plan.scene, dict(plan.fixed), plan.grid.rows(numbers), plan.measures, plan.engine, plan.files)

@@ -8,10 +8,11 @@ from concurrent.futures import ProcessPoolExecutor
 from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from teleop import Refused, load_scene, run, sweep
+from teleop import Refused, Result, load_scene, run, sweep
 from teleop.protocol.manifest import manifest_difference, manifest_of
 from teleop.scene.catalogue import units_of
 from teleop.scene.library import ROOT
@@ -54,6 +55,11 @@ class Spring:
     def force(self, s, at): return self.K * at.x, s
 """
 SHORT = ["--set", "duration=0.5"]
+
+
+def greatest(result: Result) -> float:
+    """The greatest force at the hand, N: a metric that takes a row's whole record."""
+    return float(result.trace["f_m"].max())
 
 
 @pytest.fixture(autouse=True)
@@ -150,6 +156,22 @@ class TestInASweep:
         (written / "law_mine.py").write_text(MINE.replace(old, new))
         with pytest.raises(Refused, match="a law was edited"):
             sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
+
+    @pytest.mark.parametrize("measure", ["x_err_rms", greatest])
+    def test_an_edit_while_it_ran_left_rows_of_two_laws_in_one_table(self, measure: Any, written: Path) -> None:
+        def edit(done: int, _total: int) -> None:
+            if done:
+                (written / "law_mine.py").write_text(MINE.replace("K: float = 100", "K: float = 200"))
+
+        with pytest.raises(Refused, match=r"law_mine.py was edited while the sweep ran; .* into another folder"):
+            sweep("soft_tissue", {"delay": [0.001 * i for i in range(20)]}, metrics=[measure], workers=1, out="kept",
+                  fixed={"law": "law_mine.py", **self.FIXED}, engine="plain", show=edit)
+        rows = [json.loads(line) for line in (written / "kept" / "rows.jsonl").read_text().splitlines()]
+        assert 0 < len(rows) < 20
+        (written / "law_mine.py").write_text(MINE)
+        for row in rows:
+            alone = run(load_scene("soft_tissue", law="law_mine.py", delay=row["delay"], **self.FIXED))
+            assert row.get("x_err_rms", row.get("greatest")) in (alone.metrics["x_err_rms"], greatest(alone))
 
     def test_another_content_is_another_kernel(self, written: Path) -> None:
         pytest.importorskip("numba")
