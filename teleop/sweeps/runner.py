@@ -111,7 +111,8 @@ def plan_sweep(
     read = {key: first.knobs[key] for key, value in fixed.items()
             if isinstance(value, str) and isinstance(first.knobs.get(key), bool | int | float)}
     laws = [one.law for one in (first, *others)]
-    files = map(own_file, (scene_function(scene), *map(type, laws)))
+    made_by: list[Any] = [scene_function(scene), *map(type, laws)]
+    files = map(own_file, made_by)
     return Sweep(scene=scene, first=first, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen,
                  why=why, sources=_own_sources(scene, laws), files=tuple([file for file in files if file is not None]))
 
