@@ -66,6 +66,16 @@ def number_of(count: float, one: str, many: str = "") -> str:
     return f"{count} {plural(count, one, many)}"
 
 
+def enumerated(names: Iterable[str], last: str = "and") -> str:
+    """Names as a sentence has them.
+
+    >>> enumerated(["run"]), enumerated(["run", "demo", "sweep"])
+    ('run', 'run, demo and sweep')
+    """
+    *first, end = names
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
 def number(name: str, value: object, *, low: float | None = None, above: float | None = None,
            high: float | None = None, unit: str = "") -> float:
     """Convert `value` to a float. Raises `Refused` if it is no finite number in the range.

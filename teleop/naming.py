@@ -15,7 +15,7 @@ from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
-from teleop.errors import Refused, nearest, number_of
+from teleop.errors import Refused, enumerated, nearest, number_of
 
 
 def known(group: str, built_in: Mapping[str, str]) -> dict[str, str]:
@@ -113,7 +113,7 @@ class PartKind:
             given[keyword.arg] = keyword.value
         missing = [knob for knob, (needed, _) in knobs.items() if needed and knob not in given]
         if missing:
-            raise Refused(f"{name} needs {' and '.join(missing)}: {usage}")
+            raise Refused(f"{name} needs {enumerated(missing)}: {usage}")
         try:
             return {knob: ast.literal_eval(value) for knob, value in given.items()}
         except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints
 
-from teleop.errors import Refused, WrongNumber, nearest, number, whole_number
+from teleop.errors import Refused, WrongNumber, enumerated, nearest, number, whole_number
 from teleop.knob import UNDECLARED, Declared, declared, knobs_of_fields
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
 from teleop.scene.own_law import file_law, file_named
@@ -203,7 +203,7 @@ def _named_law(text: str, changes: Mapping[str, object]) -> Any:
         own = fields(kind) if is_dataclass(kind) else ()
         needs = [f.name for f in own if f.init and f.default is f.default_factory is MISSING and f.name not in values]
         if needs:
-            raise Refused(f"law {name_of_law(kind)} needs {' and '.join(needs)}: add --set law.{needs[0]}=VALUE, or "
+            raise Refused(f"law {name_of_law(kind)} needs {enumerated(needs)}: add --set law.{needs[0]}=VALUE, or "
                           "write a default into its file") from None
         raise Refused(f"law {name_of_law(kind)} cannot be made ({error}); write it as a dataclass of numbers, "
                       "@dataclass(frozen=True, kw_only=True)") from error

@@ -7,7 +7,7 @@ from os import stat
 from pathlib import Path
 from typing import Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, enumerated, nearest
 from teleop.scene.library import own_module
 from teleop.scene.parts import SHAPES
 
@@ -47,16 +47,16 @@ def _found(text: str, _: tuple[int, ...] | None) -> type[Any]:
     if not name and len(laws) == 1:
         return next(iter(laws.values()))
     if not name and laws:
-        raise Refused(f"{file} has {len(laws)} laws; write {' or '.join(f'law={file}:{each}' for each in laws)}")
+        raise Refused(f"{file} has {len(laws)} laws; write {enumerated([f'law={file}:{each}' for each in laws], 'or')}")
     if not name:
-        raise Refused(f"{file} has no law: a class with the methods {_and(_TWO_ENDS)}, or {_and(_ONE_PORT)} where the "
-                      "scene has no slave; README.md has one under \"Write a law\"")
+        raise Refused(f"{file} has no law: a class with the methods {enumerated(_TWO_ENDS)}, or "
+                      f"{enumerated(_ONE_PORT)} where the scene has no slave; README.md has one under \"Write a law\"")
     found = getattr(own_module(Path(file), "a law", _HINT), name, None)
     if found is None:
         there = nearest(name, laws) if laws else "it has no law"
         raise Refused(f"{file} has no class {name!r}; {there}")
     if not isinstance(found, type) or (lacks := _lacks(found)):
-        why = f"it has no {_and(lacks)}" if isinstance(found, type) else "it is no class"
+        why = f"it has no {enumerated(lacks)}" if isinstance(found, type) else "it is no class"
         raise Refused(f"{name} in {file} is no law: {why}; there are: {', '.join(laws) or 'no laws'}")
     return found
 
@@ -73,8 +73,3 @@ def _lacks(kind: type) -> list[str]:
     """The methods that a class has not, of those of the kind of law that it is nearer to."""
     two_ends, one_port = ([each for each in shape if not hasattr(kind, each)] for shape in (_TWO_ENDS, _ONE_PORT))
     return one_port if len(one_port) < len(_ONE_PORT) and not len(two_ends) < len(_TWO_ENDS) else two_ends
-
-
-def _and(names: list[str] | tuple[str, ...]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, enumerated, nearest
 
 DONE, FAULT, WRONG, FORCED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes; FORCED: a device's force may still be on
 
@@ -38,7 +38,7 @@ class Parser(ArgumentParser):
         if not name.startswith("-"):
             why = f"{own.prog} does not take the argument {argument!r}"
         elif others:
-            why = f"{own.prog} has no option {name}, an option of {' and '.join(others)}"
+            why = f"{own.prog} has no option {name}, an option of {enumerated(others)}"
         else:
             why = f"{own.prog} has no option {name}; {nearest(name, own._option_string_actions)}"
         raise Refused(f"{why}; see {own.prog} --help")

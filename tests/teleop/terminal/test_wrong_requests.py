@@ -203,6 +203,8 @@ class TestAWrongRequest:
         (["list", ""], "NAME must not be empty: it is a scene"),
         (["stability", "hard_wall", "--bodies", "rk4:2"],
          "teleop stability has no option --bodies, an option of teleop run; see teleop stability --help"),
+        (["list", "hard_wall", "--rate", "5"], "an option of teleop demo; see teleop list --help"),
+        (["list", "hard_wall", "--out", "x"], "an option of teleop run, teleop demo, teleop sweep, "),
         (["run", "canonical", "--sed=3"], "teleop run has no option --sed; did you mean --seed"),
         (["run", "canonical", "twice"], "teleop run does not take the argument 'twice'; see teleop run --help"),
         (["--jsn"], "teleop has no option --jsn"),
