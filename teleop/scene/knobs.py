@@ -92,7 +92,8 @@ def settle(
             raise Refused(f"scene {name} has no knob {key!r}; {nearest(key, [*known, *WIDE])}")
     missing = [key for key in known if key not in values]
     if missing:
-        raise Refused(f"scene {name} needs {', '.join(missing)}: add --set {missing[0]}=VALUE")
+        cure = " ".join(f"--set {key}={'FILE' if known[key].kind is Path else 'VALUE'}" for key in missing)
+        raise Refused(f"scene {name} needs {', '.join(missing)}: add {cure}")
     if of_law and not isinstance(given.get("law"), str):
         values["law"] = _tuned(values["law"], of_law)
     if "link" in of_scene:

@@ -155,7 +155,7 @@ def _felt(judged: Judged, two: TwoPorts) -> str:
 
 
 def _llewellyn(judged: Judged) -> str:
-    least = f"Llewellyn's parameter at least {judged.least:.4g}, at {judged.at:.4g} Hz"
+    least = f"Llewellyn's parameter is {judged.least:.4g} at its smallest, at {judged.at:.4g} Hz"
     if judged.absolutely_stable:
         return f"absolutely stable: {least}"
     bands = [f"{band.low:.4g} to {band.high:.4g}" for band in judged.bands]

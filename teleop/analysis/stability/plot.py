@@ -193,7 +193,7 @@ def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop)
     phase.set_ylim(max(low - 30.0, -FAR), min(high + 30.0, FAR))
     step = 90.0 if high - max(low, -FAR) < 500.0 else 180.0
     phase.set_yticks(np.arange(step * np.ceil(max(low - 30.0, -FAR) / step), min(high + 30.0, FAR) + 1.0, step))
-    told = "open loop L" if low >= -FAR else "open loop L; its phase goes on below, the delay turns it"
+    told = "open loop L" if low >= -FAR else "open loop L; the delay makes its phase fall on below the axis"
     magnitude.set_title(told, fontsize=10)
     magnitude.set_ylabel("magnitude (dB)")
     phase.set_ylabel("phase (deg)")

@@ -56,7 +56,7 @@ class TestNames:
         assert load_scene("canonical", x_limit=0.5).x_limit == 0.5
 
     def test_that_must_be_given_are_asked_for(self) -> None:
-        with pytest.raises(Refused, match=r"scene s needs up: add --set up=VALUE"):
+        with pytest.raises(Refused, match=r"scene s needs up: add --set up=FILE"):
             settle("s", scene, {})
 
     def test_that_nobody_knows_are_refused_with_the_nearest(self) -> None:

@@ -82,7 +82,7 @@ WRONG = {
     "a broken seed": (["canonical", "--seed", "1.5"], ["seed", "'1.5'"]),
     "an unknown option": (["canonical", "--sed", "1"], ["--sed", "--help"]),
     "a missing scene": ([], ["SCENE", "--help"]),
-    "a scene that lacks a knob": (["lte"], ["up", "--set up=VALUE"]),
+    "a scene that lacks a knob": (["lte"], ["up", "--set up=FILE --set down=FILE"]),
     "a recording that is not there": (["lte", "--set", "up=a", "--set", "down=a"], ["a", "recording"]),
     "no such file": (["nowhere.py"], ["nowhere.py", "canonical"]),
     "a broken file": (["broken.py"], ["broken.py", "SyntaxError"]),
