@@ -24,6 +24,7 @@ from teleop.live.records.record import (
     read_record,
 )
 from teleop.protocol.guard import Event
+from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.structure import columns
@@ -91,6 +92,26 @@ def test_a_record_of_an_earlier_release_was_said_to_be_none_since_its_header_doe
     assert result.ticks == 20
     assert ("f_h" in result.trace) is column
     assert any("no force sensor" in note for note in result.notes) is not column
+
+
+def test_the_report_of_a_run_whose_law_was_edited_since_told_of_a_law_that_never_ran(tmp_path: Path) -> None:
+    mine, folder = tmp_path / "law_mine.py", tmp_path / "m"
+    example = (ROOT / "scenarios" / "examples" / "law.py").read_text()
+    mine.write_text(example)
+    knobs = {"duration": "1.0", "law": str(mine)}
+    scene = load_scene("hard_wall", **knobs)
+    folder.mkdir()
+    recorder = RecordWriter(scene, "m", folder, {**ABOUT, "knobs": knobs})
+    recorder.begin("bodies")
+    for k in range(20):
+        recorder.add(k, 1000, k - 5, (0.001 * k,) * len(columns(scene, "m", sensor=False)))
+    recorder.close()
+    mine.write_text(f"{example}\n# another\n")
+    with pytest.raises(Refused, match=r"^the file of the law was edited since .*; put back the file as it was$"):
+        load_result(folder, trust=True)
+    assert not (folder / "summary.json").exists()
+    mine.write_text(example)
+    assert load_result(folder, trust=True).ticks == 20
 
 
 def test_a_process_that_is_killed_leaves_all_but_the_last_rows(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.protocol.manifest import MOST_EVERY
+from teleop.scene.library import own_file
 from teleop.scene.scene import MOST_TICKS, Scene
 from teleop.simulation.structure import SENSED, columns
 from teleop.simulation.summary_shape import MOST_SEED
@@ -14,6 +15,7 @@ from teleop.simulation.trace import ForceSource
 from teleop.storage.strict_json import Misshapen, each, named, one_of, parse, record, text, whole
 
 OWN = ("k", "late_ns", "seq")  # columns before the end's
+LAW = "law_sha256"  # of a law in a file of the user's own: the first digits of that of its content, as it ran
 LONGEST = 1 << 20  # bytes of a header
 _BLOCK = 4096  # rows that are looked at together
 _LARGEST = float(1 << 53)  # a whole number that a float holds exactly
@@ -21,7 +23,8 @@ _HEADER = record({
     "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=3), "scene": text,
     "knobs": named(text), "seed": whole(low=0, high=MOST_SEED), "mode": one_of("live", "lockstep"),
     "columns": each(text, most=100),
-}, {"every": whole(low=1, high=MOST_EVERY), "command": each(text), "force": one_of("sensor", "bodies", "unknown")})
+}, {"every": whole(low=1, high=MOST_EVERY), "command": each(text), "force": one_of("sensor", "bodies", "unknown"),
+    LAW: text})
 
 
 def header_columns(scene: Scene, e: str, force: ForceSource) -> list[str]:
@@ -30,6 +33,12 @@ def header_columns(scene: Scene, e: str, force: ForceSource) -> list[str]:
     for name in columns(scene, e, force == "sensor"):
         found += [name.removesuffix("@")] * (scene.axes if "@" in name else 1)
     return found
+
+
+def own_law(scene: Scene) -> dict[str, str]:
+    """What a header says of a law in a file of the user's own; nothing of one that comes with a package."""
+    own = own_file(type(scene.law))
+    return {} if own is None else {LAW: own.digest}
 
 
 def read_header(file: BinaryIO) -> dict[str, Any]:
@@ -72,7 +81,10 @@ def sound_rows(file: BinaryIO, width: int) -> tuple[int, str]:
 
 
 def check_fits(scene: Scene, header: dict[str, Any], ticks: Sequence[int], folder: object) -> None:
-    """Refuse a record that cannot be of a run of `scene`: other columns, or ticks that the run does not have."""
+    """Refuse a record that cannot be of a run of `scene`: of another law or other columns, or with ticks beyond it."""
+    if LAW in header and own_law(scene) != {LAW: header[LAW]}:
+        raise Refused(f"the file of the law was edited since the run in {folder}, and a summary would tell of a law "
+                      "that did not run; put back the file as it was")
     own = (scene.dt_ns, scene.axes, header_columns(scene, header["end"], header["force"]))
     if own != (header["dt_ns"], header["axes"], header["columns"]):
         raise Refused(f"the record in {folder} is not of the scene {scene.name} as it is here: its tick, axes or "

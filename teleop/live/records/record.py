@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
-from teleop.live.records.header import OWN, header_columns, read_header, sound_rows
+from teleop.live.records.header import OWN, header_columns, own_law, read_header, sound_rows
 from teleop.protocol.guard import Event
 from teleop.scene.scene import Scene
 from teleop.simulation.summary_shape import EVENT
@@ -47,7 +47,7 @@ class RecordWriter:
     def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any]) -> None:
         """`about` says which run this is, as `merge` reads it: scene, knobs, seed, mode, command."""
         self.trouble: str | None = None
-        self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about}
+        self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about, **own_law(scene)}
         self._scene, self._e, self._folder = scene, e, folder
         self._rows: list[float] = []
         self._count = 0
