@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 WINDOWS = 8
 LATE = 5  # of them
 LEAST = 50  # ticks of a window
-TRIPS = 3  # round trips of the link that a window holds: a loop swings with a period of two of them, and its own lag
+TRIPS = 3  # round trips of the loop that a window holds: it swings with a period of two of them, and its own lag
 SLOW = 0.01
 FELT = 5e-5  # m peak to peak
 STEPS = 2.0  # steps of the encoder, peak to peak, that count as rest: near an edge the reading flickers for good
@@ -56,6 +56,7 @@ class Still(NamedTuple):
     since: int
     window: int  # ticks
     step: float  # m, of the coarsest encoder; 0.0 without one
+    late: int = 0  # ticks by which the computation and the renewal of the forces of both ends are late
 
     def first(self, ticks: int) -> int:
         """The first tick of the late windows of a run of so many ticks, which they end with."""
@@ -64,9 +65,9 @@ class Still(NamedTuple):
     def status(self, swings: Sequence[float], trip: int) -> str:
         """The status of a run that came to its end; `trip`: the round trip of its link, ticks.
 
-        `swings`: of the late windows, m. Where a window is too short for the link there is no verdict, which is ok.
+        `swings`: of the late windows, m. Where a window is too short for the loop there is no verdict, which is ok.
         """
-        if self.window < TRIPS * trip or self.rests(swings[-1]):
+        if self.window < self.least(trip) or self.rests(swings[-1]):
             return "ok"
         return {"falls": "ok", "stays": "limit cycle", "grows": "unstable"}[trend(swings)]
 
@@ -74,9 +75,17 @@ class Still(NamedTuple):
         """True of a swing (m, peak to peak) that counts as rest in the status of a run."""
         return swing <= max(FELT, STEPS * self.step)
 
+    def least(self, trip: int) -> int:
+        """The least window, ticks, that a verdict can be told from; `trip`: the round trip of the link, ticks."""
+        return TRIPS * (trip + self.late)
+
+    def left(self, swings: Sequence[float], trip: int) -> float:
+        """The swing (m) that is left: the greatest over the last round trip of the loop, where a window is shorter."""
+        return max(swings[-max(1, -(-(trip + self.late) // self.window)):])
+
     def undecided(self, swings: Sequence[float], trip: int) -> bool:
         """True if something swings that a longer run would give a verdict on."""
-        return self.window < TRIPS * trip and not self.rests(swings[-1])
+        return self.window < self.least(trip) and not self.rests(self.left(swings, trip))
 
 
 def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
@@ -90,7 +99,8 @@ def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
         return None
     since = max([_stops(axis, ticks) for axis in path or ()], default=0)
     window = (ticks - since) // WINDOWS
-    return Still(since, window, encoder_step(scene)) if window >= LEAST else None
+    late = sum(end.delay + end.every - 1 for end in (scene.device_m, scene.device_s) if end)
+    return Still(since, window, encoder_step(scene), late) if window >= LEAST else None
 
 
 def encoder_step(scene: Scene) -> float:

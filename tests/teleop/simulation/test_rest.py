@@ -128,6 +128,23 @@ class TestStatus:
         assert "too short a time for a verdict; type --set duration=16.4" in got.sentence
         assert run(load_scene("hard_wall", law="direct", delay=0.3, duration=16.5)).status == "limit cycle"
 
+    @pytest.mark.parametrize(("delay", "K", "duration"), [(200, 1000.0, "5.548"), (800, 1000.0, "19.948")])
+    def test_a_delay_of_the_computation_was_no_delay_and_what_diverges_later_rested_or_was_a_limit_cycle(
+        self, delay: int, K: float, duration: str
+    ) -> None:
+        knobs = {"delay": delay, "law.K": K, "law.B": 0.0}
+        got = run(load_scene("virtual_wall", **knobs))
+        assert got.status == "ok"
+        assert got.sentence.endswith(f"too short a time for a verdict; type --set duration={duration}")
+        enough = run(load_scene("virtual_wall", **knobs, duration=float(duration)))
+        assert (enough.status, "too short" in enough.sentence) == ("unstable", False)
+
+    def test_a_force_that_is_renewed_slowly_is_late_too(self) -> None:
+        device = Device(every=11, delay=3)
+        still = prepare(oscillator(0.0, device_m=device)).still
+        assert still is not None
+        assert (still.late, still.least(2)) == (13, 45)
+
     @pytest.mark.parametrize("name", sorted({*built_in_scenes()} - {"lte"}))
     def test_of_every_scene_as_it_is_is_ok_without_a_warning(self, name: str) -> None:
         got = run(load_scene(name))
