@@ -157,11 +157,10 @@ class TestAfterTheMend:
             self.swept(FAILS, tmp_path / "s")
         refused = []
 
-        def also(done: int, _: int) -> None:
-            if done == 1:
-                with pytest.raises(Refused, match="another process is writing"):
-                    self.swept(MENDED, tmp_path / "s")
-                refused.append(done)
+        def also(done: int, _: int) -> None:  # of how many rows there are already, jobs that end at once decide
+            with pytest.raises(Refused, match="another process is writing"):
+                self.swept(MENDED, tmp_path / "s")
+            refused.append(done)
 
         self.swept(MENDED, tmp_path / "s", mended=["rate"], show=also)
         assert refused
