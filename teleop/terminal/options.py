@@ -40,7 +40,9 @@ class Parser(ArgumentParser):
         elif others:
             why = f"{own.prog} has no option {name}, an option of {enumerated(others)}"
         else:
-            why = f"{own.prog} has no option {name}; {nearest(name, own._option_string_actions)}"
+            near = nearest(name, own._option_string_actions)
+            knob = name.startswith("--") and "--set" in own._option_string_actions and near.startswith("there are")
+            why = f"{own.prog} has no option {name}; " + f"a knob is given by --set {name[2:]}=VALUE; " * knob + near
         raise Refused(f"{why}; see {own.prog} --help")
 
     def error(self, message: str) -> NoReturn:
