@@ -40,9 +40,10 @@ class Parser(ArgumentParser):
         elif others:
             why = f"{own.prog} has no option {name}, an option of {enumerated(others)}"
         else:
-            near = nearest(name, own._option_string_actions)
-            knob = name.startswith("--") and "--set" in own._option_string_actions and near.startswith("there are")
-            why = f"{own.prog} has no option {name}; " + f"a knob is given by --set {name[2:]}=VALUE; " * knob + near
+            options = own._option_string_actions
+            why = f"{own.prog} has no option {name}; {nearest(name, options.keys() - {'-h', '--help'})}"
+            if name.startswith("--") and "--set" in options:
+                why += f" (a knob is given by --set {name[2:]}=VALUE)"
         raise Refused(f"{why}; see {own.prog} --help")
 
     def error(self, message: str) -> NoReturn:

@@ -206,7 +206,8 @@ class TestAWrongRequest:
         (["list", "hard_wall", "--rate", "5"], "an option of teleop demo; see teleop list --help"),
         (["list", "hard_wall", "--out", "x"], "an option of teleop run, teleop demo, teleop sweep, "),
         (["run", "canonical", "--sed=3"], "teleop run has no option --sed; did you mean --seed"),
-        (["run", "canonical", "--duration", "3"], "no option --duration; a knob is given by --set duration=VALUE; there"),
+        (["run", "canonical", "--delay", "3"], "has no option --delay; there are: --bodies"),
+        (["run", "canonical", "--delay", "3"], "(a knob is given by --set delay=VALUE)"),
         (["run", "canonical", "twice"], "teleop run does not take the argument 'twice'; see teleop run --help"),
         (["--jsn"], "teleop has no option --jsn"),
     ])
