@@ -55,5 +55,5 @@ def _longer(scene: Scene, direction: int, seed: int, live: bool) -> str:
     ticks = max(1, int(np.ceil(round(enough / scene.dt, 6)))) * scene.dt
     gaps: Zero | Hold = Hold() if repeats(scene.playout) else Zero()
     longer = Fixed(float(f"{ticks:.9g}"), gaps)
-    return (f"type --set playout={as_typed(longer)}" if "playout" in scene.knobs
+    return (f"type --set playout={as_typed(longer)}" if scene.knobs  # it was found by its name
             else f"in a scene of your own write playout={longer}")

@@ -93,9 +93,9 @@ def _playouts() -> tuple[Rows, list[str]]:
 def _stages() -> tuple[Rows, list[str]]:
     from teleop.stages.order import AFTER_LAW, BEFORE_LAW
 
-    before, after = ([{"name": place.name, "ends": place.ends, "does": place.what, "named by": place.field}
+    before, after = ([{"name": place.name, "ends": place.ends, "does": place.what, "named_by": place.field}
                       for place in places] for places in (BEFORE_LAW, AFTER_LAW))
-    law = {"name": "(law)", "ends": "both", "does": "answers with its force and its message", "named by": "law=Wave()"}
+    law = {"name": "(law)", "ends": "both", "does": "answers with its force and its message", "named_by": "law=Wave()"}
     return [*before, law, *after], [
         "in the order of a tick, a stage that a scene does not name is not there: see `teleop show tick SCENE`",
         "device_m is that of the master, device_s that of the slave; `teleop list SCENE` has the knobs of a scene"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,18 @@ class TestPacketsThatWereNotPlayed:
         assert f"({playout})" in forward
         assert forward.endswith(f"type --set playout={enough}")
         assert not warned(run(load_scene("burst_loss", playout=enough, **slow)), "played")
+
+    def test_of_a_playout_that_the_scenes_file_has_said_to_edit_it_though_every_scene_takes_the_knob(
+        self, tmp_path: Path
+    ) -> None:
+        (tmp_path / "own.py").write_text(
+            "from dataclasses import replace\nfrom scenarios import canonical\nfrom teleop import Fixed\n"
+            "def scene(*, delay: float = 0.02):\n"
+            "    return replace(canonical.scene(delay=delay, duration=0.2), playout=Fixed(0.01))\n")
+        scene = load_scene(str(tmp_path / "own.py"))
+        assert warned(run(scene), "too late")[0].endswith("type --set playout=fixed:0.02")
+        assert "write playout=Fixed(delay=0.02" in warned(run(replace(scene, knobs={})), "too late")[0]
+        assert not warned(run(load_scene(str(tmp_path / "own.py"), playout="fixed:0.02")), "too late")
 
     def test_of_jitter_beyond_the_playout_are_told_of_in_the_one_direction(self) -> None:
         scene = load_scene("burst_loss", playout="fixed:0.022", link="delay(0.02) | uniform(0.02) ; delay(0.01)",
