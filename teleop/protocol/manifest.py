@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from teleop.errors import Refused
+from teleop.errors import Refused, plural
 from teleop.law import is_built_in, law_name
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
         cure = f"start both ends with the same --set {name}={quote(mine[name][:300])}"
     else:
         cure = "install the same release, and the same scene file, at both ends"
-    others = f" ({len(more)} more differ)" if more else ""
+    others = f" ({len(more)} more {plural(len(more), 'differs', 'differ')})" if more else ""
     return f"{name} is {here} here and {there} there{others}: {cure}"
 
 

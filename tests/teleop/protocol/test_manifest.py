@@ -23,13 +23,13 @@ def test_the_sentence_names_the_knob_both_values_and_what_to_type() -> None:
     )
     two = manifest_difference(mine, mine | {"k_e": "2000.0", "dt": "0.01"})
     assert two is not None
-    assert "(1 more differ)" in two
+    assert "(1 more differs)" in two
     assert "--set start='(0, 1)'" in (manifest_difference({"start": "(0, 1)"}, {"start": "0"}) or "")
 
 
 @pytest.mark.parametrize(
     ("name", "more", "cure"),
-    [("wire version", "", "same release"), ("scene", "", "same scene"), ("law", " (1 more differ)", "law.*")],
+    [("wire version", "", "same release"), ("scene", "", "same scene"), ("law", " (1 more differs)", "law.*")],
 )
 def test_what_explains_the_rest_is_named_first(name: str, more: str, cure: str) -> None:
     mine = {"k_e": "1", name: "x"}
@@ -54,7 +54,7 @@ LOCKSTEP, BY_CLOCK = {"mode": "lockstep", "seed": "0"}, {"mode": "live"}
 def test_what_follows_from_another_is_not_counted(
     here: dict[str, str], there: dict[str, str], name: str, more: int
 ) -> None:
-    """One knob that was turned at one end alone said "(1 more differ)": the part that it sets."""
+    """One knob that was turned at one end alone said "(1 more differs)": the part that it sets."""
     def told(typed: dict[str, str]) -> dict[str, str]:
         of_run = {key: typed[key] for key in typed if key in ("mode", "seed")}
         knobs = {key: value for key, value in typed.items() if key not in (*of_run, "scene")}
@@ -64,7 +64,7 @@ def test_what_follows_from_another_is_not_counted(
     assert sentence is not None
     assert sentence.startswith(f"{name} is ")
     assert ("more differ" in sentence) == bool(more)
-    assert not more or f"({more} more differ)" in sentence
+    assert not more or f"({more} more differs)" in sentence
 
 
 def test_an_entry_of_one_end_only_is_missing_at_the_other() -> None:
