@@ -85,7 +85,7 @@ def raises(error: Exception) -> Callable[[Any], Any]:
     (raises(ZeroDivisionError("by what")), ["make(scene), which makes the device, raised ZeroDivisionError: by what",
                                             "test_opening.py:"]),
     (raises(Refused("take a scene of one axis")), ["take a scene of one axis"]),
-], ids=str)
+], ids=lambda each: each[0] if isinstance(each, list) else "")
 def test_what_is_no_device_was_a_traceback_or_ended_a_session_that_had_begun(make: Any, words: list[str]) -> None:
     with pytest.raises(Refused) as refused:
         opened(make, SCENE)
@@ -103,7 +103,7 @@ class Wrapped(Robot):
 
 
 @pytest.mark.parametrize("make", [Robot, Wrapped, SimulatedSlave, lambda scene, port="/dev/arm": Robot((scene, port))],
-                         ids=str)
+                         ids=["a class", "a class around another", "a class of the package", "a function"])
 def test_what_can_be_called_is_taken_as_it_is(make: Any) -> None:
     assert opened(make, SCENE) is not None
 
