@@ -30,7 +30,7 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
     """How a run ended that came to its end, as `sentence` says; `trip`: the round trip of its link, ticks.
 
     Where nothing moves the scene any more the status goes by what is left, see `teleop.simulation.rest`; where the hand
-    moves to the end, and where the loop's delay leaves no verdict, a note says if the motion grows.
+    moves to the end, and where there was no time for a verdict, a note says if the motion grows.
     """
     scene, still = prepared.scene, prepared.still
     if still is None:
@@ -40,8 +40,8 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
     since = f"{sentence}; nothing has moved the scene since t = {still.since * scene.dt_ns / 1e9:g} s, and"
     if still.undecided(swung, trip):
         enough = (still.since + WINDOWS * still.least(trip)) * scene.dt_ns / 1e9
-        sentence = (f"{since} {still.left(swung, trip):.3g} m of swing are left, but with this delay that was too "
-                    f"short a time for a verdict; type --set duration={enough:g}")
+        sentence = (f"{since} {still.left(swung, trip):.3g} m of swing are left, but that was too short a time "
+                    f"for a verdict; type --set duration={enough:g}")
         return Ending(status, sentence, swung[-1], tuple(growth(prepared, trace)))
     if status != "ok":
         does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} m before)"

@@ -21,7 +21,8 @@ The *trend* of the swings of the late windows says what they come to:
   than half of what it did over the first, and more than twice that change is left of the swing. If the changes go on
   so, what is still to come is less than the last of them. An exponential decay or growth never levels off so.
 
-A run of one length cannot tell more. `teleop.analysis.models.rest` makes it again with twice the length.
+What decays in windows shorter than its period may seem to stay: there that is no verdict, see `Still.short`. A run of
+one length cannot tell more. `teleop.analysis.models.rest` makes it again with twice the length.
 
 The status of a run goes by what a person at the handle is to be told. A swing below `FELT` is rest: a hand at rest
 feels a vibration of a few Hz from some 0.02 to 0.05 mm peak to peak on (Bolanowski et al., "Four channels mediate the
@@ -33,6 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
+from math import ceil, pi, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.scene import Scene
@@ -45,6 +47,7 @@ WINDOWS = 8
 LATE = 5  # of them
 LEAST = 50  # ticks of a window
 TRIPS = 3  # round trips of the loop that a window holds: it swings with a period of two of them, and its own lag
+PERIODS = 1.5  # that a window holds: the swing of as many is the size peak to peak
 SLOW = 0.01
 FELT = 5e-5  # m peak to peak
 STEPS = 2.0  # steps of the encoder, peak to peak, that count as rest: near an edge the reading flickers for good
@@ -57,6 +60,7 @@ class Still(NamedTuple):
     window: int  # ticks
     step: float  # m, of the coarsest encoder; 0.0 without one
     late: int = 0  # ticks by which the computation and the renewal of the forces of both ends are late
+    own: int = 0  # ticks of one and a half periods of all masses on the hand's spring: see `period`
 
     def first(self, ticks: int) -> int:
         """The first tick of the late windows of a run of so many ticks, which they end with."""
@@ -67,7 +71,7 @@ class Still(NamedTuple):
 
         `swings`: of the late windows, m. Where a window is too short for the loop there is no verdict, which is ok.
         """
-        if self.window < self.least(trip) or self.rests(swings[-1]):
+        if self.rests(swings[-1]) or self.short(swings, trip):
             return "ok"
         return {"falls": "ok", "stays": "limit cycle", "grows": "unstable"}[trend(swings)]
 
@@ -75,9 +79,17 @@ class Still(NamedTuple):
         """True of a swing (m, peak to peak) that counts as rest in the status of a run."""
         return swing <= max(FELT, STEPS * self.step)
 
+    def short(self, swings: Sequence[float], trip: int) -> bool:
+        """True if the windows are too short for a verdict.
+
+        They are where a window holds less than `TRIPS` round trips of the loop. Where it is shorter than `own`, what
+        decays may seem to stay, as the swing goes by where in a period each window begins.
+        """
+        return self.window < TRIPS * (trip + self.late) or (self.window < self.own and trend(swings) == "stays")
+
     def least(self, trip: int) -> int:
-        """The least window, ticks, that a verdict can be told from; `trip`: the round trip of the link, ticks."""
-        return TRIPS * (trip + self.late)
+        """The least window, ticks, that any verdict can be told from; `trip`: the round trip of the link, ticks."""
+        return max(TRIPS * (trip + self.late), self.own)
 
     def left(self, swings: Sequence[float], trip: int) -> float:
         """The swing (m) that is left: the greatest over the last round trip of the loop, where a window is shorter."""
@@ -85,7 +97,7 @@ class Still(NamedTuple):
 
     def undecided(self, swings: Sequence[float], trip: int) -> bool:
         """True if something swings that a longer run would give a verdict on."""
-        return self.window < self.least(trip) and not self.rests(self.left(swings, trip))
+        return self.short(swings, trip) and not self.rests(self.left(swings, trip))
 
 
 def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
@@ -100,7 +112,20 @@ def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
     since = max([_stops(axis, ticks) for axis in path or ()], default=0)
     window = (ticks - since) // WINDOWS
     late = sum(end.delay + end.every - 1 for end in (scene.device_m, scene.device_s) if end)
-    return Still(since, window, encoder_step(scene), late) if window >= LEAST else None
+    own = ceil(PERIODS * period(scene) * 1e9 / scene.dt_ns)
+    return Still(since, window, encoder_step(scene), late, own) if window >= LEAST else None
+
+
+def period(scene: Scene) -> float:
+    """The period (s) of the masses of hand, master and slave on the hand's spring; 0.0 without one.
+
+    No loop with a hand swings much more slowly by itself: what else is stiff makes it quicker.
+    """
+    hand = scene.hand
+    if hand is None or not hand.k > 0.0:
+        return 0.0
+    mass = hand.mass + scene.master.mass + (0.0 if scene.slave is None else scene.slave.mass)
+    return 2.0 * pi * sqrt(mass / hand.k)
 
 
 def encoder_step(scene: Scene) -> float:

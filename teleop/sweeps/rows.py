@@ -46,6 +46,7 @@ class Ready(NamedTuple):
     flat: Leaves | None  # the same for compiled code
     path: Any  # of its hand
     schedules: Schedules
+    still: Still | None
 
 
 class Group:
@@ -54,10 +55,10 @@ class Group:
     Nothing moves them from the same tick on, if from any.
     """
 
-    __slots__ = ("kernel", "rows", "still", "ticks")
+    __slots__ = ("kernel", "rows", "ticks")
 
-    def __init__(self, kernel: Kernel, ticks: int, rest: Still | None) -> None:
-        self.kernel, self.ticks, self.still = kernel, ticks, rest
+    def __init__(self, kernel: Kernel, ticks: int) -> None:
+        self.kernel, self.ticks = kernel, ticks
         self.rows: list[Ready] = []
 
 
@@ -106,7 +107,7 @@ class RowMaker:
             key = schedules_key(scene, seed)
             schedules = made.drawn[seed] = self._schedules.get(key) or self._schedules.setdefault(
                 key, Schedules(key, scene, seed))
-        made.group.rows.append(Ready(row, made.tree, made.flat, made.path, schedules))
+        made.group.rows.append(Ready(row, made.tree, made.flat, made.path, schedules, made.still))
         return None
 
     def _check(self, thing: type | Callable[..., Any]) -> None:
@@ -134,13 +135,13 @@ class RowMaker:
                                  self._stamps.of(prepared))
         tree = None if flat else tree_of(scene, bodies, compiled=False)
         path = path_of(scene, compiled=flat is not None)
-        return KnownScene(prepared, Made(self._group(kernel, scene.ticks, flat, rest), tree, flat, path, {}))
+        return KnownScene(prepared, Made(self._group(kernel, scene.ticks, flat, rest), tree, flat, path, {}, rest))
 
     def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None) -> Group:
-        key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest
+        key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest and (rest.since, rest.window)
         group = self._groups.get(key)
         if group is None:
-            group = self._groups[key] = Group(kernel, ticks, rest)
+            group = self._groups[key] = Group(kernel, ticks)
         return group
 
     def _varied(self, known: KnownScene, scene: Scene, changed: frozenset[str]) -> Made | None:
@@ -165,14 +166,14 @@ class RowMaker:
                                   not known.has_functions_of(scene, own.bodies.slaves)):
             return None
         path = path_of(scene, compiled=made.flat is not None) if "hand" in changed else made.path
-        rest = still(scene, path) if "hand" in changed else made.group.still
-        if (rest is None) != (made.group.still is None):  # the kernel looks at the end, or it does not
+        rest = still(scene, path) if "hand" in changed else made.still
+        if (rest is None) != (made.still is None):  # the kernel looks at the end, or it does not
             return None
         if made.flat is None:
             if self._engine != "plain" and "law" in changed:  # it may be this law's numbers that are not compiled
                 return None
             group = self._group(made.group.kernel, made.group.ticks, None, rest)
-            return made._replace(group=group, tree=tree_of(scene, own.bodies, compiled=False), path=path)
+            return made._replace(group=group, tree=tree_of(scene, own.bodies, compiled=False), path=path, still=rest)
         try:
             flat = leaves(tree_of(scene, own.bodies))
         except NotCompiled:
@@ -180,7 +181,7 @@ class RowMaker:
         if flat.shape != made.flat.shape:
             return None
         group = self._group(made.group.kernel, made.group.ticks, flat, rest)
-        return made._replace(group=group, flat=flat, path=path)
+        return made._replace(group=group, flat=flat, path=path, still=rest)
 
 
 class Made(NamedTuple):
@@ -191,6 +192,7 @@ class Made(NamedTuple):
     flat: Leaves | None
     path: Any
     drawn: dict[int, Schedules]  # of its link, by the seed
+    still: Still | None  # how its end is looked at
 
 
 class KnownScene:

@@ -139,11 +139,18 @@ class TestStatus:
         enough = run(load_scene("virtual_wall", **knobs, duration=float(duration)))
         assert (enough.status, "too short" in enough.sentence) == ("unstable", False)
 
+    @pytest.mark.parametrize("duration", [0.65, 1.3, 2.0])
+    def test_a_decay_in_windows_shorter_than_its_period_was_a_limit_cycle(self, duration: float) -> None:
+        slow = Grip(mass=0.0, k=100.0, d=1.5, reference=Rest(at=0.0))  # 1 kg at 1.6 Hz, by e in 1.3 s
+        got = run(oscillator(0.0, hand=slow, start_m=0.05, duration=duration))
+        assert got.status == "ok"
+        assert prepare(oscillator(0.0, hand=slow)).still.own == 943  # type: ignore[union-attr]
+
     def test_a_force_that_is_renewed_slowly_is_late_too(self) -> None:
         device = Device(every=11, delay=3)
         still = prepare(oscillator(0.0, device_m=device)).still
         assert still is not None
-        assert (still.late, still.least(2)) == (13, 45)
+        assert (still.late, still.least(60)) == (13, 219)
 
     @pytest.mark.parametrize("name", sorted({*built_in_scenes()} - {"lte"}))
     def test_of_every_scene_as_it_is_is_ok_without_a_warning(self, name: str) -> None:
