@@ -106,6 +106,21 @@ def settle(
     return values, of_scene
 
 
+def check_text(key: str, text: str, known: Mapping[str, Declared]) -> None:
+    """Refuse a text that is no value of a knob, whatever the others are; `known`: the scene's own knobs.
+
+    Bounds, and whether a law has a field, are for the scene that is made of it.
+    """
+    if key == "law":
+        _law_class(text)
+    elif key == "link" and key not in known:
+        read_link(text)
+    elif key.startswith("law."):
+        _number(key, text, _PLAIN, whole=False, vector=False)
+    elif (own := known.get(key) or WIDE.get(key)) is not None:
+        read(key, text, own.kind, own)
+
+
 def read_knob(key: str, value: object, own: Declared) -> object:
     """Convert the value of a knob to its type. Raises `Refused`, also for a value that is out of its bounds."""
     knob = own.knob
@@ -192,7 +207,7 @@ def _law(key: str, value: object) -> object:
 
 def _named_law(text: str, changes: Mapping[str, object]) -> Any:
     """The law of a name, or of a file of the user's own, with its own numbers but for the changes."""
-    kind = file_law(text) if file_named(text) else _find_law(text)
+    kind = _law_class(text)
     values = _numbers_of_law(kind, changes)
     try:
         return kind(**values)
@@ -210,9 +225,11 @@ def _named_law(text: str, changes: Mapping[str, object]) -> Any:
                       "@dataclass(frozen=True, kw_only=True)") from error
 
 
-def _find_law(name: str) -> Any:
+def _law_class(text: str) -> Any:
+    if file_named(text):
+        return file_law(text)
     try:
-        return find_law(name)
+        return find_law(text)
     except Refused as refused:
         raise Refused(f"{refused} (a law in a file of your own is FILE.py or FILE.py:CLASS)") from None
 

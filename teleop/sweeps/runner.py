@@ -17,6 +17,7 @@ from typing import Any
 
 from teleop.errors import Refused, nearest
 from teleop.law import is_built_in
+from teleop.scene.knobs import check_text, knobs_of
 from teleop.scene.library import OwnFile, own_file, scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -95,7 +96,11 @@ def plan_sweep(
     seeds: int | Iterable[int] = 1, metrics: Sequence[Measure] | None = None,
     fixed: Mapping[str, object] | None = None, engine: str | None = None,
 ) -> Sweep:
-    """The sweep, checked before anything is run or written: its first row must make a scene."""
+    """The sweep, checked before anything is run or written.
+
+    Its first row must make a scene, and every text of its axes must be a value of its knob. A number that is out of
+    bounds, or that does not go with the others, refuses its row alone.
+    """
     scene = str(scene) if isinstance(scene, PathLike) else scene
     points = axes if isinstance(axes, Grid) else grid(axes or {}, seeds)
     fixed = dict(fixed or {})
@@ -103,9 +108,13 @@ def plan_sweep(
     if twice:
         raise Refused(f"{twice[0]} is an axis of the grid and set besides; leave one of them out")
     first = load_scene(scene, **{**fixed, **points.point(0)[0]})
+    known = knobs_of(scene_function(scene))
+    for knob, value in _axis_values(points):
+        if isinstance(value, str):
+            check_text(knob, value, known)
     others = _of_each_law(scene, points, fixed)
-    known = {name for one in (first, *others) for name in available(one)}
-    measures = tuple(name for name in USUAL if name in known) if metrics is None else _checked(metrics)
+    offered = {name for one in (first, *others) for name in available(one)}
+    measures = tuple(name for name in USUAL if name in offered) if metrics is None else _checked(metrics)
     chosen, why = choose(engine, first, len(points), measures)
     # As the scene has it, so that "0.30" and 0.3 are the same sweep.
     read = {key: first.knobs[key] for key, value in fixed.items()
@@ -117,11 +126,16 @@ def plan_sweep(
                  why=why, sources=_own_sources(scene, laws), files=tuple([file for file in files if file is not None]))
 
 
+def _axis_values(points: Grid) -> Iterator[tuple[str, Any]]:
+    """Each value of each axis, with its knob."""
+    return ((knob, value) for knobs, values in points.axes for at in values
+            for knob, value in zip(knobs, at, strict=True))
+
+
 def _of_each_law(name: str, points: Grid, fixed: Mapping[str, object]) -> list[Scene]:
     """The first row's scene with every other law of the grid; what is refused, its rows will say."""
     found = []
-    laws = [value for knobs, values in points.axes for at in values for knob, value in zip(knobs, at, strict=True)
-            if knob == "law"]
+    laws = [value for knob, value in _axis_values(points) if knob == "law"]
     for law in laws[1:MOST_LAWS]:
         with suppress(Refused):
             found.append(load_scene(name, **{**fixed, **points.point(0)[0], "law": law}))

@@ -37,6 +37,20 @@ class TestTheGrid:
         typed("sweep", "soft_tissue", "--grid", "delay=0:1:100000", "k_e=1:2:100000").assert_refused(
             "10 000 000 000 rows", "--yes")
 
+    @pytest.mark.parametrize(("axis", "words"), [
+        ("law=wave,direc", "did you mean direct?"), ("k_e=100,abc", "k_e must be a number of N/m"),
+        ("link=delay(0.1),dely(0.2)", "did you mean delay?"), ("delay,law=0/wave,0.1/direc", "did you mean direct?"),
+        ("law=wave,mine.py", "there is no file mine.py"),
+    ])
+    def test_with_a_misspelt_value_behind_a_good_one_ran_and_had_a_refused_row(
+        self, typed: Typed, axis: str, words: str
+    ) -> None:
+        typed("sweep", "soft_tissue", "--grid", axis, *SHORT).assert_refused(words)
+        assert not Path("runs").exists()
+
+    def test_with_a_number_out_of_bounds_behind_a_good_one_refuses_that_row_alone(self, typed: Typed) -> None:
+        document = json.loads(typed("sweep", "soft_tissue", "--grid", "k_e=100,-5", *SHORT, "--json").out)
+        assert document["counts"] == {"ok": 1, "refused": 1}
 
     @pytest.mark.parametrize(("words", "said"), [
         (["k_e=1", "--metrics", ","], "--metrics , names none"), (["seed=1,2"], "type --seeds 30"),
