@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -219,9 +218,6 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
 
     Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together. `most`: of
     these at a time, where the executor does not say how many it has.
-
-    In threads of its own what is there after the first job is not looked at by the garbage collector meanwhile: the
-    compiler's objects are some hundred thousand, and a collection among them takes as long as a thousand rows.
     """
     pool, own, workers_of = _pool(executor, most)
     stop = Event()
@@ -229,7 +225,6 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
     each, size = 0.0, 1  # s a row, rows of the last chunk
     running: dict[Future[ChunkResult], None] = {}  # in the order in which they were handed out
     complete = False
-    frozen: bool | None = None  # by this sweep; None: not asked for yet
     try:
         while True:
             while len(running) < 2 * (workers := workers_of()):
@@ -245,8 +240,6 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
             if not running:
                 complete = True
                 return
-            if executor is None and frozen is None and each > 0.0:  # by now the compiler is loaded
-                frozen = _freeze()
             ended = wait(running, POLL, FIRST_COMPLETED).done
             for future in sorted([one for one in running if one in ended], key=_ends_the_sweep):
                 del running[future]
@@ -255,21 +248,11 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
                 each = max(spent, each / 8.0)  # the first may have compiled
                 yield done
     finally:
-        if frozen:
-            gc.unfreeze()
         stop.set()
         for future in running:
             future.cancel()
         if own:  # a job that compiles cannot be stopped: it ends by itself, and what it has compiled is kept
             pool.shutdown(wait=complete, cancel_futures=True)
-
-
-def _freeze() -> bool:
-    """Hide what is there from the garbage collector, unless others have; to tell so, it counts what they hid."""
-    if gc.get_freeze_count():
-        return False
-    gc.freeze()
-    return True
 
 
 def _ends_the_sweep(future: Future[ChunkResult]) -> bool:

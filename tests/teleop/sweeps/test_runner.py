@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import re
 import subprocess
@@ -338,53 +337,6 @@ class TestTheCommand:
         assert got.stderr.count("\n") == 1
         assert said in got.stderr
         assert not (tmp_path / "runs").exists()
-
-
-class TestTheGarbageCollector:
-    """What is there before the rows is not looked at while they run, and is looked at again after them."""
-
-    def frozen(self, monkeypatch: pytest.MonkeyPatch, before: int) -> list[str]:
-        calls: list[str] = []
-        monkeypatch.setattr(gc, "freeze", lambda: calls.append("freeze"))
-        monkeypatch.setattr(gc, "unfreeze", lambda: calls.append("unfreeze"))
-        monkeypatch.setattr(gc, "get_freeze_count", lambda: before + calls.count("freeze") - calls.count("unfreeze"))
-        return calls
-
-    @pytest.mark.parametrize("error", [None, KeyboardInterrupt, OSError])
-    def test_takes_all_up_again_however_a_sweep_ends(self, error: type[BaseException] | None,
-                                                     monkeypatch: pytest.MonkeyPatch) -> None:
-        calls = self.frozen(monkeypatch, 0)
-
-        def show(done: int, _: int) -> None:
-            if done > 4 and error is not None:
-                raise error
-
-        with suppress(KeyboardInterrupt, OSError):
-            sweep("soft_tissue", {"k_e": [1.0 + n for n in range(9)]}, fixed=FIXED, workers=1, show=show)
-        assert calls == ["freeze", "unfreeze"]
-
-    def test_counted_what_is_frozen_at_every_job_which_took_two_thirds_as_long_as_the_rows(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        asked: list[int] = []
-        count = gc.get_freeze_count
-        monkeypatch.setattr(gc, "get_freeze_count", lambda: asked.append(count()) or asked[-1])
-        done: list[int] = []
-        sweep("soft_tissue", {"k_e": [1.0 + n for n in range(9)]}, fixed=FIXED, workers=1,
-              show=lambda so_far, _: done.append(so_far))
-        assert len(done) > 2
-        assert asked == [0]
-        assert count() == 0
-
-    def test_keeps_what_others_have_frozen(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        calls = self.frozen(monkeypatch, 5)
-        sweep("soft_tissue", AXES, fixed=FIXED)
-        assert calls == []
-
-    def test_is_left_alone_where_others_run_the_rows(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        calls = self.frozen(monkeypatch, 0)
-        sweep("soft_tissue", AXES, fixed=FIXED, executor=ThreadPoolExecutor(1))
-        assert calls == []
 
 
 class TestWorkers:
