@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 QUIET = 1e-7  # m
 LENGTHS = (1, 2, 4, 8, 16, 32)  # times the first
 MOST = 200_000  # ticks of a run, if that is four times the first or more
-KEPT = (0.9, 1.2)  # the swing stays if it changed by a factor between these
+KEPT = (0.95, 1.05)  # the swing stays if it changed by a factor between these
 
 
 class FreeMotion(NamedTuple):
