@@ -19,7 +19,7 @@ from teleop.simulation.metrics import of_plan
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import OF_PLAN, WHOLE, Measure
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, figures
-from teleop.sweeps.own_metric import MetricMistake, asked
+from teleop.sweeps.own_metric import MetricMistake, SentMistake, asked
 from teleop.sweeps.rows import Edited, Group, Ready, RowMaker
 from teleop.sweeps.shared import TICKS, Schedules
 
@@ -44,7 +44,7 @@ class ChunkResult(NamedTuple):
     rows: list[Row]  # with a mistake those until then
     ran: Counter[tuple[str, str]]  # by engine, and why it was not the one that was asked for
     seconds: float
-    mistake: MetricMistake | None = None  # of a metric of the user's own, which ends the sweep
+    mistake: SentMistake | None = None  # of a metric of the user's own, which ends the sweep
 
 
 class Stopped(Exception):
@@ -75,7 +75,7 @@ def work(job: Job, stopped: Callable[[], bool] | None = None) -> ChunkResult:
 
 
 def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], stopped: Callable[[], bool] | None
-              ) -> tuple[list[Group], MetricMistake | None]:
+              ) -> tuple[list[Group], SentMistake | None]:
     """The rows of a job, those of one kernel together; what is refused or needs a record has its result already.
 
     With them the mistake of a metric of the user's own, after which no row is made ready.
@@ -91,7 +91,7 @@ def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], sto
                 _tell(row, *_recorded(scene, seed, job.measures, row))
                 ran["plain", WHOLE if job.engine != "plain" else ""] += 1
         except MetricMistake as mistake:
-            return maker.groups, mistake
+            return maker.groups, SentMistake(mistake)
         except Edited:
             raise
         except Refused as refused:  # bodies and paths have refusals of their own

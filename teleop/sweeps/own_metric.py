@@ -19,10 +19,21 @@ LONGEST = 80  # characters of a value that a sentence shows
 class MetricMistake(Refused):
     """A metric that raised, which is the cause, or that returned no number. It ends its sweep."""
 
+
+class SentMistake:
+    """A mistake that may go to another process, where its cause is a `Raised` with the traceback as text.
+
+    It is no exception itself: dask has those pickled with their causes, which may be of a class that cannot be made
+    again.
+    """
+
+    def __init__(self, error: MetricMistake) -> None:
+        self.error = error
+
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it is made of again in another process: a cause goes with its traceback, as text."""
-        cause = self.__cause__
-        return _again, (str(self), None if cause is None else "".join(format_exception(cause)))
+        """What it is made of again in another process."""
+        cause = self.error.__cause__
+        return _again, (str(self.error), None if cause is None else "".join(format_exception(cause)))
 
 
 class Raised(Exception):
@@ -77,8 +88,8 @@ def _text(of: Callable[[Any], str], value: object) -> str:
         return f"a {type(value).__name__}"
 
 
-def _again(text: str, traceback: str | None) -> MetricMistake:
+def _again(text: str, traceback: str | None) -> SentMistake:
     mistake = MetricMistake(text)
     if traceback is not None:
         mistake.__cause__ = Raised(f"\n{traceback}")
-    return mistake
+    return SentMistake(mistake)

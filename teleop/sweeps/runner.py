@@ -197,7 +197,7 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | N
             if show is not None:
                 show(done, total)
             if finished.mistake is not None:
-                raise finished.mistake
+                raise finished.mistake.error
         return builder.table() if store is None else store.table()
     finally:
         if store is not None:

@@ -16,7 +16,7 @@ import pytest
 from teleop import Refused, Result, load_scene, run, sweep
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps import engine as engines
-from teleop.sweeps.own_metric import MetricMistake, Raised, asked
+from teleop.sweeps.own_metric import MetricMistake, Raised, SentMistake, asked
 
 FIXED = {"duration": 0.1}
 STIFFNESS = {"k_e": [50.0, 100.0, 150.0]}
@@ -184,5 +184,17 @@ def test_every_metric_has_a_column_where_its_run_has_it() -> None:
 
 def test_a_mistake_is_the_same_after_a_journey() -> None:
     mistake = MetricMistake("metric x returned None")
-    assert str(pickle.loads(pickle.dumps(mistake))) == str(mistake)
-    assert pickle.loads(pickle.dumps(mistake)).__cause__ is None
+    sent = pickle.loads(pickle.dumps(SentMistake(mistake))).error
+    assert str(sent) == str(mistake)
+    assert sent.__cause__ is None
+
+
+def test_a_mistake_on_its_way_through_dask_brought_a_cause_that_could_not_be_made_again() -> None:
+    """dask has exceptions pickled together with their causes, by tblib, whatever they say of themselves."""
+    pickling = pytest.importorskip("tblib.pickling_support")
+    mistake = MetricMistake("metric x raised Fussy")
+    mistake.__cause__ = Fussy(150.0, limit=120.0)
+    pickling.install(mistake)
+    sent = pickle.loads(pickle.dumps(SentMistake(mistake))).error
+    assert str(sent) == str(mistake)
+    assert "150.0 N/m is above 120.0" in str(sent.__cause__)
