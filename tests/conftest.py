@@ -10,6 +10,7 @@ what falls falls again; only the tests marked `fuzz` draw new ones, and print wh
 
 from __future__ import annotations
 
+import signal
 from typing import Any
 
 import pytest
@@ -26,6 +27,12 @@ settings.register_profile(
     print_blob=True,
 )
 settings.load_profile("suite")
+
+
+def pytest_configure() -> None:
+    """Let processes of tests take a Ctrl-C, which a suite that was started in the background ignores."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

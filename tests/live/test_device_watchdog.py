@@ -383,7 +383,7 @@ def test_an_end_that_was_stopped_for_longer_than_its_device_holds_a_force_begins
     trace = load_result(tmp_path / "slave").trace
     after = int(np.argmax(np.diff(trace["t"]))) + 1
     assert trace["t"][after] - trace["t"][after - 1] > 0.35
-    assert abs(trace["f_s"][after - 1]) > 0.1
+    assert np.abs(trace["f_s"][after - 50:after]).max() > 0.1, "there was a force that could come back"
     assert (trace["g_s"][after], trace["f_s"][after]) == (0.0, 0.0)
     assert max(np.diff(trace["g_s"][after:])) < 0.1
 

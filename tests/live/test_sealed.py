@@ -113,7 +113,7 @@ def test_an_end_with_another_key_is_not_let_in(
 def test_beyond_this_machine_nothing_goes_without_keys(
     name: str, words: list[str], command: Callable[..., Any]
 ) -> None:
-    command(name, *SCENE, *words).refused("not on this machine", "teleop keygen", "--insecure")
+    command(name, *SCENE, *words).refused("beyond this machine", "teleop keygen", "--insecure")
 
 
 def test_what_goes_in_the_open_all_the_same_says_so_loudly(command: Callable[..., Any], tmp_path: Path) -> None:

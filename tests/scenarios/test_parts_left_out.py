@@ -56,5 +56,5 @@ def test_a_sweep_has_rows_with_and_without_a_part_each_as_its_run() -> None:
 
 @pytest.mark.parametrize("text", ["None", "off", ""])
 def test_there_is_one_word_for_none_and_the_refusal_of_others_did_not_say_it(text: str) -> None:
-    with pytest.raises(Refused, match="f_max must be a number or none, not"):
+    with pytest.raises(Refused, match="f_max must be a number of N or none, not"):
         load_scene("hard_wall", f_max=text)

@@ -171,14 +171,12 @@ def test_hold_plays_the_last_one_on_at_any_rate() -> None:
 
 
 def test_a_rate_at_which_every_message_comes_after_the_watchdogs_timeout_is_refused() -> None:
-    from argparse import Namespace
+    from teleop.live.rate import ticks_of
 
-    from teleop.live.end import _every
-
-    asked = partial(Namespace, lockstep=False)
+    ticks = partial(ticks_of, lockstep=False, spin=False)
     dogged = load_scene("hard_wall")
-    assert _every(dogged, asked(rate=5.0)) == 200, "as long as the timeout, and no longer"
+    assert ticks(dogged, 5.0) == 200, "as long as the timeout, and no longer"
     with pytest.raises(Refused, match=r"every 0.25 s, .* timeout is 0.2 s; write a higher --rate"):
-        _every(dogged, asked(rate=4.0))
+        ticks(dogged, 4.0)
     with pytest.raises(Refused, match=r"timeout is 0.8 s"):
-        _every(load_scene("canonical"), asked(rate=1.0))
+        ticks(load_scene("canonical"), 1.0)
