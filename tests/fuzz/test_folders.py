@@ -23,7 +23,7 @@ from teleop.scene.library import ROOT
 from tests.live.conftest import Pair
 
 SLICES = 4
-EACH = 90  # cases of a slice
+EACH = 60  # cases of a slice; the long form has thousands
 LONG = 10_000
 EVIL = "from pathlib import Path\nPath('ran').touch()\nfrom scenarios.hard_wall import scene\n"
 
