@@ -70,28 +70,27 @@ def write(told: Mapping[str, Any], folder: Path) -> None:
                       "command goes on") from error
 
 
-def sentences(table: Table, *, refused: bool) -> dict[str, int]:
-    """What was said of how many rows, of those that were refused or of all others; the most frequent first."""
+def sentences(table: Table) -> dict[str, int]:
+    """Why rows were refused, and how many for each reason; the most frequent first."""
     import numpy as np
 
-    said = table["sentence"][(table["status"] == "refused") == refused]
+    said = table["sentence"][table["status"] == "refused"]
     texts, counts = np.unique([str(text) for text in said.tolist() if text is not None], return_counts=True)
     return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda pair: -pair[1]))
 
 
 def status_rows(table: Table) -> list[tuple[str, str]]:
-    """How many rows ended how, why some were refused, and which of a user's own metrics failed."""
+    """How many rows ended how, and why some were refused."""
     counts = ", ".join(f"{grouped(count)} {status}" for status, count in table.counts().items())
     rows = [("status", f"{grouped(len(table))} done: {counts or 'none'}")]
-    for label, refused in (("refused", True), ("metrics", False)):
-        every = [*sentences(table, refused=refused).items()]
-        for i, (sentence, count) in enumerate(every[:SENTENCES]):
-            rows.append(("" if i else label, f"{grouped(count)} {plural(count, 'row')}: {sentence}"))
-        if len(every) > SENTENCES:
-            rest = every[SENTENCES:]
-            count = sum(count for _, count in rest)
-            rows.append(("", f"and {grouped(len(rest))} more {plural(len(rest), 'sentence')} in {grouped(count)} "
-                             f"{plural(count, 'row')}, which rows.jsonl has"))
+    every = [*sentences(table).items()]
+    for i, (sentence, count) in enumerate(every[:SENTENCES]):
+        rows.append(("" if i else "refused", f"{grouped(count)} {plural(count, 'row')}: {sentence}"))
+    if len(every) > SENTENCES:
+        rest = every[SENTENCES:]
+        count = sum(count for _, count in rest)
+        rows.append(("", f"and {grouped(len(rest))} more {plural(len(rest), 'sentence')} in {grouped(count)} "
+                         f"{plural(count, 'row')}, which rows.jsonl has"))
     return rows
 
 

@@ -82,7 +82,7 @@ def refused(counts: list[int]) -> Table:
 
 class TestRefusals:
     def test_are_counted_by_their_sentences_the_most_frequent_first(self) -> None:
-        counts = sentences(refused([1, 3, 2]), refused=True)
+        counts = sentences(refused([1, 3, 2]))
         assert list(counts.items()) == [("why 1", 3), ("why 2", 2), ("why 0", 1)]
 
     def test_are_told_under_the_status(self) -> None:
@@ -92,11 +92,6 @@ class TestRefusals:
     def test_of_many_kinds_are_told_in_part(self) -> None:
         assert status_rows(refused([5, 4, 3, 2, 1]))[-2:] == [
             ("", "3 rows: why 2"), ("", "and 2 more sentences in 3 rows, which rows.jsonl has")]
-
-    def test_stand_apart_from_what_was_said_of_rows_that_ran(self) -> None:
-        made = [*refused([1]), {"row": 9, "seed": 0, "k": 0, "status": "ok", "ticks": 1, "sentence": "m stopped"}]
-        assert status_rows(Table(made, ("k",), ()))[1:] == [
-            ("refused", "1 row: why 0"), ("metrics", "1 row: m stopped")]
 
     def test_that_are_none_take_no_line(self) -> None:
         assert status_rows(refused([])) == [("status", "1 done: 1 ok")]
