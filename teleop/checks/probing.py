@@ -62,7 +62,9 @@ def value(dice: Iterator[float], reach: tuple[float, ...]) -> float:
 
 
 def situation(dice: Iterator[float], reach: tuple[float, ...]) -> At:
-    """A situation in SI units: numbers as `value` draws them, the tick and the age within their own bounds."""
+    """A situation in SI units: numbers as `value` draws them; tick, span, age and gain within their own bounds."""
     x, v, f, f_held, dx = (value(dice, reach) for _ in range(5))
     age = (inf, 0.0, 1e-3, 0.05, 1e5)[int(next(dice) * 5)]
-    return At(x, v, f, f_held, dx, next(dice) < 0.5, age, (1e-3, 1e-3, 1e-6, 10.0)[int(next(dice) * 4)])
+    fresh, dt = next(dice) < 0.5, (1e-3, 1e-3, 1e-6, 10.0)[int(next(dice) * 4)]
+    ticks, gain = (1, 1, 2, 100)[int(next(dice) * 4)], (1.0, 1.0, 0.0, next(dice))[int(next(dice) * 4)]
+    return At(x, v, f, f_held, dx, fresh, age, dt, ticks * dt, gain)

@@ -67,7 +67,7 @@ def _waves_balance(law: Any, name: str) -> None:
         for k in range(500):
             v, touch = 2.0 * next(dice) - 1.0, 20.0 * next(dice) - 10.0
             x += dt * v
-            at = At(x, v, touch, f, dt * v, next(dice) < 0.7, 1e-3, dt)
+            at = At(x, v, touch, f, dt * v, next(dice) < 0.7, 1e-3, dt, dt)
             rx = rx_type(*[4.0 * next(dice) - 2.0 for _ in rx_type._fields])
             f, tx, s = tick(s, at, rx, *([sums(s, at, rx)] if sums else []))
             came, went = getattr(rx, rx_wave) * at.fresh, getattr(tx, tx_wave)

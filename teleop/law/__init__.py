@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from inspect import getattr_static
+from math import inf, nan
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple, Protocol
 
@@ -38,7 +39,11 @@ class At(NamedTuple):
     """The situation of one end at one tick, in one axis. SI units.
 
     `f_held` and `dx` belong together: the force that the motor held over the last tick, after every stage behind
-    the law (watchdog and force cap among them), and the motion under it. A field added later breaks no law.
+    the law (watchdog and force cap among them), and the motion under it. The last tick is the last that this end ran:
+    one that could not be run in time is left out, and the force is held until the next. So `span` is dt, and a whole
+    number of times dt after ticks that were left out; what a law integrates over time, it integrates over `span`.
+    `gain` is what the watchdog had made of the last force: a law with a commanded point begins it anew where that is
+    0, instead of paying out a spring that was stretched meanwhile. A field added later breaks no law.
     """
 
     x: float  # position, m
@@ -49,6 +54,8 @@ class At(NamedTuple):
     fresh: bool  # True if a message is played at this tick
     age: float  # s since the newest message was sent, inf before the first
     dt: float  # s
+    span: float = nan  # s since this end's last tick: dt, more after ticks that were left out
+    gain: float = 1.0  # the watchdog's gain at the last tick, 0 to 1; 1 without a watchdog
 
 
 class Law(Protocol):
@@ -124,7 +131,7 @@ def _built_in_name(kind: type[Any]) -> str | None:
 
 def start_at(x: float, v: float, f: float, dt: float) -> At:
     """The situation of an end before its first tick (m, m/s, N, s): no force held, no message yet."""
-    return At(x, v, f, 0.0, 0.0, False, float("inf"), dt)
+    return At(x, v, f, 0.0, 0.0, False, inf, dt, dt)
 
 
 def messages(law: Law, dt: float = 1e-3) -> tuple[type[Any], type[Any]]:

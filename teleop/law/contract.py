@@ -42,8 +42,8 @@ FIRST = {  # the method that shows the type
     ("master", "state"): "master_start", ("slave", "state"): "slave_start", ("force", "state"): "start",
     ("master", "message"): "slave_start", ("slave", "message"): "master_start",
 }
-REST = At(0.0, 0.0, 0.0, 0.0, 0.0, False, inf, 1e-3)
-CREEP = At(1e-6, 1e-3, 0.0, 0.0, 1e-6, True, 1e-3, 1e-3)
+REST = At(0.0, 0.0, 0.0, 0.0, 0.0, False, inf, 1e-3, 1e-3)
+CREEP = At(1e-6, 1e-3, 0.0, 0.0, 1e-6, True, 1e-3, 1e-3, 1e-3)
 SITUATIONS = (REST, REST._replace(fresh=True, age=1e-3), CREEP, CREEP._replace(fresh=False, age=2e-3))
 LONGEST = 80  # characters of a value that a sentence shows
 REMEMBER = "keep what it remembers in its state, and nowhere else"

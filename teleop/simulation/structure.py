@@ -62,7 +62,7 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         age=age, aged=aged, newest=age or aged, sums=sums is not None,
         dx="dx" in reading or (run.energy and "encoder" not in names) or any(stage.wants_dx for stage in stages),
         encoder="encoder" in names, velocity="velocity" in names, scaled="scaling" in names,
-        watchdog="watchdog" in names)
+        watchdog="watchdog" in names, span="span" in reading, gain="gain" in reading)
     return EndStructure(has, stages, sums_type(scene.law, e, scene.dt_ns / 1e9)._fields if sums else ())
 
 
@@ -82,7 +82,7 @@ def live_structure(structure: Structure, e: str, sensor: bool | None = None) -> 
     names = {"watchdog", *[stage.name for stage in own.stages]}
     stages = tuple([place.stage() for place in STAGES if place.name in names])
     felt = own.has.felt if sensor is None else sensor
-    alone = own._replace(has=own.has._replace(live=True, felt=felt), stages=stages)
+    alone = own._replace(has=own.has._replace(live=True, leaves_out=True, felt=felt), stages=stages)
     return structure._replace(m=alone) if e == "m" else structure._replace(s=alone)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from teleop.law import At, start_at
 from teleop.simulation.messages import connect, deliver, exchange, send
-from teleop.stages.end import Axis, End, Run, zero
+from teleop.stages.end import Axis, End, Run, elapsed, zero
 from teleop.stages.lanes import came, sample, some, where, within
 
 new: Any = tuple.__new__  # twice as fast as the class
@@ -83,9 +83,9 @@ def situation(run: Run, e: End, a: Axis) -> Any:
     """What the law is told of one axis."""
     if run.has.compiled:
         return At(a.x_read, a.v_read, a.f_read if e.has.touch else nan, a.f, a.dx if e.has.dx else nan, fresh(run, e),
-                  age(run, e), run.dt)
+                  age(run, e), run.dt, span(run, e), gain(e))
     return new(At, (a.x_read, a.v_read, a.f_read if e.has.touch else nan, a.f, a.dx if e.has.dx else nan,
-                    fresh(run, e), age(run, e), run.dt))
+                    fresh(run, e), age(run, e), run.dt, span(run, e), gain(e)))
 
 
 def fresh(run: Run, e: End) -> Any:
@@ -100,6 +100,18 @@ def age(run: Run, e: End) -> float:
     if not run.has.slave:
         return inf
     return e.age if e.has.age else nan
+
+
+def span(run: Run, e: End) -> Any:
+    """The time since the last tick of an end whose law reads it, s."""
+    return elapsed(run, e) if e.has.span else nan
+
+
+def gain(e: End) -> Any:
+    """The watchdog's gain at the last tick of an end whose law reads it."""
+    if not e.has.gain:
+        return nan
+    return e.g_held if e.has.live else e.g if e.has.watchdog else 1.0
 
 
 def answer(run: Run, e: End) -> None:
@@ -130,7 +142,6 @@ def loop(  # noqa: PLR0912 - of which a structure has few
     run.law = law
     run.dt = dt
     run.half_dt = 0.5 * dt
-    run.span = dt
     if run.has.lanes:
         run.zero = asked[3]
         run.alive = within(run.zero, inf)
@@ -275,12 +286,14 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
         if e.has.felt:
             a.f_ext = touch0[a.i]
     begin(run, e, getattr(given, e.name))
+    if e.has.gain:
+        e.g_held = 1.0
     k, x, v, touch, e.got, newest, rx, e.g, held, since = yield
     k_before = k - 1
     while True:
         ticks = k - k_before
         k_before = k
-        run.span = ticks * dt
+        e.span = ticks * dt
         for stage in e.stages:
             stage.late(run, e, ticks, since)
         for a in e.axes:
@@ -295,6 +308,8 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
             for a in e.axes:
                 a.rx = rx[a.i]
         tick(run, e, k)
+        if e.has.gain:
+            e.g_held = e.g
         k, x, v, touch, e.got, newest, rx, e.g, held, since = yield (
             tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]), row(e))
 

@@ -27,6 +27,7 @@ class EndHas(NamedTuple):
     """What one end has; decided when the loop is made."""
 
     live: bool = False  # runs by itself, without the other end
+    leaves_out: bool = False  # ticks may be left out at it, so the time from one to the next varies
     inner: bool = False  # its body has an inner state beside position and velocity
     touch: bool = False  # its law reads the external force,
     sensed: bool = False  # ... from a force sensor
@@ -39,6 +40,8 @@ class EndHas(NamedTuple):
     velocity: bool = False  # it is estimated
     scaled: bool = False  # its units are not those of the law
     watchdog: bool = False
+    span: bool = False  # its law reads the time since its last tick,
+    gain: bool = False  # ... and the watchdog's gain at that tick
     observed: bool = False  # its law reads the observer's force
     aged: bool = False  # the watchdog counts messages beyond an age as none
 
@@ -96,6 +99,8 @@ class End(Record):
     newest: Any  # number of the newest message that was played, -1 before the first
     age: float  # of the newest message, s
     g: float  # the watchdog's gain
+    g_held: float  # of a live end the same at its last tick
+    span: float  # since its last tick, s
     scale_x: float  # its metres and newtons for those of the law
     scale_f: float
     E_port: float  # the ledgers, J
@@ -124,7 +129,6 @@ class Run(Record):
     recorder: Recorder
     dt: float
     half_dt: float
-    span: float  # since the last tick, s
     law: Any
     zero: Any  # 0.0 in every lane
     alive: Any  # the lanes that are within bounds
@@ -208,6 +212,11 @@ class Stage(Record):
 def per_axis(name: str, records: tuple[Record, ...], field: str) -> Column:
     """A column that stands once for each axis."""
     return Column(f"{name}@", tuple([(each, field) for each in records]))
+
+
+def elapsed(run: Run, e: End) -> Any:
+    """The time since the last tick of an end, s: dt, and more after ticks that were left out."""
+    return e.span if e.has.leaves_out else run.dt
 
 
 def zero(run: Run) -> Any:

@@ -83,7 +83,7 @@ class ObserverStage(Stage):
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         # After a stall the force was held over several ticks at once.
-        self.c_obs = self.c_tick if ticks == 1 else coefficients(*self.device, run.span)
+        self.c_obs = self.c_tick if ticks == 1 else coefficients(*self.device, e.span)
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):

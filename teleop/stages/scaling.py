@@ -55,7 +55,7 @@ def in_units_of_master(c: Scales, at: At) -> At:
     """What the slave's end of the law is told, in the master's units; c is (scale_x, scale_f)."""
     scale_x, scale_f = c
     return At(at.x / scale_x, at.v / scale_x, at.f / scale_f, at.f_held / scale_f, at.dx / scale_x, at.fresh, at.age,
-              at.dt)
+              at.dt, at.span, at.gain)
 
 
 class ScalingStage(Stage):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Places, Run, Stage, per_axis, zero
+from teleop.stages.end import Column, End, Places, Run, Stage, elapsed, per_axis, zero
 from teleop.stages.record import Record
 
 
@@ -46,4 +46,4 @@ class VelocityStage(Stage):
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
-            a.v_read, own.est = self.estimate(self.c_est, own.est, a.x_read, run.span)
+            a.v_read, own.est = self.estimate(self.c_est, own.est, a.x_read, elapsed(run, e))

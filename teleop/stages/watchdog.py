@@ -89,7 +89,7 @@ class WatchdogStage(Stage):
             self.c_dog = given
             self.heard = -1
             self.quiet_ticks = inf
-            e.g = 1.0
+            e.g = run.zero + 1.0 if run.has.lanes else 1.0
 
     def act(self, run: Run, e: End, k: int) -> None:
         if not e.has.live:

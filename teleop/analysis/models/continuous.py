@@ -21,7 +21,7 @@ from teleop.analysis.models.curve import imaginary_axis
 from teleop.analysis.models.linear import StateSpace, about_rest, like, matrix, not_linear, refuse_nonlinear_parts
 from teleop.analysis.models.loop import Crossing, Loop, open_poles
 from teleop.errors import Refused
-from teleop.law import At, law_name, reads
+from teleop.law import At, law_name, reads, start_at
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -173,14 +173,14 @@ def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
     if tied:
         raise Refused(f"law {law_name(law)} reads {' and '.join(sorted(tied))}, which have no meaning without a tick; "
                       "ask without --continuous")
-    sample, message = start(At(0.0, 0.0, 0.0, 0.0, 0.0, False, float("inf"), 1e-3))
+    sample, message = start(start_at(0.0, 0.0, 0.0, 1e-3))
     states, inputs = len(sample), len(message)
 
     def short(dt: float) -> Matrix:
         def respond(given: Any) -> list[float]:
             take = iter(given)
             s = like(sample, take)
-            at = At(next(take), next(take), next(take), nan, nan, True, nan, dt)
+            at = At(next(take), next(take), next(take), nan, nan, True, nan, dt, dt)
             rx = like(message, take)
             more = (sums(s, at, rx),) if sums else ()
             f, tx, after = end(s, at, rx, *more)

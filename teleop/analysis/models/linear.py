@@ -209,7 +209,6 @@ def start(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: A
     """The state in which an end starts at `places`, m per axis."""
     run.law = law
     run.dt = dt
-    run.span = dt
     if e.name == "m":
         place_master(run, places, ref, held)
     else:

@@ -36,7 +36,7 @@ from teleop.analysis.models.linear import like, matrix
 from teleop.analysis.passivity.assembly import READINGS, Driven, Readings, assembled, law_transfer
 from teleop.analysis.passivity.surroundings import delays, linear_parts, ticks
 from teleop.errors import Refused
-from teleop.law import At, law_name
+from teleop.law import At, law_name, start_at
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -177,14 +177,14 @@ def _law_matrix(scene: Scene, e: str, dt: float, age: float) -> tuple[Matrix, in
     law: Any = scene.law
     name = NAMES[e]
     end, start, sums = getattr(law, name), getattr(law, f"{name}_start"), getattr(law, f"{name}_sums", None)
-    sample, message = start(At(0.0, 0.0, 0.0, 0.0, 0.0, False, float("inf"), dt))
+    sample, message = start(start_at(0.0, 0.0, 0.0, dt))
     states = len(sample)
 
     def respond(given: Any) -> list[float]:
         take = iter(given)
         s = like(sample, take)
         x, v, f, f_held, dx = (next(take) for _ in range(READINGS))
-        at = At(x, v, f, f_held, dx, True, age, dt)
+        at = At(x, v, f, f_held, dx, True, age, dt, dt)
         rx = like(message, take)
         f, tx, after = end(s, at, rx, *((sums(s, at, rx),) if sums else ()))
         return [*after, f, *tx]

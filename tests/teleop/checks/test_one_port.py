@@ -109,7 +109,7 @@ SLIPS = [
     ({"start": starts_on_force}, "reads f, but Spoilt.force does not"),
     ({"force": lambda s, at: 10.0 * at.x}, "returns 0.0 of type float; write return force, state"),
     ({"force": lambda s, at: (10.0 * at.x, S(at.x), S(at.x))}, "returns 3 values; write return force, state"),
-    ({"force": lambda s, at: (at.x > 0.0, s)}, "returns the force False of type bool; write it as a float"),
+    ({"force": lambda s, at: (at.x > 0.0, s)}, "returns the force (True|False) of type bool; write it as a float"),
     ({"force": lambda s, at: (at.x, T(at.x))}, "returns a state of type T, but start one of type S"),
     ({"force": lambda s, at: (at.x, S(1))}, "force .* returns the state with y=1 of type int"),
     ({"force": lambda s, at: (at.x / (at.v + 1e-320), s)}, "for finite arguments"),

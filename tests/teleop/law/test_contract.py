@@ -95,13 +95,13 @@ AT_ONCE: dict[str, tuple[str, str]] = {  # the method, whose wrong line ends in 
     "misspells a field of At": (f"""
     {MASTER}
         return at.velocity, Forth(at.x), s  # here""",
-        "reads at.velocity, but an At has x, v, f, f_held, dx, fresh, age, dt"),
+        "reads at.velocity, but an At has x, v, f, f_held, dx, fresh, age, dt, span, gain"),
     "misspells a field of At in a branch": (f"""
     {MASTER}
         if at.x > 1e3:
             return at.frash, Forth(at.x), s  # here
         return rx.f, Forth(at.x), s""",
-        "reads at.frash, but an At has x, v, f, f_held, dx, fresh, age, dt; did you mean fresh?"),
+        "reads at.frash, but an At has x, v, f, f_held, dx, fresh, age, dt, span, gain; did you mean fresh?"),
     "misspells a field of At in a function that it calls": (f"""
     {MASTER}
         return helper(at), Forth(at.x), s""", "raised AttributeError: 'At' object has no attribute 'depth'; an At has"),

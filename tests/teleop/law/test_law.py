@@ -65,7 +65,7 @@ def test_the_starts_show_what_the_packets_carry(law: Any, forth: tuple[str, ...]
 
 
 def test_before_the_first_tick_an_end_holds_nothing_and_heard_nothing() -> None:
-    assert start_at(0.2, 0.1, 3.0, 1e-3) == At(0.2, 0.1, 3.0, 0.0, 0.0, False, inf, 1e-3)
+    assert start_at(0.2, 0.1, 3.0, 1e-3) == At(0.2, 0.1, 3.0, 0.0, 0.0, False, inf, 1e-3, 1e-3, 1.0)
 
 
 # What an end reads

@@ -52,7 +52,8 @@ class Sums(NamedTuple):
 
 def read_all(at: At, over: Sums) -> float:
     """Something of every field of `At`."""
-    return 0.1 * (min(at.age, 1.0) + at.dt) * at.fresh + 0.01 * over.push + over.power - at.v
+    timed = 0.1 * (min(at.age, 1.0) + at.dt) * at.fresh + at.gain * at.span
+    return timed + 0.01 * over.push + over.power - at.v
 
 
 @dataclass(frozen=True, kw_only=True)

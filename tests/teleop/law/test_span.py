@@ -1,0 +1,137 @@
+"""What a law is told of the time since its last tick, and of the watchdog's gain at that tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import pytest
+
+from teleop import At, Refused, Scene, Watchdog, check_law, load_scene, run
+from teleop.analysis.models.linear import linear_scene
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.source import rendered
+from teleop.sweeps.kernels.kernel import available, figures, plain
+from teleop.sweeps.kernels.scalar import scalar
+from teleop.sweeps.kernels.vector import vector
+from tests.teleop.sweeps.kernels.test_kernel import inputs
+
+
+class Place(NamedTuple):
+    x: float  # m
+
+
+class Meter(NamedTuple):
+    x: float  # m
+    time: float  # s of the run, as the spans add up
+    gains: float  # sum of the gains
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timed:
+    """Position coupling that shows in its forces what it is told of time and gain."""
+
+    K: float = 200.0
+    claims: ClassVar[frozenset[str]] = frozenset()
+
+    def master_start(self, at: At) -> tuple[Meter, Place]:
+        return Meter(at.x, 0.0, 0.0), Place(at.x)
+
+    def slave_start(self, at: At) -> tuple[Meter, Place]:
+        return Meter(at.x, 0.0, 0.0), Place(at.x)
+
+    def master(self, s: Meter, at: At, rx: Place) -> tuple[float, Place, Meter]:
+        now = Meter(at.x, s.time + at.span, s.gains + at.gain)
+        return self.K * (at.x - rx.x) + now.time + 0.01 * now.gains, Place(at.x), now
+
+    def slave(self, s: Meter, at: At, rx: Place) -> tuple[float, Place, Meter]:
+        now = Meter(at.x, s.time + at.span, s.gains + at.gain)
+        return self.K * (rx.x - at.x) - 4.0 * at.v + now.time - 0.01 * now.gains, Place(at.x), now
+
+
+def timed(**other: Any) -> Scene:
+    """A scene whose watchdog lets go and takes hold again."""
+    scene = load_scene("canonical", law=Timed(), link="delay(0.01) | blackout(0.1, 0.1)")
+    return replace(scene, duration=0.4, watchdog=Watchdog(timeout=0.02, ramp=0.01, settle=0.02), **other)
+
+
+def probe(at: str, end: str, value: Any) -> Any:
+    """`Timed` that writes down what a field of `At` was at each tick of an end."""
+    told: list[float] = value
+
+    class Probe(Timed):
+        pass
+
+    own = getattr(Timed, end)
+
+    def asked(self: Any, s: Meter, here: At, rx: Place) -> Any:
+        told.append(getattr(here, at))
+        return here.span * here.gain * 0.0 + own(self, s, here, rx)[0], *own(self, s, here, rx)[1:]
+
+    setattr(Probe, end, asked)
+    return Probe()
+
+
+@pytest.mark.parametrize("end", ["master", "slave"])
+def test_in_virtual_time_span_is_the_tick_and_gain_is_that_of_the_tick_before(end: str) -> None:
+    spans: list[float] = []
+    gains: list[float] = []
+    scene = timed()
+    # The contract asks the law for a few ticks before the run does.
+    trace = run(replace(scene, law=probe("gain", end, gains))).trace
+    run(replace(scene, law=probe("span", end, spans)))
+    assert set(spans[-scene.ticks:]) == {scene.dt}
+    recorded = trace[f"g_{end[0]}"]
+    assert gains[-scene.ticks:] == [1.0, *recorded[:-1].tolist()]
+    assert 0.0 in gains
+    assert gains[-1] == 1.0
+
+
+def test_without_a_watchdog_the_gain_is_one() -> None:
+    gains: list[float] = []
+    run(replace(timed(), watchdog=None, law=probe("gain", "slave", gains)))
+    assert set(gains) == {1.0}
+
+
+def test_a_law_that_names_neither_has_no_line_for_them() -> None:
+    text = rendered(load_scene("canonical", law="direct"))
+    assert "dt, nan, nan))" in text
+    assert "span" not in text
+
+
+def test_every_engine_tells_a_law_the_same() -> None:
+    scenes = [replace(timed(), law=Timed(K=150.0 + 10.0 * i)) for i in range(8)]
+    measures = sorted(available(scenes[0]))
+    found = []
+    for engine in (plain, scalar, vector):
+        kernel = engine(scenes[0], exact_bodies(scenes[0]), measures)
+        found.append(repr(figures(kernel, [inputs(kernel, scene, 1) for scene in scenes])))
+    assert found[0] == found[1] == found[2]
+
+
+def test_the_linear_steps_of_stability_have_the_tick_for_span() -> None:
+    """Each end adds up its spans: an eigenvalue of one, and a constant force, which drops out."""
+    scene = replace(load_scene("soft_tissue", law=Timed()), cap=None, watchdog=None)
+    steps = linear_scene(scene)
+    assert steps.slave.A.shape[0] > 3
+
+
+def test_a_law_that_divides_by_the_ticks_that_were_left_out_is_refused() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Rash:
+        claims: ClassVar[frozenset[str]] = frozenset()
+
+        def master_start(self, at: At) -> tuple[tuple[()], Place]:
+            return (), Place(at.x)
+
+        def slave_start(self, at: At) -> tuple[tuple[()], Place]:
+            return (), Place(at.x)
+
+        def master(self, s: tuple[()], at: At, rx: Place) -> tuple[float, Place, tuple[()]]:
+            return 0.0, Place(at.x), s
+
+        def slave(self, s: tuple[()], at: At, rx: Place) -> tuple[float, Place, tuple[()]]:
+            return (rx.x - at.x) / (at.span - 2.0 * at.dt), Place(at.x), s
+
+    with pytest.raises(Refused, match="Rash.slave .*ZeroDivisionError"):
+        check_law(Rash())
