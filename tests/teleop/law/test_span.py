@@ -133,5 +133,5 @@ def test_a_law_that_divides_by_the_ticks_that_were_left_out_is_refused() -> None
         def slave(self, s: tuple[()], at: At, rx: Place) -> tuple[float, Place, tuple[()]]:
             return (rx.x - at.x) / (at.span - 2.0 * at.dt), Place(at.x), s
 
-    with pytest.raises(Refused, match="Rash.slave .*ZeroDivisionError"):
+    with pytest.raises(Refused, match=r"Rash.slave .*ZeroDivisionError"):
         check_law(Rash())
