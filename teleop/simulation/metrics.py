@@ -35,6 +35,8 @@ METRICS = {
     "f_s_max": Metric("N", "largest force of the stack on the slave", TWO_ENDS),
     "f_h_max": Metric("N", "largest force of the hand on the master"),
     "f_env_max": Metric("N", "largest force of the slave on its environment", TWO_ENDS),
+    "f_m_end": Metric("N", "force of the stack against the hand at the end, mean over the last 0.1 s"),
+    "f_env_end": Metric("N", "force of the slave on its environment at the end, mean over the last 0.1 s", TWO_ENDS),
     "T_fwd_mean": Metric("s", "mean age of a forward message when it was first played", LINK),
     "T_fwd_max": Metric("s", "its largest value", LINK),
     "T_bwd_mean": Metric("s", "mean age of a backward message when it was first played", LINK),
@@ -55,6 +57,7 @@ UNITS = {name: metric.unit for name, metric in METRICS.items()}
 
 
 TINY = 1e-300
+END = 0.1  # s, before the end: a force that jumps from tick to tick, under loss, is told by its mean
 _ERRORS = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}  # mine, theirs, what played theirs
 
 
@@ -88,6 +91,7 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
             out |= _worst(name, _error(scene, trace, name))
     forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
     out |= {f"{name}_max": _greatest(trace[name]) for name in forces}
+    out |= {f"{name}_end": _at_end(trace, name, dt) for name in ("f_m", "f_env") if name in trace}
     for ledger in ("E_link", "E_port"):
         if ledger in trace:
             energy = trace[ledger]
@@ -177,6 +181,16 @@ def _greatest(column: NDArray[Any]) -> float:
     import numpy as np
 
     return float(np.max([magnitude(column[block]).max() for block in blocks(len(column))]))
+
+
+def _at_end(trace: Mapping[str, Any], name: str, dt: float) -> float:
+    """The magnitude of a column's mean over the rows of the last `END`, at least one; live, ticks may be missing."""
+    import numpy as np
+
+    t = trace["t"]
+    first = min(int(np.searchsorted(t, t[-1] - END + 0.5 * dt)), len(t) - 1)
+    with np.errstate(all="ignore"):  # the last rows of a run that diverged
+        return float(magnitude(trace[name][first:].mean(axis=0, keepdims=True))[0])
 
 
 def magnitude(column: NDArray[Any]) -> NDArray[Any]:

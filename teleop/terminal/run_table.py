@@ -51,6 +51,13 @@ def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:
     return tell
 
 
+def _force(result: Result) -> Iterator[str]:
+    said = [f"{si(result.metrics[name], 'N')} {word}"
+            for name, word in (("f_m_end", "felt"), ("f_env_end", "touched")) if name in result.metrics]
+    if said:
+        yield ", ".join(said) + ", mean over the last 0.1 s"
+
+
 def _energy(key: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
         # A run that diverges may end with a sum that is not finite, and then has no metric of its end.
@@ -155,6 +162,7 @@ _MOST_EVENTS = 5  # shown of each end
 _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("tracking error", _error("x_err", "m")),
     ("force error", _error("f_err", "N")),
+    ("force at the end", _force),
     ("delay seen", _delay),
     ("packets", _packets),
     ("link seen", _link),

@@ -112,6 +112,24 @@ def test_in_three_axes_sizes_are_lengths() -> None:
     assert got["f_m_max"] == got["f_s_max"] == got["f_h_max"] == got["f_env_max"] == 5.0
 
 
+def test_the_force_at_the_end_is_the_mean_of_the_last_tenth_of_a_second_also_where_ticks_are_missing() -> None:
+    t = np.arange(1000) * 1e-3
+    force = np.where(t < 0.9 - 1e-9, 5.0, np.where(np.arange(1000) % 2, 3.0, -1.0))  # at the end 1 N in the mean
+    rest = {name: np.zeros(1000) for name in ("x_m", "x_s", "f_s", "f_h")}
+    got = metrics(SCENE, {"t": t, **rest, "f_m": force, "f_env": -2.0 * force})
+    assert (got["f_m_end"], got["f_env_end"]) == (1.0, 2.0)
+    some = np.ones(1000, bool)
+    some[905:955] = some[200:300] = False  # ticks that a live end left out
+    got = metrics(SCENE, {"t": t[some], **{name: column[some] for name, column in rest.items()},
+                          "f_m": force[some], "f_env": force[some]})
+    assert got["f_m_end"] == pytest.approx(force[900:][some[900:]].mean(), abs=1e-15)
+    along = np.tile([3.0, 0.0, -4.0], (N, 1)) * np.where(np.arange(N) % 2, 2.0, 0.0)[:, None]
+    three = dict.fromkeys(("x_m", "x_s", "f_s", "f_h", "f_env"), np.zeros((N, 3)))
+    assert metrics(SCENE, trace(**three, f_m=along))["f_m_end"] == 5.0  # of three axes a length
+    slow = {name: column[:3] for name, column in trace(f_m=np.array([1.0, 2.0, 3.0] + [0.0] * (N - 3))).items()}
+    assert metrics(replace(SCENE, dt=0.5), {**slow, "t": np.arange(3) * 0.5})["f_m_end"] == 3.0
+
+
 def test_ages_and_freshness_of_the_messages_that_were_played() -> None:
     """Every second tick plays the packet of 4 ticks ago, and once one of 10 ticks ago."""
     seq = np.where(np.arange(N) % 2 == 0, np.arange(N) - 4, -1)

@@ -43,13 +43,15 @@ class TestTable:
         told, got = rows(wave), wave.metrics
         assert told["tracking error"] == [f"{got['x_err_rms'] * 1e3:.1f} mm rms, {got['x_err_max'] * 1e3:.1f} mm max"]
         assert re.fullmatch(r"[\d.]+ m?N rms, [\d.]+ m?N max", told["force error"][0])
+        assert got["f_m_end"] > 1.0
+        assert told["force at the end"] == [f"{got['f_m_end']:.2f} N felt, 0 N touched, mean over the last 0.1 s"]
         assert told["delay seen"] == ["50.0 ms fwd, 50.0 ms bwd"]
         assert told["packets"][0] == "fwd: 1000 sent, 950 received, 0 lost, 0 late, 50 under way at the end"
         assert told["link energy"][0].startswith("0 J smallest, ")
 
     def test_leaves_out_what_the_scene_does_not_have(self) -> None:
         told = rows(run(load_scene("canonical", duration=0.1, link=None, energy=False)))
-        assert set(told) == {"run", "status", "tracking error", "force error"}
+        assert set(told) == {"run", "status", "tracking error", "force error", "force at the end"}
 
     def test_tells_the_time_per_tick_if_it_was_taken(self, wave: Result) -> None:
         assert "time per tick" not in rows(wave)
