@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from channel.gamma import GammaJitter
     from channel.gilbert_elliott import GilbertElliott
     from channel.in_order import InOrder
+    from channel.left_out import LeftOut, LeftOutTicks
     from channel.link import Link, describe, parse_link
     from channel.mahimahi import Mahimahi
     from channel.normal import NormalJitter
@@ -40,8 +41,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bernoulli", "Blackout", "Chain", "Delay", "Duplicate", "Effect", "GammaJitter", "GilbertElliott",
-    "InOrder", "Ints", "Link", "Mahimahi", "NormalJitter", "PingLog", "Rng", "UniformJitter", "by_time", "check_effect",
-    "describe", "later", "nanoseconds", "parse_link", "probability", "seconds",
+    "InOrder", "Ints", "LeftOut", "LeftOutTicks", "Link", "Mahimahi", "NormalJitter", "PingLog", "Rng",
+    "UniformJitter", "by_time", "check_effect", "describe", "later", "nanoseconds", "parse_link", "probability",
+    "seconds",
 ]
 _HOMES = {  # the module of each name, under this package
     "bernoulli": ("Bernoulli",),
@@ -53,6 +55,7 @@ _HOMES = {  # the module of each name, under this package
     "gamma": ("GammaJitter",),
     "gilbert_elliott": ("GilbertElliott",),
     "in_order": ("InOrder",),
+    "left_out": ("LeftOut", "LeftOutTicks"),
     "link": ("Link", "describe", "parse_link"),
     "mahimahi": ("Mahimahi",),
     "normal": ("NormalJitter",),

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from channel.rng import Ints, Rng
+from channel.rng import Bools, Ints, Rng
 from channel.schedule import Arrivals, Order, State, Stream, arrivals
 from teleop.errors import Refused, number
 
@@ -59,9 +59,10 @@ class Effect(ABC):
         """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return (self,)
 
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
+                 sent: Bools | None = None) -> Arrivals:
         """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        return arrivals(self, direction, count, dt_ns, seed, size)
+        return arrivals(self, direction, count, dt_ns, seed, size, sent)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:
         """The same packet by packet: see `channel.schedule.Stream`."""
@@ -99,9 +100,10 @@ class Chain:
         """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return self.effects
 
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
+                 sent: Bools | None = None) -> Arrivals:
         """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        return arrivals(self, direction, count, dt_ns, seed, size)
+        return arrivals(self, direction, count, dt_ns, seed, size, sent)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:
         """The same packet by packet: see `channel.schedule.Stream`."""

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 
 from channel.effect import Chain, Effect
+from channel.rng import Bools
 from channel.schedule import Arrivals, Stream, arrivals
 from teleop.errors import Refused
 from teleop.naming import PartKind, known, unreadable
@@ -71,9 +72,10 @@ class Link:
         """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return (self.bwd if direction else self.fwd).in_direction(direction)
 
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
+                 sent: Bools | None = None) -> Arrivals:
         """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        return arrivals(self, direction, count, dt_ns, seed, size)
+        return arrivals(self, direction, count, dt_ns, seed, size, sent)
 
     def stream(self, direction: int, seed: int, size: int) -> Stream:
         """The same packet by packet: see `channel.schedule.Stream`."""

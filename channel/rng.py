@@ -26,6 +26,7 @@ _KEPT = 4  # blocks
 Ints = NDArray[np.int64]
 Words = NDArray[np.uint64]
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 class Rng:

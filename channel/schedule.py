@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from channel.rng import Ints, Rng
+from channel.rng import Bools, Ints, Rng
 from channel.rows import by_number
 from teleop.errors import Refused
 
@@ -68,9 +68,15 @@ class Delivery(NamedTuple):
     load: bytes
 
 
-def arrivals(link: TwoWay, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Arrivals:
-    """The arrivals when packets 0..count-1 are sent at k*dt_ns, each of `size` bytes on the wire."""
+def arrivals(link: TwoWay, direction: int, count: int, dt_ns: int, seed: int, size: int,
+             sent: Bools | None = None) -> Arrivals:
+    """The arrivals when packets 0..count-1 are sent at k*dt_ns, each of `size` bytes on the wire.
+
+    `sent`: which of them are, (count,); None: all.
+    """
     packet, time_ns = _sent(count, dt_ns)
+    if sent is not None:
+        packet, time_ns = packet[sent], time_ns[sent]
     for done in _passed(link, direction, packet, time_ns, seed, size):
         packet, time_ns = done.packet_out, done.time_out
     return Arrivals(packet, time_ns)

@@ -26,7 +26,7 @@ _CURES = {
 }
 _MADE = frozenset((  # the parts of a scene, which its knobs make
     "master", "slave", "hand", "environment", "link", "playout", "watchdog", "cap", "device_m", "device_s", "passivity",
-    "electrical", "scaling", "start_m", "start_s", "packet_size",
+    "electrical", "scaling", "left_out_m", "left_out_s", "start_m", "start_s", "packet_size",
 ))
 
 

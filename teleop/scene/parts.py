@@ -27,6 +27,8 @@ SHAPES = {  # of each part of a scene: the attributes that a run uses, and an ex
     "device_m": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
     "device_s": (("encoder", "velocity", "every", "delay"), "Device(encoder=Encoder(step=1e-5))"),
     "passivity": (("limits",), "PassivityController(cap=0.8)"),
+    "left_out_m": (("left_out",), "LeftOut(0.1)"),
+    "left_out_s": (("left_out",), "LeftOut(0.1)"),
     "scaling": (("scale_x", "scale_f"), "Scaling(scale_x=0.2, scale_f=0.5)"),
     "electrical": (("b", "cutoff"), "ElectricalDamping(b=1.0, cutoff=10.0)"),
 }
@@ -100,7 +102,19 @@ class LinkLike(Protocol):
     """A link between the ends: direction 0 is forward (master to slave), 1 is backward."""
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> ArrivalsLike:
-        """The arrivals of packets 0 .. count-1, sent at the ticks: packet numbers and times in ns."""
+        """The arrivals of packets 0 .. count-1, sent at the ticks: packet numbers and times in ns.
+
+        One with a parameter `sent` more, an array of truths, is told which of them are sent where an end leaves out
+        ticks; of one without it all are drawn, and those that are not sent are dropped where they arrive.
+        """
+        ...
+
+
+class LeftOutLike(Protocol):
+    """The ticks that an end leaves out: see `channel.left_out`."""
+
+    def left_out(self, end: int, count: int, seed: int) -> NDArray[np.bool_]:
+        """For each of the ticks 0 .. count-1, is it left out, of end 0 (the master) or 1 (the slave)."""
         ...
 
 

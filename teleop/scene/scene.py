@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 from teleop.errors import Refused, number, number_of, whole_number
 from teleop.law import law_name, messages
 from teleop.law.contract import check_contract
-from teleop.scene.parts import Environment, Hand, LinkLike, Vector, check_shape, has_shape, is_known_by_class
+from teleop.scene.parts import (
+    Environment,
+    Hand,
+    LeftOutLike,
+    LinkLike,
+    Vector,
+    check_shape,
+    has_shape,
+    is_known_by_class,
+)
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
 
 if TYPE_CHECKING:
@@ -23,7 +32,8 @@ if TYPE_CHECKING:
     from teleop.stages.watchdog import Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
-PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling")  # or None
+PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
+         "left_out_m", "left_out_s")  # or None
 
 _NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size", "start_m", "start_s")
 # The numbers of the last scene that passed its checks, by the classes of its parts: in a sweep they seldom change.
@@ -52,6 +62,8 @@ class Scene:
     passivity: PassivityController | None = None  # observer and controller on the master's port
     scaling: Scaling | None = None  # the slave's metres and newtons for those of the master
     electrical: ElectricalDamping | None = None  # of the master's motor
+    left_out_m: LeftOutLike | None = None  # the ticks that the master leaves out; None: it runs every tick
+    left_out_s: LeftOutLike | None = None  # the same of the slave
     energy: bool = False  # sum E_link and E_port along the run
     axes: int = 1
     start_m: Vector = 0.0  # where the master starts, at rest, m
@@ -122,7 +134,7 @@ class Scene:
             raise Refused(f"law {law_name(self.law)} has two ends and the scene has no slave; write for example "
                           "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
         check_shape("one-port law", self.law)
-        for name in ("link", "environment", "watchdog", "device_s", "scaling"):
+        for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")
@@ -196,4 +208,7 @@ def both_ends(scene: Scene) -> Scene:
     if scene.slave is None:
         raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
                       f"teleop run {scene.name}")
+    if scene.left_out_m is not None or scene.left_out_s is not None:
+        raise Refused("ticks are left out by order in virtual time alone; a live end leaves out those that it cannot "
+                      "run in time: leave left_out away, or type teleop run")
     return scene

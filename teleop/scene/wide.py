@@ -23,6 +23,8 @@ WIDE = {
         "", "metres of the slave, where there is one, for one metre of the master", above=0.0)),
     "scale_f": Declared(float, 1.0, Knob(
         "", "newtons of the slave, where there is one, for one newton of the master", above=0.0)),
+    "left_out": Declared(float, 0.0, Knob(
+        "", "share of its ticks that each end leaves out, at random", low=0.0, high=1.0)),
     "playout": Declared(Zero | Hold | Fixed, "the scene's", Knob(
         "", "message that a tick plays, where there is a link: zero, hold or fixed:SECONDS")),
     "link": Declared("Link | None", "the scene's", Knob(
@@ -48,6 +50,10 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
         from teleop.stages.scaling import Scaling
 
         parts["scaling"] = replace(scene.scaling or Scaling(), **scales)
+    if "left_out" in parts:
+        share = parts.pop("left_out")
+        ticks = import_bundled("channel.left_out").LeftOut(share) if share > 0.0 else None
+        parts |= {"left_out_m": ticks, "left_out_s": ticks if scene.slave is not None else None}
     made = replace(scene, **parts)
     if "playout" in parts and made.link is None:
         cure = "" if made.slave is None else ", or write for example link='delay(0.05)'"

@@ -76,6 +76,7 @@ class Expressions:
         self.names: dict[str, Any] = {}  # around the function
         self.fields: dict[str, tuple[int, str]] = {}  # variable -> the record's field that it is
         self.taken = set(entry.__code__.co_varnames)
+        self.assigned: set[str] = set()  # variables of fields that have a value by now, but for those of one tick
         self.line = entry.__code__.co_firstlineno
         self.whole: ast.expr | None = None  # the expression that is all of a statement's value
 

@@ -11,6 +11,10 @@ from teleop.stages.lanes import came, packet, received, ring, sent, where
 def connect(run: Run, size: int) -> None:
     """Between the ends: room for the messages on their way, or without a link the message that is held."""
     for a, b in zip(run.m.axes, run.s.axes, strict=True):
+        if run.m.has.leaves_out:
+            a.tx = b.rx
+        if run.s.has.leaves_out:
+            b.tx = a.rx
         if run.has.link and run.has.compiled:
             a.ring = ring(b.rx, size)
             b.ring = ring(a.rx, size)

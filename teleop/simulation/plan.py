@@ -1,14 +1,20 @@
-"""The packets that each tick of a run in virtual time plays, worked out before its first tick."""
+"""The packets that each tick of a run in virtual time plays, and the ticks that it leaves out, before its first tick.
+
+An end that leaves out a tick sends no packet at it, and what comes for it waits for its next tick. There the newest of
+all that came wins, as ever; with a fixed delay a packet whose own tick is left out is late, for its instant has passed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from inspect import signature
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.scene.playout import Fixed, Playout
+from teleop.scene.playout import Fixed, Playout, Zero
 from teleop.scene.scene import Scene
+from teleop.stages.lanes import LEFT_OUT
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,17 +22,17 @@ if TYPE_CHECKING:
 
 
 class Plan(NamedTuple):
-    """What one direction of a link comes to over a run of `sent` ticks, one packet sent at each.
+    """What one direction of a link comes to over a run: one packet sent at each tick that its sender runs.
 
     `sent = received + lost + in_flight` and `received = played + overtaken + late + waiting`.
     """
 
-    played_at: NDArray[np.int64]  # for each tick the packet played, or -1
+    played_at: NDArray[np.int64]  # for each tick the packet played, -1 for none, `LEFT_OUT` where the tick is left out
     lag: int  # the greatest tick - play[tick]: messages to keep, less one
     sent: int
     received: int  # packets that came within the run, each counted once
     lost: int  # never came out of the link
-    in_flight: int  # came out after the end
+    in_flight: int  # came out after the end, or after the receiver's last tick
     duplicates: int  # further copies within the run
     played: int
     overtaken: int  # a newer one was played before, or at the same tick
@@ -39,14 +45,22 @@ class Plan(NamedTuple):
         played: list[int] = self.played_at.tolist()
         return played
 
+    def packets_until(self, ran: int) -> NDArray[np.int64]:
+        """For each of the first `ran` ticks the packet played, or -1."""
+        import numpy as np
+
+        return np.maximum(self.played_at[:ran], -1)
+
 
 def plan(
-    playout: Playout, packet: NDArray[np.int64], time_ns: NDArray[np.int64], count: int, dt_ns: int
+    playout: Playout, packet: NDArray[np.int64], time_ns: NDArray[np.int64], count: int, dt_ns: int,
+    sent: NDArray[np.bool_] | None = None, left_out: NDArray[np.bool_] | None = None,
 ) -> Plan:
     """The packets played at the ticks 0 .. count-1.
 
     `packet` and `time_ns` are the arrivals: packet number (0 .. count-1, sent at the tick of its number) and
-    the time in ns when a copy of it came out of the link; lost ones are absent, duplicates there twice.
+    the time in ns when a copy of it came out of the link; lost ones are absent, duplicates there twice. `sent`: the
+    ticks at which one was sent, `left_out`: those that the receiver leaves out, (count,) each; None: all, and none.
     Raises `Refused` for a number that was not sent.
     """
     import numpy as np
@@ -54,6 +68,8 @@ def plan(
     if packet.shape != time_ns.shape or (packet.size and not 0 <= packet.min() <= packet.max() < count):
         raise Refused(f"arrivals are packets 0 .. {count - 1} and as many times; check the link's effects")
     tick = np.maximum(packet + 1, -(-time_ns // dt_ns))
+    if left_out is not None:
+        tick = _next_run(left_out)[np.minimum(tick, count)]
     numbers = np.arange(count, dtype=np.int64)
 
     never = np.iinfo(np.int64).max
@@ -66,6 +82,8 @@ def plan(
     if isinstance(playout, Fixed):
         due = numbers + playout.ticks(dt_ns)
         in_time = came & (first <= due)
+        if left_out is not None:  # it came by then, but nobody was there
+            in_time &= ~np.append(left_out, False)[np.minimum(due, count)]
         on = in_time & (due < count)
         play[due[on]] = numbers[on]
         late = int(np.count_nonzero(came & ~in_time))
@@ -74,20 +92,36 @@ def plan(
         np.maximum.at(play, first[came], numbers[came])
         play[1:][play[1:] <= np.maximum.accumulate(play)[:-1]] = -1
 
+    if left_out is not None:
+        play[left_out] = LEFT_OUT
     played = play >= 0
     received = int(np.count_nonzero(came))
-    lost = int(np.count_nonzero(first == never))
+    lost = int(np.count_nonzero(first == never)) - (0 if sent is None else count - int(np.count_nonzero(sent)))
+    total = count if sent is None else int(np.count_nonzero(sent))
     plays = int(np.count_nonzero(played))
     return Plan(
         played_at=play, lag=int((numbers - play)[played].max(initial=0)),
-        sent=count, received=received, lost=lost, in_flight=count - received - lost,
+        sent=total, received=received, lost=lost, in_flight=total - received - lost,
         duplicates=int(np.count_nonzero(tick < count)) - received,
         played=plays, overtaken=received - plays - late - waiting, late=late, waiting=waiting,
     )
 
 
+def _next_run(left_out: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """For each of the ticks 0 .. count the first from there on that is run; that after the end is."""
+    import numpy as np
+
+    count = len(left_out)
+    runs = np.append(np.where(left_out, count, np.arange(count, dtype=np.int64)), count)
+    after: NDArray[np.int64] = np.minimum.accumulate(runs[::-1])[::-1]
+    return after
+
+
 class LinkPlans(NamedTuple):
-    """The plans of the two directions of a link; None without a link."""
+    """The plans of the two directions of a link; None without a link, save where an end leaves out ticks.
+
+    Then it is that of a link without delay, which is the same; of a one-port scene `bwd` plays nothing.
+    """
 
     fwd: Plan | None
     bwd: Plan | None
@@ -100,13 +134,45 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
     the link does.
     """
     count = scene.ticks if ticks is None else ticks
-    if scene.link is None:
+    if scene.link is None and scene.left_out_m is None and scene.left_out_s is None:
         return LinkPlans(None, None)
+    out = [None if part is None else part.left_out(end, count, seed)
+           for end, part in enumerate((scene.left_out_m, scene.left_out_s))]
+    if scene.slave is None:
+        assert out[0] is not None
+        return LinkPlans(None, _without_packets(out[0]))
     plans = []
-    for direction in (0, 1):
-        arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)
-        plans.append(plan(scene.playout, arrivals.packet, arrivals.time_ns, count, scene.dt_ns))
+    for direction, (sender, receiver) in enumerate((out, out[::-1])):
+        sent = None if sender is None else ~sender
+        packet, time_ns = _arrivals(scene, direction, count, seed, sent)
+        playout = Zero() if scene.link is None else scene.playout
+        plans.append(plan(playout, packet, time_ns, count, scene.dt_ns, sent, receiver))
     return LinkPlans(*plans)
+
+
+def _without_packets(left_out: NDArray[np.bool_]) -> Plan:
+    """The plan of an end to which nothing is sent."""
+    import numpy as np
+
+    return Plan(np.where(left_out, LEFT_OUT, -1), *[0] * 10)
+
+
+def _arrivals(scene: Scene, direction: int, count: int, seed: int, sent: NDArray[np.bool_] | None
+              ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The packets that come in one direction, and when (ns)."""
+    import numpy as np
+
+    if scene.link is None:
+        packet = np.arange(count, dtype=np.int64) if sent is None else np.flatnonzero(sent)
+        return packet, packet * scene.dt_ns
+    draw: Any = scene.link.arrivals
+    if sent is None or "sent" in signature(draw).parameters:
+        some = {} if sent is None else {"sent": sent}
+        arrivals = draw(direction, count, scene.dt_ns, seed, scene.wire_size, **some)
+        return arrivals.packet, arrivals.time_ns
+    arrivals = draw(direction, count, scene.dt_ns, seed, scene.wire_size)
+    were = sent[arrivals.packet]
+    return arrivals.packet[were], arrivals.time_ns[were]
 
 
 def median_age(played: Any) -> int:

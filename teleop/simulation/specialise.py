@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 
 from teleop.errors import number_of
 from teleop.simulation.expressions import Expressions, Frame, Known, NotSpecialised, Value, location, of_structure
+from teleop.stages.lanes import chosen, only
 from teleop.stages.record import Record, declared
 
 __all__ = ["NotSpecialised", "Specialised", "specialise"]
@@ -163,6 +164,8 @@ class _Writer(Expressions):
             if node.attr in vars(record.value) or node.attr not in declared(type(record.value)):
                 raise self.refused(f"{type(record.value).__name__} declares no variable {node.attr}")
             made = self.named(self.variable(record.value, node.attr), node, ast.Store())
+            if node.attr not in record.value.passing:
+                self.assigned.add(made.id)
         elif isinstance(node, ast.Tuple):
             made = ast.Tuple([self.target(each) for each in node.elts], ast.Store())
         elif isinstance(node, ast.Subscript):
@@ -234,6 +237,8 @@ class _Writer(Expressions):
         function = self.ev(node.func)
         values = [one for each in node.args for one in self.several(each)]
         if isinstance(function, Known):
+            if function.value is only:
+                return self.only(values, node)
             if (found := self.worked_out(function.value, values, node)) is not None:
                 return found
             method = isinstance(function.value, MethodType) and isinstance(function.value.__self__, Record)
@@ -300,6 +305,27 @@ class _Writer(Expressions):
             raise self.refused(f"{own.__qualname__} has lines of its own and stands in the midst of an expression, "
                                "before which they would be worked out; let its call be all of the right side")
         return Known(None) if told is None else told
+
+    def only(self, values: list[Value], node: ast.Call) -> Value:
+        """`only(which, work, ...)`: the lines of `work`, and where `which` is not true all stays as it was."""
+        which, work, *given = values
+        assert isinstance(work, Known)
+        mask, had = self.fresh("runs"), frozenset(self.assigned)
+        self.emit(ast.Assign([self.named(mask, node, ast.Store())], self.residual(which, node)), node)
+        around, self.out = self.out, []
+        self.written_out(work.value, given, node, whole=True)
+        lines, self.out = self.out, around
+        stored = [each.id for line in lines for each in ast.walk(line)
+                  if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)]
+        kept = {word: self.fresh(f"{word}_was") for word in stored if word in had}
+        for word, was in kept.items():
+            self.emit(ast.Assign([self.named(was, node, ast.Store())], self.named(word, node)), node)
+        self.out += lines
+        for word, was in kept.items():
+            parts = [self.named(each, node) for each in (mask, word, was)]
+            value = self.put(ast.Call(self.outer("chosen", chosen, node), parts, []), node)  # type: ignore[arg-type]
+            self.emit(ast.Assign([self.named(word, node, ast.Store())], value), node)
+        return Known(None)
 
     def lasting(self, value: ast.expr) -> bool:
         """Is it of what no function that is handed it can set: names of the one that hands it over, and numbers."""

@@ -20,7 +20,7 @@ from typing import Any
 from teleop.law import At, start_at
 from teleop.simulation.messages import connect, deliver, exchange, send
 from teleop.stages.end import Axis, End, Run, elapsed, zero
-from teleop.stages.lanes import came, sample, some, where, within
+from teleop.stages.lanes import LEFT_OUT, came, only, packet, runs, sample, some, where, within
 
 new: Any = tuple.__new__  # twice as fast as the class
 
@@ -154,6 +154,9 @@ def loop(  # noqa: PLR0912 - of which a structure has few
     if run.has.slave:
         begin(run, run.s, given.s)
         connect(run, size)
+    for e in run.ends:
+        if e.has.leaves_out:
+            e.ran = zero(run) - 1.0 if run.has.lanes else -1
     run.recorder.begin(run, asked, size)
     for k in range(count):
         # 1. what is sensed
@@ -168,7 +171,10 @@ def loop(  # noqa: PLR0912 - of which a structure has few
             exchange(run, k)
         # 3. the ends
         for e in run.ends:
-            tick(run, e, k)
+            if e.has.leaves_out:
+                attend(run, e, k, play_m if e.name == "m" else play_s)
+            else:
+                tick(run, e, k)
         run.recorder.step(run, k)
         if run.has.link:
             send(run, size, k)
@@ -194,6 +200,27 @@ def loop(  # noqa: PLR0912 - of which a structure has few
     else:
         return run.recorder.told(run, count, True)
     return run.recorder.told(run, k + 1, False)
+
+
+def attend(run: Run, e: End, k: int, orders: Any) -> None:
+    """One end's tick k, if it is run; one that is left out is left out whole, and the force is held."""
+    if run.has.lanes:
+        only(runs(packet(orders, k)), run_late, run, e, k)
+    elif run.has.compiled:
+        if runs(packet(orders, k)):
+            run_late(run, e, k)
+    elif orders[k] > LEFT_OUT:
+        run_late(run, e, k)
+
+
+def run_late(run: Run, e: End, k: int) -> None:
+    """One end's tick k, before which ticks may have been left out."""
+    ticks = k - e.ran
+    e.ran = k
+    e.span = ticks * run.dt
+    for stage in e.stages:
+        stage.late(run, e, ticks, ticks)
+    tick(run, e, k)
 
 
 def place_master(run: Run, start: Any, ref: Any, held: Any) -> None:

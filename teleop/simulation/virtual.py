@@ -13,7 +13,7 @@ from teleop.simulation.bodies import Bodies
 from teleop.simulation.notes import unplayed
 from teleop.simulation.outcome import integration, over_tolerance, standing_notes, too_old, verdict
 from teleop.simulation.packets import counts_of, packet_counts
-from teleop.simulation.plan import check_seed, link_plans, round_trip
+from teleop.simulation.plan import LinkPlans, check_seed, link_plans, round_trip
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result
 from teleop.simulation.trace import EndRecord, assemble
@@ -44,14 +44,16 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     """Run a scene that was worked out already, as `run` does."""
     scene, seed = prepared.scene, check_seed(seed)
     bodies = prepared.bodies
-    plans = link_plans(scene, seed)
-    fwd, bwd = plans
+    fwd, bwd = plans = link_plans(scene, seed)
+    orders = [plan and plan.play for plan in (bwd, fwd)]
+    if scene.slave is None:  # what its ticks are ordered says which of them are left out, and no more
+        fwd, bwd = plans = LinkPlans(None, None)
     size = 1 + max((plan.lag for plan in plans if plan is not None), default=0)
     rows: dict[str, Any] = {e: array("d") if scene.ticks > LONG else [] for e in ("m", "s")}
     reference, loop, starts = prepared.reference, prepared.loop, prepared.starts
     arguments = (
         prepared.given, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"],
-        bwd and bwd.play, fwd and fwd.play, size, reference, bodies.held(),
+        *orders, size, reference, bodies.held(),
         (rows["m"].extend, rows["s"].extend),
     )
     began = clock() if clock else 0
@@ -59,7 +61,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     took = clock() - began if clock else None
 
     records = {
-        e: EndRecord(range(ran), rows[e], None if plan is None else plan.play[:ran])
+        e: EndRecord(range(ran), rows[e], None if plan is None else plan.packets_until(ran))
         for e, plan in (("m", bwd), ("s", fwd))[: 1 if scene.slave is None else 2]
     }
     trace = dict(assemble(prepared, records))

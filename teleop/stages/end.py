@@ -49,6 +49,7 @@ class EndHas(NamedTuple):
 class Axis(Record):
     """One axis of an end. SI units."""
 
+    passing: ClassVar[tuple[str, ...]] = ("at",)
     i: int
     # the body
     x: float  # position
@@ -101,6 +102,7 @@ class End(Record):
     g: float  # the watchdog's gain
     g_held: float  # of a live end the same at its last tick
     span: float  # since its last tick, s
+    ran: Any  # number of its last tick, in virtual time
     scale_x: float  # its metres and newtons for those of the law
     scale_f: float
     E_port: float  # the ledgers, J
@@ -197,7 +199,10 @@ class Stage(Record):
         """Before the first tick."""
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
-        """At a live end `ticks` have passed since it last ran, and `since` since its force was set."""
+        """Before the tick of an end that leaves out ticks: `ticks` have passed since it last ran.
+
+        `since`: how many since its force was set; of a live end, which sets one without asking its law, fewer.
+        """
 
     def read(self, run: Run, e: End, k: int) -> None:
         """Change what the device reads."""

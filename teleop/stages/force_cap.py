@@ -77,6 +77,16 @@ def cap(c: CapLimits, f: float, f_held: float) -> float:
     return max(min(max(min(f, f_max), -f_max), f_held + step), f_held - step)
 
 
+def let_go(c: CapLimits, gain: float, since: float) -> CapLimits:
+    """The limits of a tick before which the force was held for `since` ticks, at the watchdog's gain.
+
+    The slew is that of one tick, however long it was held, for a jump is what the limit is against. But let go after a
+    stall, at gain 0, it slews what it could have slewed in the meantime.
+    """
+    f_max, step = c
+    return CapLimits(f_max, step * since if gain <= 0.0 else step)
+
+
 class OverflowStage(Stage):
     """A force that is infinite becomes NaN before the cap, which would make a plausible one of it: it must be seen."""
 
@@ -92,7 +102,7 @@ class ForceCapStage(Stage):
 
     name: ClassVar[str] = "force_cap"
     c_cap: CapLimits
-    c_once: CapLimits  # of one tick
+    held_for: Any  # ticks since the force was set
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
@@ -100,14 +110,13 @@ class ForceCapStage(Stage):
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_cap = given
-        if e.has.live:
-            self.c_once = given
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
-        # Let go after a stall: what it could have slewed in the meantime it slews now.
-        late = since if e.g <= 0.0 else 1
-        self.c_cap = self.c_once if late == 1 else self.c_once._replace(step=self.c_once.step * late)
+        self.held_for = since
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
-            a.f_cmd = cap(self.c_cap, a.f_cmd, a.f)
+            if e.has.leaves_out and (e.has.live or e.has.watchdog):
+                a.f_cmd = cap(let_go(self.c_cap, e.g, self.held_for), a.f_cmd, a.f)
+            else:
+                a.f_cmd = cap(self.c_cap, a.f_cmd, a.f)

@@ -10,7 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from teleop.stages.record import Record
+
 WIDTH = 8
+LEFT_OUT = -2  # in place of a message's number: the tick is left out
 
 
 def _each(function: Callable[..., Any], *values: Any) -> list[Any]:
@@ -105,6 +108,28 @@ def came(seq: Any) -> Any:
     return Mask(_each(lambda a: a >= 0, seq)) if isinstance(seq, Eight) else seq >= 0
 
 
+def runs(order: Any) -> Any:
+    """Is a tick run; its order is the number of the message that it plays, -1, or `LEFT_OUT`."""
+    return Mask(_each(lambda a: a > LEFT_OUT, order)) if isinstance(order, Eight) else order > LEFT_OUT
+
+
+def chosen(which: Any, here: Any, there: Any) -> Any:
+    """`here` where `which` is true, else `there`: numbers, or tuples of such."""
+    if isinstance(here, tuple) and not isinstance(here, Eight):
+        return tuple.__new__(type(here), [chosen(which, a, b) for a, b in zip(here, there, strict=True)])
+    return where(which, here, there)
+
+
+def only(which: Any, work: Callable[..., None], *given: Any) -> None:
+    """Do `work(*given)` in the lanes that are true: in the others each field of its records stays what it was."""
+    before = [(record, dict(vars(record))) for record in records(given)]
+    work(*given)
+    for record, fields in before:
+        for name, old in fields.items():
+            if (new := getattr(record, name)) is not old and name not in record.passing:
+                setattr(record, name, chosen(which, new, old))
+
+
 def some(which: Mask) -> bool:
     """Is a lane true."""
     return any(which)
@@ -133,6 +158,20 @@ def sample(path: Any, k: int) -> Any:
 def ago(k: int, lag: Any) -> Any:
     """The tick `lag` before k; below zero where there is none."""
     return Eight(_each(lambda own: k - own, lag)) if isinstance(lag, Eight) else k - lag
+
+
+def records(things: Any) -> list[Record]:
+    """The records among these things, and those that they consist of, each once."""
+    found: dict[int, Record] = {}
+    waiting = list(things)
+    while waiting:
+        each = waiting.pop()
+        if isinstance(each, Record) and id(each) not in found:
+            found[id(each)] = each
+            waiting += vars(each).values()
+        elif isinstance(each, tuple) and not isinstance(each, Eight):
+            waiting += each
+    return list(found.values())
 
 
 def whole(number: Any) -> Any:

@@ -74,7 +74,7 @@ class ObserverStage(Stage):
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_obs = given[0]
-        if e.has.live:
+        if e.has.leaves_out:
             self.c_tick = given[0]
             self.device = given[1]
         for a, own in zip(e.axes, self.axes, strict=True):
@@ -82,8 +82,12 @@ class ObserverStage(Stage):
             a.f_read = zero(run)
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
-        # After a stall the force was held over several ticks at once.
-        self.c_obs = self.c_tick if ticks == 1 else coefficients(*self.device, e.span)
+        # After ticks that were left out the force was held over all of them.
+        if run.has.lanes:
+            self.c_obs = coefficients(self.device[0], self.device[1], self.device[2], e.span)
+        else:
+            self.c_obs = self.c_tick if ticks == 1 else coefficients(
+                self.device[0], self.device[1], self.device[2], e.span)
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):

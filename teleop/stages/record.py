@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 
 class Record:
     """A run, an end, an axis, a stage. What it is made with is known beforehand; the rest its class declares.
@@ -10,6 +12,7 @@ class Record:
     """
 
     suffix: str
+    passing: ClassVar[tuple[str, ...]] = ()  # fields that each tick sets before it reads them
 
     def __init__(self, suffix: str = "") -> None:
         self.suffix = suffix

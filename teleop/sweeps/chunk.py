@@ -18,7 +18,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import of_plan
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import OF_PLAN, WHOLE, Measure
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, figures
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, NotCompiled, figures, has_packets
 from teleop.sweeps.own_metric import MetricMistake, SentMistake, asked
 from teleop.sweeps.rows import Edited, Group, Ready, RowMaker
 from teleop.sweeps.shared import TICKS, Schedules
@@ -187,7 +187,7 @@ def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
     told: dict[str, float] = {}
     schedule = schedules.schedule()
     for way, plan, play in zip(("fwd", "bwd"), schedule.plans, schedule.plays, strict=True):
-        if plan is not None:
+        if has_packets(plan):
             told |= of_plan(way, play[:ran], schedules.dt)
     return told
 

@@ -38,13 +38,14 @@ class Schedules:
 
 def schedules_key(scene: Scene, seed: int) -> Any:
     """What tells the schedules of a row from those of others."""
-    if scene.link is None:
+    left_out = scene.left_out_m, scene.left_out_s
+    if scene.link is None and left_out == (None, None):
         return "no link", scene.ticks, scene.dt_ns
-    key = scene.link, scene.playout, seed, scene.ticks, scene.dt_ns, scene.wire_size
+    key = scene.link, scene.playout, seed, scene.ticks, scene.dt_ns, scene.wire_size, left_out, scene.slave is None
     try:
         hash(key)
     except TypeError:  # a link of the user's own that has no hash
-        return id(scene.link), key[1:], object()
+        return id(scene.link), key[2:6], object()
     return key
 
 

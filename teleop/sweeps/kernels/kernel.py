@@ -125,6 +125,11 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
     return Kernel("plain", tuple(measures), run)
 
 
+def has_packets(plan: Plan | None) -> bool:
+    """Is a plan one of packets; that of a one-port scene says which ticks are left out, and no more."""
+    return plan is not None and plan.sent > 0
+
+
 class LinkSchedule(NamedTuple):
     """The link of a row, drawn up front: what rows with the same link, seed and clock share."""
 
@@ -139,7 +144,7 @@ class LinkSchedule(NamedTuple):
         import numpy as np
 
         plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
-        lags = tuple([1 if plan is None else median_age(play) for plan, play in zip(plans, plays, strict=True)])
+        lags = tuple([median_age(play) if has_packets(plan) else 1 for plan, play in zip(plans, plays, strict=True)])
         size = max((plan.lag for plan in plans if plan is not None), default=0) + 1
         return cls(plans, plays, lags, size)  # type: ignore[arg-type]  # there are two
 
@@ -147,7 +152,7 @@ class LinkSchedule(NamedTuple):
         """Those of a run that ended early."""
         if ran == len(self.plays[0]):
             return self.lags
-        fwd, bwd = [1 if plan is None else median_age(play[:ran]) for plan, play in
+        fwd, bwd = [median_age(play[:ran]) if has_packets(plan) else 1 for plan, play in
                        zip(self.plans, self.plays, strict=True)]
         return fwd, bwd
 

@@ -13,6 +13,7 @@ from typing import Any
 from llvmlite import ir
 from numba.extending import intrinsic
 
+from teleop.stages.lanes import LEFT_OUT
 from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, LanesType, MaskType, lanes, mask, types
 
 
@@ -106,6 +107,30 @@ def where(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
     return kind(mask if isinstance(which, MaskType) else types.boolean, here, kind), make
 
 
+@intrinsic_of
+def chosen(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
+    """`where` of two trees: its choice for each number."""
+
+    def type_of(one: Any, other: Any) -> Any:
+        if isinstance(one, types.BaseTuple):
+            own = one.instance_class if isinstance(one, types.BaseNamedTuple) else None
+            return types.BaseTuple.from_types(tuple(map(type_of, one.types, other.types)), own)
+        with_lanes = isinstance(which, MaskType) or LanesType in (type(one), type(other))
+        return lanes if with_lanes else typingctx.unify_types(one, other)
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        def choose(kind: Any, one: Any, other: Any, a: Any, b: Any) -> Any:
+            if isinstance(kind, types.BaseTuple):
+                return context.make_tuple(builder, kind, [
+                    choose(each, one.types[i], other.types[i], builder.extract_value(a, i), builder.extract_value(b, i))
+                    for i, each in enumerate(kind.types)])
+            return builder.select(args[0], context.cast(builder, a, one, kind), context.cast(builder, b, other, kind))
+
+        return choose(sig.return_type, here, there, args[1], args[2])
+
+    return type_of(here, there)(which, here, there), make
+
+
 _REALS, _WHOLES = True, False
 
 
@@ -137,6 +162,18 @@ def came(typingctx: Any, seq: Any) -> Any:  # noqa: ARG001
         return builder.icmp_signed(">=", numbers, ir.Constant(numbers.type, None))
 
     return (mask if isinstance(seq, types.BaseTuple | LanesType) else types.boolean)(seq), make
+
+
+@intrinsic_of
+def runs(typingctx: Any, order: Any) -> Any:  # noqa: ARG001
+    """Is a tick run, its order not `LEFT_OUT`; in each lane, where each has its own."""
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        numbers = vector_of(builder, args[0], _WHOLES) if isinstance(order, types.BaseTuple) else args[0]
+        least = [LEFT_OUT] * WIDTH if isinstance(order, types.BaseTuple) else LEFT_OUT
+        return builder.icmp_signed(">", numbers, ir.Constant(numbers.type, least))
+
+    return (mask if isinstance(order, types.BaseTuple) else types.boolean)(order), make
 
 
 @intrinsic_of

@@ -9,10 +9,10 @@ from teleop.simulation.bodies import Bodies
 from teleop.sweeps.kernels.calls import called
 from teleop.sweeps.kernels.compiled import module
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput
-from teleop.sweeps.kernels.lanewise import came, where, whole
+from teleop.sweeps.kernels.lanewise import came, runs, where, whole
 from teleop.sweeps.kernels.rings import ago, packet, received, ring, sample, sent
 
-__all__ = ["ago", "came", "packet", "received", "ring", "sample", "sent", "where", "whole"]
+__all__ = ["ago", "came", "packet", "received", "ring", "runs", "sample", "sent", "where", "whole"]
 
 LANES = False
 REAL = "reals[base + {}]"

@@ -18,6 +18,7 @@ from teleop.errors import Refused
 from teleop.protocol.inbox import Inbox
 from teleop.scene.playout import Fixed, Hold, Playout, Zero, repeats
 from teleop.simulation.plan import Plan, plan
+from teleop.stages.lanes import LEFT_OUT
 
 MS = 1_000_000
 DT = 1000  # ns, in the small cases
@@ -249,6 +250,30 @@ def test_an_inbox_plays_and_counts_what_was_planned(
     assert play == expected.play
     assert counters(inbox) == {name: getattr(expected, name) for name in counters(inbox)}
     assert inbox.refused == 0
+
+
+@settings(max_examples=400)
+@given(playouts, schedules(), st.lists(st.booleans(), min_size=30, max_size=30), st.lists(
+    st.booleans(), min_size=30, max_size=30))
+def test_an_inbox_that_skips_ticks_plays_and_counts_what_was_planned(
+    playout: Playout, schedule: tuple[int, Arrivals], sends: list[bool], skips: list[bool]
+) -> None:
+    """Left-out ticks at both ends, but for the receiver's last: packets wait, or with a fixed delay are late."""
+    count, arrivals = schedule
+    sent, left_out = np.array(sends[:count]), np.array([*skips[: count - 1], False])
+    arrivals = [(packet, time) for packet, time in arrivals if sent[packet]]
+    table = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
+    expected = plan(playout, table[:, 0], table[:, 1], count, DT, sent, left_out)
+    inbox: Inbox[None] = Inbox(playout, DT, room=100)
+    for packet, time in arrivals:
+        inbox.put(packet, tick_of(packet, time), None)
+    play = []
+    for k in range(count):
+        got = None if left_out[k] else inbox.take(k)
+        play.append(LEFT_OUT if left_out[k] else -1 if got is None else got[0])
+    assert play == expected.play
+    assert counters(inbox) == {name: getattr(expected, name) for name in counters(inbox)}
+    assert expected.sent == sent.sum() == expected.received + expected.lost + expected.in_flight
 
 
 @settings(max_examples=400)

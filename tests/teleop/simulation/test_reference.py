@@ -19,7 +19,9 @@ from teleop.simulation.source import bind, functions, live_of, loop_of
 from teleop.simulation.structure import live_structure, run_of, structure_of
 from teleop.simulation.tick import live, loop
 from teleop.stages.end import Recorder, RunHas
+from teleop.stages.force_cap import Cap
 from teleop.stages.lanes import WIDTH, Eight, Lanes, spread
+from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.kernels import figures as running
 from teleop.sweeps.kernels.figures import Figures
 from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, functions_of_kernel, plain, tree_of
@@ -32,6 +34,9 @@ SCENES = {
     "a device": lambda: load_scene("encoder_wall"),
     "a device with all there is": lambda: load_scene("virtual_wall", cap=0.8, f_max=3),
     "an inner state": lambda: load_scene("relaxing_tissue"),
+    "ticks that are left out": lambda: replace(
+        load_scene("canonical", law="pfra", link="delay(0.02) | bernoulli(0.2)", left_out=0.2), energy=True,
+        watchdog=Watchdog(timeout=0.01), cap=Cap(f_max=9.0, slew=2000.0, power=0.05)),
     "no hand, no link": lambda: replace(load_scene("canonical", law=Direct(kf=0.3)), hand=None, link=None),
 }
 
@@ -75,8 +80,11 @@ def test_so_does_a_live_end(e: str) -> None:
         assert repr(made.send(sent)) == repr(stood.send(sent))
 
 
-def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    scenes = [replace(load_scene("soft_tissue", law=Direct(K=100.0 + 10.0 * i, B=2.0)), duration=0.05, x_limit=limit)
+@pytest.mark.parametrize("left_out", [0.0, 0.2])
+def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(
+        left_out: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [replace(load_scene("soft_tissue", law=Direct(K=100.0 + 10.0 * i, B=2.0), left_out=left_out),
+                      duration=0.05, x_limit=limit)
               for i, limit in enumerate([1e6] * 6 + [1e-4, 2e-3])]
     first = scenes[0]
     ready = [prepare(scene) for scene in scenes]
