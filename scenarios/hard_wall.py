@@ -1,4 +1,7 @@
-"""Hard wall over a delay: a reach into contact, which is then kept."""
+"""Hard wall over a delay: a reach into contact, which is then kept.
+
+Its gains come from the search of `scenarios/examples/gains.py`; `scenarios/README.md` says what they give and cost.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from teleop import Cap, Knob, Law, MassDamper, Scene, Watchdog, Wave, knob
 
 def scene(
     *,
-    law: Law = Wave(),
+    law: Law = Wave(b=20.0, K=1000.0, B=20.0),
     delay: knob.LinkDelay = 0.05,
     k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 2e4,
     d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 10.0,

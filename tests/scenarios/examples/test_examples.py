@@ -16,15 +16,17 @@ from channel import check_effect
 from scenarios.examples.effect import Handover
 from scenarios.examples.law import SmoothReflection
 from scenarios.examples.stage import AlphaBeta
-from teleop import BackwardDifference, check_law
+from teleop import BackwardDifference, check_law, load_scene
 from teleop.sweeps.kernels.bytecode import without_lanes
 from tests.teleop.stages.velocity.test_contract import conforms
 
 FOLDER = Path(scenarios.examples.__file__ or "").parent
 EXAMPLES = sorted(path for path in FOLDER.glob("*.py") if path.name != "__init__.py")
+HARD: Any = load_scene("hard_wall").law  # has the gains that are found
 PRINTS = {
     "compare": r"\{'ok': \d+, 'diverged': \d+\}\n(?:\w+ .*\n){3}ok .*\n\{.*\}\ncompare\.png\n",
     "effect": r"(?: *\d+ ms a second: ok, .*\n){3}",
+    "gains": rf"(?:b .* off it\n){{9}}chosen: law\.b={HARD.b:g} law\.K={HARD.K:g} law\.B={HARD.B:g}\n",
     "law": r"(?:.* Hz: ok, .*\n){2}.* Hz: diverged, .*\n",
     "metric": r"(?:\w+ +\d+ N/m: +[\d.]+ N within 10 ms, the hand did +[\d.]+ J\n){4}",
     "scene": r"(?: *\d+ % lost: ok, .* least E_link 0\.000 J\n){3}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import sys
 import types
 from collections.abc import Iterator
@@ -173,5 +174,6 @@ class TestBesideAScenesFile:
         text, law = (ROOT / "scenarios" / "hard_wall.py").read_text(), ROOT / "teleop" / "laws" / "direct.py"
         (tmp_path / "law_mine.py").write_text(law.read_text())
         text = text.replace("\n\n\ndef scene", "\nfrom law_mine import Direct\n\n\ndef scene")
-        (tmp_path / "mine.py").write_text(text.replace("Wave()", "Direct()"))
+        (tmp_path / "mine.py").write_text(text.replace("Wave(b=20.0, K=1000.0, B=20.0)", "Direct()"))
         assert main(["run", str(tmp_path / "mine.py"), "--set", "duration=0.1", "--out", str(tmp_path / "out")]) == 0
+        assert json.loads((tmp_path / "out" / "summary.json").read_text())["parameters"]["law"]["name"] == "Direct"
