@@ -40,7 +40,7 @@ class SmoothReflection:
         return rx.f, Forth(at.x), s
 
     def slave(self, s: Memory, at: At, rx: Forth) -> tuple[float, Back, Memory]:
-        f = s.f + (1.0 - exp(-2.0 * pi * self.cutoff * at.dt)) * (at.f - s.f)
+        f = s.f + (1.0 - exp(-2.0 * pi * self.cutoff * at.span)) * (at.f - s.f)
         return self.K * (rx.x - at.x) - self.B * at.v, Back(f), Memory(f)
 
 

@@ -13,7 +13,8 @@ Integrator. At tick k the tool moves from k-1 (0) to k (1), by two weights in 0.
     y1 = y0 + dt ((1 - theta_x) u0 + theta_x u1)       m (u1 - u0)/dt = (1 - theta_f) f0 + theta_f f1
 
 explicit Euler (theta_f, theta_x) = (0, 0), semi-implicit Euler (0, 1), trapezoid (Tustin) (0.5, 0.5), backward
-Euler (1, 1). f1 holds the reading of *this* tick and the tool's state at the end of it, f0 those of the last
+Euler (1, 1). dt is the time since the last tick, so after ticks that were left out one step takes the tool through all
+of it. f1 holds the reading of *this* tick and the tool's state at the end of it, f0 those of the last
 tick; f_m is then computed from the new y1, u1. So the only late samples are those of the integrator itself.
 
 Solution. With ye = y0 + dt (1 - theta_x) u0 the equation is, for the wall not touched and touched,
@@ -95,7 +96,8 @@ class VirtualCoupling:
         return Tool(y, 0.0, self.K * (at.x - y))
 
     def force(self, s: Tool, at: At) -> tuple[float, Tool]:
-        K, B, th_f, th_x, x, v, dt = self.K, self.B, self.theta_f, self.theta_x, at.x, at.v, at.dt
+        K, B, th_f, th_x, x, v = self.K, self.B, self.theta_f, self.theta_x, at.x, at.v
+        dt = at.span  # the tool lives through ticks that were left out too
         ye = s.y + dt * (1.0 - th_x) * s.u
         pe = ye - self.at
         c = self.d_e + self.k_e * dt * th_x

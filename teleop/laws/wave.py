@@ -13,6 +13,12 @@ coupling): inserting x_d' = x_d + dt v_d into f_s = sqrt(2b) u_s - b v_d gives
 
     v_d = (sqrt(2b) u_s - K (x_d - x_s) + B v_s) / (b + B + K dt).
 
+Ticks that are left out. The force is held over them, and with it the waves that it stands for, so the commanded point
+has gone on at its last velocity: x_d += (span - dt) v_d before the tick is done as ever. Otherwise each such tick of a
+motion would leave it v_d dt behind, and nothing brings it back. Over a gap of g seconds, with e' = v_d - v_s, the held
+coupling takes in f_s e' g = K e e' g + B e'^2 g and its spring stores K e e' g + K e'^2 g^2/2, so it makes no energy as
+long as g <= 2 B/K.
+
 Claims: E_link >= 0 to rounding, for every link that plays a wave at most once and puts zero in the
 gaps (playout `zero`, or `fixed` with gaps `zero`): then the waves taken out are a subset of the waves
 put in. Holding a wave in the gaps plays it twice and is active. A constant delay of whole ticks keeps
@@ -39,6 +45,7 @@ class Back(NamedTuple):
 
 class Slave(NamedTuple):
     x_d: float  # commanded point, m
+    v_d: float = 0.0  # its velocity, m/s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +77,9 @@ class Wave:
         b, K, B, x, v, dt = self.b, self.K, self.B, at.x, at.v, at.dt
         u = rx.u * at.fresh
         root = sqrt(2.0 * b)
-        v_d = (root * u - K * (s.x_d - x) + B * v) / (b + B + K * dt)
-        x_d = s.x_d + dt * v_d
+        x_d = s.x_d + max(0.0, at.span - dt) * s.v_d
+        v_d = (root * u - K * (x_d - x) + B * v) / (b + B + K * dt)
+        x_d = x_d + dt * v_d
         # The same as root*u - b*v_d, which cancels at large K.
         f_s = K * (x_d - x) + B * (v_d - v)
-        return f_s, Back(u - 2.0 / root * f_s), Slave(x_d)
+        return f_s, Back(u - 2.0 / root * f_s), Slave(x_d, v_d)

@@ -163,7 +163,10 @@ def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: f
 
 
 def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
-    """One end of the law for a tick of zero: from (state, x, v, f, message) to (state', force, message)."""
+    """One end of the law for a tick of zero: from (state, x, v, f, message) to (state', force, message).
+
+    Of its state that which something depends on: what is read after ticks that were left out alone has no part in it.
+    """
     import numpy as np
 
     law: Any = scene.law
@@ -189,7 +192,10 @@ def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
         found = matrix(respond, states + 3 + inputs)
         if found is None:
             raise not_linear(scene, e)
-        found[:states] = (found[:states] - np.eye(states, found.shape[1])) / dt
+        unread = [i for i in range(states) if not found[:, i].any()]
+        found = np.delete(np.delete(found, unread, axis=0), unread, axis=1)
+        kept = states - len(unread)
+        found[:kept] = (found[:kept] - np.eye(kept, found.shape[1])) / dt
         return found
 
     one, half, quarter = short(SHORT), short(SHORT / 2.0), short(SHORT / 4.0)
@@ -197,6 +203,6 @@ def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
         raise Refused(f"law {law_name(law)} has no limit for short ticks, since it keeps samples or divides by dt; "
                       "ask without --continuous")
     twice = [2.0 * half - one, 2.0 * quarter - half]
-    return (4.0 * twice[1] - twice[0]) / 3.0, states, inputs
+    return (4.0 * twice[1] - twice[0]) / 3.0, one.shape[1] - 3 - inputs, inputs
 
 

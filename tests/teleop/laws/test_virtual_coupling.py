@@ -33,7 +33,7 @@ def weighted(law: VirtualCoupling, weights: tuple[float, float]) -> VirtualCoupl
 
 def reading(x: float, v: float, dt: float = DT) -> At:
     """What the law reads; all else is NaN."""
-    return At(x, v, math.nan, math.nan, math.nan, False, math.inf, dt)
+    return At(x, v, math.nan, math.nan, math.nan, False, math.inf, dt, dt)
 
 
 laws = st.builds(
@@ -112,6 +112,16 @@ def test_every_method_comes_to_the_true_motion_with_its_own_order(weights: tuple
             _, tool = law.force(tool, reading(0.01, 0.0, dt))
         errors.append(abs(tool.y - 0.01 * (1.0 - math.cos(math.sqrt(1000.0) * 0.1))))
     assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 30])
+def test_a_tool_coasts_through_ticks_that_were_left_out(ticks: int) -> None:
+    """It stood still at them, and the coupling paid out the stretch that this left."""
+    law = VirtualCoupling(K=500.0, B=1.0, mass=0.02, k_e=0.0)
+    f_m, tool = law.force(Tool(0.0, 0.3, 0.0), reading(0.3 * ticks * DT, 0.3)._replace(span=ticks * DT))
+    assert tool.y == pytest.approx(0.3 * ticks * DT, abs=1e-15)
+    assert tool.u == pytest.approx(0.3, abs=1e-12)
+    assert f_m == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_massless_tool_rests_in_balance_between_coupling_and_wall() -> None:
@@ -229,7 +239,7 @@ def test_nan_stays_nan(x: float, v: float) -> None:
 
 
 def test_it_reads_position_velocity_and_tick_alone() -> None:
-    assert reads(VirtualCoupling().force) == {"x", "v", "dt"}
+    assert reads(VirtualCoupling().force) == {"x", "v", "span"}
     assert find_law("virtual_coupling")() == VirtualCoupling()
 
 

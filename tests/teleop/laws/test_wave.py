@@ -23,7 +23,7 @@ def spread(low: float, high: float) -> st.SearchStrategy[float]:
 def at(x: float = 0.0, v: float = 0.0, dt: float = 1e-3, *, fresh: bool = True) -> At:
     """What a wave end is told; the rest is not computed."""
     nan = float("nan")
-    return At(x, v, nan, nan, nan, fresh, nan, dt)
+    return At(x, v, nan, nan, nan, fresh, nan, dt, dt)
 
 
 motion = st.floats(-10.0, 10.0).map(lambda value: round(value, 12))  # no squares that vanish
@@ -64,11 +64,29 @@ def test_the_slaves_power_is_that_of_its_waves(
     The commanded point starts at 0, so that v_d = x_d/dt keeps all its digits. What it cannot keep below
     one part in 2^53 of the position is a force of K times that.
     """
-    f_s, (w,), (x_d,) = Wave(b=b, K=K, B=B).slave(Slave(0.0), at(x=x, v=v, dt=dt), Forth(u))
+    f_s, (w,), (x_d, _) = Wave(b=b, K=K, B=B).slave(Slave(0.0), at(x=x, v=v, dt=dt), Forth(u))
     v_d = x_d / dt
     grain = 1e-15 * (K * (abs(x) + abs(x_d)) + B * (abs(v) + abs(v_d)))
     near = 5e-14 * (abs(f_s * v_d) + u * u + w * w) + grain * (abs(v_d) + abs(w) / sqrt(b / 2.0))
     assert (u * u - w * w) / 2.0 == pytest.approx(f_s * v_d, abs=near)
+
+
+@given(b=spread(0.1, 100.0), K=spread(1.0, 1e5), B=spread(0.1, 100.0), v=st.floats(-1.0, 1.0), gap=st.integers(1, 50))
+def test_a_steady_motion_goes_on_after_ticks_that_were_left_out_as_if_there_had_been_none(
+    b: float, K: float, B: float, v: float, gap: int
+) -> None:
+    """Steady: v_d = v under u = sqrt(b/2) v + f_s/sqrt(2b), at any gap. It drifted by v dt for each tick left out."""
+    law, dt, ahead = Wave(b=b, K=K, B=B), 1e-3, 0.01
+    u = (b * v + K * ahead) / sqrt(2.0 * b)
+    s = Slave(ahead, v)
+    for ticks in (1, gap):
+        here = at(0.0, v)._replace(x=ticks * dt * v, span=ticks * dt)
+        f_s, (w,), after = law.slave(s, here, Forth(u))
+        grain = 1e-12 * (1.0 + K + B)
+        assert after.v_d == pytest.approx(v, abs=grain / b)
+        assert after.x_d == pytest.approx(ahead + ticks * dt * v, abs=dt * grain / b)
+        assert f_s == pytest.approx(K * ahead, abs=grain * (1.0 + K * dt / b))
+        assert (u * u - w * w) / 2.0 == pytest.approx(f_s * v, abs=grain * (1.0 + abs(u)) ** 2 * (1.0 + 1.0 / b))
 
 
 @pytest.mark.parametrize("K", [0.0, 500.0, 1e6, 1e9])
@@ -86,7 +104,7 @@ def test_velocity_and_force_of_the_slaves_port_solve_their_two_equations_togethe
             mpmath.matrix([mpmath.sqrt(2 * mb) * mu, -mK * (mx_d - mx) + mB * mv]),
         )
         w = mu - mpmath.sqrt(2 / mb) * f
-        got_f, (got_w,), (got_x_d,) = Wave(b=b, K=K, B=B).slave(Slave(x_d), at(x, v, dt), Forth(u))
+        got_f, (got_w,), (got_x_d, _) = Wave(b=b, K=K, B=B).slave(Slave(x_d), at(x, v, dt), Forth(u))
         # A position is known to one part in 2^53 and the spring makes that a force.
         spring, damper = K * (abs(x) + abs(x_d) + dt * abs(v_d)), B * (abs(v) + abs(v_d))
         grain = 2e-15 * (spring + damper + abs(f) + sqrt(2 * b) * abs(u))

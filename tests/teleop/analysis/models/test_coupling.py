@@ -113,7 +113,7 @@ def left_alone(law: VirtualCoupling, ticks: int = 1000) -> float:
     hold = 1e-6 * law.k_e
     law = replace(law, K=hold, B=0.0)
     x = 1e6 + 1.0  # presses the tool 1 m into the wall
-    at = At(x, 0.0, 0.0, 0.0, 0.0, False, 0.0, T)
+    at = At(x, 0.0, 0.0, 0.0, 0.0, False, 0.0, T, T)
     tool = Tool(1.0 + 1e-6, 0.0, -1e-6 * law.k_e)
     off = 1e-6
     for _ in range(ticks):
