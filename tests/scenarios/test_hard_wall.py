@@ -9,6 +9,7 @@ import pytest
 
 from scenarios.examples.gains import bounce, drag, overshoot
 from teleop import PFRA, Direct, Result, Wave, load_scene, run
+from teleop.analysis.stability.assess import stability
 from teleop.scene.library import ROOT
 
 DELAYS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # s, each way
@@ -66,6 +67,21 @@ def test_it_comes_to_rest_passively_at_the_force_of_springs_in_series(
         assert got.metrics["f_m_end"] == pytest.approx(0.03 / series, rel=1e-3)
         assert (got.status, got.metrics["E_link_min"] >= -1e-9) == ("ok", True)
     assert pressed[2e4, 0.05].metrics["f_m_end"] > 3.0
+
+
+def test_pressed_for_good_it_has_the_margins_that_the_page_says() -> None:
+    text = (ROOT / "scenarios" / "README.md").read_text().replace("\n", " ")
+    assert "every delay; at 50 ms b up to 145 N s/m, K up to 36 kN/m, B up to 499 N s/m, each by itself" in text
+    assert "decays at 3.8 1/s, with `b=2, K=500` at 1.9" in text
+
+    def bonded(**gains: float) -> Any:
+        return stability(load_scene("soft_tissue", k_e=2e4, d_e=10.0, law=Wave(**{"b": 20.0, "K": 1000.0, **gains})))
+
+    chosen = bonded()
+    assert (chosen.verdict, chosen.delay_margin) == ("stable", None)
+    assert [f"{-found.mode.growth:.1f}" for found in (chosen, bonded(b=2.0, K=500.0))] == ["3.8", "1.9"]
+    for gain, below, above in (("b", 144.5, 145.5), ("K", 35.5e3, 36.5e3), ("B", 498.5, 499.5)):
+        assert [bonded(**{gain: value}).verdict for value in (below, above)] == ["stable", "unstable"]
 
 
 def test_one_gain_is_changed_by_itself_and_other_laws_and_scenes_keep_theirs() -> None:
