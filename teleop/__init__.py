@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from teleop.protocol.endpoint import Reading
     from teleop.scene.loading import load_scene
     from teleop.scene.parts import Environment, Hand, Reference, Vector
-    from teleop.scene.playout import Fixed, Hold, Playout, Zero
+    from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
     from teleop.scene.scene import Scene
     from teleop.simulation.result import Result
     from teleop.simulation.virtual import run
@@ -51,13 +51,13 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 __all__ = [
-    "DISTRIBUTION", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError",
-    "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Environment", "Fixed", "Hand", "Hold",
-    "Knob", "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant", "Playout",
-    "Reading", "Reference", "Refused", "Resistance", "Result", "Scaling", "Scene", "Table", "Vector",
-    "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "check_knobs",
-    "check_law", "end_main", "find_law", "load_result", "load_scene", "messages", "number", "run", "sweep",
-    "whole_number",
+    "DISTRIBUTION", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError", "DeviceWatchdog",
+    "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment", "Fixed", "Hand", "Hold",
+    "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant",
+    "Playout", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table",
+    "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__",
+    "check_knobs", "check_law", "end_main", "find_law", "load_result", "load_scene", "messages", "number", "run",
+    "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -77,7 +77,7 @@ _HOMES = {  # the module of each name, under this package
     "protocol.endpoint": ("Reading",),
     "scene.loading": ("load_scene",),
     "scene.parts": ("Environment", "Hand", "Reference", "Vector"),
-    "scene.playout": ("Fixed", "Hold", "Playout", "Zero"),
+    "scene.playout": ("Energy", "Fixed", "Hold", "Integral", "Playout", "Scaled", "Zero"),
     "scene.scene": ("Scene",),
     "live.records.merge": ("load_result",),
     "simulation.result": ("Result",),

@@ -12,10 +12,10 @@ from math import sin
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.law import At, Law, messages, start_at
+from teleop.law import At, Law, kind, messages, start_at
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant
-from teleop.scene.playout import Fixed, Playout, Zero
+from teleop.scene.playout import Fixed, Integral, Playout, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 
@@ -55,11 +55,12 @@ def _waves_balance(law: Any, name: str) -> None:
     x(k) = x(k-1) + dt v(k), for which a spring-damper taken at the end of its tick is passive.
     """
     forth, back = messages(law)
-    if "u" not in forth._fields or "w" not in back._fields:
-        raise Refused(f"{name} claims E_link, but its messages carry no waves; "
-                      "call their fields u (forth) and w (back)")
+    u, w = kind.wave(forth), kind.wave(back)
+    if u is None or w is None:
+        raise Refused(f"{name} claims E_link, but its messages carry no waves; write `u: kind.Wave` for the field that "
+                      "is one, in each direction, with `from teleop.law import kind`")
     dice, dt = spread(name), 1e-3
-    ways = (("master", 1.0, back, "w", "u"), ("slave", -1.0, forth, "u", "w"))
+    ways = (("master", 1.0, back, w, u), ("slave", -1.0, forth, u, w))
     for end, sign, rx_type, rx_wave, tx_wave in ways:
         tick, sums = getattr(law, end), getattr(law, f"{end}_sums", None)
         s, _ = getattr(law, f"{end}_start")(start_at(0.0, 0.0, 0.0, dt))
@@ -82,7 +83,7 @@ def _waves_balance(law: Any, name: str) -> None:
 def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
     """Scenes with energy ledgers: constant delays at first, then loss, jitter and copies.
 
-    Playout is zero and fixed by turns, and never holds a wave in a gap: holding is active whatever the law does.
+    Playout is zero, integral and fixed by turns. It never holds a wave in a gap, which is active whatever the law does.
     """
     def between(low: float, high: float) -> float:
         """Evenly spread in the logarithm."""
@@ -90,7 +91,8 @@ def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
 
     for i in range(LOOPS):
         rough = i >= LOOPS // 3
-        playout: Playout = Fixed(0.01 + 0.1 * next(dice)) if i % 4 == 3 else Zero()
+        plain: Playout = Integral() if i % 4 == 1 else Zero()
+        playout = Fixed(0.01 + 0.1 * next(dice)) if i % 4 == 3 else plain
         yield Scene(
             law=law, playout=playout, energy=True, duration=DURATION, x_limit=1e3,
             axes=3 if i % 6 == 5 else 1, observer=None if i % 2 else 200.0,

@@ -30,6 +30,7 @@ from weakref import WeakSet
 
 from teleop.errors import Refused, nearest, number_of
 from teleop.law import At, functions_of
+from teleop.law.kind import waves
 
 RETURNS = {
     "master_start": ("state", "message"), "master_sums": ("sums",), "master": ("force", "message", "state"),
@@ -92,6 +93,7 @@ def _probe_two_port(law: Any) -> None:
     kinds, states, sent = {}, {}, {}
     for end, other in (("master", "slave"), ("slave", "master")):
         states[end], sent[other] = methods[f"{end}_start"].asked(REST)
+    _check_waves(law, sent)
     for end, other in (("master", "slave"), ("slave", "master")):
         kinds[end] = {"state": type(states[end]), "message": type(sent[end])}
         own: dict[str, type] = {"at": At, "s": type(states[end]), "rx": type(sent[other])}
@@ -105,6 +107,20 @@ def _probe_two_port(law: Any) -> None:
             if f"{end}_sums" in methods:
                 given.append(methods[f"{end}_sums"].asked(*given))
             _, sent[end], states[end] = methods[end].asked(*given, kinds=kinds[end])
+
+
+def _check_waves(law: Any, sent: Mapping[str, Any]) -> None:
+    """Refuse messages with a wave in one direction alone, or with two in one, and E_link claimed without any."""
+    found = {type(message).__name__: waves(type(message)) for message in sent.values()}
+    name, claims = f"{type(law).__name__}{_class_place(law)}", "E_link" in getattr(law, "claims", ())
+    if two := next((message for message, fields in found.items() if len(fields) > 1), None):
+        raise LawMistake(f"{name}: its message {two} has {len(found[two])} waves, {', '.join(found[two])}, and one "
+                         "direction has one wave; write float for what is none")
+    without = [message for message, fields in found.items() if not fields]
+    if without and (claims or len(without) < len(found)):
+        why = "claims E_link" if claims else "has a wave in one direction"
+        raise LawMistake(f"{name} {why}, and its message {without[0]} has no field that is a wave; write `u: "
+                         "kind.Wave` for the one that is, with `from teleop.law import kind`")
 
 
 def _probe_one_port(law: Any) -> None:

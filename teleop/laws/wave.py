@@ -32,15 +32,15 @@ from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop.knob import Knob, check_knobs
-from teleop.law import At
+from teleop.law import At, kind
 
 
 class Forth(NamedTuple):
-    u: float  # forward wave, sqrt(W)
+    u: kind.Wave  # forward, sqrt(W)
 
 
 class Back(NamedTuple):
-    w: float  # returning wave, sqrt(W)
+    w: kind.Wave  # returning, sqrt(W)
 
 
 class Slave(NamedTuple):

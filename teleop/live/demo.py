@@ -24,7 +24,7 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
 from teleop.live.records.record import fresh_folder, read_noted
 from teleop.scene.library import ROOT
-from teleop.scene.loading import load_scene
+from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
 
@@ -138,7 +138,7 @@ def demo(
     `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself. `rate` (Hz)
     and `spin` are those of both ends, `realtime` is of all three processes.
     """
-    scene = both_ends(load_scene(scene_name, **knobs))
+    scene = both_ends(load_scene(scene_name, **(knobs if lockstep else live_knobs(scene_name, knobs))))
     ticks_of(scene, rate, lockstep=lockstep, spin=spin)  # refused here, before a process is started
     options = [scene_name, "--seed", str(seed)]
     options += [part for key, value in knobs.items() for part in

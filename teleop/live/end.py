@@ -34,7 +34,7 @@ from teleop.live.summary import UNWATCHED, holds_on, write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
-from teleop.scene.loading import load_scene
+from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.scene.trust import asks_for_trust
 from teleop.storage.strict_json import written
@@ -70,8 +70,8 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
     args = _parser(e).parse_args(argv)
     if args.wait is not None:
         number("--wait", args.wait, above=0.0)
-    scene = both_ends(load_scene(args.scene, **knobs_from(args)))
-    endpoint = _endpoint(scene, e, args)
+    knobs = knobs_from(args) if args.lockstep else live_knobs(args.scene, knobs_from(args))
+    endpoint = _endpoint(scene := both_ends(load_scene(args.scene, **knobs)), e, args)
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = security.secure_link(e, args, at)
@@ -84,7 +84,7 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
             progress = _Progress(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
-            about = {"scene": args.scene, "knobs": knobs_from(args), "seed": args.seed, "command": command,
+            about = {"scene": args.scene, "knobs": knobs, "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
             recorder = RecordWriter(scene, e, folder, about)
             shell = Shell(endpoint, watched_device, wire, recorder, say, peer_timeout=args.wait, interrupt=interrupt)

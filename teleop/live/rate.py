@@ -5,6 +5,7 @@ from __future__ import annotations
 from teleop.errors import Refused, number
 from teleop.protocol.guard import UNNAMED
 from teleop.protocol.manifest import MOST_EVERY
+from teleop.scene.playout import Fixed, Integral, Playout, as_typed, integrates
 from teleop.scene.scene import Scene
 
 
@@ -27,6 +28,9 @@ def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool, spin: bool) ->
         own = 1.0 / scene.dt
         raise Refused(f"--rate {rate:g} is no whole part of the scene's {own:g} Hz; write for example --rate "
                       f"{own / 2:g}, or set the scene's dt")
+    if every != 1 and scene.has_waves and not integrates(scene.played_as):
+        raise Refused(f"--rate {rate:g} is not the scene's, and ends at different rates exchange waves by their "
+                      f"integral; write --set playout={as_typed(_integrated(scene.played_as))} at both ends")
     if lockstep and every != 1:
         raise Refused("--lockstep runs both ends at the scene's own rate; leave out --rate")
     dog = scene.watchdog or UNNAMED
@@ -35,3 +39,7 @@ def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool, spin: bool) ->
                       f"for silence: its watchdog's timeout is {dog.timeout:g} s; write a higher --rate, or a longer "
                       "timeout in the scene")
     return every
+
+
+def _integrated(playout: Playout) -> Playout:
+    return Fixed(playout.delay, Integral()) if isinstance(playout, Fixed) else Integral()

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from teleop.errors import Refused
 from teleop.law import law_name
@@ -45,6 +45,7 @@ from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import Plan
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES, SENSED, columns, structure_of
+from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]
 SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
@@ -107,7 +108,7 @@ class Endpoint:
     def __init__(self, scene: Scene, e: str, session: Session, messages: Messages | None = None) -> None:
         self.scene, self.e, self.session = scene, e, session
         self.stepped = messages is not None
-        self.inbox: Messages = messages if messages is not None else Inbox(scene.playout, scene.dt_ns)
+        self.inbox: Messages = messages if messages is not None else Inbox(scene.played_as, scene.dt_ns)
         self.rejected: Counter[str] = Counter()
         self.received = 0  # DATA packets of the sessions, copies included
         self.heard_ns = 0  # when the newest of them that was no copy came
@@ -120,7 +121,7 @@ class Endpoint:
         dt = self.own.dt_ns / 1e9
         self.guard = Guard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
         # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
-        played = round(scene.playout.delay * 1e9) if isinstance(scene.playout, Fixed) else 0
+        played = round(scene.played_as.delay * 1e9) if isinstance(scene.played_as, Fixed) else 0
         session.liveness.renew_ns = max(session.liveness.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self._window = Window()  # so that a copy or a replay is no second measurement
@@ -135,6 +136,8 @@ class Endpoint:
         self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
         self._shifted = 0  # ns that the grid was moved by
         self._live: Any = None
+        self._rejoined = False  # did the law begin later than with tick 0 of the first session
+        self._before: tuple[Integrals, ...] | None = None  # what the peer's waves had come to when it was heard first
         self._started: Any = None
         law: Any = scene.law
         self._axes = range(scene.axes)
@@ -142,12 +145,13 @@ class Endpoint:
         self._rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
         self.hears, self._sends = (Kind.BACK, Kind.FORTH) if e == "m" else (Kind.FORTH, Kind.BACK)
         self._rx_width, tx_width = len(self._rx_type._fields), len(tx_type._fields)
-        self._width = self._rx_width * scene.axes
-        most = max(self._rx_width, tx_width) * scene.axes
-        self._size = check_size(scene.wire_size, most, energy=scene.energy)
-        self._newest_wins = not self.stepped and not isinstance(scene.playout, Fixed)
-        wave = ("w" if e == "m" else "u") if scene.has_waves else None
-        self._rates = Resampling(self._rx_type, wave, mine=self.every)
+        self._integral = structure_of(scene).has.integral
+        along = (1 + 2 * scene.axes) * self._integral  # T, and U and E of each axis, behind the law's messages
+        self._width = self._rx_width * scene.axes + along
+        most = max(self._rx_width, tx_width) * scene.axes + along
+        self._size = check_size(scene.wire_size, most, energy=scene.energy and not self._integral)
+        self._newest_wins = not self.stepped and not isinstance(scene.played_as, Fixed)
+        self._rates = Resampling(self._rx_type, mine=self.every)
         self._dt, self._dt_ns = dt, scene.dt_ns
 
     @property
@@ -216,7 +220,7 @@ class Endpoint:
             if self._newest is None or seq > self._newest[0]:
                 self._newest = (seq, packet.sent_ns, now)
                 self.presence.newest(packet.echo, sent, now)
-        self.inbox.put(seq, max(came, self._tick + 1), Heard(self._message(packet.payload), packet.E_in))
+        self.inbox.put(seq, max(came, self._tick + 1), self._heard(packet))
         return []
 
     def tick(self, k: int, now: int, reading: Reading, trouble: str | None = None) -> Tick:
@@ -230,12 +234,14 @@ class Endpoint:
         gain = self._gain(k, now, None if got is None else k - got[0], trouble)
         if self.guard.lapsed:
             self.held.zero()
-        seq, rx = (-1, None) if got is None else (got[0], got[1].rx)
+        seq, rx, waves = (-1, None, None) if got is None else (got[0], got[1].rx, got[1].waves)
         x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
         own, newest = k // self.every, seq if self.every == 1 else seq / self.every
         held = self.held.force, self.held.since(k)
-        inputs = own, x, reading.v, reading.f, got is not None, newest, rx, gain, *held
-        force, tx, row = self._started.send(inputs)
+        if waves is not None and self._rejoined:
+            waves = self._since(waves)
+        inputs = own, x, reading.v, reading.f, got is not None, newest, rx, waves, gain, *held
+        force, tx, sent, row = self._started.send(inputs)
         if got is not None and self._E_out is not None and got[1].E_in is not None:
             margin = got[1].E_in - row[self._E_out]
             if self.stamp_margin is None or margin < self.stamp_margin:
@@ -246,7 +252,7 @@ class Endpoint:
         if not self.held.take(force):
             self.force_failed = f"f_{self.e}"
         self._follow()
-        return Tick(force, self._datagram(k, now, tx, row), row, seq)
+        return Tick(force, self._datagram(k, now, tx, sent, row), row, seq)
 
     def left_out(self, k: int, trouble: str) -> Axes:
         """Tick k cannot be run, for there is no reading: the force (N, per axis) to hold, on its way to zero."""
@@ -269,7 +275,7 @@ class Endpoint:
         """The first tick of this end will be k: the run has been going on without it."""
         if not self.stepped:
             self._tick = k - 1
-            self.inbox = Inbox(self.scene.playout, self.scene.dt_ns, tick=k - 1)
+            self.inbox = Inbox(self.scene.played_as, self.scene.dt_ns, tick=k - 1)
             self.guard.tell(k, "joined", "the other end was running already")
             self._met = 0
 
@@ -278,6 +284,7 @@ class Endpoint:
         if self._live is None:
             self.senses(reading.f is not None)
         first, self._met = self._met == 1 and self._started is None, self.session.met
+        self._rejoined, self._before = not first and not self.stepped, None
         self.held.begin(k)
         x = reading.x
         if first and not self._placed:
@@ -290,7 +297,7 @@ class Endpoint:
             if not self.stepped:
                 inbox: Any = self.inbox
                 self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
-                self.inbox, self._tick = Inbox(self.scene.playout, self.scene.dt_ns, tick=k - 1), k - 1
+                self.inbox, self._tick = Inbox(self.scene.played_as, self.scene.dt_ns, tick=k - 1), k - 1
                 self._window, self._newest, self._shifted = Window(), None, 0
                 self.presence.begin()
                 self.link.begin(self._rates.theirs)
@@ -343,13 +350,33 @@ class Endpoint:
             out[i] += self._index[n % self.scene.axes]
         return tuple(out)
 
-    def _message(self, payload: Any) -> tuple[Any, ...]:
-        n, kind = self._rx_width, self._rx_type
-        return tuple([kind(*payload[i * n : i * n + n]) for i in self._axes])
+    def _heard(self, packet: Packet) -> Heard:
+        n, kind, payload = self._rx_width, self._rx_type, cast(tuple[float, ...], packet.payload)
+        rx = tuple([kind(*payload[i * n : i * n + n]) for i in self._axes])
+        if not self._integral:
+            return Heard(rx, packet.E_in)
+        at, T = n * len(self._axes), payload[-1]
+        waves = tuple([Integrals(T, payload[at + 2 * i], payload[at + 2 * i + 1]) for i in self._axes])
+        return Heard(rx, sum(each.E for each in waves), waves)
 
-    def _datagram(self, k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
+    def _since(self, waves: tuple[Integrals, ...]) -> tuple[Integrals, ...]:
+        """What waves have come to since the first message of this session that this end played.
+
+        Where both begin with tick 0, that is all they have come to. A later session's ends begin at ticks of their own,
+        and what a peer sent before this end was there is no queue to play.
+        """
+        if self._before is None:
+            self._before = waves
+        return tuple([Integrals(*[now - then for now, then in zip(each, before, strict=True)])
+                      for each, before in zip(waves, self._before, strict=True)])
+
+    def _datagram(
+        self, k: int, now: int, tx: tuple[Any, ...], sent: tuple[Integrals, ...] | None, row: tuple[float, ...]
+    ) -> bytes | None:
         # Floats alone: a law may give an int or one of numpy's, which the peer would take for a malformed packet.
         payload = tuple(map(float, tx[0] if len(tx) == 1 else [number for message in tx for number in message]))
+        if sent is not None:
+            payload += (*[number for _, U, E in sent for number in (U, E)], sent[0].T)
         session = self.session
         if not all(map(isfinite, payload)):
             self.message_failed = True
@@ -358,7 +385,8 @@ class Endpoint:
             return None
         newest = self._newest
         echo = None if newest is None else Echo(newest[1], max(0, now - newest[2]))
-        stamp = None if self._E_in is None or not isfinite(row[self._E_in]) else float(row[self._E_in])
+        stamped = self._E_in is not None and sent is None and isfinite(row[self._E_in])
+        stamp = float(row[self._E_in]) if self._E_in is not None and stamped else None
         return encode(Packet(self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp), self._size)
 
 

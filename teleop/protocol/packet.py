@@ -23,7 +23,7 @@ from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
 
-VERSION = 3
+VERSION = 4
 MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments
 MOST_CONTROL = 8192
 MOST_SENTENCE = 1000  # characters of a REFUSE, BYE or RENEW

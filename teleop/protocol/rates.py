@@ -2,22 +2,25 @@
 
 Both count the ticks of one grid; an end takes every `mine`-th of them, its peer every `theirs`-th. A slower peer's
 message stands for all the ticks until its next one is due, and is played at each of them. A faster one's messages of
-the ticks since the last are played together, as their mean; a wave's as the sum over their number if all had come,
-since what is lost of a wave has to count as zero. Both keep a wave's energy from growing: the square of a mean is at
-most the mean of the squares. Where neither rate is a multiple of the other it is the mean over the ticks of the grid,
-at each of which the last message stands, for its sender's tick at most.
+the ticks since the last are played together, as their mean. What waves have come to is cumulative, so the newest
+message has it all (`teleop.stages.wave_integral`): ends at different rates exchange waves in no other way. Where
+neither rate is a multiple of the other it is the mean over the ticks of the grid, at each of which the last message
+stands, for its sender's tick at most.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple, Protocol
 
+from teleop.stages.wave_integral import Integrals
+
 
 class Heard(NamedTuple):
-    """One message as it came: the law's, per axis, and the sender's energy stamp."""
+    """One message as it came: the law's, per axis, the sender's energy stamp, and what its waves have come to."""
 
     rx: tuple[Any, ...]
     E_in: float | None
+    waves: tuple[Integrals, ...] | None = None  # per axis, where they are sent along
 
 
 class Messages(Protocol):
@@ -28,11 +31,11 @@ class Messages(Protocol):
 
 
 class Resampling:
-    """Takes messages of type `kind` out of an inbox, at every `mine`-th tick. `wave`: which field is one, if any is."""
+    """Takes messages of type `kind` out of an inbox, at every `mine`-th tick."""
 
-    def __init__(self, kind: Any, wave: str | None, *, mine: int) -> None:
+    def __init__(self, kind: Any, *, mine: int) -> None:
         self.mine, self.theirs = mine, 1
-        self._kind, self._wave = kind, wave
+        self._kind = kind
         self._last: tuple[int, tuple[int, Heard]] | None = None  # when a message was played last, and which
 
     @property
@@ -52,10 +55,10 @@ class Resampling:
         ticks = range(max(last + 1, k - mine + 1), k + 1)
         if mine % theirs and theirs % mine:
             stood = [each for j in ticks if (each := self._standing(inbox, j)) is not None]
-            return self._mean(stood, mine) if stood else None
+            return self._mean(stood) if stood else None
         came = [got for j in ticks if (got := inbox.take(j)) is not None]
         if came:
-            got = came[-1] if len(came) == 1 and mine <= theirs else self._mean(came, -(-mine // theirs))
+            got = self._mean(came)
             self._last = (k, got)
             return got
         if self._last is None or k - self._last[0] + mine > theirs:
@@ -69,12 +72,13 @@ class Resampling:
             self._last = (j, got)
         return self._last[1] if self._last is not None and j - self._last[0] < self.theirs else None
 
-    def _mean(self, came: list[tuple[int, Heard]], due: int) -> tuple[int, Heard]:
-        """Mean of the messages that came for one tick, of `due` at least that were sent for it."""
+    def _mean(self, came: list[tuple[int, Heard]]) -> tuple[int, Heard]:
+        """Mean of the messages that came for one tick."""
+        if len(came) == 1:
+            return came[0]
         newest, heard = came[-1]
         rx = []
         for i in range(len(heard.rx)):
-            fields = zip(self._kind._fields, zip(*[each.rx[i] for _, each in came], strict=True), strict=True)
-            rx.append(self._kind(*[sum(numbers) / (max(due, len(came)) if name == self._wave else len(came))
-                                   for name, numbers in fields]))
-        return newest, Heard(tuple(rx), heard.E_in)
+            fields = zip(*[each.rx[i] for _, each in came], strict=True)
+            rx.append(self._kind(*[sum(numbers) / len(came) for numbers in fields]))
+        return newest, heard._replace(rx=tuple(rx))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import lru_cache
 from inspect import Parameter, signature
@@ -16,7 +15,7 @@ from teleop.errors import Refused, WrongNumber, enumerated, nearest, number, who
 from teleop.knob import UNDECLARED, Declared, declared, knobs_of_fields
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
 from teleop.scene.own_law import file_law, file_named
-from teleop.scene.playout import Fixed, Hold, Zero
+from teleop.scene.playout import Playout, Zero, read_playout
 from teleop.scene.wide import WIDE, read_link
 
 _PLAIN = Declared(float, ..., UNDECLARED)  # a number of which nothing else is known
@@ -49,8 +48,8 @@ def _kind(name: str, default: Any) -> Any:
     """The type of a knob that has no annotation."""
     if name == "law" or _is_law(default):
         return Law | OnePortLaw
-    if isinstance(default, (Zero, Hold, Fixed)):
-        return Zero | Hold | Fixed
+    if isinstance(default, Playout):
+        return Playout
     if isinstance(default, (bool, str, Path)):
         return Path if isinstance(default, Path) else type(default)
     if default is None:
@@ -143,8 +142,8 @@ def read(key: str, value: object, hint: Any, own: Declared = _PLAIN) -> object:
         return _truth(key, value)
     if Path in kinds:
         return _path(key, value)
-    if Zero in kinds or hint == Zero | Hold | Fixed:
-        return _playout(key, value)
+    if Zero in kinds:
+        return read_playout(key, value)
     if float in kinds or int in kinds:
         return _number(key, value, own, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds),
                        none=NoneType in kinds)
@@ -256,17 +255,3 @@ def _numbers_of_law(kind: Any, changes: Mapping[str, object]) -> dict[str, objec
     known = knobs_of_fields(kind) if changes else {}
     return {key: _number(f"law.{key}", value, known.get(key, _PLAIN), whole=False, vector=False)
             for key, value in changes.items()}
-
-
-def _playout(key: str, value: object) -> Zero | Hold | Fixed:
-    """Playout of a text: `zero`, `hold`, `fixed:0.1`, or `fixed:0.1:hold` where the last message fills gaps."""
-    if isinstance(value, (Zero, Hold, Fixed)):
-        return value
-    kind, *rest = str(value).split(":")
-    gaps: dict[str, Zero | Hold] = {"zero": Zero(), "hold": Hold()}
-    if kind in gaps and not rest:
-        return gaps[kind]
-    if kind == "fixed" and rest and (len(rest) == 1 or rest[1] in gaps):
-        with suppress(ValueError):
-            return Fixed(float(rest[0]), gaps[rest[1]] if len(rest) > 1 else Zero())
-    raise Refused(f"{key} is zero, hold, fixed:SECONDS or fixed:SECONDS:hold, not {value!r}; write {key}=fixed:0.1")

@@ -118,6 +118,14 @@ class LeftOutLike(Protocol):
         ...
 
 
+def varies(link: LinkLike) -> bool:
+    """True unless all that a link does, in both directions, is a constant delay."""
+    of_direction = getattr(link, "in_direction", None)
+    if of_direction is None:
+        return True
+    return any(getattr(effect, "constant_ns", None) is None for way in (0, 1) for effect in of_direction(way))
+
+
 Vector = float | tuple[float, ...]
 
 

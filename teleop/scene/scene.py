@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number, number_of, whole_number
-from teleop.law import law_name, messages
+from teleop.law import kind, law_name, messages
 from teleop.law.contract import check_contract
 from teleop.scene.parts import (
     Environment,
@@ -19,8 +19,9 @@ from teleop.scene.parts import (
     check_shape,
     has_shape,
     is_known_by_class,
+    varies,
 )
-from teleop.scene.playout import Fixed, Hold, Playout, Zero
+from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of
 
 if TYPE_CHECKING:
     from teleop.physics.plant import MassDamper
@@ -53,7 +54,7 @@ class Scene:
     hand: Hand | None = None
     environment: Environment | tuple[Environment | None, ...] | None = None  # one: on the first axis
     link: LinkLike | None = None
-    playout: Playout = Zero()
+    playout: Playout | None = None  # None: see `played_as`
     observer: float | None = 200.0  # bandwidth L (1/s) of the human-force observer; None: a force sensor
     watchdog: Watchdog | None = None  # both ends
     cap: Cap | None = None  # both ends
@@ -105,9 +106,9 @@ class Scene:
         for name in PARTS:
             if getattr(self, name) is not None:
                 check_shape(name, getattr(self, name))
-        if not isinstance(self.playout, (Zero, Hold, Fixed)):
-            raise Refused(f"playout must be Zero(), Hold() or Fixed(...), not {self.playout!r}; "
-                          "write for example playout=Fixed(0.1)")
+        if self.playout is not None and not isinstance(self.playout, Playout):
+            raise Refused(f"playout must be Zero(), Hold(), Integral(), Energy(), Scaled(...) or Fixed(...), not "
+                          f"{self.playout!r}; write for example playout=Fixed(0.1)")
         if not isinstance(self.energy, bool):
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
         self._check_numbers()
@@ -197,10 +198,24 @@ class Scene:
     @property
     def has_waves(self) -> bool:
         """True if the law's messages carry waves, so that the link has an energy ledger."""
-        if self.slave is None:
-            return False
-        forth, back = messages(self.law)
-        return "u" in forth._fields and "w" in back._fields
+        return self.slave is not None and all(map(kind.wave, messages(self.law)))
+
+    @property
+    def played_as(self) -> Playout:
+        """The playout of a run: the scene's; where it names none, `Integral` for waves over a link that varies.
+
+        A link varies unless it does no more than a constant delay, and where an end leaves out ticks. Otherwise it is
+        `Zero`, which then plays the same.
+        """
+        if self.playout is not None:
+            return self.playout
+        late = self.left_out_m is not None or self.left_out_s is not None
+        return Integral() if self.has_waves and (late or (self.link is not None and varies(self.link))) else Zero()
+
+    @property
+    def wave_playout(self) -> Gaps | None:
+        """What is played of waves; None where the law's messages have none."""
+        return gaps_of(self.played_as) if self.has_waves else None
 
 
 def both_ends(scene: Scene) -> Scene:

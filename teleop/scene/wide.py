@@ -12,7 +12,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.knob import Declared, Knob
 from teleop.scene.library import import_bundled
-from teleop.scene.playout import Fixed, Hold, Zero, as_typed
+from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
 
 _SCALES = ("scale_x", "scale_f")
@@ -25,8 +25,8 @@ WIDE = {
         "", "newtons of the slave, where there is one, for one newton of the master", above=0.0)),
     "left_out": Declared(float, 0.0, Knob(
         "", "share of its ticks that each end leaves out, at random", low=0.0, high=1.0)),
-    "playout": Declared(Zero | Hold | Fixed, "the scene's", Knob(
-        "", "message that a tick plays, where there is a link: zero, hold or fixed:SECONDS")),
+    "playout": Declared(Playout, "the scene's", Knob(
+        "", "message that a tick plays, where there is a link: see `teleop list playout`")),
     "link": Declared("Link | None", "the scene's", Knob(
         "", "link in place of the scene's, where there is a slave, as --link takes it; none: no link")),
 }

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.scene.playout import Fixed, Hold, Zero, as_typed
+from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import WINDOWS, pitch, places, swings, trend
 
@@ -143,7 +143,7 @@ def typed(scene: Scene, *options: str) -> str:
                      if getattr(value, each.name) != getattr(usual, each.name)]
         elif value != usual:
             text = ",".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
-            text = as_typed(value) if isinstance(value, Zero | Hold | Fixed) else text
+            text = as_typed(value) if isinstance(value, Playout) else text
             said.append(f"--link {quote(text)}" if key == "link" else f"--set {key}={quote(text)}")
     return " ".join([*said, *options])
 

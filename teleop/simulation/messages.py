@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from teleop.stages.end import End, Run
+from teleop.stages.end import Axis, End, Run
 from teleop.stages.lanes import came, packet, received, ring, sent, where
 
 
@@ -16,14 +16,19 @@ def connect(run: Run, size: int) -> None:
         if run.s.has.leaves_out:
             b.tx = a.rx
         if run.has.link and run.has.compiled:
-            a.ring = ring(b.rx, size)
-            b.ring = ring(a.rx, size)
+            a.ring = ring(message_at(run, b), size)
+            b.ring = ring(message_at(run, a), size)
         elif run.has.link:
-            a.ring = [b.rx] * size
-            b.ring = [a.rx] * size
+            a.ring = [message_at(run, b)] * size
+            b.ring = [message_at(run, a)] * size
         else:
             a.tx = b.rx
             b.tx = a.rx
+
+
+def message_at(run: Run, a: Axis) -> Any:
+    """What an axis received last: the law's message, and with it what the waves have come to."""
+    return (a.rx, a.heard) if run.has.integral else a.rx
 
 
 def deliver(run: Run, e: End, sender: End, play: Any, size: int, k: int) -> None:
@@ -34,7 +39,10 @@ def deliver(run: Run, e: End, sender: End, play: Any, size: int, k: int) -> None
         if e.has.newest:
             e.newest = where(e.got, seq, e.newest)
         for a, b in zip(e.axes, sender.axes, strict=True):
-            a.rx = received(b.ring, seq, a.rx)
+            if run.has.integral:
+                a.rx, a.heard = received(b.ring, seq, (a.rx, a.heard))
+            else:
+                a.rx = received(b.ring, seq, a.rx)
     else:
         seq = play[k]
         e.got = seq >= 0
@@ -42,7 +50,10 @@ def deliver(run: Run, e: End, sender: End, play: Any, size: int, k: int) -> None
             if e.has.newest:
                 e.newest = seq
             for a, b in zip(e.axes, sender.axes, strict=True):
-                a.rx = b.ring[seq % size]
+                if run.has.integral:
+                    a.rx, a.heard = b.ring[seq % size]
+                else:
+                    a.rx = b.ring[seq % size]
 
 
 def exchange(run: Run, k: int) -> None:
@@ -54,13 +65,20 @@ def exchange(run: Run, k: int) -> None:
     for a, b in zip(run.m.axes, run.s.axes, strict=True):
         a.rx = b.tx
         b.rx = a.tx
+        if run.has.integral:
+            a.heard = b.sent
+            b.heard = a.sent
 
 
 def send(run: Run, size: int, k: int) -> None:
     """The messages of tick k on their way."""
     for e in run.ends:
         for a in e.axes:
-            if run.has.compiled:
+            if run.has.integral and run.has.compiled:
+                sent(a.ring, k, (a.tx, a.sent))
+            elif run.has.compiled:
                 sent(a.ring, k, a.tx)
+            elif run.has.integral:
+                a.ring[k % size] = (a.tx, a.sent)
             else:
                 a.ring[k % size] = a.tx

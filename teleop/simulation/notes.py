@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from teleop.errors import number_of
-from teleop.scene.playout import Fixed, Hold, Zero, as_typed, repeats
+from teleop.scene.playout import Fixed, as_typed, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.packets import Packets
 
@@ -33,7 +33,7 @@ def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: i
     if counts.late > played:
         late = number_of(counts.late, "packet")
         return [f"{late} came to the {end} too late to be played, and {played} were played: the playout "
-                f"({as_typed(scene.playout)}) is shorter than the link's delay and jitter; "
+                f"({as_typed(scene.played_as)}) is shorter than the link's delay and jitter; "
                 f"{_longer(scene, direction, seed, live)}"]
     so = f"the {end} played none of the {number_of(counts.sent, 'packet')} that the {other} sent, and ran without them"
     if counts.lost == counts.sent:
@@ -53,7 +53,6 @@ def _longer(scene: Scene, direction: int, seed: int, live: bool) -> str:
     ages = arrivals.time_ns - arrivals.packet * scene.dt_ns
     enough = float(np.quantile(ages, SHARE, method="higher")) / 1e9 + MARGIN * live if len(ages) else 0.0
     ticks = max(1, int(np.ceil(round(enough / scene.dt, 6)))) * scene.dt
-    gaps: Zero | Hold = Hold() if repeats(scene.playout) else Zero()
-    longer = Fixed(float(f"{ticks:.9g}"), gaps)
+    longer = Fixed(float(f"{ticks:.9g}"), gaps_of(scene.played_as))
     return (f"type --set playout={as_typed(longer)}" if scene.knobs  # it was found by its name
             else f"in a scene of your own write playout={longer}")

@@ -47,7 +47,7 @@ def divergence(scene: Scene, k: int, what: str) -> str:
 
 def standing_notes(scene: Scene) -> list[str]:
     """The notes that hold for every run of a scene, in virtual time and live."""
-    if scene.has_waves and repeats(scene.playout):
+    if scene.has_waves and repeats(scene.played_as):
         return ["playout holds waves in the gaps, which is active: E_link may fall below zero"]
     return []
 

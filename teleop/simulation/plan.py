@@ -145,7 +145,7 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
     for direction, (sender, receiver) in enumerate((out, out[::-1])):
         sent = None if sender is None else ~sender
         packet, time_ns = _arrivals(scene, direction, count, seed, sent)
-        playout = Zero() if scene.link is None else scene.playout
+        playout = Zero() if scene.link is None else scene.played_as
         plans.append(plan(playout, packet, time_ns, count, scene.dt_ns, sent, receiver))
     return LinkPlans(*plans)
 

@@ -13,6 +13,7 @@ from inspect import getattr_static
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple
 
+from teleop.law import messages
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.recorder import RowRecorder
@@ -123,6 +124,8 @@ def functions(scene: Scene) -> dict[str, Any]:
         if own.has.sums:
             words[f"total_{e}"] = f"{NAMES[e]}_sums"
             found[f"Sums_{e}"] = sums_type(law, e, scene.dt_ns / 1e9)
+        if own.rx_wave:
+            found[f"Message_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "m"]
         if device is not None and device.velocity is not None:
             found[f"estimate_{e}"] = device.velocity.step
     return found | {word: _end_of(law, name) for word, name in words.items()}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from teleop.law import functions_of, reads, start_at
-from teleop.scene.playout import repeats
+from teleop.law import functions_of, messages, reads, start_at
+from teleop.law.kind import wave
+from teleop.scene.playout import integrates, repeats
 from teleop.scene.scene import Scene
 from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Stage, per_axis
 from teleop.stages.order import STAGES, Asked
@@ -15,11 +16,14 @@ SENSED = {"m": "f_h", "s": "f_env"}  # the external force at each end
 
 
 class EndStructure(NamedTuple):
-    """That of one end: what it has, its stages in order, and the fields that its law sums over the axes."""
+    """That of one end: what it has, its stages in order, what its law sums over the axes, and its messages."""
 
     has: EndHas
     stages: tuple[type[Stage], ...]
     fields: tuple[str, ...] = ()
+    tx_wave: str = ""
+    rx_wave: str = ""
+    rx_fields: tuple[str, ...] = ()
 
 
 class Structure(NamedTuple):
@@ -39,7 +43,8 @@ def structure_of(scene: Scene) -> Structure:
         has = RunHas(
             slave=scene.slave is not None, hand=scene.hand is not None,
             link=scene.slave is not None and (scene.link is not None or late),
-            repeats=repeats(scene.playout), energy=scene.energy, waves=scene.energy and scene.has_waves)
+            repeats=repeats(scene.played_as), integral=scene.has_waves and integrates(scene.played_as),
+            energy=scene.energy, waves=scene.energy and scene.has_waves)
         slave = _end(scene, "s", has) if has.slave else EndStructure(EndHas(), ())
         kept = vars(scene)["_structure"] = Structure(scene.axes, has, _end(scene, "m", has), slave)
     return kept
@@ -66,7 +71,12 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         leaves_out=getattr(scene, f"left_out_{e}") is not None, encoder="encoder" in names,
         velocity="velocity" in names, scaled="scaling" in names,
         watchdog="watchdog" in names, span="span" in reading, gain="gain" in reading)
-    return EndStructure(has, stages, sums_type(scene.law, e, scene.dt_ns / 1e9)._fields if sums else ())
+    fields = sums_type(scene.law, e, scene.dt_ns / 1e9)._fields if sums else ()
+    if not run.slave:
+        return EndStructure(has, stages, fields)
+    forth, back = messages(scene.law, scene.dt_ns / 1e9)
+    tx, rx = (forth, back) if e == "m" else (back, forth)
+    return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields)
 
 
 def sums_type(law: Any, e: str, dt: float) -> Any:
@@ -102,7 +112,7 @@ def _end_of(name: str, structure: Structure) -> End:
     own: EndStructure = getattr(structure, name)
     e = End(name, structure.axes, own.has)
     e.stages = tuple([stage(name, structure.axes) for stage in own.stages])
-    e.fields = own.fields
+    e.fields, e.tx_wave, e.rx_wave, e.rx_fields = own.fields, own.tx_wave, own.rx_wave, own.rx_fields
     e.cells = tuple([cell for column in end_columns(e) for cell in column.cells])
     e.memory = (
         *[(a, field) for a in e.axes for field in ("x", "v", "f")], *[(a, "z") for a in e.axes if own.has.inner],

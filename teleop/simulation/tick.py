@@ -61,6 +61,8 @@ def tick(run: Run, e: End, k: int) -> None:
         a.at = situation(run, e, a)
     for stage in e.stages:
         stage.situate(run, e)
+    for stage in e.stages:
+        stage.receive(run, e)
     answer(run, e)
     for stage in e.stages:
         stage.act(run, e, k)
@@ -92,7 +94,7 @@ def fresh(run: Run, e: End) -> Any:
     """Is there a message to play at this tick."""
     if not run.has.slave:
         return False
-    return True if run.has.repeats else e.got
+    return True if run.has.repeats or run.has.integral else e.got
 
 
 def age(run: Run, e: End) -> float:
@@ -303,7 +305,8 @@ def move_slave(run: Run) -> None:
 
 
 def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, touch0: Any) -> Generator[Any, Any, None]:
-    """A live end: a generator that is sent what the end has at a tick, and answers with force, message and row."""
+    """A live end: a generator that is sent what the end has at a tick, and answers with force, message, what its waves
+    have come to where that is sent along, and row."""
     run.law = law
     run.dt = dt
     run.half_dt = 0.5 * dt
@@ -315,7 +318,7 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
     begin(run, e, getattr(given, e.name))
     if e.has.gain:
         e.g_held = 1.0
-    k, x, v, touch, e.got, newest, rx, e.g, held, since = yield
+    k, x, v, touch, e.got, newest, rx, heard, e.g, held, since = yield
     k_before = k - 1
     while True:
         ticks = k - k_before
@@ -334,11 +337,14 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
                 e.newest = newest
             for a in e.axes:
                 a.rx = rx[a.i]
+                if run.has.integral:
+                    a.heard = heard[a.i]
         tick(run, e, k)
         if e.has.gain:
             e.g_held = e.g
-        k, x, v, touch, e.got, newest, rx, e.g, held, since = yield (
-            tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]), row(e))
+        k, x, v, touch, e.got, newest, rx, heard, e.g, held, since = yield (
+            tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]),
+            tuple([a.sent for a in e.axes]) if run.has.integral else None, row(e))
 
 
 def row(e: End) -> tuple[float, ...]:

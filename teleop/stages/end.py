@@ -17,6 +17,7 @@ class RunHas(NamedTuple):
     hand: bool = False
     link: bool = False
     repeats: bool = False  # playout: the last message is played again in the gaps
+    integral: bool = False  # playout: waves by what they have come to, which is sent along
     energy: bool = False  # the ledgers of the ports are kept,
     waves: bool = False  # ... and that of the link, whose messages carry waves
     compiled: bool = False  # written without branches, for compiled code
@@ -74,6 +75,9 @@ class Axis(Record):
     tx: Any  # the message that it sends
     sums: Any
     f_cmd: float  # the force that it commands, and what the stages make of it
+    heard: Any  # what the other end's waves had come to with the newest message
+    sent: Any  # what its own have come to
+    E_played: float  # energy of the waves that it played, J
     ring: Any  # messages on their way
 
     move: Callable[..., Any]  # the functions of its body
@@ -94,8 +98,9 @@ class End(Record):
     cells: tuple[tuple[Record, str], ...]  # of a row of its record
     memory: tuple[tuple[Record, str], ...]  # what it keeps from tick to tick
     fields: tuple[str, ...]  # of its law's sums
-    tx_wave: str
+    tx_wave: str  # the field of its messages that is a wave, "" if none is
     rx_wave: str
+    rx_fields: tuple[str, ...]  # of the messages that it receives
     got: Any  # is there a message to play at this tick
     newest: Any  # number of the newest message that was played, -1 before the first
     age: float  # of the newest message, s
@@ -113,12 +118,12 @@ class End(Record):
     law: Callable[..., Any]
     total: Callable[..., Any]
     Sums: Callable[..., Any]
+    Message: Callable[..., Any]
 
     def __init__(self, name: str, axes: int, has: EndHas) -> None:
         super().__init__(name)
         self.name, self.has = name, has
         self.axes = tuple([Axis(f"{name}{i}", i) for i in range(axes)])
-        self.tx_wave, self.rx_wave = ("u", "w") if name == "m" else ("w", "u")
 
 
 class Run(Record):
@@ -171,8 +176,8 @@ class Stage(Record):
     """One of what stands between a device and its law, or between the law and the motor.
 
     A subclass says in one file which numbers it is given, what it keeps in variables of its own, what it does in a
-    tick, and what of it is recorded. At a tick the stages `read` in their order, then the law answers, then they `act`
-    in the same order. `teleop.stages.order` says which ends have it.
+    tick, and what of it is recorded. At a tick the stages `read` in their order, then `situate`, then `receive`; then
+    the law answers, and they `act`. `teleop.stages.order` says which ends have it.
     """
 
     name: ClassVar[str]
@@ -209,6 +214,9 @@ class Stage(Record):
 
     def situate(self, run: Run, e: End) -> None:
         """Change what the law is told."""
+
+    def receive(self, run: Run, e: End) -> None:
+        """Change the message that the law is told."""
 
     def act(self, run: Run, e: End, k: int) -> None:
         """Change the force that the law commands."""

@@ -6,6 +6,8 @@ bring into the link (forward from the master, backward from the slave), `E_out` 
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import add
 from typing import Any, ClassVar
 
 from teleop.stages.end import Column, End, Run, Stage
@@ -25,6 +27,14 @@ class WaveLedger(Stage):
         e.E_in = e.E_out = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
+        if run.has.integral:  # which keeps both itself
+            e.E_in = reduce(add, [a.sent.E for a in e.axes])
+            e.E_out = reduce(add, [a.E_played for a in e.axes])
+        else:
+            self.sum(run, e)
+
+    def sum(self, run: Run, e: End) -> None:
+        """The energy of this tick's waves."""
         for a in e.axes:
             wave = getattr(a.rx, e.rx_wave) * (True if run.has.repeats else e.got)
             e.E_out = e.E_out + run.half_dt * (wave * wave)

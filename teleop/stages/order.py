@@ -39,6 +39,11 @@ class Place(NamedTuple):
         return found
 
 
+def _plays(end: Asked, stage: str) -> bool:
+    """Is this the stage of the scene's playout, where its messages have waves."""
+    return getattr(end.scene.wave_playout, "stage", None) == stage
+
+
 BEFORE_LAW = (  # what the law reads
     Place("encoder", "encoder:EncoderStage", lambda end: getattr(end.device, "encoder", None) is not None,
           "rounds the position that the law reads down to a step", "device_m=Device(encoder=Encoder(step=1e-5))"),
@@ -52,6 +57,13 @@ BEFORE_LAW = (  # what the law reads
     Place("scaling", "scaling:ScalingStage", lambda end: end.e == "s" and end.scene.scaling is not None,
           "tells the law the slave's metres and newtons in those of the master, and its force back",
           "scaling=Scaling(scale_x=0.2, scale_f=0.5)", "slave"),
+    # what it reads of the other end
+    Place("wave_integral", "wave_integral:WaveIntegralStage", lambda end: _plays(end, "wave_integral"),
+          "plays waves by their integral, within their energy", "playout=Integral()"),
+    Place("wave_energy", "wave_integral:WaveEnergyStage", lambda end: _plays(end, "wave_energy"),
+          "plays what is owed of a wave at once, within its energy", "playout=Energy()"),
+    Place("wave_scaling", "wave_integral:WaveScalingStage", lambda end: _plays(end, "wave_scaling"),
+          "plays the newest wave, and in gaps the last one again, times sqrt(1 - rate)", "playout=Scaled(0.1)"),
 )
 AFTER_LAW = (  # what its force goes through
     Place("compute_delay", "compute_delay:ComputeDelayStage", lambda end: getattr(end.device, "delay", 0) > 0,

@@ -41,7 +41,7 @@ def schedules_key(scene: Scene, seed: int) -> Any:
     left_out = scene.left_out_m, scene.left_out_s
     if scene.link is None and left_out == (None, None):
         return "no link", scene.ticks, scene.dt_ns
-    key = scene.link, scene.playout, seed, scene.ticks, scene.dt_ns, scene.wire_size, left_out, scene.slave is None
+    key = scene.link, scene.played_as, seed, scene.ticks, scene.dt_ns, scene.wire_size, left_out, scene.slave is None
     try:
         hash(key)
     except TypeError:  # a link of the user's own that has no hash

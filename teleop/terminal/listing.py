@@ -13,6 +13,7 @@ from teleop.errors import Refused, nearest
 from teleop.knob import Declared, Knob
 from teleop.scene.catalogue import Named, find, names
 from teleop.scene.library import ROOT
+from teleop.scene.playout import Playout
 from teleop.scene.wide import WIDE
 from teleop.terminal.answer import Answer
 
@@ -22,18 +23,26 @@ HEADINGS = {"estimators": "velocity estimators"}  # where it is not the kind its
 MEANINGS = {  # of knobs that declare nothing, by their type
     "Law": "control law: direct, pfra, wave, one of a plug-in, or FILE.py:CLASS",
     "OnePortLaw": "law that renders by itself: virtual_coupling, virtual_wall, one of a plug-in, or FILE.py:CLASS",
-    "Zero | Hold | Fixed": "zero, hold, or fixed:SECONDS from sending to playing",
+    "Playout": "zero, hold, integral, energy, scaled:RATE, or fixed:SECONDS from sending to playing",
     "VelocityEstimator": "backward_difference(), low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1) and others",
 }
 PLAYOUTS = (
     ("zero", "the newest message that has come; in a gap the law is told that there is none, and a wave law plays zero",
-     "E_link >= 0 with a law of waves, over any link"),
+     "E_link >= 0 with a law of waves, over any link; a steady force fades with loss"),
     ("hold", "the newest message that has come; in a gap the last one again",
      "nothing: it is active, and E_link may fall below zero"),
+    ("integral", "of waves what is owed of their integral, evenly over the time that is missing, within their energy",
+     "E_link >= 0 over any link, and a steady force that stays"),
+    ("integral:TARGET", "the same with a queue of TARGET s at least, which delays and smooths",
+     "the same"),
+    ("energy", "of waves what is owed of their integral at once, within their energy",
+     "E_link >= 0 over any link; a steady force fades with jitter"),
+    ("scaled:RATE", "the newest wave, in a gap the last one again, times sqrt(1 - RATE)",
+     "E_link >= 0 without loss where the delay grows by RATE s a second at most; a steady force fades"),
     ("fixed:SECONDS", "each message this long after it was sent, late ones never; gaps as with zero",
      "order, a constant delay, and E_link >= 0 with a law of waves"),
-    ("fixed:SECONDS:hold", "the same; in a gap the last message again",
-     "order and a constant delay; E_link may fall below zero"),
+    ("fixed:SECONDS:GAPS", "the same; in a gap what GAPS plays there: hold, integral, energy or scaled:RATE",
+     "order, a constant delay, and what GAPS claims"),
 )
 
 
@@ -87,7 +96,8 @@ def _metrics() -> tuple[Rows, list[str]]:
 def _playouts() -> tuple[Rows, list[str]]:
     rows = [{"name": name, "plays": plays, "claims": claims} for name, plays, claims in PLAYOUTS]
     return rows, ["set with: --set playout=fixed:0.1, in every scene with a link; in a scene of your own "
-                  "playout=Fixed(0.1), Zero() or Hold()"]
+                  "playout=Fixed(0.1, gaps=Integral()); a scene that names none has integral where its messages have "
+                  "waves and its link loses or jitters, and live, and zero elsewhere"]
 
 
 def _stages() -> tuple[Rows, list[str]]:
@@ -161,6 +171,8 @@ def _aligned(rows: Rows, *, heading: bool = True) -> str:
 
 
 def _kind(hint: Any) -> str:
+    if hint == Playout:
+        return "Playout"
     text = hint if isinstance(hint, str) else getattr(hint, "__name__", None) or str(hint)
     return re.sub(r"[\w.]+\.(\w+)", r"\1", text)
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law import law_name
-from teleop.scene.playout import Fixed
+from teleop.scene.playout import Fixed, Scaled, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.given import numbers_of
@@ -139,7 +139,7 @@ def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
     import numpy as np
 
     count = min(scene.ticks, 100_000)
-    fixed = scene.playout.ticks(scene.dt_ns) if isinstance(scene.playout, Fixed) else 0
+    fixed = scene.played_as.ticks(scene.dt_ns) if isinstance(scene.played_as, Fixed) else 0
     found = []
     for direction in (0, 1):
         arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)
@@ -202,7 +202,9 @@ def begin(scene: Scene, e: str, x0: float = 0.0) -> list[float]:
 
 
 def _made(scene: Scene, e: str, entry: Callable[..., Any], places: list[float]) -> tuple[Callable[..., Any], Any]:
-    bare = replace(scene, energy=False, watchdog=None)  # a watchdog leaves a link that always delivers alone
+    # A watchdog leaves a link that always delivers alone, and over a constant delay these playouts play the same.
+    gaps = gaps_of(scene.played_as)
+    bare = replace(scene, energy=False, watchdog=None, playout=gaps if isinstance(gaps, Scaled) else Zero())
     bodies = exact_bodies(bare)
     made = lines(structure_of(bare), entry, ends=(e,)).function({**functions(bare), **bodies.functions()})
     return made, (numbers_of(bare, {e: places}), bare.law, bare.dt_ns / 1e9, places, [STILL] * bare.axes, bodies.held())

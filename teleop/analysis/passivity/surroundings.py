@@ -54,7 +54,7 @@ def delays(scene: Scene, seed: int = 0) -> tuple[float, float]:
     import numpy as np
 
     forth, back = ticks(scene, seed)
-    if isinstance(scene.playout, Fixed):
+    if isinstance(scene.played_as, Fixed):
         return forth * scene.dt_ns / 1e9, back * scene.dt_ns / 1e9
     found = []
     for direction in (0, 1):

@@ -95,7 +95,7 @@ def test_direct_reflection_cannot_claim_the_port() -> None:
 
 
 def test_a_law_without_waves_cannot_claim_the_link() -> None:
-    with pytest.raises(Refused, match=r"carry no waves; call their fields u .forth. and w .back."):
+    with pytest.raises(Refused, match=r"claims E_link, but its messages carry no waves; write `u: kind.Wave`"):
         try_claims(Boasting(claims=frozenset({"E_link"})))
 
 

@@ -16,7 +16,7 @@ from teleop.laws.wave import Wave
 from teleop.protocol.deadline import DEADLINE, LAPSING
 from teleop.protocol.guard import Event
 from teleop.protocol.packet import Echo, Kind, Packet, encode
-from teleop.scene.playout import Fixed
+from teleop.scene.playout import Fixed, Integral
 from teleop.simulation.structure import columns
 from teleop.stages.device import Device
 from teleop.stages.encoder import Encoder
@@ -329,7 +329,7 @@ def test_a_fixed_playout_heals_too(playout: Fixed) -> None:
 
 @pytest.mark.parametrize("every", [(1, 2), (2, 1), (2, 3), (4, 4)], ids=str)
 def test_ends_of_two_rates_heal_too(every: tuple[int, int]) -> None:
-    world = running(healing(dt=0.005), every=dict(zip("ms", every, strict=True)))
+    world = running(healing(dt=0.005, playout=Integral()), every=dict(zip("ms", every, strict=True)))
     for who in ("m", "s", "ms"):
         for e in who:
             world.kill(e)

@@ -19,7 +19,7 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
-from teleop.scene.playout import Fixed, Hold
+from teleop.scene.playout import Fixed, Hold, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 
@@ -35,7 +35,7 @@ def make(**other: Any) -> Scene:
     return Scene(**{
         "law": Wave(b=B), "master": MassDamper(mass=0.1, damping=0.5), "slave": MassDamper(mass=0.5, damping=1.0),
         "hand": Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=1.0)),
-        "environment": Wall(k=5e3, d=5.0, at=0.02), "energy": True, "duration": 1.0, **other,
+        "environment": Wall(k=5e3, d=5.0, at=0.02), "energy": True, "duration": 1.0, "playout": Zero(), **other,
     })
 
 

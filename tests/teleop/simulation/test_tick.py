@@ -265,11 +265,11 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
         said = {}
         for e, other, plan in (("m", "s", back), ("s", "m", forth)):
             seq = k - 1 if plan is None else plan.play[k]
-            heard = (True, seq, sent[other][seq]) if seq >= 0 else (False, -1, None)
+            heard = (True, seq, *sent[other][seq]) if seq >= 0 else (False, -1, None, None)
             if scene.watchdog is not None:
                 last[e] = k if heard[0] else last[e]
                 gain[e], calm[e] = watchdog_step(scene.watchdog.limits(dt), gain[e], calm[e], k - last[e])
-            held[e], said[e], row = ends[e].send((k, *read[e], *heard, gain[e], held[e], 1))
+            held[e], *said[e], row = ends[e].send((k, *read[e], *heard, gain[e], held[e], 1))
             rows[e].extend(row)
         for e in "ms":
             sent[e].append(said[e])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from channel.link import EFFECTS
 from teleop import PFRA, Refused, Scaling, Scene, Wave, load_scene, run
 from teleop.law import BUILT_IN
 from teleop.scene.library import ROOT, built_in_scenes
+from teleop.scene.playout import as_typed
 from teleop.scene.wide import WIDE
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.metrics import METRICS
@@ -115,10 +117,14 @@ class TestTables:
 
     def test_playouts_are_what_their_knob_takes(self, typed: Typed) -> None:
         rows = json.loads(typed("list", "playout", "--json").out)["playout"]
-        made = [load_scene("hard_wall", playout=row["name"].replace("SECONDS", "0.1")).playout for row in rows]
-        assert len(set(map(str, made))) == len(rows) == 4
+        words = {"SECONDS": "0.1", "TARGET": "0.01", "RATE": "0.1", "GAPS": "integral"}
+        typed_as = [re.sub("[A-Z]+", lambda found: words[found[0]], row["name"]) for row in rows]
+        made = [load_scene("hard_wall", playout=each).playout for each in typed_as]
+        assert [as_typed(each) for each in made if each is not None] == typed_as
+        assert len(set(map(str, made))) == len(rows) == 8
 
-    @pytest.mark.parametrize("playout", ["zero", "fixed:0.08"])  # of hold see tests/scenarios/test_random_links.py
+    @pytest.mark.parametrize(  # of hold see tests/scenarios/test_random_links.py
+        "playout", ["zero", "fixed:0.08", "integral", "integral:0.01", "energy", "fixed:0.06:integral"])
     def test_a_playout_keeps_what_the_list_claims(self, playout: str) -> None:
         scene = load_scene("jittery_wan", playout=playout, link="delay(0.05) | uniform(0.03) | bernoulli(0.4)",
                            f_max="none", slew="none", timeout="none")
@@ -128,7 +134,7 @@ class TestTables:
         rows = json.loads(typed("list", "stages", "--json").out)["stages"]
         names = [row["name"] for row in rows]
         assert [name for name in names if name != "(law)"] == [place.name for place in STAGES]
-        assert names[names.index("(law)") - 1:names.index("(law)") + 2] == ["scaling", "(law)", "compute_delay"]
+        assert names[names.index("(law)") - 1:names.index("(law)") + 2] == ["wave_scaling", "(law)", "compute_delay"]
 
     @pytest.mark.parametrize("place", STAGES, ids=lambda place: place.name)
     def test_a_stage_is_turned_on_by_the_field_that_the_list_names(self, place: Place) -> None:
@@ -140,7 +146,8 @@ class TestTables:
         assert with_stage(named, place) == ("m" if "device_m" in place.field else ends)
 
 
-PARTS = ("Cap", "Device", "Encoder", "LowPass", "PassivityController", "Scaling", "Watchdog")
+PARTS = ("Cap", "Device", "Encoder", "Energy", "Integral", "LowPass", "PassivityController", "Scaled",
+         "Scaling", "Watchdog")
 
 
 def with_stage(scene: Scene, place: Place) -> str:

@@ -1,0 +1,248 @@
+"""Playout of waves by their integral, within their energy, both of which are sent along with every wave.
+
+With each wave an end sends, for each axis, what its waves have come to so far: T, the time (s); U, the integral of the
+wave; E, its energy (J). With `span` the time since its last tick, dt its tick, q the wave of this tick and q' the one
+before, which was held over ticks that were left out:
+
+    T += span        U += (span - dt) q' + dt q        E += (span - dt) q'^2/2 + dt q^2/2
+
+The receiver keeps P and G, the same of the wave p that it plays; C, how much of the sender's time it has played; and
+M, the least that the queue was. At each of its ticks, p' being the wave that it played last, and T, U, E those of the
+newest message, all zero before the first:
+
+    P += (span - dt) p'        G += (span - dt) p'^2/2        C += span - dt
+    D = U - P        the integral that is owed
+    S = max(E - G, 0)        the energy that is left for it
+    L = T - C        the queue: the time that is owed
+    H = D^2/(2 S)        the shortest time over which the energy lets D be played evenly
+    M = max(0, min(M + (L - M) dt/memory, L - dt))
+    h = max(dt, L - min(M, L - target) dt/settle, min(H, L))        the time over which it is played
+    p = D/max(h, H) where L >= dt/2, else p' limited to +-sqrt(S/dt)
+    P += dt p        G += dt p^2/2        C = max(C, T - (h - dt))
+
+Passive, whatever comes: out of order, lost, doubled, of a peer with another tick. Where L >= dt/2,
+
+    dt p^2/2 <= max(h, H) p^2/2 <= D^2/(2 H) = S
+
+and elsewhere dt p^2/2 <= S/2. So G <= E of a message that was sent, at every tick, for every h >= dt. Only what is held
+over ticks that are left out is booked when it has been played: G may pass E by one such wait, and nothing is played
+until that is paid.
+
+No fade: by Cauchy-Schwarz a wave that was sent over a time L has D^2 <= 2 S L. The points (D, S, L) that fulfil it are
+a convex cone. Sending adds a point of the cone, and playing D/h for a tick, h >= min(H, L), leaves one: so H <= L
+always, and a wave that stays the same is played exactly as it was sent through every gap that the queue is as long as.
+A gap that is longer is felt as a dip towards zero, since a steady wave leaves no energy over; the queue is longer by
+that gap afterwards.
+
+No drift: nothing that was sent is forgotten. x_m - x_d is the waves under way and in the queues over sqrt(2b), and
+comes to rest where they do.
+
+The queue follows the gaps of the link. M falls with it in a gap and rises towards it within `memory`, so M is what no
+gap of that time has needed; that alone is released, with the time constant `settle`, and never below `target`. A
+steady wave cannot give any of it back: to play u (t + d) within a time t takes an energy u^2 (t + d)^2/(2 t) at least,
+by Cauchy-Schwarz, and u^2 (t + d)/2 was sent. So no passive rule that forgets nothing shortens the queue of a steady
+wave. It shortens by what varying waves leave over, and in full where the hand lets go.
+
+Statics. A hand of stiffness k_h that is moved by `push` beyond the surface of a wall k_e, over a coupling K, delays T1
+and T2, queues L1 and L2 and a wave impedance b, presses with
+
+    f = push/(1/k_h + 1/K + 1/k_e + (T1 + T2 + L1 + L2)/(2b))
+
+Source of sending the integral of a wave and of its energy: G. Niemeyer and J.-J. E. Slotine, "Towards force-reflecting
+teleoperation over the Internet", IEEE ICRA 1998. The rule of release is derived here.
+
+`Energy` plays what is owed at once within the energy, p = D/max(dt, H): passive likewise, and each late packet is a
+short burst. `Scaled` plays the newest wave, and in gaps again, times sqrt(1 - rate).
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any, ClassVar, NamedTuple
+
+from teleop.stages.end import Axis, Column, End, Places, Run, Stage, elapsed, per_axis, zero
+from teleop.stages.lanes import where
+from teleop.stages.record import Record
+
+TINY = 5e-324  # in place of no energy: D^2/(2 S) is infinite then, and nothing is played
+
+new: Any = tuple.__new__
+
+
+class Integrals(NamedTuple):
+    """What an end's waves have come to in one axis."""
+
+    T: float  # the time since it began, s
+    U: float  # the integral of the wave
+    E: float  # its energy, J
+
+
+class AxisWaves(Record):
+    """The waves of one axis: those that were sent, and those that were played."""
+
+    q: float  # the wave that was sent at the last tick, sqrt(W)
+    p: float  # the wave that was played last
+    P: float  # its integral
+    G: float  # its energy, J
+    C: float  # how much of the sender's time it was, s
+    D: float  # the integral that is owed
+    S: float  # the energy that is left for it, J
+    L: float  # the queue: the time that is owed, s
+    M: float  # the least that it was, s
+    spare: float  # what may be released of it, s
+    H: float  # the shortest time over which the energy lets it be played, s
+    h: float  # the time over which it is played, s
+    most: float  # what the energy allows of a wave in this tick
+    queue: float  # after it, s
+    held: float  # how long the last wave was held over ticks that were left out, s
+
+
+class WaveIntegralStage(Stage):
+    """The wave p in place of the received one. Recorded is the queue, `queue_m` or `queue_s` (s)."""
+
+    name: ClassVar[str] = "wave_integral"
+    target: float  # the least queue that is kept, s
+    settles: float  # the share of what is spare that is released in a tick
+    recalls: float  # the share of the way from M to L
+    spared: float  # dt, or 0 where M is L
+
+    def __init__(self, e: str, axes: int) -> None:
+        super().__init__(e, axes)
+        self.axes = tuple([AxisWaves(f"{e}{i}") for i in range(axes)])
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        own = scene.wave_playout
+        settles, recalls = min(1.0, dt / own.settle), min(1.0, dt / own.memory) if own.memory else 1.0
+        return own.target, settles, recalls, dt if own.memory else 0.0
+
+    def columns(self, e: End) -> tuple[Column, ...]:
+        return (per_axis(f"queue_{e.name}", self.axes, "queue"),)
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        self.target, self.settles, self.recalls, self.spared = given
+        for a, own in zip(e.axes, self.axes, strict=True):
+            own.q = own.p = own.P = own.G = own.M = own.queue = zero(run)
+            own.C = zero(run) - self.target
+            a.heard = a.sent = Integrals(zero(run), zero(run), zero(run))
+            a.E_played = zero(run)
+
+    def receive(self, run: Run, e: End) -> None:
+        for a, own in zip(e.axes, self.axes, strict=True):
+            owed(run, e, a, own)
+            if run.has.compiled:
+                own.M = max(0.0, min(own.M + (own.L - own.M) * self.recalls, own.L - self.spared))
+                own.H = own.D * own.D / max(2.0 * own.S, TINY)
+                own.h = max(run.dt, own.L - self.settles * min(own.M, own.L - self.target), min(own.H, own.L))
+                own.most = sqrt(own.S / run.dt)
+                own.p = where(run.half_dt <= own.L, own.D / max(own.h, own.H), min(max(own.p, -own.most), own.most))
+                own.C = where(a.heard.T > 0.0, max(own.C, a.heard.T - (own.h - run.dt)), own.C)
+            else:
+                self.release(run, a, own)
+            play(run, e, a, own)
+
+    def release(self, run: Run, a: Axis, own: AxisWaves) -> None:
+        """The same as for compiled code, with branches in place of calls."""
+        own.M = own.M + (own.L - own.M) * self.recalls
+        if own.L - self.spared < own.M:  # noqa: PLR1730 - a call costs more
+            own.M = own.L - self.spared
+        if own.M < 0.0:  # noqa: PLR1730
+            own.M = 0.0
+        own.h = run.dt
+        if run.half_dt <= own.L:
+            own.H = own.D * own.D / (2.0 * own.S if 2.0 * own.S > TINY else TINY)
+            own.spare = own.M if own.L - self.target > own.M else own.L - self.target
+            own.h = max(own.h, own.L - self.settles * own.spare)
+            if own.h < own.H and own.h < own.L:
+                own.h = own.H if own.H < own.L else own.L
+            own.p = own.D / (own.H if own.h < own.H else own.h)
+        else:
+            own.most = sqrt(own.S / run.dt)
+            if not -own.most <= own.p <= own.most:
+                own.p = -own.most if own.p < 0.0 else own.most
+        if a.heard.T - (own.h - run.dt) > own.C and a.heard.T > 0.0:
+            own.C = a.heard.T - (own.h - run.dt)
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for a, own in zip(e.axes, self.axes, strict=True):
+            send_along(run, e, a, own)
+
+
+class WaveEnergyStage(WaveIntegralStage):
+    """The same of all that is owed, at once within the energy."""
+
+    name: ClassVar[str] = "wave_energy"
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return 0.0, 0.0, 0.0, 0.0  # it has no times
+
+    def receive(self, run: Run, e: End) -> None:
+        for a, own in zip(e.axes, self.axes, strict=True):
+            owed(run, e, a, own)
+            own.p = own.D / max(run.dt, own.D * own.D / max(2.0 * own.S, TINY))
+            own.C = max(own.C, a.heard.T)
+            play(run, e, a, own)
+
+
+def owed(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
+    """What is owed of the other end's waves at this tick, and what energy is left for it."""
+    if e.has.leaves_out:
+        own.held = elapsed(run, e) - run.dt
+        own.P = own.P + own.held * own.p
+        own.G = own.G + own.held * (0.5 * (own.p * own.p))
+        own.C = own.C + own.held
+    own.D = a.heard.U - own.P
+    if run.has.compiled:
+        own.S = max(a.heard.E - own.G, 0.0)
+    else:
+        own.S = a.heard.E - own.G if a.heard.E > own.G else 0.0
+    own.L = a.heard.T - own.C
+
+
+def play(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
+    """Book the wave p of this tick, and let the law have it."""
+    own.P = own.P + run.dt * own.p
+    own.G = own.G + run.half_dt * (own.p * own.p)
+    own.queue = a.heard.T - own.C
+    a.E_played = own.G
+    a.rx = with_wave(run, e, a, own.p)
+
+
+def send_along(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
+    """What the waves that this end sends have come to, with that of this tick."""
+    T, U, E = a.sent
+    q = getattr(a.tx, e.tx_wave)
+    if e.has.leaves_out:
+        own.held = elapsed(run, e) - run.dt
+        T, U, E = T + own.held, U + own.held * own.q, E + own.held * (0.5 * (own.q * own.q))
+        own.q = q
+    if run.has.compiled:
+        a.sent = Integrals(T + run.dt, U + run.dt * q, E + run.half_dt * (q * q))
+    else:
+        a.sent = new(Integrals, (T + run.dt, U + run.dt * q, E + run.half_dt * (q * q)))
+
+
+class WaveScalingStage(Stage):
+    """The received wave, once it has come, times sqrt(1 - rate)."""
+
+    name: ClassVar[str] = "wave_scaling"
+    gain: float
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return sqrt(1.0 - scene.wave_playout.rate)
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        self.gain = given
+
+    def receive(self, run: Run, e: End) -> None:
+        for a in e.axes:
+            a.rx = with_wave(run, e, a, where(e.got, self.gain, 1.0) * getattr(a.rx, e.rx_wave))
+
+
+def with_wave(run: Run, e: End, a: Axis, wave: Any) -> Any:
+    """The received message with this wave in place of its own."""
+    if run.has.compiled:
+        return e.Message(*[wave if field == e.rx_wave else getattr(a.rx, field) for field in e.rx_fields])
+    return new(e.Message, tuple([wave if field == e.rx_wave else getattr(a.rx, field) for field in e.rx_fields]))
