@@ -38,21 +38,23 @@ def _run(argv: list[str]) -> int:
     scene = both_ends(load_scene(args.scene, **knobs_from(args)))
     peer = _with_host(peer_address(args.peer), "127.0.0.1")  # answers come from there
     listen = address(args.listen, "--listen")
-    with output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt:
+    with (output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt,
+          realtime.asked(args, interrupt) as scheduling):
         beyond = next((at for at in (listen, peer) if not security.is_local(at)), None)
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer), beyond=beyond, insecure=args.insecure)
         if beyond is not None and args.insecure:
             security.tell_insecure(beyond)
         at = near.getsockname()[:2]
-        realtime.asked(args, "channel")
         if args.json:
-            _event("listening", address=shown(at), port=at[1])
+            _event("listening", address=shown(at), port=at[1], realtime=scheduling.told)
         else:
             link: Any = scene.link  # a scene asks less of its link than a text does
             named = "no link" if link is None else describe(link)
             print(f"channel: {named}; {shown(at)} <-> {shown(peer)}; start the master with: "
                   f"python -m master {_typed(args)} --peer {shown(_with_host(at, 'THIS-HOST'))}"
                   f"{'' if beyond is None else _open_or_sealed(args)}", flush=True)
+            if scheduling.told is not None:
+                print(f"channel: {realtime.sentence(scheduling.told)}", flush=True)
         shell.run(interrupt)
     router = shell.router
     counts = {way: router.counts(direction)._asdict() for direction, way in enumerate(("fwd", "bwd"))}

@@ -1,7 +1,10 @@
-"""Versions that are installed and compiled kernels that are kept: `teleop doctor`."""
+"""Versions that are installed, compiled kernels that are kept, real-time scheduling: `teleop doctor`."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
 import sys
 from argparse import Namespace
 from importlib.metadata import PackageNotFoundError, version
@@ -25,8 +28,33 @@ def kernels() -> Path:
     return folder()
 
 
+_ASK = """
+import json
+import teleop.live.end
+from teleop.live.process.realtime import ask
+scheduler, memory, _ = ask()
+print(json.dumps({"scheduler": scheduler, "memory": memory}))
+"""
+
+
+def real_time() -> dict[str, str | None]:
+    """What the system gives a live end, as a process of its own is given it now, and what to type for the rest."""
+    from teleop.live.process.realtime import Granted, cure
+    from teleop.scene.library import ROOT
+
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run([sys.executable, "-P", "-c", _ASK], check=False, capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": path})
+    try:
+        granted = Granted(**json.loads(done.stdout))
+    except (ValueError, TypeError):
+        granted = Granted("no (its process did not come up)", "no (its process did not come up)")
+    lacking = not granted.whole and hasattr(os, "sched_setscheduler")
+    return {"scheduler": granted.scheduler, "memory": granted.memory, "cure": cure(for_good=True) if lacking else None}
+
+
 def findings() -> dict[str, Any]:
-    """Versions, extras and the kernels on disk, as JSON can hold them."""
+    """Versions, extras, the kernels on disk and what there is of real-time scheduling, as JSON can hold them."""
     from teleop.version import __version__
 
     held = _kept(kernels())
@@ -38,6 +66,7 @@ def findings() -> dict[str, Any]:
         "kernels": {"folder": str(kernels()), "modules": sum(path.suffix == ".py" for path in held),
                     "bytes": sum(path.stat().st_size for path in held),
                     "not_kept": open_to_others(kernels()) if kernels().exists() else None},
+        "realtime": real_time(),
     }
 
 
@@ -60,6 +89,10 @@ def text(found: dict[str, Any]) -> str:
                  "teleop doctor --clear removes them"))
     if held["not_kept"]:
         rows.append(("", f"they are not made use of: {held['not_kept']}"))
+    got = found["realtime"]
+    rows.append(("real time", f"a live end gets scheduler {got['scheduler']}, memory {got['memory']}"))
+    if got["cure"]:
+        rows.append(("", got["cure"]))
     return facts(rows)
 
 

@@ -5,7 +5,7 @@ comes from the peer's own address, as it does from a host on the way; the other 
 A quarter each of what it throws is random bytes, a good packet with one bit wrong, a good packet cut short, and
 something like a DTLS record of the right length.
 
-The ends ask to run before all others (--realtime), the forwarder after them, and what throws last of these: what is
+The ends ask to run before all others, as live ends do, the forwarder after them, and what throws last of these: what is
 measured is what the datagrams cost, not what it costs to share a machine with those who send them. Where the system
 refuses, they run as all do. Where less was thrown than asked, the row says how much.
 """
@@ -25,7 +25,7 @@ from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
 SECONDS = 3
-SCENE = ("hard_wall", "--link", "none", "--set", f"duration={SECONDS}", "--realtime")
+SCENE = ("hard_wall", "--link", "none", "--set", f"duration={SECONDS}")
 SLOW, FAST = 20_000, 200_000  # datagrams a second
 
 

@@ -19,6 +19,7 @@ from teleop.live import fault
 from teleop.live.live_line import live_text
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.process.realtime import sentence
 from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
@@ -42,6 +43,7 @@ class Child:
         self.listening: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         self.listening.add_done_callback(lambda port: port.exception())  # there may be no task left that waits for it
         self.done: dict[str, Any] | None = None
+        self.realtime: dict[str, str] | None = None  # what the system gave it
 
     @classmethod
     async def start(cls, name: str, arguments: list[str]) -> Child:
@@ -63,6 +65,7 @@ class Child:
         async for line in _lines(self.process.stdout):
             event = _event(line)
             if event["event"] == "listening" and not self.listening.done():
+                self.realtime = event["realtime"]
                 self.listening.set_result(event["port"])
             elif event["event"] == "live":
                 live[event["end"]] = event
@@ -131,19 +134,19 @@ def _die_with_parent() -> None:
 
 def demo(
     scene_name: str, knobs: dict[str, str], *, seed: int, out: str | None, stem: str, json: bool, lockstep: bool,
-    command: list[str], realtime: bool = False, rate: float | None = None, spin: bool = False,
+    command: list[str], realtime: bool = True, rate: float | None = None, spin: bool = False,
 ) -> Result:
     """Run a scene live on loopback and write its folder, `out` or runs/STEM-N. Raises `Refused`.
 
     `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself. `rate` (Hz)
-    and `spin` are those of both ends, `realtime` is of all three processes.
+    and `spin` are those of both ends, `realtime` (ask for real-time scheduling) is of all three processes.
     """
     scene = both_ends(load_scene(scene_name, **(knobs if lockstep else live_knobs(scene_name, knobs))))
     ticks_of(scene, rate, lockstep=lockstep, spin=spin)  # refused here, before a process is started
     options = [scene_name, "--seed", str(seed)]
     options += [part for key, value in knobs.items() for part in
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
-    options += ["--realtime"] * realtime
+    options += [] if realtime else ["--no-realtime"]
     ticking = ["--lockstep"] * lockstep + ["--spin"] * spin + ([] if rate is None else ["--rate", repr(rate)])
     with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as (folder, keep):
         try:
@@ -190,6 +193,8 @@ async def _conduct(
     try:
         slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *ticking)
         port = await slave.port()
+        if show and slave.realtime is not None:  # all three ask for the same, and may have the same
+            print(sentence(slave.realtime), flush=True)
         if "--lockstep" not in ticking:
             channel = await start("channel", "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
             port = await channel.port()

@@ -78,9 +78,8 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
         made = opened(device, scene)
         stem = f"{scene.name}-{NAMES[e]}"
-        granted = realtime.asked(args, NAMES[e])  # before the watchdog of the device, which takes it over
-        with (fresh_folder(args.out, stem) as (folder, keep),
-              nullcontext(made) if args.lockstep else watched(made, folder) as watched_device):
+        with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as (folder, keep),
+              nullcontext(made) if args.lockstep else watched(made, folder, scheduling.above) as watched_device):
             progress = _Progress(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
@@ -88,17 +87,18 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
             recorder = RecordWriter(scene, e, folder, about)
             shell = Shell(endpoint, watched_device, wire, recorder, say, peer_timeout=args.wait, interrupt=interrupt)
-            last.shell = shell
-            shell.realtime = granted
+            shell.realtime = scheduling
+            last.stand_by(shell)
             shell.security.insecure = insecure
             if not (args.json or args.quiet):
                 shell.hint = partial(_hint, NAMES[e])
             if holds_on(shell):
                 complain(UNWATCHED, DONE)
-            _greet(e, args, wire)
+            _greet(e, args, wire, scheduling.told)
             try:
                 asyncio.run(run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0))
             finally:
+                scheduling.give_back()  # what is left to do has time
                 progress.end()
             if shell.counts.ticks or _leaves_a_traceback(shell):
                 keep()
@@ -190,10 +190,10 @@ def _wire(e: str, at: Address, secure_link: SecureLink | None) -> Iterator[Wire]
         wire.sock.close()
 
 
-def _greet(e: str, args: Any, wire: Wire) -> None:
+def _greet(e: str, args: Any, wire: Wire, scheduling: dict[str, str] | None) -> None:
     at = wire.sock.getsockname()[:2]
     if args.json:
-        print(written({"event": "listening", "address": shown(at), "port": at[1]}), flush=True)
+        print(written({"event": "listening", "address": shown(at), "port": at[1], "realtime": scheduling}), flush=True)
     elif e == "m":
         assert wire.peer is not None
         print(f"master: asking {shown(wire.peer)} for a session", flush=True)
@@ -206,6 +206,8 @@ def _greet(e: str, args: Any, wire: Wire) -> None:
             keys = f" --key master.key --peer-fingerprint {wire.secure_link.fingerprint}"
         print(f"slave: listening on {shown(at)}; start the master with: "
               f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}{keys}", flush=True)
+    if scheduling is not None and not args.json:
+        print(f"{NAMES[e]}: {realtime.sentence(scheduling)}", flush=True)
 
 
 def _hint(name: str, sentence: str) -> None:

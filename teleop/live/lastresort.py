@@ -24,7 +24,8 @@ from types import TracebackType
 
 from teleop.live.fault import part_of
 from teleop.live.outcome import MAY_BE_ON
-from teleop.live.process.interrupt import Interrupt, name_of
+from teleop.live.process.interrupt import OVERRUN, Interrupt, name_of
+from teleop.live.process.realtime import run_first
 from teleop.live.shell import Shell
 from teleop.protocol.guard import Event
 from teleop.terminal.options import FAULT, FORCED
@@ -40,10 +41,21 @@ class LastResort:
 
     def __init__(self, interrupt: Interrupt) -> None:
         self.interrupt = interrupt
-        self.shell: Shell | None = None  # there is a device to be let go
+        self.shell: Shell | None = None  # whose device is to be let go
         self._names: list[str] = []
         self._leaves = False  # it heeds the signal
         self._done = False
+        self._overran = False
+
+    def stand_by(self, shell: Shell) -> None:
+        """There is a device to be let go. Of a loop with real-time scheduling, which could keep a core to itself, the
+        thread runs first.
+        """
+        self.shell = shell
+        above = None if shell.realtime is None else shell.realtime.above
+        if above is not None and self._thread.native_id is not None:
+            with suppress(OSError):
+                run_first(above, self._thread.native_id)
 
     def __enter__(self) -> LastResort:
         self._reads, self._writes = os.pipe()
@@ -70,7 +82,10 @@ class LastResort:
                 ready, _, _ = select.select([self._reads], [], [], None if left == float("inf") else left)
                 came = os.read(self._reads, 64) if ready else b""
                 for number in self.interrupt.taken.intersection(came):
-                    self._names += [name_of(number)] * came.count(number)
+                    times = came.count(number) - self._is_overrun(number)
+                    if not times:
+                        continue
+                    self._names += [name_of(number)] * times
                     self.interrupt.seen = len(self._names)
                     due = min(due, time.monotonic() + (HEED_S if len(self._names) == 1 else HUNG_S))
             elif self._may_wait():
@@ -79,6 +94,14 @@ class LastResort:
                 self._leaves, due = True, time.monotonic() + LEAVE_S
             else:
                 self._act()
+
+    def _is_overrun(self, number: int) -> bool:
+        """True if this one gives real-time scheduling back, which it does also where the loop does not heed it."""
+        if number != OVERRUN or self.interrupt.overrun is None or self._overran:
+            return False
+        self._overran = True
+        self.interrupt.overrun()
+        return True
 
     def _may_wait(self) -> bool:
         """True if there is no force to let go: before the run, however long that takes, or after it."""
@@ -91,6 +114,8 @@ class LastResort:
     def _act(self) -> None:
         """Zero force, the record, the peer, a sentence, the end; whatever of it hangs."""
         shell, code, force = self.shell, FAULT, "no force was on"
+        if shell is not None and shell.realtime is not None:
+            shell.realtime.give_back()  # what hangs would keep the core from the thread that lets go
         why = f"{' and '.join(self._names[:2])} came, and {self._hung()} does not return"
         self.interrupt.count += 1  # should it return even so: not along a ramp
         if shell is not None:

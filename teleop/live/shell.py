@@ -14,6 +14,7 @@ from teleop.live.live_line import LiveLine, Say
 from teleop.live.net.wire import DRAIN, SHARE, Wire
 from teleop.live.outcome import Outcome
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.process.realtime import RealTime
 from teleop.live.records.record import RecordWriter
 from teleop.live.security import LinkSecurity
 from teleop.protocol.connection import Connection
@@ -56,7 +57,7 @@ class Shell:
         self.counts = EndCounts(last=-endpoint.every)
         self.live_line = LiveLine(endpoint, say)
         self.security = LinkSecurity()
-        self.realtime: dict[str, str] | None = None  # what the system gave of it, if it was asked
+        self.realtime: RealTime | None = None  # the scheduling of its process
         self.peer_timeout = peer_timeout  # s for the first exchange; None: without a bound
         self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is no peer, while that is waited for
         self.free = False  # it has let go of its device, or given that up

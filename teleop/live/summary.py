@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
-from teleop.live.process.realtime import sentence
 from teleop.live.records.end_result import NAMES, WAYS, end_result
 from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.live.shell import Shell
@@ -52,6 +51,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
     _, record, late, cut = read_noted(folder)
     inbox: Any = endpoint.inbox
     earlier = endpoint.counted
+    told = None if shell.realtime is None else shell.realtime.told
     sends, hears = WAYS[endpoint.e]
     heard = Packets(
         received=earlier["received"] + getattr(inbox, "received", endpoint.received), rejected=dict(endpoint.rejected),
@@ -65,7 +65,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         "stamp_margin": endpoint.stamp_margin, "cpu": shell.counts.cpu, "run_time": shell.counts.run_time,
         "unsent": shell.wire.unsent, "dropped_by_system": shell.counts.dropped,
         "refused": earlier["refused"] + getattr(inbox, "refused", 0),
-        **_security(shell), **({} if shell.realtime is None else {"realtime": shell.realtime}),
+        **_security(shell), **({} if told is None else {"realtime": told}),
     }
     guard = endpoint.guard
     old = [age_note(NAMES[endpoint.e], guard.old, guard.oldest, guard.age)] if guard.old and guard.age else []
@@ -76,8 +76,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         first=shell.counts.first, every=endpoint.every,
         notes=[*old, *cut, *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),
                *filter(None, [shell.recorder.trouble, clock_note(endpoint.link), missed_note(
-                   shell.counts.skipped, shell.counts.skipped + shell.counts.ticks, endpoint.own.dt)]),
-               *([sentence(shell.realtime)] if shell.realtime else [])],
+                   shell.counts.skipped, shell.counts.skipped + shell.counts.ticks, endpoint.own.dt, told)])],
     )
 
 
@@ -109,8 +108,10 @@ def clock_note(link: LinkEstimates) -> str | None:
             "begin a new session for it; have a time service (NTP, PTP) keep both clocks, or mend the one that is off")
 
 
-def missed_note(skipped: int, due: int, dt: float) -> str | None:
+def missed_note(skipped: int, due: int, dt: float, realtime: dict[str, str] | None = None) -> str | None:
     """A sentence if more than `MISSED` of an end's `due` ticks of `dt` s were left out; None if not.
+
+    `realtime`: what the system gave of real-time scheduling, None where it was not asked for.
 
     >>> missed_note(10, 1000, 0.001), missed_note(11, 1000, 0.001)[:34]
     (None, '11 of 1000 ticks (1.1 %) were left')
@@ -120,7 +121,15 @@ def missed_note(skipped: int, due: int, dt: float) -> str | None:
     return (f"{skipped} of {due} ticks ({100.0 * skipped / due:.3g} %) were left out, as this end was not ready in "
             f"time for one every {dt:g} s: the machine is busy, or its device or law is slow; the other end has no "
             "message of these ticks, so under waves the force fades; close what else runs here, or try --spin, "
-            f"--realtime or --rate {0.5 / dt:g}")
+            f"{_allow(realtime)}--rate {0.5 / dt:g}")
+
+
+def _allow(realtime: dict[str, str] | None) -> str:
+    """What of a note asks for real-time scheduling, where there was none."""
+    if realtime is None:
+        return "real-time scheduling (without --no-realtime) or "
+    refused = realtime["scheduler"].startswith("no ")
+    return "real-time scheduling (`teleop doctor` says how to allow it) or " if refused else "or "
 
 
 def holds_on(shell: Shell) -> bool:

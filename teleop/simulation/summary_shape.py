@@ -44,7 +44,7 @@ def end(value: object, name: str) -> None:
         "status": text, "sentence": text, "ticks": COUNT, "skipped": whole(), "events": optional(each(EVENT)),
         "late_us": optional(named(real)), "cpu": optional(real), "run_time": optional(real), "rtt": optional(_TIMES),
         "jitter": real, "lost": whole(), "reordered": whole(),
-        "peer_clock": optional(record({}, {"drift": optional(real)})),
+        "peer_clock": optional(record({}, {"drift": optional(real)})), "realtime": optional(named(text)),
     })(value, name)
     if isinstance(value, dict) and value.get("rtt"):
         record({"jitter": real, "lost": whole(), "reordered": whole()})(value, name)

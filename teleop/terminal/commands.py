@@ -214,7 +214,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages and bodies (their "
              "integrators), or the knobs of one.", _list),
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
-    "doctor": ("Show what is installed and what is kept, such as compiled kernels.", _doctor),
+    "doctor": ("Show what is installed, what is kept, such as compiled kernels, and what the system gives a live end.",
+               _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
     "report": ("Show a stored run or sweep again; --plot draws it.", _report),
 }

@@ -83,9 +83,10 @@ def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: b
 
 
 def realtime_option(parser: ArgumentParser) -> None:
-    """Let a live command take --realtime."""
-    parser.add_argument("--realtime", action="store_true",
-                        help="ask the system for SCHED_FIFO, locked memory and no garbage collection; say what it gave")
+    """Let a live command take --no-realtime, as `args.realtime`."""
+    parser.add_argument("--no-realtime", dest="realtime", action="store_false",
+                        help="do not ask the system for real-time scheduling (SCHED_FIFO) and locked memory; left "
+                        "out: ask, go on without where it refuses, and say what it gave (see `teleop doctor`)")
 
 
 def tick_options(parser: ArgumentParser) -> None:

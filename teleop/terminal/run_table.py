@@ -132,6 +132,16 @@ def _late_ticks(result: Result) -> Iterator[str]:
         yield text + "".join(f", {word} {si(late[q] * 1e-6, 's')} late" for word, q in _LATE if q in late)
 
 
+def _scheduling(result: Result) -> Iterator[str]:
+    """What the system gave each live end of real-time scheduling; once, where both have the same."""
+    told = {end: ", ".join(f"{name} {what}" for name, what in own["realtime"].items()) if own.get("realtime") else
+            "ordinary scheduling, real-time scheduling was not asked for" for end, own in _live_ends(result)}
+    if len({*told.values()}) == 1 and len(told) > 1:
+        yield f"both ends: {next(iter(told.values()))}"
+    else:
+        yield from (f"{end}: {text}" for end, text in told.items())
+
+
 def _integration(result: Result) -> Iterator[str]:
     for end, own in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
         text = f"{end}: error estimated at {si(float(own['error_estimate_max']), 'm')} a tick"
@@ -169,6 +179,7 @@ _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("safe state", _safe),
     ("watchdog", _watchdog),
     ("late ticks", _late_ticks),
+    ("real time", _scheduling),
     ("link energy", _energy("E_link")),
     ("port energy", _energy("E_port")),
     ("integration", _integration),

@@ -65,7 +65,7 @@ def test_a_demo_ends_with_a_table_and_a_folder(command: Start, tmp_path: Path) -
     assert code == 0
     assert "\x1b" not in out + err
     assert "\r" not in out + err
-    for row in ("tracking error", "force error", "force at the end", "delay seen", "packets", "late ticks",
+    for row in ("tracking error", "force error", "force at the end", "delay seen", "packets", "late ticks", "real time",
                 "link energy", "time per tick"):
         assert f"\n{row} " in out
     assert out.splitlines()[-1] == "written to out"

@@ -183,7 +183,10 @@ def test_a_run_of_which_a_third_of_the_ticks_was_left_out_is_not_ok_without_a_wo
     note = missed_note(3637, 10000, 0.001)
     assert note is not None
     assert note.startswith("3637 of 10000 ticks (36.4 %) were left out")
-    assert note.endswith("--rate 500")
+    assert note.endswith("try --spin, real-time scheduling (without --no-realtime) or --rate 500")
+    refused, given = ({"scheduler": text} for text in ("no (Operation not permitted)", "SCHED_FIFO, priority 40"))
+    assert "`teleop doctor` says how" in str(missed_note(3637, 10000, 0.001, refused))
+    assert str(missed_note(3637, 10000, 0.001, given)).endswith("try --spin, or --rate 500")
     assert missed_note(100, 10000, 0.001) is None, "one of a hundred changes no force that a hand feels"
     assert missed_note(0, 0, 0.001) is None, "an end that never came to a tick"
 

@@ -50,3 +50,18 @@ def test_where_nothing_is_kept_there_is_nothing_to_clear(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "none"))
     assert typed("doctor", "--clear").code == 0
+
+
+@pytest.mark.usefixtures("cache")
+def test_it_says_what_a_live_end_gets_of_real_time_scheduling_and_what_to_type(
+    typed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = json.loads(typed("doctor", "--json").out)["realtime"]
+    assert set(told) == {"scheduler", "memory", "cure"}
+    assert (told["cure"] is None) == (not any(told[name].startswith("no ") for name in ("scheduler", "memory")))
+    refused = "import json; print(json.dumps({'scheduler': 'no (Operation not permitted)', 'memory': 'locked'}))"
+    monkeypatch.setattr(doctor, "_ASK", refused)
+    monkeypatch.setattr("teleop.live.process.realtime.cure", lambda *, for_good: f"type this, {for_good}")
+    said = typed("doctor").out
+    assert "a live end gets scheduler no (Operation not permitted), memory locked\n" in said
+    assert said.rstrip().endswith("type this, True")

@@ -26,6 +26,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.live.devices.heartbeat import ACKED, BEAT, DONE, FIRED, GOODBYE, SEEN, SIZE, TEXT, K
 from teleop.live.process.output import live
+from teleop.live.process.realtime import run_first
 from teleop.live.records.record import EVENTS
 from teleop.protocol.deadline import Silence
 from teleop.protocol.guard import Event
@@ -103,7 +104,7 @@ def main(argv: list[str]) -> int:
             sentence = str(refused).encode()[: SIZE - TEXT - 1]
             page[TEXT : TEXT + len(sentence)] = sentence
             return 2
-        _first()
+        _first(about["priority"])
         watching = Watching(words, zero, about["deadline"], lambda what: _tell(what, words[K], Path(about["folder"])))
         code = _watch(watching, about["pipe"])
         if lock is not None:
@@ -168,11 +169,11 @@ def _alone(about: dict[str, Any]) -> socket.socket | None:
     return None
 
 
-def _first() -> None:
-    """Of an end that runs before all others (--realtime), the watchdog runs before the end."""
-    with suppress(OSError, AttributeError):
-        if os.sched_getscheduler(0) == os.SCHED_FIFO:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(os.sched_getparam(0).sched_priority + 1))
+def _first(priority: int | None) -> None:
+    """Of an end that is scheduled before all others, the watchdog runs before the end."""
+    if priority is not None:
+        with suppress(OSError, AttributeError):
+            run_first(priority)
 
 
 def _tell(what: str, k: int, folder: Path) -> None:

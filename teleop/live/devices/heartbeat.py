@@ -125,10 +125,11 @@ class WatchedDevice:
 
 
 @contextmanager
-def watched(device: LiveDevice, folder: Path) -> Iterator[LiveDevice]:
+def watched(device: LiveDevice, folder: Path, priority: int | None = None) -> Iterator[LiveDevice]:
     """`device` with its watchdog process, if it names one; the process ends with the block. Raises `Refused`.
 
-    `folder`: of the run, where the watchdog notes in the events what it did.
+    `folder`: of the run, where the watchdog notes in the events what it did. `priority`: what it asks for under
+    SCHED_FIFO, to run before an end that is scheduled so; None for an end that is not.
     """
     watchdog: DeviceWatchdog | None = getattr(device, "watchdog", None)
     if watchdog is None:
@@ -136,7 +137,7 @@ def watched(device: LiveDevice, folder: Path) -> Iterator[LiveDevice]:
         return
     deadlines = [one for one in (getattr(device, "deadline", None), watchdog.deadline) if one is not None]
     with _file() as file, mmap(file.fileno(), SIZE) as page:
-        process, goodbye = _start(watchdog, file.fileno(), folder)
+        process, goodbye = _start(watchdog, file.fileno(), folder, priority)
         ours = WatchedDevice(device, min(deadlines), page)
         try:
             _await(process, page)
@@ -159,11 +160,13 @@ def _file() -> IO[bytes]:
     return file
 
 
-def _start(watchdog: DeviceWatchdog, page: int, folder: Path) -> tuple[subprocess.Popen[bytes], int]:
+def _start(
+    watchdog: DeviceWatchdog, page: int, folder: Path, priority: int | None
+) -> tuple[subprocess.Popen[bytes], int]:
     """The process and the end of the pipe on which it is said goodbye to."""
     theirs, ours = os.pipe()
     about = {"open": watchdog.open, "arguments": watchdog.arguments, "deadline": watchdog.deadline, "page": page,
-             "pipe": theirs, "folder": str(folder.absolute())}
+             "pipe": theirs, "folder": str(folder.absolute()), "priority": priority}
     path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in (*sys.path, *scene_folders()))])
     try:
         process = subprocess.Popen(

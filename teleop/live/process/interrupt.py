@@ -11,6 +11,7 @@ which Python ignores. Nor is SIGSTOP, which stops it. Ctrl-Z (SIGTSTP) is: a pro
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from contextlib import suppress
 from types import FrameType, TracebackType
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 ALWAYS = (signal.SIGINT, signal.SIGTERM)
 OTHERS = ("SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGABRT", "SIGALRM", "SIGVTALRM", "SIGPROF", "SIGIO", "SIGPWR",
           "SIGSTKFLT", "SIGTRAP", "SIGSYS", "SIGXCPU", "SIGTSTP", "SIGTTIN")
+OVERRUN = getattr(signal, "SIGXCPU", None)  # without a sleep for too long, under real-time scheduling
 REAL_TIME = range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1)
 
 
@@ -44,6 +46,8 @@ class Interrupt:
         self.name: str | None = None
         self.count = 0
         self.seen = 0  # by `LastResort`: two of one kind that come while compiled code runs are one to a handler
+        self.overrun: Callable[[], None] | None = None  # heeds the first SIGXCPU, see `realtime`
+        self._overran = False
         self._before: dict[int, Any] = {}
 
     @property
@@ -69,5 +73,9 @@ class Interrupt:
         return max(self.count, self.seen) > 1
 
     def _note(self, number: int, frame: FrameType | None) -> None:
+        if number == OVERRUN and self.overrun is not None and not self._overran:
+            self._overran = True
+            self.overrun()
+            return
         self.count += 1
         self.name = self.name or name_of(number)

@@ -186,7 +186,7 @@ class TestDemo:
         assert answer.out.endswith("written to runs/hard_wall-1\n")
         command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep"]
         rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "lockstep": True, "command": command,
-                "realtime": False, "rate": None, "spin": False}
+                "realtime": True, "rate": None, "spin": False}
         assert not Path("runs/hard_wall-1/plot.png").exists()
         assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]
         if find_spec("matplotlib"):

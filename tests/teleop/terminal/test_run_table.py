@@ -91,6 +91,14 @@ class TestTable:
         assert told["time per tick"] == ["50.0 us master of processor time"]
         assert "late ticks" not in rows(replace(wave, mode="lockstep", extra=extra))
 
+    def test_tells_what_each_live_end_was_given_of_real_time_scheduling(self, wave: Result) -> None:
+        given = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}}
+        told = rows(replace(wave, mode="live", extra={"master": given, "slave": given}))
+        assert told["real time"] == ["both ends: scheduler SCHED_FIFO, priority 40, memory locked"]
+        told = rows(replace(wave, mode="live", extra={"master": {}, "slave": given}))
+        assert told["real time"][0] == "master: ordinary scheduling, real-time scheduling was not asked for"
+        assert told["real time"][1].startswith("slave: scheduler SCHED_FIFO")
+
     def test_calls_the_error_of_an_integration_estimated(self, wave: Result) -> None:
         own = {"error_estimate_max": 4.94e-10, "error_estimate_sum": 1.2e-8, "substeps_max": 3,
                "ticks_over_tolerance": 0, "tolerance": 1e-9}
