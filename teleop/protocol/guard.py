@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from teleop.protocol.deadline import LAPSING
-from teleop.stages.watchdog import Watchdog, watchdog_step
+from teleop.stages.watchdog import Watchdog, late_step
 
 UNNAMED = Watchdog(timeout=0.8)
 """What a live end has where the scene names no watchdog."""
@@ -124,13 +124,10 @@ class Guard:
             self._waits = True
         if self._waits:
             silent = _NEVER
-        c = self._c
+        c, quiet = self._c, self._quiet_ticks
         if not_heard:  # it is not released before the other end hears this one; what came has settled it all the same
-            self._quiet_ticks = min(self._quiet_ticks, c.settle + silent - 1.0)
-        falling = silent > timeout_ticks or self._quiet_ticks + 1.0 - silent <= c.settle
-        if falling and passed > 1:
-            c = c._replace(step=min(1.0, c.step * passed))
-        self.gain, self._quiet_ticks = watchdog_step(c, self.gain, self._quiet_ticks, silent)
+            quiet = min(quiet, c.settle + silent - passed)
+        self.gain, self._quiet_ticks = late_step(c, self.gain, quiet, silent, passed)
         if self.safe and self._quiet_ticks - silent > c.settle:
             self.safe, self.cause = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")

@@ -1,4 +1,7 @@
-"""The computation's delay: the force acts some ticks after the reading that it was computed from."""
+"""The computation's delay: the force acts some ticks after the reading that it was computed from.
+
+A tick that is left out computes none, so the one before stands for it.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +36,11 @@ class ComputeDelayStage(Stage):
     def begin(self, run: Run, e: End, given: Any) -> None:
         for own in self.axes:
             own.delay_line = given
+
+    def late(self, run: Run, e: End, ticks: int, since: int) -> None:
+        for own in self.axes:
+            for _ in range(ticks - 1):
+                own.delay_line = own.delay_line[1:] + (own.delay_line[-1],)  # noqa: RUF005 - as below
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):

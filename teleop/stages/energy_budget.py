@@ -29,16 +29,16 @@ def spend(left: float, work: float) -> float:
 
 
 def refill(c: BudgetLimits, left: float) -> float:
-    """What is left of an end's budget with what it gains in a tick: at most the energy of one second.
-
-    Ticks that a live end missed gain nothing: less than the bound is always safe.
-    """
+    """What is left of an end's budget with what it gains in a tick: at most the energy of one second."""
     full, gain = c
     return min(left + gain, full)
 
 
 def limit_power(c: BudgetLimits, left: float, f: float, along: float) -> float:
     """`f`, or what of it brakes the device while the end's budget is empty, left <= 0. Per axis.
+
+    After ticks that were left out an end gains what these had gained: T is the time that passes, and the work of the
+    force that was held over them is spent at their end. So "one tick" below is as long as a force is held.
 
     At rest there is nothing to brake, and no force. Over any ticks i .. j, with T = (j - i) dt, the sum of `spend` and
     `refill` telescopes: the work W that the end's held forces did on its device, as it is read and counted wherever
@@ -72,6 +72,7 @@ class EnergyBudgetStage(Stage):
     wants_dx: ClassVar[bool] = True
     c_power: BudgetLimits
     E_left: float
+    gained: Any  # ticks that it gains for at this one
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
@@ -84,9 +85,15 @@ class EnergyBudgetStage(Stage):
         self.c_power = given
         self.E_left = self.c_power.full
 
+    def late(self, run: Run, e: End, ticks: int, since: int) -> None:
+        self.gained = ticks
+
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
             self.E_left = spend(self.E_left, a.f * (-a.dx if e.name == "m" else a.dx))
-        self.E_left = refill(self.c_power, self.E_left)
+        if e.has.leaves_out:
+            self.E_left = refill(BudgetLimits(self.c_power.full, self.c_power.gain * self.gained), self.E_left)
+        else:
+            self.E_left = refill(self.c_power, self.E_left)
         for a in e.axes:
             a.f_cmd = limit_power(self.c_power, self.E_left, a.f_cmd, -a.v_read if e.name == "m" else a.v_read)

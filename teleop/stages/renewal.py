@@ -1,10 +1,14 @@
-"""The renewal of the force: at every n-th tick, and held in between."""
+"""The renewal of the force: at every n-th tick, and held in between.
+
+Where such a tick is left out, the next that is run renews the force in its place.
+"""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar
 
 from teleop.stages.end import End, Places, Run, Stage, zero
+from teleop.stages.lanes import where
 from teleop.stages.record import Record
 
 
@@ -19,6 +23,7 @@ class RenewalStage(Stage):
 
     name: ClassVar[str] = "renewal"
     every: int
+    since_last: Any  # ticks since the last
 
     def __init__(self, e: str, axes: int) -> None:
         super().__init__(e, axes)
@@ -36,6 +41,14 @@ class RenewalStage(Stage):
         for own in self.axes:
             own.f_renewed = zero(run)
 
+    def late(self, run: Run, e: End, ticks: int, since: int) -> None:
+        self.since_last = ticks
+
     def act(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
-            a.f_cmd = own.f_renewed = own.f_renewed if k % self.every else a.f_cmd
+            if e.has.leaves_out and run.has.lanes:
+                a.f_cmd = own.f_renewed = where(self.since_last > k % self.every, a.f_cmd, own.f_renewed)
+            elif e.has.leaves_out:
+                a.f_cmd = own.f_renewed = a.f_cmd if self.since_last > k % self.every else own.f_renewed
+            else:
+                a.f_cmd = own.f_renewed = own.f_renewed if k % self.every else a.f_cmd

@@ -56,7 +56,7 @@ class Watchdog:
         return WatchdogLimits(self.timeout / dt + 0.5, step, settle, age)
 
 
-def watchdog_step(c: WatchdogLimits, gain: float, quiet_ticks: float, silent: int) -> tuple[float, float]:
+def watchdog_step(c: WatchdogLimits, gain: float, quiet_ticks: float, silent: float) -> tuple[float, float]:
     """The watchdog's next gain, in [0, 1], and next `quiet_ticks`, `silent` ticks after the last fresh packet.
 
     `quiet_ticks` counts the ticks since silence was last longer than the timeout. A run begins with the gain at 1 and
@@ -69,6 +69,31 @@ def watchdog_step(c: WatchdogLimits, gain: float, quiet_ticks: float, silent: in
     return (gain - step if gain > step else 0.0), quiet_ticks
 
 
+def late_step(c: WatchdogLimits, gain: float, quiet_ticks: float, silent: float, passed: float) -> tuple[float, float]:
+    """The same after `passed` ticks, of which the last alone is run: time counts, so it goes down by all their steps.
+
+    The way up is a step for each tick that is run: a force that comes back must not jump.
+    """
+    timeout_ticks, step, settle, age = c
+    quiet_ticks = quiet_ticks + (passed - 1.0)
+    if silent > timeout_ticks or quiet_ticks + 1.0 - silent <= settle:
+        c = WatchdogLimits(timeout_ticks, min(1.0, step * passed), settle, age)
+    return watchdog_step(c, gain, quiet_ticks, silent)
+
+
+def watch_late(
+    c: WatchdogLimits, gain: float, quiet_ticks: float, waits: float, silent: float, passed: float
+) -> tuple[float, float, float]:
+    """The next gain, `quiet_ticks` and `waits` of a run in virtual time after `passed` ticks, as a live end has them.
+
+    More ticks left out than the timeout has are a stall, which counts as silence, until the next message (`waits`, 1.0
+    or 0.0): what waited meanwhile does not show that its sender is still there.
+    """
+    waits = 1.0 if passed - 1.0 > c.timeout_ticks or silent > c.timeout_ticks or (waits > 0.0 and silent > 0.0) else 0.0
+    gain, quiet_ticks = late_step(c, gain, quiet_ticks, inf if waits > 0.0 else silent, passed)
+    return gain, quiet_ticks, waits
+
+
 class WatchdogStage(Stage):
     """The gain of an end, by which the force of each of its axes is multiplied."""
 
@@ -76,6 +101,8 @@ class WatchdogStage(Stage):
     c_dog: WatchdogLimits
     heard: Any  # the tick at which a fresh message was played last
     quiet_ticks: float
+    waits: float  # 1.0 after a stall, until a message comes
+    passed: Any  # ticks since the last
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
@@ -89,11 +116,21 @@ class WatchdogStage(Stage):
             self.c_dog = given
             self.heard = -1
             self.quiet_ticks = inf
+            if e.has.leaves_out:
+                self.waits = 0.0
             e.g = run.zero + 1.0 if run.has.lanes else 1.0
+
+    def late(self, run: Run, e: End, ticks: int, since: int) -> None:
+        if not e.has.live:
+            self.passed = ticks
 
     def act(self, run: Run, e: End, k: int) -> None:
         if not e.has.live:
             self.listen(run, e, k)
+        if e.has.leaves_out and not e.has.live:
+            e.g, self.quiet_ticks, self.waits = watch_late(
+                self.c_dog, e.g, self.quiet_ticks, self.waits, k - self.heard, self.passed)
+        elif not e.has.live:
             e.g, self.quiet_ticks = watchdog_step(self.c_dog, e.g, self.quiet_ticks, k - self.heard)
         for a in e.axes:
             a.f_cmd = e.g * a.f_cmd

@@ -23,7 +23,9 @@ w = 2 noise, the first term of end-fit is 2 noise/(n T). On a steady motion an e
 |e(k-i) - (1 - i/n) e(k) - (i/n) e(k-n)| <= w: with noise >= w, one *whole* step of an encoder, the window of
 end-fit never shrinks without an acceleration; with half a step it does, down to one tick.
 
-A reading that comes not one tick after the one before (a stall) begins a new window.
+Ticks that are left out have no reading. A line through y(k) that meets the reading before them within the noise meets
+the straight line between the two within less, so readings put there on it narrow no interval: the window goes on
+behind them. A gap as long as the longest window, or of no whole ticks, begins a new one.
 """
 
 from __future__ import annotations
@@ -56,6 +58,14 @@ def _coefficients(fit: EndFit | BestFit, dt: float) -> tuple[float, float, float
     return dt, 1e-6 * dt, fit.noise * (1.0 + 1e-9), _missing(fit.most - 1)
 
 
+def _bridged(s: State, x: float, ticks: int) -> State:
+    """The state with readings on a straight line at the ticks that were left out before the reading `x` (m)."""
+    start, step = s[0], (x - s[0]) / ticks
+    for i in range(1, ticks):
+        s = (start + step * i,) + s[:-1]  # noqa: RUF005 - compiled code knows no star in a loop
+    return s
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EndFit:
     """Adaptive window with the line through its two ends."""
@@ -80,7 +90,11 @@ class EndFit:
         dt, apart, band, missing = c
         slope = x - s[0]  # m a tick
         if abs(span - dt) > apart:
-            return slope / max(span, TINY), (x, *missing)
+            ticks = int(min(span / dt, LONGEST) + 0.5)
+            if abs(span - ticks * dt) > apart or not 1 < ticks <= len(s):
+                return slope / max(span, TINY), (x, *missing)
+            s = _bridged(s, x, ticks)
+            slope = x - s[0]
         low, high, n = -inf, inf, 0.0
         for before in s:
             n += 1.0
@@ -120,7 +134,11 @@ class BestFit:
         dt, apart, band, missing = c
         slope = x - s[0]  # m a tick
         if abs(span - dt) > apart:
-            return slope / max(span, TINY), (x, *missing)
+            ticks = int(min(span / dt, LONGEST) + 0.5)
+            if abs(span - ticks * dt) > apart or not 1 < ticks <= len(s):
+                return slope / max(span, TINY), (x, *missing)
+            s = _bridged(s, x, ticks)
+            slope = x - s[0]
         low, high, n = -inf, inf, 0.0
         total = moment = 0.0  # sum_i (y(k) - y(k-i)), and weighted with 2 i
         for before in s:

@@ -52,6 +52,9 @@ def vector(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool 
 
     if structure_of(scene).m.has.inner or structure_of(scene).s.has.inner:
         raise NotVectorised("a body with an inner state is moved one scene at a time")
+    if any(own.has.leaves_out and "compute_delay" in [stage.name for stage in own.stages]
+           for own in (structure_of(scene).m, structure_of(scene).s)):
+        raise NotVectorised("a computation delay at an end that leaves out ticks runs one scene at a time")
     if leaves(tree_of(scene, bodies)).arrays:
         raise NotVectorised("a part with a list among its numbers runs one scene at a time")
     kernels = module(scene, bodies, measures, "vector", keep=keep)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from channel import LeftOut, LeftOutTicks, parse_link
-from teleop import Cap, Refused, Scene, Watchdog, Zero, load_scene, run
+from teleop import Cap, Device, Refused, Scene, Watchdog, Zero, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.scene.scene import both_ends
 from teleop.simulation.bodies import exact_bodies
@@ -95,7 +95,8 @@ def test_a_one_port_scene_leaves_out_ticks_too() -> None:
 def test_every_engine_gives_the_same_bits_with_a_schedule_for_all_lanes_or_one_for_each() -> None:
     base = replace(
         load_scene("canonical", law="pfra", link="delay(0.01) | blackout(0.2, 0.1)"), energy=True, duration=0.5,
-        watchdog=Watchdog(timeout=0.02, ramp=0.02, settle=0.02), cap=Cap(f_max=9.0, slew=2000.0, v_max=0.4, power=0.05))
+        watchdog=Watchdog(timeout=0.02, ramp=0.02, settle=0.02), cap=Cap(f_max=9.0, slew=2000.0, v_max=0.4, power=0.05),
+        device_s=Device(every=3))
     scenes = [replace(base, left_out_m=LeftOut(0.05 + 0.05 * i), left_out_s=LeftOut(0.2, 4.0)) for i in range(8)]
     measures = sorted(available(scenes[0]))
     engines = [(engine, engine(scenes[0], exact_bodies(scenes[0]), measures)) for engine in (plain, scalar, vector)]

@@ -136,13 +136,13 @@ def test_on_fast_ramps_the_readings_err_like_white_noise_and_least_squares_is_be
 
 
 @KINDS
-def test_a_stall_begins_a_new_window(kind: type) -> None:
+def test_a_stall_longer_than_the_window_begins_a_new_one(kind: type) -> None:
     estimator = kind(noise=1e-5, most=4)
     c, s = estimator.coefficients(T), estimator.start(0.0)
     for x in ramp(0.01, 10)[1:]:
         _, s = estimator.step(c, s, x, T)
-    v, s = estimator.step(c, s, 1.0, 3.0 * T)
-    assert v == (1.0 - 0.01 * 9 * T) / (3.0 * T)
+    v, s = estimator.step(c, s, 1.0, 6.0 * T)
+    assert v == (1.0 - 0.01 * 9 * T) / (6.0 * T)
     assert s[0] == 1.0
     assert all(isnan(x) for x in s[1:])
     v, _ = estimator.step(c, s, 1.0 + 2e-6, T)
