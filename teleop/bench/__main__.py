@@ -6,7 +6,7 @@ import sys
 from argparse import ArgumentParser
 from importlib import import_module
 
-BENCHES = ("virtual", "sweep", "scale", "rivals", "live", "secure", "flood", "timing", "watchdog")
+BENCHES = ("virtual", "sweep", "scale", "rivals", "live", "cost", "secure", "flood", "timing", "watchdog")
 """Functions in modules of their names, loaded when they run."""
 
 
@@ -15,6 +15,7 @@ def main() -> int:
     parser = ArgumentParser(prog="python -m teleop.bench", description=__doc__)
     parser.add_argument("bench", nargs="*", help=f"{', '.join(BENCHES)}; default: all")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement; default 5")
+    parser.add_argument("--against", metavar="TREE", help="of cost alone: another worktree to measure beside this one")
     args = parser.parse_args()
     unknown = set(args.bench) - set(BENCHES)
     if unknown:
@@ -29,7 +30,8 @@ def main() -> int:
                 raise
             print("not in an installed package: run it in a clone of the repository")
             continue
-        for what, value, asked in bench(args.rounds):
+        more = {"against": args.against} if name == "cost" and args.against else {}
+        for what, value, asked in bench(args.rounds, **more):
             print(f"{what:<58} {value:<22} {asked}")
     return 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import time
+from functools import partial
 
 from teleop.live.leaving import leave, let_go
 from teleop.live.listening import Listening
@@ -66,7 +67,7 @@ class ClockDriver:
         self._dt_ns, self._ticks = shell.scene.dt_ns, shell.scene.ticks  # kept, for a scene works them out anew
         self._span_ns = self._dt_ns * shell.endpoint.every
         self._set_to = 0  # the start of the grid that the timer is set to
-        self._alarm = Alarm(loop, lambda: shell.guarded(self.wake), spin_ns)
+        self._alarm = Alarm(loop, partial(shell.guarded, self.wake), spin_ns)
 
     async def drive(self) -> None:
         """Tick until the run is over."""
@@ -119,7 +120,7 @@ class ClockDriver:
         now = time.monotonic_ns()
         shell.drain()  # first, for it tells of what came while this process was away, and of where the grid is
         self.listening.update(now, shell.take_events())
-        if session.farewell not in (None, FINISHED):
+        if session.farewell is not None and session.farewell != FINISHED:
             shell.stop(f"the other end left: {session.farewell}")
         elif shell.interrupt.name is not None:
             shell.stop(f"it was asked to stop ({shell.interrupt.name})")
@@ -135,8 +136,9 @@ class ClockDriver:
             shell.say_again(now)
             return
         late = now - (start + k * self._dt_ns)
-        # missed ticks are left out whole, never caught up
-        counts.skipped += (min(k, -(-self._ticks // every) * every) - counts.last) // every - 1
+        if k - counts.last != every or k >= self._ticks:
+            # missed ticks are left out whole, never caught up
+            counts.skipped += (min(k, -(-self._ticks // every) * every) - counts.last) // every - 1
         counts.last = k
         if k >= self._ticks:
             shell.finish()

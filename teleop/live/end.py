@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import sys
 import time
 from argparse import ArgumentParser, Namespace
@@ -26,6 +25,7 @@ from teleop.live.net.address import Address, address, bound, peer_address, shown
 from teleop.live.net.wire import Wire
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.process.tick_loop import in_tick_loop
 from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES, UNRELEASED
 from teleop.live.records.record import RecordWriter, fresh_folder
@@ -96,7 +96,7 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
                 complain(UNWATCHED, DONE)
             _greet(e, args, wire, scheduling.told)
             try:
-                asyncio.run(run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0))
+                in_tick_loop(run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0))
             finally:
                 scheduling.give_back()  # what is left to do has time
                 progress.end()

@@ -24,6 +24,8 @@ class Listening:
         `begun`: a session has begun since this was called last.
         """
         heard_ns, session = self.endpoint.heard_ns, self.endpoint.session
+        if now - heard_ns <= OPEN_NS and session.carries_data and not (begun or self.to_all):
+            return  # nearly always
         if begun or (self.to_all and heard_ns > self._since_ns):
             self._since_ns = now
             self._keep_to_peer()

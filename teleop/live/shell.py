@@ -96,28 +96,30 @@ class Shell:
         """Take in what has come: `DRAIN` datagrams at least, and more for `SHARE` of a tick."""
         connection, wire, taken = self.connection, self.wire, 0
         until = time.monotonic_ns() + self._share_ns
-        while taken < DRAIN or time.monotonic_ns() < until:
-            taken += 1
-            got = wire.receive()
-            if got is None:
-                break
+        while (got := wire.receive()) is not None:
             data, address, came = got
-            if data is None:
-                continue
-            replies = connection.receive(data, address, came)
-            wire.go_with(connection.peer)
-            for reply, to in replies:
-                wire.answer(reply, to)
+            if data is not None:
+                replies = connection.receive(data, address, came)
+                if wire.peer is not connection.peer or wire.secure_link is not None:
+                    wire.go_with(connection.peer)
+                for reply, to in replies:
+                    wire.answer(reply, to)
+            taken += 1
+            if taken >= DRAIN and time.monotonic_ns() >= until:
+                break
 
     def say_again(self, now: int) -> None:
         """Send what was not answered."""
         for data, to in self.connection.due(now):
             self.wire.go_with(self.connection.peer)
             self.wire.answer(data, to)
-        self.wire.due(now)
+        if self.wire.secure_link is not None:
+            self.wire.due(now)
 
     def take_events(self) -> bool:
         """Write down what has happened since this was called last; True if a session has begun."""
+        if not self.endpoint.guard.new_events and not self.endpoint.session.new_events:
+            return False  # nearly always
         begun = False
         for event in self.connection.events():
             if isinstance(event, SessionBegun):
@@ -130,35 +132,38 @@ class Shell:
 
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end, which runs `late` ns late."""
-        device, counts = self.device, self.counts
+        device, counts, endpoint = self.device, self.counts, self.endpoint
         reading = device.read(k, now)
-        if device.dead(now):
-            self.stop(f"the device fails: {device.trouble}")
-            return
-        trouble = None if device.trouble is None else f"the device: {device.trouble}"
+        trouble = device.trouble
+        if trouble is not None:
+            if device.dead(now):
+                self.stop(f"the device fails: {trouble}")
+                return
+            trouble = f"the device: {trouble}"
         if reading is None:
-            self.hold(self.endpoint.left_out(k, str(trouble)))
+            self.hold(endpoint.left_out(k, str(trouble)))
             self.take_events()
             return
         if counts.ticks and self.beyond(reading):
             return
-        out = self.endpoint.tick(k, now, reading, trouble)
-        failed = self.endpoint.force_failed
-        if failed is None:
-            self.hold(out.force)
-        if out.datagram is not None:
-            self.wire.send(out.datagram)
+        force, datagram, row, played = endpoint.tick(k, now, reading, trouble)
+        failed = endpoint.force_failed
+        if failed is None and not device.hold(force):
+            endpoint.held.lost()
+        if datagram is not None:
+            self.wire.send(datagram)
             counts.data_sent += 1
-            self.recent = (*self.recent[-1:], out.datagram)
-        elif failed is None and (self.endpoint.stepped or self.endpoint.message_failed):
+            if endpoint.stepped:
+                self.recent = (*self.recent[-1:], datagram)
+        elif failed is None and (endpoint.stepped or endpoint.message_failed):
             failed = "the message"  # the other end cannot go on without it
-        self.recorder.add(k, late, out.played, out.row)
+        self.recorder.add(k, late, played, row)
         counts.ticks += 1
         counts.ran = k
         if failed is None:
-            self.live_line.tick(k, late, reading, out.force)
+            self.live_line.tick(k, late, reading, force)
         else:
-            self.endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
+            endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
             self.outcome.end("diverged", divergence(self.scene, k, not_finite(self.scene.law, failed)))
         self.take_events()
 
@@ -170,7 +175,10 @@ class Shell:
     def beyond(self, reading: Reading) -> bool:
         """True if the motion has left the scene's bounds; the run is over then, at the tick before this one."""
         limit, ran = self.scene.x_limit, self.counts.ran
-        if all(-limit < x < limit for x in reading.x):
+        for x in reading.x:
+            if not -limit < x < limit:
+                break
+        else:
             return False
         passed = f"x_{self.endpoint.e} passed {limit:g} m"
         self.endpoint.guard.tell(ran, "safe", f"the motion: {passed}")

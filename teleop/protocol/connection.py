@@ -47,6 +47,8 @@ class Connection:
         """What is to be sent now because it was not answered. A session is asked for where this end was told to ask."""
         session = self.endpoint.session
         datagrams = session.due(now)
+        if not datagrams and not session.meeting:
+            return []
         if session.meeting and self.asked is not None:
             self.peer = self.asked
         return self._to_peer(datagrams) if datagrams else []

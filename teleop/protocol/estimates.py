@@ -29,11 +29,14 @@ class Times:
 
     def add(self, ns: int) -> None:
         """Count one more time (ns)."""
-        self.least = ns if not self.count else min(self.least, ns)
-        self.most = ns if not self.count else max(self.most, ns)
-        self.count += 1
+        count = self.count
+        if ns < self.least or not count:
+            self.least = ns
+        if ns > self.most or not count:
+            self.most = ns
+        self.count = count = count + 1
         self.total += ns
-        self.recent += (ns - self.recent) / min(self.count, 200)
+        self.recent += (ns - self.recent) / (count if count < 200 else 200)
 
 
 class PeerClock:
@@ -51,6 +54,7 @@ class PeerClock:
         self.sure_ns = 0  # so much, at most, is `shift_ns` from what the clocks moved by
         self.band_ns = band_ns
         self._best: tuple[int, int, int] | None = None  # of this window: round trip, theta, when
+        self._fastest = MOST_RTT_NS + 1  # round trip in this window
         self._until = 0  # when it is over, our clock
         self.since_ns = self.seen_ns = 0  # when the best of the first window came, and of the newest
         self._first = (0, 0)  # the round trip and theta of the first window
@@ -61,6 +65,8 @@ class PeerClock:
     def add(self, t1: int, held: int, t3: int, t4: int) -> int | None:
         """Take in one echo, `held` = t3 - t2; returns its round trip, or None if that is impossible."""
         rtt = t4 - t1 - held
+        if self._fastest <= rtt <= MOST_RTT_NS and t4 < self._until:
+            return rtt  # nearly always
         if not 0 <= rtt <= MOST_RTT_NS:
             return None
         if self._best is None:
@@ -70,6 +76,7 @@ class PeerClock:
             self._best, self._until = None, t4 + WINDOW_NS
         if self._best is None or rtt < self._best[0]:
             self._best = (rtt, (2 * t3 - held - t1 - t4) // 2, t4)
+            self._fastest = rtt
         return rtt
 
     @property
@@ -132,9 +139,9 @@ class LinkEstimates:
     def heard(self, seq: int, sent_ns: int, echo: tuple[int, int] | None, way_ns: int, now: int) -> None:
         """A message that has not come before: its number, send time (peer's clock), echo, and delay over the grid."""
         self.way.add(way_ns)
-        transit = now - sent_ns
-        if self.transit_ns is not None:
-            self.jitter_ns += (abs(transit - self.transit_ns) - self.jitter_ns) / 16.0
+        transit, before = now - sent_ns, self.transit_ns
+        if before is not None:
+            self.jitter_ns += (abs(transit - before) - self.jitter_ns) / 16.0
         self.transit_ns = transit
         if not self._came:
             self._first = seq

@@ -60,7 +60,10 @@ class Inbox(Generic[Entry]):
 
     def put(self, packet: int, tick: int, entry: Entry) -> None:
         """Packet number `packet` (at least 0) arrives at `tick`, carrying `entry`."""
-        tick = max(tick, packet + 1, self._tick + 1)
+        if tick <= self._tick:
+            tick = self._tick + 1
+        if tick <= packet:
+            tick = packet + 1
         if self._queued + len(self._kept) >= self._room or tick > self._tick + self._room:
             self.refused += 1
             return
@@ -70,13 +73,21 @@ class Inbox(Generic[Entry]):
             return
         self._waits[packet] = tick
         self._queued += 1
-        self._coming.setdefault(tick, []).append((packet, entry))
+        if tick in self._coming:
+            self._coming[tick].append((packet, entry))
+        else:
+            self._coming[tick] = [(packet, entry)]
 
     def take(self, tick: int) -> tuple[int, Entry] | None:
         """What `tick` plays: the packet's number and its entry, or None. Raises `Refused` going backwards."""
-        last, self._tick = self._tick, max(self._tick, tick)
+        last = self._tick
         if tick <= last:
             raise Refused(f"tick {tick} was taken already; take a tick after {last}")
+        self._tick = tick
+        if self._queued == 1 and self._delay is None and not self._copies and tick in self._coming:  # nearly always
+            self._queued = 0
+            self._waits.clear()
+            return self._newest(self._coming.pop(tick))
         arrived = self._arrived(tick, skipped=tick != last + 1) if self._queued or self._copies else []
         if self._delay is not None:
             return self._exactly(tick - self._delay, arrived, skipped=tick != last + 1)

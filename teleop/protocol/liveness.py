@@ -18,7 +18,7 @@ class Liveness:
     """What one end knows of its session's life. The methods give the reason why the session is over, None if it is not.
 
     `begun_ns`: when the session began; before that nothing can have come. `renew_ns` is longer for an end that takes
-    longer to let go of its device.
+    longer to let go of its device. `sound_ns`: until then there is nothing to judge, if nothing else ends the session.
     """
 
     def __init__(self, *, master: bool) -> None:
@@ -28,13 +28,13 @@ class Liveness:
         self._first_ns = FIRST_NS
         self._heard_ns: int | None = None  # when the newest message came
         self._answered = False  # did a message come that shows that the peer hears this end
-        self._sound_ns = 0  # until then nothing is to be judged, if nothing else ends the session
+        self.sound_ns = 0
 
     def begin(self, begun_ns: int) -> None:
         """A session begins at `begun_ns`."""
         self._heard_ns = None
         self._answered = False
-        self._sound_ns = 0
+        self.sound_ns = 0
         self.begun_ns = begun_ns
 
     def wait_longer(self) -> None:
@@ -49,7 +49,7 @@ class Liveness:
 
     def judge(self, now: int) -> str | None:
         """Judge at every tick."""
-        if now <= self._sound_ns:
+        if now <= self.sound_ns:
             return None
         if self.silent(now):
             if self._master or self._heard_ns is not None:  # before its first message a link may just be long
@@ -62,7 +62,7 @@ class Liveness:
         """Take note of a new message of the peer, sent at `sent_ns` by this end's clock."""
         first = self._heard_ns is None
         self._heard_ns = now
-        self._sound_ns = now + self.renew_ns if self._answered or not self._master else 0
+        self.sound_ns = now + self.renew_ns if self._answered or not self._master else 0
         if first and sent_ns is not None and sent_ns - self.begun_ns > self.renew_ns:
             return f"its first {self.renew_ns / 1e9:g} s did not arrive"
         return None

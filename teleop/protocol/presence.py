@@ -27,6 +27,7 @@ class Presence:
 
     def __init__(self, session: Session, link: LinkEstimates, dt_ns: int, every: int, timeout_ns: int) -> None:
         self.session, self.link = session, link
+        self._liveness = session.liveness
         self._dt_ns, self._every = dt_ns, every
         self._margin_ns = max(STILL_NS, timeout_ns)  # a stall of its own that is shorter is none either
         self.begin()
@@ -40,8 +41,8 @@ class Presence:
         """The newest message came at `now`, sent at `sent_ns` by our clock, with this echo."""
         if echo is None:
             self.unheard_ns = max(0, sent_ns - self.session.liveness.begun_ns)
-        elif 0 <= now - echo.sent_ns - echo.held_ns <= MOST_RTT_NS:  # otherwise it is of a message that was never sent
-            self.answered, self.unheard_ns = True, echo.held_ns
+        elif 0 <= now - echo[0] - (held_ns := echo[1]) <= MOST_RTT_NS:  # otherwise it is of one that was never sent
+            self.answered, self.unheard_ns = True, held_ns
             self.session.answer_came(echo)
 
     def most_ahead(self) -> int:
@@ -68,4 +69,5 @@ class Presence:
         if self._ahead is not None and k - self._ahead[0] > STILL * max(self._every, self.session.peer_every):
             ahead = self._ahead[1] * self._dt_ns / 1e9
             self.session.end(f"stood still: the other end's messages are {ahead:.3f} s ahead of this end's clock")
-        self.session.judge(now)
+        if now > self._liveness.sound_ns:
+            self.session.judge(now)

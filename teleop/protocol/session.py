@@ -173,7 +173,7 @@ class Session:
 
     def judge(self, now: int) -> None:
         """Judge whether the session is over for this end: to be asked at every tick."""
-        if self.carries_data and self._heals:
+        if now > self.liveness.sound_ns and self.carries_data and self._heals:
             self._end_if(self.liveness.judge(now))
 
     def end(self, why: str) -> None:
@@ -184,12 +184,17 @@ class Session:
 
     def data_came(self, now: int, sent_ns: int | None = None) -> None:
         """A new message of the peer: it has had START, and it is there. `sent_ns`: when it was sent, by our clock."""
-        self.take(SessionEvent.DATA)
-        self._end_if(self.liveness.message(now, sent_ns))
+        if self.state is not SessionState.RUNNING:  # where it leads nowhere else
+            self.take(SessionEvent.DATA)
+        why = self.liveness.message(now, sent_ns)
+        if why is not None:
+            self._end_if(why)
 
     def answer_came(self, echo: Echo) -> None:
         """What the peer's newest message says of ours: which one arrived last, and how long before it was sent."""
-        self._end_if(self.liveness.echo(echo))
+        why = self.liveness.echo(echo)
+        if why is not None:
+            self._end_if(why)
 
     def begin(self, start_ns: int, now: int) -> bool:
         """The two have met: the session begins, on the grid whose tick 0 is at `start_ns`. False if it may not."""
@@ -203,6 +208,8 @@ class Session:
 
     def due(self, now: int) -> list[bytes]:
         """What is to be sent now because it was not answered."""
+        if self.state is SessionState.RUNNING and now <= self.liveness.sound_ns:
+            return []  # nearly always
         self.judge(now)
         if self.master and self.zero_force and self.take(SessionEvent.ZERO_FORCE):
             self._renew()

@@ -123,7 +123,7 @@ def test_a_law_whose_exception_the_event_loop_swallows_holds_no_force(
 def test_a_record_that_raises_ends_the_run_without_force(pair: Make) -> None:
     error = PanicError()
 
-    class Rows(list[float]):
+    class Rows(bytearray):
         def __iadd__(self, other: Any) -> Any:
             raise error
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
+from teleop.live.process.tick_loop import TickLoop
 from teleop.live.process.ticker import Alarm, Timer
 from tests.waiting import PATIENCE
 
@@ -26,6 +27,7 @@ class Ring(NamedTuple):
 def ring(
     alarms: Callable[[asyncio.AbstractEventLoop, Callable[[], None]], Alarm], start: int, interval: int,
     enough: Callable[[list[Ring]], bool], busy: Callable[[int], None] = lambda _: None,
+    loop: Callable[[], asyncio.AbstractEventLoop] | None = None,
 ) -> list[Ring]:
     """The rings of an alarm until there are enough, and for 40 ms more.
 
@@ -48,17 +50,21 @@ def ring(
         await asyncio.sleep(0.04)
         alarm.close()
 
-    asyncio.run(run())
+    with asyncio.Runner(loop_factory=loop) as runner:
+        runner.run(run())
     return rang
 
 
+@pytest.mark.parametrize("loop", [None, TickLoop])
 @pytest.mark.parametrize("spin_ns", [0, 150_000, 3 * MS, 40 * MS])
 @pytest.mark.parametrize("interval", [0, 5 * MS])
-def test_it_rings_at_or_after_its_instant_and_once_for_each(spin_ns: int, interval: int) -> None:
+def test_it_rings_at_or_after_its_instant_and_once_for_each(
+    spin_ns: int, interval: int, loop: Callable[[], asyncio.AbstractEventLoop] | None
+) -> None:
     """Even if it is to wait awake for longer than from one instant to the next."""
     last = 12 * interval
     rang = ring(lambda loop, wake: Alarm(loop, wake, spin_ns), time.monotonic_ns() + 20 * MS, interval,
-                lambda rang: bool(rang) and rang[-1].instant >= last)
+                lambda rang: bool(rang) and rang[-1].instant >= last, loop=loop)
     assert all(one.at >= one.instant for one in rang)
     instants = [one.instant for one in rang]
     if not interval:

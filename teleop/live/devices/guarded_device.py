@@ -85,10 +85,10 @@ class GuardedDevice:
         its first reading is not made of numbers; a later one that is not is no reading.
         """
         reading = self._read(k)
-        if reading is None or not self._held_well:
-            self._failing_ns = now if self._failing_ns is None else self._failing_ns
-        else:
+        if reading is not None and self._held_well:
             self.trouble = self._failing_ns = None
+        else:
+            self._failing_ns = now if self._failing_ns is None else self._failing_ns
         return reading
 
     def _read(self, k: int) -> Reading | None:
@@ -97,6 +97,14 @@ class GuardedDevice:
         except (DeviceError, OSError) as error:
             self.trouble = str(error) or type(error).__name__
             return None
+        if type(reading) is Reading and type(self.sensor) is bool:
+            x, v, f = reading
+            axes = len(self._zero)
+            if (type(x) is type(v) is tuple and len(x) == len(v) == axes and (f is not None) is self.sensor
+                    and (f is None or (type(f) is tuple and len(f) == axes))):
+                numbers = x + v if f is None else x + v + f
+                if _FLOAT.issuperset(map(type, numbers)) and isfinite(sum(numbers)):
+                    return reading  # nearly always; a sum that is not finite may be one of numbers that are
         try:
             reading = _in_floats(reading, len(self._zero))
         except Refused as refused:
@@ -125,9 +133,11 @@ class GuardedDevice:
 
         What is neither DeviceError nor OSError comes through: it is a fault.
         """
-        force = self._zero if self.closed else force
+        if self.closed:
+            force = self._zero
         pushes = any(force)
-        self.forced = self.forced or pushes
+        if pushes:
+            self.forced = True
         try:
             self.device.hold(force)
             self._held_well, self.forced = True, pushes
@@ -161,7 +171,7 @@ def _in_floats(reading: Any, axes: int) -> Reading:
         x, v, f = reading
         if (type(x) is type(v) is tuple and len(x) == len(v) == axes and _FLOAT.issuperset(map(type, x + v))
                 and (f is None or (type(f) is tuple and len(f) == axes and _FLOAT.issuperset(map(type, f))))):
-            return reading  # nearly always
+            return reading
         if all(isinstance(part, tuple) and len(part) == axes and all(map(_is_number, part))
                for part in (x, v, *(() if f is None else (f,)))):
             return Reading(_floats(x), _floats(v), None if f is None else _floats(f))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 LEAST_NS = 1_000_000  # shorter is no suspension
 
@@ -13,7 +14,7 @@ Clock = Callable[[], int]
 def boottime() -> Clock | None:
     """A clock (ns) that counts the time in which the machine is suspended; None where the system has none."""
     which = getattr(time, "CLOCK_BOOTTIME", None)
-    return None if which is None else lambda: time.clock_gettime_ns(which)
+    return None if which is None else partial(time.clock_gettime_ns, which)
 
 
 class Suspension:
@@ -30,6 +31,10 @@ class Suspension:
     def passed(self) -> int:
         """For how long the machine was suspended since this was asked last, ns; 0 if it was not."""
         # Read in this order the difference is too small, if anything, when the process is held up between the two.
-        apart = 0 if self._boot is None else self._boot() - self._mono()
-        slept, self._apart = apart - self._apart, max(apart, self._apart)
+        if self._boot is None:
+            return 0
+        apart = self._boot() - self._mono()
+        slept = apart - self._apart
+        if slept > 0:
+            self._apart = apart
         return slept if slept > LEAST_NS else 0

@@ -17,6 +17,8 @@ import os
 import time
 from collections.abc import Callable
 
+from teleop.live.process.tick_loop import TickLoop
+
 _ABSOLUTE = 1  # TFD_TIMER_ABSTIME
 _LOOP_NS = 15_000  # from waking up to the callback; where that is faster, the rest is waited for
 
@@ -77,7 +79,7 @@ class Alarm:
         self._timer = Timer()
         self.precise = self._timer.fd >= 0
         if self.precise:
-            loop.add_reader(self._timer.fd, self._rang)
+            (loop.ring if isinstance(loop, TickLoop) else loop.add_reader)(self._timer.fd, self._rang)
 
     def set(self, due_ns: int, interval_ns: int = 0) -> None:
         """Ring at `due_ns` (at once if it has passed), then every `interval_ns` if that is not 0."""
@@ -90,7 +92,8 @@ class Alarm:
     def close(self) -> None:
         """Ring no more."""
         if self.precise:
-            self._loop.remove_reader(self._timer.fd)
+            loop = self._loop
+            (loop.ring_no_more if isinstance(loop, TickLoop) else loop.remove_reader)(self._timer.fd)
             self._timer.close()
             self.precise = False
         elif self._handle is not None:

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import errno
 import json
-import sys
 import warnings
-from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from struct import Struct
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
@@ -49,7 +48,8 @@ class RecordWriter:
         self.trouble: str | None = None
         self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about, **own_law(scene)}
         self._scene, self._e, self._folder = scene, e, folder
-        self._rows: list[float] = []
+        self._rows = bytearray()
+        self._pack: Callable[..., bytes] | None = None  # of one row, whose width the first one tells
         self._count = 0
         self._file: BinaryIO | None = None
         self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
@@ -63,7 +63,9 @@ class RecordWriter:
 
     def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
         """Append the row of one tick."""
-        self._rows += (k, late_ns, played, *row)
+        if self._pack is None:
+            self._pack = Struct(f"<{len(OWN) + len(row)}d").pack
+        self._rows += self._pack(k, late_ns, played, *row)  # at once: floats kept until the next write cost cache
         self._count += 1
         if self._count % self._every == 0:
             self.flush()
@@ -80,13 +82,11 @@ class RecordWriter:
 
     def flush(self) -> None:
         """Hand what there is to the system."""
-        rows, self._rows = array("d", self._rows), []
+        rows, self._rows = self._rows, bytearray()
         if self.trouble is not None or self._file is None:
             return
-        if sys.byteorder == "big":
-            rows.byteswap()
         try:
-            self._file.write(rows.tobytes())
+            self._file.write(rows)
             self._file.flush()
         except OSError as error:
             self.trouble = f"the record stopped at row {self._count}: {error.strerror or error}"
