@@ -20,8 +20,6 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from master.device import SimulatedMaster
-from slave.robot import SimulatedSlave
 from teleop.live.driving import ClockDriver
 from teleop.live.net.address import bound
 from teleop.live.net.wire import Wire
@@ -35,6 +33,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
 
 TICKS = 5000
+DEVICES = {"m": ("master.device", "SimulatedMaster"), "s": ("slave.robot", "SimulatedSlave")}  # above this room
 WARM = 1000  # of them, at first, that do not count
 TICK_NS = 1_000_000
 PARTS = {
@@ -78,7 +77,7 @@ def made(scene: Scene, e: str, wire: Wire, folder: Path) -> Shell:
     """A live end that has read its device once."""
     session = Session(master=e == "m", manifest=manifest_of(scene), number=2**63 + 1 if e == "m" else None)
     folder.mkdir()
-    device: Any = (SimulatedMaster if e == "m" else SimulatedSlave)(scene)
+    device: Any = getattr(import_module(DEVICES[e][0]), DEVICES[e][1])(scene)
     shell = Shell(Endpoint(scene, e, session), device, wire, RecordWriter(scene, e, folder, {}), lambda _: None,
                   peer_timeout=None, interrupt=Interrupt())
     shell.device.read(0, 0)
