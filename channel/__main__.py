@@ -39,7 +39,7 @@ def _run(argv: list[str]) -> int:
     peer = _with_host(peer_address(args.peer), "127.0.0.1")  # answers come from there
     listen = address(args.listen, "--listen")
     with (output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt,
-          realtime.asked(args, interrupt) as scheduling):
+          realtime.asked(args, interrupt, realtime.RELAY_PRIORITY) as scheduling):
         beyond = next((at for at in (listen, peer) if not security.is_local(at)), None)
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer), beyond=beyond, insecure=args.insecure)
         if beyond is not None and args.insecure:

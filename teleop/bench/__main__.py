@@ -16,10 +16,15 @@ def main() -> int:
     parser.add_argument("bench", nargs="*", help=f"{', '.join(BENCHES)}; default: all")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement; default 5")
     parser.add_argument("--against", metavar="TREE", help="of cost alone: another worktree to measure beside this one")
+    parser.add_argument("--busy", action="store_true",
+                        help="`live` beside a busy loop on each core, with real-time scheduling and without")
     args = parser.parse_args()
     unknown = set(args.bench) - set(BENCHES)
     if unknown:
         print(f"bench: there is no bench {unknown.pop()!r}; there are {', '.join(BENCHES)}", file=sys.stderr)
+        return 2
+    if args.busy and args.bench != ["live"]:
+        print("bench: --busy is an option of the bench live; type python -m teleop.bench live --busy", file=sys.stderr)
         return 2
     for name in args.bench or BENCHES:
         print(f"-- {name}")
@@ -30,7 +35,7 @@ def main() -> int:
                 raise
             print("not in an installed package: run it in a clone of the repository")
             continue
-        more = {"against": args.against} if name == "cost" and args.against else {}
+        more = {"against": args.against} if name == "cost" and args.against else {"busy": True} if args.busy else {}
         for what, value, asked in bench(args.rounds, **more):
             print(f"{what:<58} {value:<22} {asked}")
     return 0

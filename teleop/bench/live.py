@@ -1,62 +1,116 @@
-"""The cost of a live run: the lateness of its ticks beside a C loop on a timerfd, and its share of a core."""
+"""The cost of a live run: the lateness of its ticks beside a C loop on a timerfd, and its share of a core.
+
+The C loop runs at the same time and is scheduled as the ends are. With `busy` a loop that never sleeps computes on each
+core meanwhile, scheduled as all programs are, and each round has a second run, without real-time scheduling.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from teleop.bench.compiled import compiled, reason
+from teleop.live.process.realtime import PRIORITY
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
 SECONDS = 10
+START_S = 1.0  # for the processes to start, before the C loop does
+QUANTILES = {"p50": "median", "p99": "99 %", "p100": "most"}
 
 
-def live(rounds: int) -> list[Row]:
+class Alone(NamedTuple):
+    """What the C loop measured of itself: lateness, us; share of a core; its priority under SCHED_FIFO, or 0."""
+
+    p50: float
+    p99: float
+    cpu: float
+    p100: float
+    priority: float
+
+
+class Round(NamedTuple):
+    """One demo, and the C loop beside it if there is one."""
+
+    ends: dict[str, dict[str, Any]]  # the summaries of "master" and "slave"
+    c: Alone | None
+
+
+def live(rounds: int, *, busy: bool = False) -> list[Row]:
     """Rows of (what, measured, asked): medians over `rounds` demos of 10 s, the C loop running beside each."""
-    ends: dict[str, list[dict[str, Any]]] = {"master": [], "slave": []}
-    beside: list[list[float]] = []  # of each round: median, 99 %, us; share of a core
+    measured: dict[bool, list[Round]] = {True: [], **({False: []} if busy else {})}
     with TemporaryDirectory() as name:
         folder = Path(name)
         program = compiled("timing", folder)
-        loop = (program, "tick", str(SECONDS * 1000)) if program else None
         for i in range(rounds):
-            c = subprocess.Popen(loop, stdout=subprocess.PIPE) if loop else None
-            summary = _demo(folder / str(i))
-            for end, summaries in ends.items():
-                summaries.append(summary[end])
-            if c is not None:
-                beside.append([float(word) for word in c.communicate()[0].split()])
-    rows: list[Row] = []
-    for end, summaries in ends.items():
-        for place, (quantile, what) in enumerate((("p50", "median"), ("p99", "99 %"))):
-            late = [summary["late_us"][quantile] for summary in summaries]
-            ratio = median(own / c[place] for own, c in zip(late, beside, strict=True)) if beside else None
-            rows.append((f"{end}: tick late by, {what}", f"{median(late):.0f} us",
-                         f"{ratio:.2f} times C; asked: at most 1.5" if ratio else ""))
-        rows.append((f"{end}: share of a core", f"{median(s['cpu'] for s in summaries) * 100:.1f} %",
-                     "asked: at most 10"))
-        skipped = median(s["skipped"] for s in summaries)
-        rows.append((f"{end}: ticks skipped, of {SECONDS * 1000}", f"{skipped:.0f}", ""))
-    if beside:
-        rows.append(("C loop on a timerfd beside it: late by, median / 99 %",
-                     f"{median(c[0] for c in beside):.0f} / {median(c[1] for c in beside):.0f} us", ""))
-        rows.append(("  its share of a core, for waking and nothing else",
-                     f"{median(c[2] for c in beside) * 100:.1f} %", ""))
-    else:
-        rows.append(("C loop on a timerfd beside it", reason(), ""))
-    return rows
+            for realtime, runs in measured.items():
+                with computing() if busy else computing(()):
+                    runs.append(_round(folder / f"{i}-{realtime}", program, realtime=realtime))
+    return [row for realtime, runs in measured.items() for row in rows(runs, realtime=realtime, busy=busy)]
 
 
-def _demo(out: Path) -> dict[str, Any]:
-    done = subprocess.run(
+def rows(runs: Sequence[Round], *, realtime: bool, busy: bool) -> list[Row]:
+    """The rows of runs that were asked for alike."""
+    which = "" if realtime else "--no-realtime, "
+    told: list[Row] = []
+    for end in ("master", "slave"):
+        for quantile, what in QUANTILES.items():
+            late = [run.ends[end]["late_us"][quantile] for run in runs]
+            ratios = [own / getattr(run.c, quantile) for own, run in zip(late, runs, strict=True) if run.c is not None]
+            asked = "; asked: at most 1.5" if quantile != "p100" and realtime else ""
+            told.append((f"{which}{end}: tick late by, {what}", f"{median(late):.0f} us",
+                         f"{median(ratios):.2f} times C{asked}" if ratios else ""))
+        told.append((f"{which}{end}: share of a core", f"{median(run.ends[end]['cpu'] for run in runs) * 100:.1f} %",
+                     "asked: at most 10" if realtime and not busy else ""))
+        skipped = [run.ends[end]["skipped"] for run in runs]
+        told.append((f"{which}{end}: ticks left out, of {SECONDS * 1000}: median, most",
+                     f"{median(skipped):.0f}, {max(skipped)}", ""))
+    beside = [run.c for run in runs if run.c is not None]
+    if not beside:
+        return [*told, ("C loop on a timerfd beside it", reason(), "")]
+    scheduler = f"SCHED_FIFO, {beside[0].priority:.0f}" if beside[0].priority else "scheduled as all"
+    late_by = [median(getattr(c, quantile) for c in beside) for quantile in QUANTILES]
+    return [*told, (f"{which}C loop beside it, {scheduler}: late by, median / 99 % / most",
+                    " / ".join(f"{us:.0f}" for us in late_by) + " us", ""),
+            ("  its share of a core, for waking and nothing else", f"{median(c.cpu for c in beside) * 100:.1f} %", "")]
+
+
+@contextmanager
+def computing(cores: Sequence[int] | None = None) -> Iterator[None]:
+    """A loop that never sleeps on each of `cores` (left out: on all that this process may use) while the block runs."""
+    if cores is None:
+        cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in cores]
+    try:
+        for core, loop in zip(cores, loops, strict=True):
+            if hasattr(os, "sched_setaffinity"):
+                os.sched_setaffinity(loop.pid, [core])
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+def _round(out: Path, program: str | None, *, realtime: bool) -> Round:
+    demo = subprocess.Popen(
         [sys.executable, "-m", "scenarios", "demo", "hard_wall", "--set", f"duration={SECONDS}", "--out", str(out),
-         "--json"], check=True, capture_output=True, cwd=ROOT,
+         "--json", *([] if realtime else ["--no-realtime"])], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT,
     )
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary
+    c = None
+    if program is not None:
+        time.sleep(START_S)
+        told = subprocess.run([program, "tick", str(SECONDS * 1000), str(PRIORITY if realtime else 0)], check=True,
+                              capture_output=True).stdout
+        c = Alone(*map(float, told.split()))
+    summary = json.loads(demo.communicate()[0])
+    return Round({end: summary[end] for end in ("master", "slave")}, c)

@@ -1,7 +1,8 @@
 /* What the benches `timing` and `live` measure the live parts against, and with: a timer loop, a UDP echo and its
  * pinger, a relay with one constant delay, and the load for a relay.
  *
- *   timing tick N                              lateness of N ticks of 1 ms: median, 99 %, us; share of a core
+ *   timing tick N [PRIORITY]                   lateness of N ticks of 1 ms: median, 99 %, us; share of a core; most, us;
+ *                                              the priority of SCHED_FIFO that it asked for and got, or 0
  *   timing echo                                prints its port; sends back what comes
  *   timing ping PORT N                         N round trips of 100 bytes: median, 99 %, us
  *   timing relay PEER_PORT DELAY_NS            prints its port
@@ -12,6 +13,7 @@
  */
 #define _GNU_SOURCE
 #include <arpa/inet.h>
+#include <sched.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -97,8 +99,11 @@ static int taken(int fd, char *data, struct sockaddr_in *from, int64_t *came)
     return size;
 }
 
-static int tick(int n)
+static int tick(int n, int priority)
 {
+    struct sched_param asked = {.sched_priority = priority};
+    if (priority && sched_setscheduler(0, SCHED_FIFO, &asked))
+        priority = 0;
     double *late = malloc(n * sizeof *late);
     int64_t start = now(CLOCK_MONOTONIC) + 20 * MS, k = -1;
     int timer = timerfd_create(CLOCK_MONOTONIC, 0);
@@ -115,7 +120,7 @@ static int tick(int n)
     getrusage(RUSAGE_SELF, &used);
     double cpu = used.ru_utime.tv_sec + used.ru_stime.tv_sec + (used.ru_utime.tv_usec + used.ru_stime.tv_usec) * 1e-6;
     told(late, n);
-    printf(" %.4f\n", cpu / (n * 1e-3));
+    printf(" %.4f %.2f %d\n", cpu / (n * 1e-3), n ? late[n - 1] : 0.0, priority);  /* sorted by now */
     return 0;
 }
 
@@ -308,8 +313,8 @@ static int load(const char *forth, const char *back, int64_t rate, int count, in
 int main(int count, char **word)
 {
     const char *what = count > 1 ? word[1] : "";
-    if (!strcmp(what, "tick") && count == 3)
-        return tick(atoi(word[2]));
+    if (!strcmp(what, "tick") && (count == 3 || count == 4))
+        return tick(atoi(word[2]), count == 4 ? atoi(word[3]) : 0);
     if (!strcmp(what, "echo") && count == 2)
         echo();
     if (!strcmp(what, "ping") && count == 4)

@@ -33,6 +33,7 @@ from teleop.live.process.interrupt import Interrupt
 
 SPIN_NS = 150_000  # how long before a tick `--spin` wakes: more than it takes to wake a process, nearly always
 PRIORITY = 40  # of 1 .. 99: above all that is not real-time, below the kernel's own interrupt threads, which have 50
+RELAY_PRIORITY = PRIORITY - 1  # of the channel, which waits awake for its packets: not while an end has a tick to do
 LIMIT = 50  # the limit on priority that is proposed: room for PRIORITY and for what runs above it
 AWAKE_S = 0.5  # s of processor time without a sleep, after which the process is given back
 KILLED_S = 2.0  # the same, after which the system kills it
@@ -62,9 +63,9 @@ class RealTime:
     `granted` is None where it was not asked for. `told` is what a summary has of it.
     """
 
-    def __init__(self, interrupt: Interrupt, *, wanted: bool = True) -> None:
+    def __init__(self, interrupt: Interrupt, *, wanted: bool = True, priority: int = PRIORITY) -> None:
         self.granted: Granted | None = None
-        self._interrupt, self._wanted = interrupt, wanted
+        self._interrupt, self._wanted, self._priority = interrupt, wanted, priority
         self._thread = 0  # the system's number of the one that has the priority
         self._limits: tuple[int, int] | None = None
         self._overran = False
@@ -72,7 +73,7 @@ class RealTime:
     def __enter__(self) -> RealTime:
         if self._wanted:
             self._limits = _bound_awake()
-            self.granted = ask()
+            self.granted = ask(self._priority)
             if self.granted.priority is not None:
                 self._thread = _this_thread()
                 self._interrupt.overrun = self._overrun
@@ -109,16 +110,16 @@ class RealTime:
         self.give_back()
 
 
-def asked(args: Namespace, interrupt: Interrupt) -> RealTime:
+def asked(args: Namespace, interrupt: Interrupt, priority: int = PRIORITY) -> RealTime:
     """What a live process enters around its run, by its options; a stepped end asks for nothing."""
-    return RealTime(interrupt, wanted=args.realtime and not getattr(args, "lockstep", False))
+    return RealTime(interrupt, wanted=args.realtime and not getattr(args, "lockstep", False), priority=priority)
 
 
-def ask() -> Granted:
+def ask(priority: int = PRIORITY) -> Granted:
     """Ask for both, for the thread that calls; what came of it."""
     memory = _lock()
     try:
-        priority = run_first(PRIORITY, room=1)
+        priority = run_first(priority, room=1 + PRIORITY - priority)
     except (OSError, AttributeError) as error:  # the second: this system has no word for it
         return Granted(_refused(error), memory)
     return Granted(f"SCHED_FIFO, priority {priority}", memory, priority)
