@@ -15,6 +15,7 @@ from channel.duplicate import Duplicate
 from channel.effect import Chain, Effect
 from channel.gamma import GammaJitter
 from channel.in_order import InOrder
+from channel.left_out import LeftOut
 from channel.link import Link, parse_link
 from channel.mahimahi import Mahimahi
 from channel.schedule import Stream, TwoWay, Verdicts, arrivals, verdicts
@@ -86,6 +87,19 @@ def test_jitter_before_a_narrow_queue(recordings) -> None:
     assert [one[1] for one in out] == drawn.time_ns.tolist()
     assert 0 < len(out) < 1000  # the queue was full
     assert (np.diff(drawn.packet) < 0).any()
+
+
+def test_packets_that_are_never_sent_take_no_place_in_a_queue(recordings) -> None:
+    """As of an end that leaves out ticks: the stream is sent the others alone."""
+    link = UniformJitter(0.02) | Mahimahi(str(recordings / "trace"), queue=5) | Bernoulli(0.1)
+    sent = LeftOut(0.5).left_out(0, 2000, 4)
+    drawn, all_sent = arrivals(link, 0, 2000, MS // 8, 1, 1500, sent), arrivals(link, 0, 2000, MS // 8, 1, 1500)
+    stream = Stream(link, 0, 1, 1500)
+    for k in np.flatnonzero(sent).tolist():
+        stream.send(k, k * MS // 8)
+    assert stream.due(10**15) == list(zip(drawn.packet.tolist(), drawn.time_ns.tolist(), strict=True))
+    assert sent[drawn.packet].all()
+    assert len(drawn.packet) > sent[all_sent.packet].sum()  # there was more room for those that were sent
 
 
 @pytest.mark.parametrize("text", [
