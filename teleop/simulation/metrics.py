@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
 STANDS = "a hand that comes to stand"
+PLAYED = "a link and a law of waves, played by their integral or energy"
 PORTS, WAVES, STAMPS = "energy=True", "energy=True and a law of waves", "energy=True, a law of waves and a link"
 
 
@@ -43,6 +44,10 @@ METRICS = {
     "T_bwd_max": Metric("s", "its largest value", LINK),
     "fresh_fwd": Metric("1", "share of the slave's ticks with a fresh message", LINK),
     "fresh_bwd": Metric("1", "share of the master's ticks with a fresh message", LINK),
+    "queue_fwd_max": Metric("s", "longest queue of forward waves at a tick that played a message", PLAYED),
+    "queue_fwd_end": Metric("s", "queue of forward waves at such ticks of the last 0.1 s, mean", PLAYED),
+    "queue_bwd_max": Metric("s", "longest queue of backward waves at a tick that played a message", PLAYED),
+    "queue_bwd_end": Metric("s", "queue of backward waves at such ticks of the last 0.1 s, mean", PLAYED),
     "E_link_min": Metric("J", "smallest energy stored in the link", WAVES),
     "E_link_end": Metric("J", "energy stored in the link at the end", WAVES),
     "E_port_min": Metric("J", "smallest energy that law and link have taken up at the ports", PORTS),
@@ -86,6 +91,7 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
         age = _ages(trace, seq, dt)
         if age is not None:
             out |= _delays(way, age, ticks)
+        out |= _queues(trace, way, seq, dt)
     for name, (mine, theirs, _) in _ERRORS.items():
         if mine in trace and theirs in trace:
             out |= _worst(name, _error(scene, trace, name))
@@ -183,12 +189,35 @@ def _greatest(column: NDArray[Any]) -> float:
     return float(np.max([magnitude(column[block]).max() for block in blocks(len(column))]))
 
 
-def _at_end(trace: Mapping[str, Any], name: str, dt: float) -> float:
-    """The magnitude of a column's mean over the rows of the last `END`, at least one; live, ticks may be missing."""
+def _queues(trace: Mapping[str, Any], way: str, seq: str, dt: float) -> dict[str, float]:
+    """The queue of one direction, of several axes the longest, at the ticks that played a message.
+
+    In a gap the queue shortens as the age of the newest message grows. So queue and age add up to what a wave takes
+    where a message was just played. Where none was in the last `END`, nothing is left that has an end.
+    """
+    name = f"queue_{seq[-1]}"
+    if name not in trace or seq not in trace:
+        return {}
+    fresh = trace[seq] >= 0
+    queue = trace[name].reshape(len(fresh), -1).max(axis=1)
+    last = queue[_last(trace, dt):][fresh[_last(trace, dt):]]
+    out = {f"queue_{way}_max": float(queue[fresh].max())} if fresh.any() else {}
+    return {**out, f"queue_{way}_end": float(last.mean())} if len(last) else out
+
+
+def _last(trace: Mapping[str, Any], dt: float) -> int:
+    """The first row of the last `END`, of which there is one at least; live, ticks may be missing."""
     import numpy as np
 
     t = trace["t"]
-    first = min(int(np.searchsorted(t, t[-1] - END + 0.5 * dt)), len(t) - 1)
+    return min(int(np.searchsorted(t, t[-1] - END + 0.5 * dt)), len(t) - 1)
+
+
+def _at_end(trace: Mapping[str, Any], name: str, dt: float) -> float:
+    """The magnitude of a column's mean over the rows of the last `END`."""
+    import numpy as np
+
+    first = _last(trace, dt)
     with np.errstate(all="ignore"):  # the last rows of a run that diverged
         return float(magnitude(trace[name][first:].mean(axis=0, keepdims=True))[0])
 

@@ -1,4 +1,4 @@
-"""The plot of a run: positions, forces and stored energy over one time axis. Needs the extra `plot`."""
+"""The plot of a run: positions, forces, queues of waves, stored energy over one time axis. Needs the extra `plot`."""
 
 from __future__ import annotations
 
@@ -48,6 +48,9 @@ PANELS = (  # blue is the master's end, red the slave's; grey what a person or a
     )),
     TracePanel("slave's force", "N", (
         TraceCurve("f_env", "$f_{env}$ on the environment", DARK), TraceCurve("f_s", "$f_s$ on the slave", RED),
+    )),
+    TracePanel("queue of waves", "s", (
+        TraceCurve("queue_s", "forward", RED), TraceCurve("queue_m", "backward", BLUE),
     )),
     TracePanel("energy", "J", (
         TraceCurve("E_port", "$E_{port}$ two-port", DARK), TraceCurve("E_link", "$E_{link}$ link", GREEN),

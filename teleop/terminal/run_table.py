@@ -83,6 +83,17 @@ def _seen(got: Mapping[str, float], way: str) -> str:
     return si(mean, "s") if most - mean < 1e-9 else f"{si(mean, 's')} (up to {si(most, 's')})"
 
 
+def _queue(result: Result) -> Iterator[str]:
+    got = result.metrics
+    ways = [way for way in _DIRECTIONS if {f"queue_{way}_max", f"queue_{way}_end"} <= got.keys()]
+    if not any(got[f"queue_{way}_max"] >= _LEAST_QUEUE for way in ways):
+        return  # nothing of the link came at another time, and a wave takes the delay
+    yield ", ".join(f"{si(got[f'queue_{way}_end'], 's')} (up to {si(got[f'queue_{way}_max'], 's')}) {way}"
+                    for way in ways) + " at the end"
+    yield "so a wave takes " + ", ".join(
+        f"{si(got[f'T_{way}_mean'] + got[f'queue_{way}_end'], 's')} {way}" for way in ways) + ", delay and queue"
+
+
 def _packets(result: Result) -> Iterator[str]:
     for way in _DIRECTIONS:
         if f"fresh_{way}" in result.metrics and way in result.packets:
@@ -167,6 +178,7 @@ def _live_ends(result: Result) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield end, own
 
 
+_LEAST_QUEUE = 1e-9  # s: what is less is rounding
 _MOST_EVENTS = 5  # shown of each end
 
 _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
@@ -174,6 +186,7 @@ _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("force error", _error("f_err", "N")),
     ("force at the end", _force),
     ("delay seen", _delay),
+    ("queue", _queue),
     ("packets", _packets),
     ("link seen", _link),
     ("safe state", _safe),

@@ -13,10 +13,12 @@ import pytest
 from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
+from teleop.scene.playout import integrates
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import (
     LINK,
     METRICS,
+    PLAYED,
     PORTS,
     STAMPS,
     STANDS,
@@ -130,6 +132,36 @@ def test_the_force_at_the_end_is_the_mean_of_the_last_tenth_of_a_second_also_whe
     assert metrics(replace(SCENE, dt=0.5), {**slow, "t": np.arange(3) * 0.5})["f_m_end"] == 3.0
 
 
+def test_the_queue_is_told_of_the_ticks_that_played_a_message() -> None:
+    """In a gap it shortens as the newest message ages, and what is left out of it may be less than nothing."""
+    t = np.arange(1000) * 1e-3
+    fresh = np.arange(1000) % 4 == 0
+    queue = np.where(fresh, np.where(t < 0.9 - 1e-9, 7e-3, 4e-3), -1.0)
+    rest = {name: np.zeros(1000) for name in ("x_m", "x_s", "f_m", "f_s", "f_h", "f_env")}
+    seq = np.where(fresh, np.arange(1000) - 4, -1)
+    one = {"t": t, **rest, "seq_s": seq, "seq_m": seq}
+    got = metrics(SCENE, {**one, "queue_s": queue, "queue_m": 0.5 * queue})
+    assert (got["queue_fwd_max"], got["queue_bwd_max"]) == (7e-3, 3.5e-3)
+    assert (got["queue_fwd_end"], got["queue_bwd_end"]) == pytest.approx((4e-3, 2e-3), abs=1e-15)
+    assert not [name for name in metrics(SCENE, one) if name.startswith("queue")]
+    three = np.stack([0.1 * queue, queue, 0.0 * queue], axis=1)  # of several axes the longest
+    assert metrics(SCENE, {**one, "queue_s": three})["queue_fwd_end"] == pytest.approx(4e-3, abs=1e-15)
+    silent = {**one, "seq_s": np.where(t < 0.8, seq, -1), "queue_s": queue}
+    assert "queue_fwd_end" not in metrics(SCENE, silent)  # nothing came in the last 0.1 s
+    assert metrics(SCENE, silent)["queue_fwd_max"] == 7e-3
+
+
+@pytest.mark.parametrize("knobs", [{"link": "delay(0.05)|bernoulli(0.1)"}, {"left_out": 0.1},
+                                   {"link": "delay(0.05)|gilbert_elliott(0.01,0.1)"}], ids=str)
+def test_delay_and_queue_are_what_a_wave_takes_as_the_steady_force_tells(knobs: dict[str, Any]) -> None:
+    """f = push/(1/k_h + 1/K + 1/k_e + (T1 + T2 + L1 + L2)/(2 b)), by `teleop.stages.wave_integral`."""
+    got = run(load_scene("hard_wall", playout="integral", **knobs)).metrics
+    told = sum(got[name] for way in ("fwd", "bwd") for name in (f"T_{way}_mean", f"queue_{way}_end"))
+    felt = 2.0 * 20.0 * (0.03 / got["f_m_end"] - 1.0 / 200.0 - 1.0 / 1000.0 - 1.0 / 2e4)
+    assert told - got["T_fwd_mean"] - got["T_bwd_mean"] > 4e-3
+    assert told == pytest.approx(felt, abs=1e-3)
+
+
 def test_ages_and_freshness_of_the_messages_that_were_played() -> None:
     """Every second tick plays the packet of 4 ticks ago, and once one of 10 ticks ago."""
     seq = np.where(np.arange(N) % 2 == 0, np.arange(N) - 4, -1)
@@ -189,14 +221,16 @@ NEEDS: dict[str, Callable[[Scene], bool]] = {
     LINK: lambda s: s.link is not None, PORTS: lambda s: s.energy, WAVES: lambda s: s.energy and s.has_waves,
     STAMPS: lambda s: s.energy and s.has_waves and s.link is not None, WATCHDOG: lambda s: s.watchdog is not None,
     STANDS: lambda s: prepare(s).still is not None,
+    PLAYED: lambda s: s.link is not None and s.has_waves and integrates(s.played_as),
 }
 
 
 @pytest.mark.parametrize("scene", [
     load_scene("canonical"), load_scene("canonical", energy=False), load_scene("canonical", law="direct"),
     load_scene("local"), load_scene("local", law="direct"), load_scene("hard_wall"), load_scene("encoder_wall"),
-    replace(load_scene("canonical"), hand=None),
-], ids=range(8))
+    replace(load_scene("canonical"), hand=None), load_scene("canonical", playout="integral"),
+    load_scene("canonical", playout="energy"), load_scene("canonical", law="direct", playout="integral"),
+], ids=range(11))
 def test_a_run_has_the_figures_that_the_list_says_it_has(scene: Scene) -> None:
     short = replace(scene, duration=0.45)
     assert set(run(short).metrics) == {name for name, metric in METRICS.items() if NEEDS[metric.needs](short)}

@@ -79,6 +79,12 @@ class TestARow:
         assert row["peak"] == peak(single)
         assert (row["E_fwd_min"], row["f_m_end"]) == (single.metrics["E_fwd_min"], single.metrics["f_m_end"])
 
+    def test_has_the_queue_of_waves_that_are_played_by_their_integral(self) -> None:
+        knobs = {"link": "delay(0.02)|bernoulli(0.1)", "duration": 1.0}
+        row, = rows(sweep("hard_wall", {}, fixed=knobs, metrics=["queue_fwd_end", "queue_bwd_max"]))
+        single = run(load_scene("hard_wall", **knobs)).metrics
+        assert (row["queue_fwd_end"], row["queue_bwd_max"]) == (single["queue_fwd_end"], single["queue_bwd_max"])
+
     def test_that_cannot_be_is_refused_by_itself(self) -> None:
         table = sweep("soft_tissue", {"k_e": [100.0, -1.0]}, fixed=FIXED)
         good, bad = rows(table)

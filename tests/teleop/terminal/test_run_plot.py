@@ -38,7 +38,7 @@ def wave() -> Result:
 
 @pytest.fixture(scope="module")
 def lossy() -> Result:
-    return run(load_scene("hard_wall", link="delay(0.05) | bernoulli(0.1)", duration=3.0), seed=1)
+    return run(load_scene("hard_wall", link="delay(0.05) | bernoulli(0.1)", playout="zero", duration=3.0), seed=1)
 
 
 def labels(axes: Any) -> list[str]:
@@ -87,6 +87,13 @@ class TestWhatIsDrawn:
 
     def test_a_scene_without_energy_has_no_such_panel(self, drawn: Any) -> None:
         assert len(drawn(run(load_scene("canonical", duration=0.1, energy=False))).axes) == 3
+
+    def test_waves_that_are_played_by_their_integral_have_a_panel_of_their_queues(
+        self, drawn: Any
+    ) -> None:
+        panel = drawn(run(load_scene("hard_wall", link="delay(0.01) | bernoulli(0.1)", duration=0.5))).axes[3]
+        assert panel.get_ylabel() == "queue of waves (ms)"
+        assert {label.split(":")[0] for label in labels(panel)} == {"backward", "forward"}
 
     def test_of_three_axes_the_legend_names_x_y_and_z_of_each_quantity(self, drawn: Any, wave: Result) -> None:
         three = np.stack([wave.trace["x_m"]] * 3, axis=1)

@@ -49,6 +49,18 @@ class TestTable:
         assert told["packets"][0] == "fwd: 1000 sent, 950 received, 0 lost, 0 late, 50 under way at the end"
         assert told["link energy"][0].startswith("0 J smallest, ")
 
+    def test_says_the_queue_and_what_a_wave_takes_with_it(self, wave: Result) -> None:
+        got = run(load_scene("canonical", duration=1.0, link="delay(0.05)|bernoulli(0.1)"))
+        fwd, bwd = ([1e3 * got.metrics[f"queue_{way}_{what}"] for what in ("end", "max")] for way in ("fwd", "bwd"))
+        queue, takes = rows(got)["queue"]
+        assert queue == (f"{fwd[0]:.2f} ms (up to {fwd[1]:.2f} ms) fwd, {bwd[0]:.2f} ms (up to {bwd[1]:.2f} ms) bwd at "
+                         "the end")
+        assert takes == f"so a wave takes {50 + fwd[0]:.1f} ms fwd, {50 + bwd[0]:.1f} ms bwd, delay and queue"
+        steady = run(load_scene("canonical", duration=1.0, playout="integral"))
+        assert steady.metrics["queue_fwd_max"] == pytest.approx(0.0, abs=1e-12)
+        assert "queue" not in rows(steady)  # all that came was played at once
+        assert "queue" not in rows(wave)
+
     def test_leaves_out_what_the_scene_does_not_have(self) -> None:
         told = rows(run(load_scene("canonical", duration=0.1, link=None, energy=False)))
         assert set(told) == {"run", "status", "tracking error", "force error", "force at the end"}
