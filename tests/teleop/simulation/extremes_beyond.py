@@ -162,10 +162,10 @@ class Turned:
     claims: ClassVar[frozenset[str]] = frozenset()
 
     def start(self, at: At) -> Any:
-        return self.law.start(at._replace(x=-at.x, v=-at.v))
+        return self.law.start(At(-at.x, -at.v, at.f, at.f_held, at.dx, at.fresh, at.age, at.dt, at.span))
 
     def force(self, s: Any, at: At) -> tuple[float, Any]:
-        f, s = self.law.force(s, at._replace(x=-at.x, v=-at.v))
+        f, s = self.law.force(s, At(-at.x, -at.v, 0.0, 0.0, 0.0, False, 0.0, at.dt, at.span))
         return -f, s
 
 
