@@ -34,19 +34,22 @@ class Integral:
     Nothing that was sent is forgotten, so a steady wave stays steady through loss and jitter; and no more energy is
     played than was sent, so E_link >= 0 over any link. The queue that fills the gaps is as long as the longest gap of
     the last `memory` s, and at least `target` s, which trades delay for smoothness; what is beyond is released with
-    the time constant `settle` (s), as far as the energy allows.
+    the time constant `settle` (s), as far as the energy allows. What is held in a gap counts as played, up to
+    `ahead` s.
     """
 
     stage: ClassVar[str] = "wave_integral"
     target: float = 0.0
     _: KW_ONLY
     settle: float = 0.5
-    memory: float = 2.0
+    memory: float = 10.0
+    ahead: float = 0.05
 
     def __post_init__(self) -> None:
         number("target", self.target, low=0.0, high=10.0)
         number("settle", self.settle, above=0.0)
         number("memory", self.memory, low=0.0)
+        number("ahead", self.ahead, low=0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

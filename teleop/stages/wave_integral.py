@@ -19,6 +19,7 @@ newest message, all zero before the first:
     h = max(dt, L - min(M, L - target) dt/settle, min(H, L))        the time over which it is played
     p = D/max(h, H) where L >= dt/2, else p' limited to +-sqrt(S/dt)
     P += dt p        G += dt p^2/2        C = max(C, T - (h - dt))
+    C += max(0, dt + L dt/ahead) where L < dt/2, no newer message is played, and p' was not limited
 
 Passive, whatever comes: out of order, lost, doubled, of a peer with another tick. Where L >= dt/2,
 
@@ -31,8 +32,11 @@ until that is paid.
 No fade: by Cauchy-Schwarz a wave that was sent over a time L has D^2 <= 2 S L. The points (D, S, L) that fulfil it are
 a convex cone. Sending adds a point of the cone, and playing D/h for a tick, h >= min(H, L), leaves one: so H <= L
 always, and a wave that stays the same is played exactly as it was sent through every gap that the queue is as long as.
-A gap that is longer is felt as a dip towards zero, since a steady wave leaves no energy over; the queue is longer by
-that gap afterwards.
+A gap that is longer is bridged by p' as far as there is energy over, of which a steady wave leaves none and a varying
+one some; that counts as time that was played, so C runs ahead of T by at most `ahead`, and the next message, which
+brings what was held, brings that energy back. Where the energy ends, the gap is felt as a dip towards zero, and the
+queue is longer by it afterwards. (Only without a newer message and for a whole wave: else a delay that rises by a tick
+within a gap would leave the queue at zero with a part of D unplayed for good, and a run would never begin.)
 
 No drift: nothing that was sent is forgotten. x_m - x_d is the waves under way and in the queues over sqrt(2b), and
 comes to rest where they do.
@@ -90,6 +94,7 @@ class AxisWaves(Record):
     L: float  # the queue: the time that is owed, s
     M: float  # the least that it was, s
     spare: float  # what may be released of it, s
+    credit: float  # what is held in a gap and counts as played, s
     H: float  # the shortest time over which the energy lets it be played, s
     h: float  # the time over which it is played, s
     most: float  # what the energy allows of a wave in this tick
@@ -104,6 +109,8 @@ class WaveIntegralStage(Stage):
     target: float  # the least queue that is kept, s
     settles: float  # the share of what is spare that is released in a tick
     recalls: float  # the share of the way from M to L
+    leads: float  # dt, or 0 where what is held in a gap does not count as played
+    returns: float  # dt/ahead
     spared: float  # dt, or 0 where M is L
 
     def __init__(self, e: str, axes: int) -> None:
@@ -113,14 +120,15 @@ class WaveIntegralStage(Stage):
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
         own = scene.wave_playout
-        settles, recalls = min(1.0, dt / own.settle), min(1.0, dt / own.memory) if own.memory else 1.0
-        return own.target, settles, recalls, dt if own.memory else 0.0
+        remembered = (min(1.0, dt / own.memory), dt) if own.memory else (1.0, 0.0)
+        ahead = (dt, dt / own.ahead) if own.ahead else (0.0, 0.0)
+        return own.target, min(1.0, dt / own.settle), *remembered, *ahead
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis(f"queue_{e.name}", self.axes, "queue"),)
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        self.target, self.settles, self.recalls, self.spared = given
+        self.target, self.settles, self.recalls, self.spared, self.leads, self.returns = given
         for a, own in zip(e.axes, self.axes, strict=True):
             own.q = own.p = own.P = own.G = own.M = own.queue = zero(run)
             own.C = zero(run) - self.target
@@ -135,13 +143,15 @@ class WaveIntegralStage(Stage):
                 own.H = own.D * own.D / max(2.0 * own.S, TINY)
                 own.h = max(run.dt, own.L - self.settles * min(own.M, own.L - self.target), min(own.H, own.L))
                 own.most = sqrt(own.S / run.dt)
+                own.credit = where(run.half_dt > own.L, max(0.0, self.leads + own.L * self.returns), 0.0)
+                own.credit = where(e.got, 0.0, where(abs(own.p) < own.most, own.credit, 0.0))
                 own.p = where(run.half_dt <= own.L, own.D / max(own.h, own.H), min(max(own.p, -own.most), own.most))
-                own.C = where(a.heard.T > 0.0, max(own.C, a.heard.T - (own.h - run.dt)), own.C)
+                own.C = where(a.heard.T > 0.0, max(own.C, a.heard.T - (own.h - run.dt)), own.C) + own.credit
             else:
-                self.release(run, a, own)
+                self.release(run, e, a, own)
             play(run, e, a, own)
 
-    def release(self, run: Run, a: Axis, own: AxisWaves) -> None:
+    def release(self, run: Run, e: End, a: Axis, own: AxisWaves) -> None:
         """The same as for compiled code, with branches in place of calls."""
         own.M = own.M + (own.L - own.M) * self.recalls
         if own.L - self.spared < own.M:  # noqa: PLR1730 - a call costs more
@@ -149,19 +159,24 @@ class WaveIntegralStage(Stage):
         if own.M < 0.0:  # noqa: PLR1730
             own.M = 0.0
         own.h = run.dt
+        own.credit = 0.0
         if run.half_dt <= own.L:
             own.H = own.D * own.D / (2.0 * own.S if 2.0 * own.S > TINY else TINY)
             own.spare = own.M if own.L - self.target > own.M else own.L - self.target
-            own.h = max(own.h, own.L - self.settles * own.spare)
+            if own.L - self.settles * own.spare > own.h:  # noqa: PLR1730
+                own.h = own.L - self.settles * own.spare
             if own.h < own.H and own.h < own.L:
                 own.h = own.H if own.H < own.L else own.L
             own.p = own.D / (own.H if own.h < own.H else own.h)
         else:
             own.most = sqrt(own.S / run.dt)
-            if not -own.most <= own.p <= own.most:
+            if not -own.most < own.p < own.most:
                 own.p = -own.most if own.p < 0.0 else own.most
+            elif not e.got and self.leads + own.L * self.returns > 0.0:
+                own.credit = self.leads + own.L * self.returns
         if a.heard.T - (own.h - run.dt) > own.C and a.heard.T > 0.0:
             own.C = a.heard.T - (own.h - run.dt)
+        own.C = own.C + own.credit
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
@@ -175,7 +190,7 @@ class WaveEnergyStage(WaveIntegralStage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return 0.0, 0.0, 0.0, 0.0  # it has no times
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # it has no times
 
     def receive(self, run: Run, e: End) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
