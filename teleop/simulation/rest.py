@@ -26,8 +26,9 @@ one length cannot tell more. `teleop.analysis.models.rest` makes it again with t
 
 The status of a run goes by what a person at the handle is to be told. A swing below `FELT` is rest: a hand at rest
 feels a vibration of a few Hz from some 0.02 to 0.05 mm peak to peak on (Bolanowski et al., "Four channels mediate the
-mechanical aspects of touch", J. Acoust. Soc. Am. 84 (1988)), and what the gaps of a lossy link make of a held force is
-smaller. Behind an encoder `STEPS` of its steps are rest too.
+mechanical aspects of touch", J. Acoust. Soc. Am. 84 (1988)). Behind an encoder `STEPS` of its steps are rest too. A
+link that loses or jitters, and ticks that are left out at random, move a scene for ever: below `DISTURBED` a swing may
+be all theirs, and is no limit cycle.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from itertools import pairwise
 from math import ceil, pi, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -50,6 +52,7 @@ TRIPS = 3  # round trips of the loop that a window holds: it swings with a perio
 PERIODS = 1.5  # that a window holds: the swing of as many is the size peak to peak
 SLOW = 0.01
 FELT = 5e-5  # m peak to peak
+DISTURBED = 1e-3  # m peak to peak; loss of 30 % or a jitter of 20 ms moves `hard_wall` by 0.02 to 0.4 mm
 STEPS = 2.0  # steps of the encoder, peak to peak, that count as rest: near an edge the reading flickers for good
 
 
@@ -61,6 +64,7 @@ class Still(NamedTuple):
     step: float  # m, of the coarsest encoder; 0.0 without one
     late: int = 0  # ticks by which the computation and the renewal of the forces of both ends are late
     own: int = 0  # ticks of one and a half periods of all masses on the hand's spring: see `period`
+    least_swing: float = FELT  # m, below which it rests
 
     def first(self, ticks: int) -> int:
         """The first tick of the late windows of a run of so many ticks, which they end with."""
@@ -77,7 +81,7 @@ class Still(NamedTuple):
 
     def rests(self, swing: float) -> bool:
         """True of a swing (m, peak to peak) that counts as rest in the status of a run."""
-        return swing <= max(FELT, STEPS * self.step)
+        return swing <= max(self.least_swing, STEPS * self.step)
 
     def short(self, swings: Sequence[float], trip: int) -> bool:
         """True if the windows are too short for a verdict.
@@ -113,7 +117,9 @@ def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
     window = (ticks - since) // WINDOWS
     late = sum(end.delay + end.every - 1 for end in (scene.device_m, scene.device_s) if end)
     own = ceil(PERIODS * period(scene) * 1e9 / scene.dt_ns)
-    return Still(since, window, encoder_step(scene), late, own) if window >= LEAST else None
+    disturbed = scene.left_out_m or scene.left_out_s or (scene.link is not None and varies(scene.link))
+    least = DISTURBED if disturbed else FELT
+    return Still(since, window, encoder_step(scene), late, own, least) if window >= LEAST else None
 
 
 def period(scene: Scene) -> float:

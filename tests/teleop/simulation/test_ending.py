@@ -161,3 +161,12 @@ def test_a_scene_of_ones_own_is_typed_as_its_file(tmp_path: Path) -> None:
     made = tmp_path / "mine.py"
     made.write_text("from scenarios.hard_wall import scene\n")
     assert typed(load_scene(str(made), law=Direct())) == "mine.py, with its path and the --set of the run"
+
+
+def test_a_wall_that_is_pressed_through_jitter_is_no_limit_cycle() -> None:
+    """What the jitter makes of the held force, 0.1 mm, was called one; a swing of the loop itself still is."""
+    rough = "delay(0.04) | uniform(0.02) | bernoulli(0.1)"
+    pressed = run(load_scene("hard_wall", link=rough))
+    assert pressed.metrics["swing_end"] > 5e-5
+    assert pressed.status == "ok"
+    assert run(load_scene("hard_wall", link=rough, law="direct")).status == "limit cycle"
