@@ -35,13 +35,14 @@ if TYPE_CHECKING:
     from channel.mahimahi import Mahimahi
     from channel.normal import NormalJitter
     from channel.ping_log import PingLog
+    from channel.recorded import Recorded
     from channel.rng import Ints, Rng
     from channel.rows import by_time, later, nanoseconds
     from channel.uniform import UniformJitter
 
 __all__ = [
     "Bernoulli", "Blackout", "Chain", "Delay", "Duplicate", "Effect", "GammaJitter", "GilbertElliott",
-    "InOrder", "Ints", "LeftOut", "LeftOutTicks", "Link", "Mahimahi", "NormalJitter", "PingLog", "Rng",
+    "InOrder", "Ints", "LeftOut", "LeftOutTicks", "Link", "Mahimahi", "NormalJitter", "PingLog", "Recorded", "Rng",
     "UniformJitter", "by_time", "check_effect", "describe", "later", "nanoseconds", "parse_link", "probability",
     "seconds",
 ]
@@ -60,6 +61,7 @@ _HOMES = {  # the module of each name, under this package
     "mahimahi": ("Mahimahi",),
     "normal": ("NormalJitter",),
     "ping_log": ("PingLog",),
+    "recorded": ("Recorded",),
     "rng": ("Ints", "Rng"),
     "rows": ("by_time", "later", "nanoseconds"),
     "uniform": ("UniformJitter",),

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from channel.rng import Bools, Ints, Rng
 from channel.schedule import Arrivals, Order, State, Stream, arrivals
 from teleop.errors import Refused, number
+
+if TYPE_CHECKING:
+    from teleop.scene.parts import LeftOutLike
 
 LONGEST = 3600.0  # s; packets under way are kept in memory, so no delay may be longer
 
@@ -59,6 +62,10 @@ class Effect(ABC):
         """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return (self,)
 
+    def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:
+        """The ticks (of dt_ns) that end 0, the master, or 1, the slave, leaves out with this link; None: none."""
+        return None
+
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
                  sent: Bools | None = None) -> Arrivals:
         """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
@@ -99,6 +106,11 @@ class Chain:
     def in_direction(self, direction: int) -> tuple[Effect, ...]:
         """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return self.effects
+
+    def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:
+        """The ticks that an end leaves out, see `Effect.leaves_out`: those of the first effect that brings some."""
+        brought = (effect.leaves_out(end, dt_ns) for effect in self.effects)
+        return next((ticks for ticks in brought if ticks is not None), None)
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
                  sent: Bools | None = None) -> Arrivals:

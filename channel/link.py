@@ -12,12 +12,16 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from typing import TYPE_CHECKING
 
 from channel.effect import Chain, Effect
 from channel.rng import Bools
 from channel.schedule import Arrivals, Stream, arrivals
 from teleop.errors import Refused
 from teleop.naming import PartKind, known, unreadable
+
+if TYPE_CHECKING:
+    from teleop.scene.parts import LeftOutLike
 
 EFFECTS = {
     "bernoulli": "channel.bernoulli:Bernoulli",
@@ -30,6 +34,7 @@ EFFECTS = {
     "mahimahi": "channel.mahimahi:Mahimahi",
     "normal": "channel.normal:NormalJitter",
     "ping_log": "channel.ping_log:PingLog",
+    "recorded": "channel.recorded:Recorded",
     "uniform": "channel.uniform:UniformJitter",
 }
 """The effects that a text may name, and their classes."""
@@ -45,6 +50,7 @@ EXAMPLES = {
     "mahimahi": "mahimahi('up.txt', queue=2000, start=0.0)",
     "normal": "normal(0.01, 0.002)",
     "ping_log": "ping_log('ping.txt', start=0.0)",
+    "recorded": "recorded('runs/hard_wall-1', slave='', left_out=True, digest='')",
     "uniform": "uniform(0.02)",
 }
 """An example of each, with all of its knobs."""
@@ -71,6 +77,10 @@ class Link:
     def in_direction(self, direction: int) -> tuple[Effect, ...]:
         """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
         return (self.bwd if direction else self.fwd).in_direction(direction)
+
+    def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:
+        """The ticks that an end leaves out, see `Effect.leaves_out`: those of the direction in which it sends."""
+        return (self.bwd if end else self.fwd).leaves_out(end, dt_ns)
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
                  sent: Bools | None = None) -> Arrivals:
@@ -114,6 +124,15 @@ def describe(link: Effect | Chain | Link) -> str:
     if isinstance(link, Link):
         return f"{describe(link.fwd)} ; {describe(link.bwd)}"
     return " | ".join(map(_call, link.in_direction(0))) if isinstance(link, Effect | Chain) else repr(link)
+
+
+def shown(text: str, link: Effect | Chain | Link) -> str:
+    """`text` as it names `link` in what is kept: with the digest of what it replays, where it replays a live run.
+
+    Then another record under the same path is another link, wherever links are told apart by their texts.
+    """
+    effects = [effect for direction in (0, 1) for effect in link.in_direction(direction)]
+    return describe(link) if any(hasattr(effect, "digest") for effect in effects) else text
 
 
 def _way(node: ast.AST, text: str) -> Effect | Chain:

@@ -30,6 +30,7 @@ HOME = {
     "doctor": "teleop.doctor:command",
     "keygen": "teleop.live.command:keygen",
     "report": "teleop.report:command",
+    "replay": "teleop.live.replay.command:command",
 }
 
 

@@ -49,6 +49,7 @@ class Shell:
     ) -> None:
         self.endpoint, self.wire, self.recorder, self.interrupt = endpoint, wire, recorder, interrupt
         self.scene: Scene = endpoint.scene
+        endpoint.witness = recorder.inputs
         self.connection = Connection(endpoint, wire.peer, sealed=wire.secure_link is not None)
         self.device = GuardedDevice(device, endpoint.scene.axes, trusted=endpoint.stepped)
         if (deadline := deadline_of(device, endpoint)) is not None:

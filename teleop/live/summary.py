@@ -75,8 +75,9 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         packets={sends: Packets(sent=shell.counts.data_sent), hears: heard},
         first=shell.counts.first, every=endpoint.every,
         notes=[*old, *cut, *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),
-               *filter(None, [shell.recorder.trouble, clock_note(endpoint.link), missed_note(
-                   shell.counts.skipped, shell.counts.skipped + shell.counts.ticks, endpoint.own.dt, told)])],
+               *filter(None, [shell.recorder.trouble, shell.recorder.inputs.trouble, clock_note(endpoint.link),
+                              missed_note(shell.counts.skipped, shell.counts.skipped + shell.counts.ticks,
+                                          endpoint.own.dt, told)])],
     )
 
 

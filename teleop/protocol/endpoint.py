@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from math import isfinite
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 from teleop.errors import Refused
 from teleop.law import law_name
@@ -94,6 +94,14 @@ class Tick(NamedTuple):
     played: int  # the packet played at this tick, or -1
 
 
+class Witness(Protocol):
+    """What writes down all that an end is told; see `teleop.live.records.inputs`."""
+
+    def arrived(self, session: int, packet: int, time_ns: int, tick: int) -> None: ...
+    def ticked(self, k: int, session: int, inputs: tuple[Any, ...], index: Axes | None, force: Axes,
+               tx: tuple[Any, ...], sent: tuple[Integrals, ...] | None) -> None: ...
+
+
 class Endpoint:
     """The master's or the slave's end of a scene, live.
 
@@ -135,6 +143,7 @@ class Endpoint:
         self.held = HeldForce(scene, e, self.every, self.guard)
         self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
         self._shifted = 0  # ns that the grid was moved by
+        self.witness: Witness | None = None
         self._live: Any = None
         self._rejoined = False  # did the law begin later than with tick 0 of the first session
         self._before: tuple[Integrals, ...] | None = None  # what the peer's waves had come to when it was heard first
@@ -220,7 +229,10 @@ class Endpoint:
             if self._newest is None or seq > self._newest[0]:
                 self._newest = (seq, packet.sent_ns, now)
                 self.presence.newest(packet.echo, sent, now)
-        self.inbox.put(seq, max(came, self._tick + 1), self._heard(packet))
+        tick = max(came, self._tick + 1)
+        if self.witness is not None:
+            self.witness.arrived(self._met, seq, now - session.start_ns, tick)
+        self.inbox.put(seq, tick, self._heard(packet))
         return []
 
     def tick(self, k: int, now: int, reading: Reading, trouble: str | None = None) -> Tick:
@@ -252,7 +264,10 @@ class Endpoint:
         if not self.held.take(force):
             self.force_failed = f"f_{self.e}"
         self._follow()
-        return Tick(force, self._datagram(k, now, tx, sent, row), row, seq)
+        datagram = self._datagram(k, now, tx, sent, row)
+        if self.witness is not None:
+            self.witness.ticked(k, self._met, inputs, self._index, force, tx, sent)
+        return Tick(force, datagram, row, seq)
 
     def left_out(self, k: int, trouble: str) -> Axes:
         """Tick k cannot be run, for there is no reading: the force (N, per axis) to hold, on its way to zero."""

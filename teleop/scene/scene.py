@@ -179,6 +179,12 @@ class Scene:
             return self.environment
         return (self.environment, *[None] * (self.axes - 1))
 
+    def leaves_out(self, e: str) -> LeftOutLike | None:
+        """The ticks that the end `e` leaves out: the scene's own, or those that its link brings along; None: none."""
+        own: LeftOutLike | None = self.left_out_m if e == "m" else self.left_out_s
+        bring = None if own is not None else getattr(self.link, "leaves_out", None)
+        return own if bring is None else bring(0 if e == "m" else 1, self.dt_ns)
+
     def vector(self, name: str, value: Vector) -> tuple[float, ...]:
         """`value` for each axis; a number means along the first, the others stay 0."""
         if self.axes == 1 and type(value) is float:  # nearly always
@@ -223,7 +229,7 @@ def both_ends(scene: Scene) -> Scene:
     if scene.slave is None:
         raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
                       f"teleop run {scene.name}")
-    if scene.left_out_m is not None or scene.left_out_s is not None:
+    if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out by order in virtual time alone; a live end leaves out those that it cannot "
-                      "run in time: leave left_out away, or type teleop run")
+                      "run in time: leave left_out away (of a recorded link write left_out=False), or type teleop run")
     return scene

@@ -38,7 +38,8 @@ def read_link(value: object) -> tuple[str, Any]:
     if value is None or value == "none":
         return "none", None
     if isinstance(value, str):
-        return value, module.parse_link(value)
+        link = module.parse_link(value)
+        return module.shown(value, link), link
     return module.describe(value), value  # what is no link, the scene refuses
 
 

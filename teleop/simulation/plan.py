@@ -134,10 +134,10 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
     the link does.
     """
     count = scene.ticks if ticks is None else ticks
-    if scene.link is None and scene.left_out_m is None and scene.left_out_s is None:
+    parts = scene.leaves_out("m"), scene.leaves_out("s")
+    if scene.link is None and parts == (None, None):
         return LinkPlans(None, None)
-    out = [None if part is None else part.left_out(end, count, seed)
-           for end, part in enumerate((scene.left_out_m, scene.left_out_s))]
+    out = [None if part is None else part.left_out(end, count, seed) for end, part in enumerate(parts)]
     if scene.slave is None:
         assert out[0] is not None
         return LinkPlans(None, _without_packets(out[0]))

@@ -39,7 +39,7 @@ def structure_of(scene: Scene) -> Structure:
     """The structure of a scene; kept with the scene, which does not change."""
     kept: Structure | None = vars(scene).get("_structure")
     if kept is None:
-        late = scene.left_out_m is not None or scene.left_out_s is not None
+        late = scene.leaves_out("m") is not None or scene.leaves_out("s") is not None
         has = RunHas(
             slave=scene.slave is not None, hand=scene.hand is not None,
             link=scene.slave is not None and (scene.link is not None or late),
@@ -68,7 +68,7 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         felt=(touch and not observed) or inner,
         age=age, aged=aged, newest=age or aged, sums=sums is not None,
         dx="dx" in reading or (run.energy and "encoder" not in names) or any(stage.wants_dx for stage in stages),
-        leaves_out=getattr(scene, f"left_out_{e}") is not None, encoder="encoder" in names,
+        leaves_out=scene.leaves_out(e) is not None, encoder="encoder" in names,
         velocity="velocity" in names, scaled="scaling" in names,
         watchdog="watchdog" in names, span="span" in reading, gain="gain" in reading)
     fields = sums_type(scene.law, e, scene.dt_ns / 1e9)._fields if sums else ()

@@ -22,7 +22,7 @@ DEFINITION = "sweep.json"
 PART = f".{DEFINITION}.part"
 METRIC_SOURCES = "metric_sources"  # of each metric of the user's own, the digest of its code
 EDITED = {  # what a difference in a digest means, and what to type
-    "sources": "the scene's file or a law was edited since its rows were run (sources)",
+    "sources": "the scene's file or a law was edited, or a recorded link is another, since its rows were run (sources)",
     METRIC_SOURCES: "metric {name} was edited since its rows were run",
 }
 MOST_COLUMNS = 1000  # knobs, and metrics

@@ -20,6 +20,7 @@ from teleop.scene.knobs import check_text, knobs_of
 from teleop.scene.library import OwnFile, own_file, scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.scene.wide import read_link
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.definition import METRIC_SOURCES
@@ -117,18 +118,25 @@ def plan_sweep(
     chosen, why = choose(engine, first, len(points), measures)
     # As the scene has it, so that "0.30" and 0.3 are the same sweep.
     read = {key: first.knobs[key] for key, value in fixed.items()
-            if isinstance(value, str) and isinstance(first.knobs.get(key), bool | int | float)}
+            if isinstance(value, str) and (key == "link" or isinstance(first.knobs.get(key), bool | int | float))}
     laws = [one.law for one in (first, *others)]
     made_by: list[Any] = [scene_function(scene), *map(type, laws)]
     files = map(own_file, made_by)
     return Sweep(scene=scene, first=first, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen,
-                 why=why, sources=_own_sources(scene, laws), files=tuple([file for file in files if file is not None]))
+                 why=why, sources=_own_sources(scene, laws, _replayed(points)),
+                 files=tuple([file for file in files if file is not None]))
 
 
 def _axis_values(points: Grid) -> Iterator[tuple[str, Any]]:
     """Each value of each axis, with its knob."""
     return ((knob, value) for knobs, values in points.axes for at in values
             for knob, value in zip(knobs, at, strict=True))
+
+
+def _replayed(points: Grid) -> list[str]:
+    """The links of the axes that replay a live run, with the digests of what they replay."""
+    links = {value for knob, value in _axis_values(points) if knob == "link" and isinstance(value, str)}
+    return sorted(shown for link in links if (shown := read_link(link)[0]) != link)
 
 
 def _of_each_law(name: str, points: Grid, fixed: Mapping[str, object]) -> list[Scene]:
@@ -162,8 +170,8 @@ def _names(measures: Iterable[Measure]) -> list[str]:
     return [one if isinstance(one, str) else one.__name__ for one in measures]
 
 
-def _own_sources(name: str, laws: Iterable[Any]) -> str:
-    """A digest of the scene file and laws that are the user's own; the others go by the version."""
+def _own_sources(name: str, laws: Iterable[Any], links: Iterable[str]) -> str:
+    """A digest of the scene file, laws and replayed links that are the user's own; the others go by the version."""
     scene = Path(name).absolute() if name.endswith(".py") else None
     texts = [] if scene is None else [file_digest(scene)]
     own = [law for law in laws if not is_built_in(law)]
@@ -171,6 +179,7 @@ def _own_sources(name: str, laws: Iterable[Any]) -> str:
     functions = [getattr(type(law), end) for law in own for end in ENDS if hasattr(type(law), end)]
     for part in functions:
         texts += sources([part])
+    texts += links
     return digest(texts) if texts else ""
 
 

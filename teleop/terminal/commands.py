@@ -22,6 +22,7 @@ examples:
   teleop matrix
   teleop list hard_wall
   teleop report runs/hard_wall-1 --plot --format pdf
+  teleop replay runs/hard_wall-1 --set law.b=4
 """
 
 
@@ -189,6 +190,21 @@ def _report(added: ArgumentParser) -> None:
     _json(added, "print the stored summary and nothing else")
 
 
+def _replay(added: ArgumentParser) -> None:
+    added.add_argument("run", metavar="FOLDER", help="the folder of a live end, or that of a demo, which has both")
+    added.add_argument("slave", metavar="SLAVE", nargs="?", help="the slave's folder, where FOLDER is its master's")
+    added.add_argument("--set", metavar="NAME=VALUE", action="append", default=[],
+                       help="another law or knob than the run had: says what it would have commanded, open loop; may "
+                       "be repeated")
+    added.set_defaults(link=None)
+    added.add_argument("--trust", action="store_true", help="run the scene's own file, and read the files, that the "
+                       "folder names: for folders of your own, or that you have read")
+    added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json and forces.npz into; left "
+                       "out: none, or with --plot runs/SCENE-replay-NUMBER")
+    _json(added)
+    _plot(added, "replay.png")
+
+
 def _doctor(added: ArgumentParser) -> None:
     added.add_argument("--clear", action="store_true", help="remove the compiled kernels")
     _json(added)
@@ -218,6 +234,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
                _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
     "report": ("Show a stored run or sweep again; --plot draws it.", _report),
+    "replay": ("Run the law of each end of a live run again over what the end read and heard: the same to the bit, or "
+               "where not; with --set, what another law would have commanded.", _replay),
 }
 
 

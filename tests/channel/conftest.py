@@ -15,18 +15,27 @@ from channel.in_order import InOrder
 from channel.mahimahi import Mahimahi
 from channel.normal import NormalJitter
 from channel.ping_log import PingLog
+from channel.recorded import Recorded
 from channel.uniform import UniformJitter
+from tests.channel.live_run import MS, live_run
 
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with `trace` (a delivery trace of 500 ms) and `ping` (200 probes, 10 ms apart, every 20th lost)."""
+    """A folder with `trace` (a delivery trace of 500 ms), `ping` (200 probes, 10 ms apart, every 20th lost) and `live`.
+
+    That is a live run of 300 ms, in which every seventh message is lost and every fifth comes twice, out of order.
+    """
     folder = tmp_path_factory.mktemp("recordings")
     times = [ms for ms in range(1, 501) if ms % 7 < 3 and not 200 < ms < 260] + [500, 500]
     (folder / "trace").write_text("".join(f"{ms}\n" for ms in times))
     replies = [f"[{1700000000 + seq * 0.01 + rtt / 1e3:.6f}] 64 bytes from 192.0.2.1: icmp_seq={seq} ttl=57 "
                f"time={rtt} ms" for seq in range(1, 201) for rtt in [20 + 37 * seq % 11 + 0.5] if seq % 20]
     (folder / "ping").write_text("PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.\n" + "\n".join(sorted(replies)))
+    delays = {k: (20 + 7 * k % 13) * MS - k for k in range(300) if k % 7}
+    came = [(k, k * MS + delay, k + -(-delay // MS)) for k, delay in delays.items()]
+    again = [(k, at + MS, tick + 1) for k, at, tick in came if k % 5 == 0]
+    live_run(folder / "live", came + again, came[::2], ticks=300)
     return folder
 
 
@@ -40,4 +49,5 @@ def every_effect(recordings: Path) -> list[Effect]:
         GilbertElliott(0.0005, 0.001), Duplicate(0.2), Duplicate(0.2, after=0.003), Blackout(0.3, 0.1),
         Blackout(0.05, 0.01, every=0.033), PingLog(str(recordings / "ping"), start=0.4),
         Mahimahi(str(recordings / "trace")), Mahimahi(str(recordings / "trace"), queue=3, start=0.1),
+        Recorded(str(recordings / "live")),
     ]

@@ -135,6 +135,7 @@ def test_a_very_long_chain_is_read() -> None:
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_what_is_offered_for_an_effect_can_be_typed(name: str, recordings) -> None:
     text = EXAMPLES[name].replace("up.txt", str(recordings / "trace")).replace("ping.txt", str(recordings / "ping"))
+    text = text.replace("runs/hard_wall-1", str(recordings / "live"))
     effect = parse_link(text)
     assert describe(effect).startswith(f"{name}(")
     knobs = [knob.name for knob in fields(effect) if knob.init]  # type: ignore[arg-type]

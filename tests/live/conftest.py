@@ -110,6 +110,21 @@ def pair(tmp_path: Path) -> Callable[..., Pair]:
     return lambda scene, **other: Pair(scene, tmp_path / f"pair{time.monotonic_ns()}", **other)
 
 
+LOSSY = "delay(0.05) | bernoulli(0.05) | duplicate(0.05, after=0.002)"
+
+
+@pytest.fixture(scope="session")
+def lossy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a demo of hard_wall, two seconds over a link that loses: shared, and not to be written to."""
+    folder = tmp_path_factory.mktemp("lossy") / "run"
+    words = ["demo", "hard_wall", "--set", "duration=2.0", "--link", LOSSY, "--out", str(folder), "--json"]
+    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run([sys.executable, "-m", "teleop", *words], env={**own, "PYTHONPATH": str(ROOT)},
+                          cwd=folder.parent, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
 @dataclass
 class Command:
     """`python -m NAME ...` as a process; its stdout is read line by line."""

@@ -18,11 +18,11 @@ from teleop.live.records.record import (
     EVERY,
     FILE,
     RecordWriter,
-    TruncatedRecord,
     fresh_folder,
     read_events,
     read_record,
 )
+from teleop.live.records.rows import TruncatedRecord
 from teleop.protocol.guard import Event
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene

@@ -84,7 +84,7 @@ def about_rest(scene: Scene) -> Scene:
 
 def refuse_nonlinear_parts(scene: Scene) -> None:
     """Refuse a cap, an encoder, friction, a passivity controller, ticks left out, and an environment not linear."""
-    if scene.left_out_m is not None or scene.left_out_s is not None:
+    if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out, so the loop is not time-invariant and its scene has no eigenvalues; "
                       f"{INSTEAD}, or {without(scene, 'leave left_out_m and left_out_s away', left_out='0')}")
     if scene.cap is not None:

@@ -7,37 +7,30 @@ tick, goes to a file beside it as it happens, one line of JSON each.
 
 from __future__ import annotations
 
-import errno
 import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from struct import Struct
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.live.records.header import OWN, header_columns, own_law, read_header, sound_rows
+from teleop.live.records.inputs import InputWriter
+from teleop.live.records.rows import RecordColumn, RecordFile, TruncatedRecord
 from teleop.protocol.guard import Event
 from teleop.scene.scene import Scene
 from teleop.simulation.summary_shape import EVENT
-from teleop.simulation.trace import EndRecord, ForceSource, blocks
+from teleop.simulation.trace import EndRecord, ForceSource
 from teleop.storage.files import open_regular, read_bytes
 from teleop.storage.folder import claim
 from teleop.storage.strict_json import Misshapen, parse_line
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 FILE = "record.bin"
 EVENTS = "events.jsonl"
 EVERY = 250  # rows between two writes, at most
 EVERY_NS = 250_000_000  # and so much time, by the scene's clock
-
-
-class TruncatedRecord(UserWarning):
-    """A live record ends in the middle of a row."""
 
 
 class RecordWriter:
@@ -53,6 +46,7 @@ class RecordWriter:
         self._count = 0
         self._file: BinaryIO | None = None
         self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
+        self.inputs = InputWriter(scene, e, folder, self._about)
 
     def begin(self, force: ForceSource) -> None:
         """Write the header, before the first tick. `force`: where the end's external force is from."""
@@ -60,6 +54,7 @@ class RecordWriter:
         self._file = (self._folder / FILE).open("wb")
         self._file.write(json.dumps(header).encode() + b"\n")
         self._file.flush()
+        self.inputs.begin(force == "sensor")
 
     def add(self, k: int, late_ns: int, played: int, row: tuple[float, ...]) -> None:
         """Append the row of one tick."""
@@ -82,6 +77,7 @@ class RecordWriter:
 
     def flush(self) -> None:
         """Hand what there is to the system."""
+        self.inputs.flush()
         rows, self._rows = self._rows, bytearray()
         if self.trouble is not None or self._file is None:
             return
@@ -99,50 +95,7 @@ class RecordWriter:
                 self._file.close()
         except OSError as error:
             self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
-
-
-class RecordFile:
-    """The rows of a record on the disk, as many as were there when it was opened: read a part at a time, never kept."""
-
-    def __init__(self, path: Path, offset: int, width: int, count: int) -> None:
-        self._path, self._offset, self._width, self._count = path, offset, width, count
-
-    def __len__(self) -> int:
-        return self._count
-
-    def part(self, start: int, stop: int) -> NDArray[np.float64]:
-        """All columns of the rows from `start` up to `stop`, of shape (rows, columns)."""
-        import numpy as np
-
-        size = 8 * self._width
-        with open_regular(self._path, links=False) as file:
-            file.seek(self._offset + size * start)
-            data = file.read(size * (stop - start))
-        if len(data) < size * (stop - start):
-            raise OSError(errno.EIO, "it has become shorter since it was opened", str(self._path))
-        return np.frombuffer(data, dtype="<f8").reshape(stop - start, self._width)
-
-    def table(self, start: int, stop: int) -> NDArray[np.float64]:
-        """The same without the columns before the end's own."""
-        return self.part(start, stop)[:, len(OWN):]
-
-
-class RecordColumn:
-    """One of the first columns of a record, which `numpy.asarray` reads as numbers of type `dtype`."""
-
-    def __init__(self, rows: RecordFile, at: int, dtype: str) -> None:
-        self._rows, self._at, self._dtype = rows, at, dtype
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        import numpy as np
-
-        out = np.empty(len(self), dtype=dtype or self._dtype)
-        for block in blocks(len(self)):
-            out[block] = self._rows.part(block.start, block.stop)[:, self._at].astype(self._dtype)
-        return out
+        self.inputs.close()
 
 
 def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn]:

@@ -1,0 +1,171 @@
+"""What `teleop replay` does: run the law of each end of a live run again, and say whether it answers the same."""
+
+from __future__ import annotations
+
+import warnings
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.errors import Refused
+from teleop.live.records.end_result import NAMES
+from teleop.live.records.record import FILE, read_record
+from teleop.live.replay.open_loop import Commanded, commanded
+from teleop.live.replay.rerun import Difference, EndFolder, difference, read_end
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
+from teleop.scene.trust import stored_scene
+from teleop.simulation.result import write_arrays
+from teleop.storage.files import replacing
+from teleop.storage.folder import new_folder
+from teleop.storage.strict_json import write_document
+from teleop.terminal.answer import Answer, finite, scene_head, titled
+from teleop.terminal.options import DONE, FAULT, knobs_from
+from teleop.terminal.plotting import asked_formats
+from teleop.terminal.table import facts
+from teleop.terminal.units import si
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+OPEN_LOOP = ("open loop: each end reads the motion that was recorded, which another force would have changed, holds "
+             "what it held, and has the guard's gain that it had")
+ALONE = "of one end alone: it hears the messages that it heard"
+BOTH = "each end hears what the other end's law would have sent, when the recorded messages came"
+
+
+class Figures(NamedTuple):
+    """The force of one end as it was and as it would have been, N; in several axes of the axis where it is greatest."""
+
+    rms_recorded: float
+    rms: float
+    rms_difference: float
+    greatest_difference: float
+    at: float  # s
+
+
+def command(args: Namespace) -> Answer:
+    """Replay the run, or say what another law would have commanded. Raises `Refused`."""
+    formats, typed = asked_formats(args), knobs_from(args)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        folders = _folders(Path(args.run), None if args.slave is None else Path(args.slave))
+        base, scene, seed = _scenes(folders, typed, trust=args.trust)
+        ends = [read_end(folder, base) for folder in folders]
+    _check_one_run(ends)
+    notes = [str(one.message) for one in warned]
+    what = titled(scene)
+    answers = commanded(ends, base, scene) if typed or formats or args.out else {}
+    if typed:
+        rows, document = _told_open(answers, scene, len(ends))
+        sentence, status, code = f"what {what} would have commanded, {OPEN_LOOP}", "open loop", DONE
+        rows += [("", OPEN_LOOP), ("", ALONE if len(ends) == 1 else BOTH)]
+    else:
+        found = {NAMES[end.e]: difference(end, base) for end in ends}
+        rows, document = _told_same(found, ends, base)
+        differ = [name for name, one in found.items() if one is not None]
+        sentence = "; ".join(f"{name}: {text}" for name, text in rows)
+        status, code = ("differs", FAULT) if differ else ("same", DONE)
+    rows += [("note", note) for note in notes]
+    full = {**scene_head(scene, "replay", sentence=sentence, status=status, seed=seed, command=args.typed),
+            "run": [str(folder) for folder in folders], **document, "notes": notes}
+    answer = Answer(facts([("replay", f"{', '.join(map(str, folders))} ({what})"), *rows]), full, code)
+    if not answers or not (formats or args.out):
+        return answer
+    with new_folder(args.out, f"{base.name}-replay") as new:
+        plots = []
+        with replacing(new.inside / "forces.npz") as file:
+            write_arrays(file, _arrays(answers, scene))
+        if formats:
+            from teleop.live.replay.plot import draw
+
+            plots = draw(f"replay of {folders[0]}: {what}", answers, scene, new.inside / "replay", formats,
+                         open_loop=bool(typed))
+        write_document(new.inside / "summary.json", full)
+    return answer.kept_in(new.path).with_plots(new.path, plots)
+
+
+def _folders(run: Path, slave: Path | None) -> list[Path]:
+    """The folders of the ends: that of one end, or both of a demo, or two that were given."""
+    if slave is not None:
+        return [run, slave]
+    if (run / FILE).is_file():
+        return [run]
+    both = [run / name for name in NAMES.values()]
+    if all((one / FILE).is_file() for one in both):
+        return both
+    raise Refused(f"{run} holds no record of a live end; give the folder that a live end or a demo wrote, or that of a "
+                  "master and that of its slave")
+
+
+def _scenes(folders: Sequence[Path], typed: Mapping[str, str], *, trust: bool) -> tuple[Scene, Scene, int]:
+    """The scene that the run had, the one with what was typed, and the seed."""
+    header = read_record(folders[0])[0]
+    base = stored_scene(header["scene"], header["knobs"], trust=trust)
+    return base, load_scene(header["scene"], **{**header["knobs"], **typed}) if typed else base, header["seed"]
+
+
+def _check_one_run(ends: Sequence[EndFolder]) -> None:
+    if len(ends) == 1:
+        return
+    master, slave = ends
+    keys = ("scene", "knobs", "mode")
+    if (master.e, slave.e) != ("m", "s"):
+        raise Refused("give the master's folder first, then the slave's")
+    if any(master.header[key] != slave.header[key] for key in keys):
+        raise Refused(f"{master.folder} and {slave.folder} are not the two ends of one run; give two that ran together")
+
+
+def _told_same(found: Mapping[str, Difference | None], ends: Sequence[EndFolder], scene: Scene
+               ) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+    rows, document = [], {}
+    for end, (name, one) in zip(ends, found.items(), strict=True):
+        ticks = f"{end.ticks:,} ticks"
+        if one is None:
+            rows.append((name, f"{ticks}, forces and messages the same to the bit"))
+        else:
+            rows.append((name, f"differs at tick {one.k} (t = {one.k * scene.dt_ns / 1e9:.3f} s) in {one.field}: "
+                               f"{one.recorded!r} was recorded, {one.replayed!r} replayed"))
+        document[name] = {"ticks": end.ticks, "difference": None if one is None else {
+            **one._asdict(), "recorded": one.recorded, "replayed": one.replayed}}
+    return rows, document
+
+
+def _told_open(answers: Mapping[str, Commanded], scene: Scene, ends: int
+               ) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+    rows, document = [], {}
+    for e, one in answers.items():
+        own = figures(one, scene.dt_ns)
+        apart = (f"they differ by {si(own.rms_difference, 'N')} rms, at most {si(own.greatest_difference, 'N')} at t = "
+                 f"{own.at:.3f} s") if own.greatest_difference else "the same at every tick"
+        rows.append((NAMES[e], f"f_{e} rms {si(own.rms, 'N')}, recorded {si(own.rms_recorded, 'N')}; {apart}"))
+        force = {key: finite(value) for key, value in own._asdict().items()}
+        document[NAMES[e]] = {"ticks": len(one.k), "force": force,
+                              "heard": "recorded" if ends == 1 else "exchanged"}
+    return rows, document
+
+
+def figures(one: Commanded, dt_ns: int) -> Figures:
+    """What there is to say of one end's forces; NaN of no ticks."""
+    import numpy as np
+
+    if not len(one.k):
+        nan = float("nan")
+        return Figures(nan, nan, nan, nan, nan)
+    apart = one.commanded - one.recorded
+    axis = int(np.argmax(np.max(np.abs(apart), axis=0)))
+    i = int(np.argmax(np.abs(apart[:, axis])))
+    with np.errstate(all="ignore"):  # of a law that gives what is not finite
+        was, now, rest = [float(np.sqrt(np.mean(each[:, axis] ** 2))) for each in (one.recorded, one.commanded, apart)]
+    return Figures(was, now, rest, float(abs(apart[i, axis])), float(one.k[i] * dt_ns / 1e9))
+
+
+def _arrays(answers: Mapping[str, Commanded], scene: Scene) -> dict[str, NDArray[np.float64]]:
+    """Times (s) and forces (N) of each end."""
+    arrays: dict[str, Any] = {}
+    for e, one in answers.items():
+        arrays |= {f"t_{e}": one.k * scene.dt_ns / 1e9, f"f_{e}_recorded": one.recorded,
+                   f"f_{e}_commanded": one.commanded}
+    return arrays

@@ -1,0 +1,198 @@
+"""A live run that is run again: the same to the bit, or the tick and the field where not; and open loop."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from teleop.__main__ import main
+from teleop.live.records.inputs import INPUTS
+from teleop.live.replay.rerun import difference, read_end
+from teleop.scene.loading import load_scene
+from teleop.scene.playout import Integral
+from tests.live.conftest import Pair
+from tests.live.recording import Recording
+from tests.teleop.protocol.virtual_clock import healing
+
+pytestmark = pytest.mark.live
+
+
+class Said(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def typed(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Said]:
+    """`typed(*arguments)`: `teleop replay ARGUMENTS` in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> Said:
+        code = main(["replay", *map(str, arguments)])
+        return Said(code, *capsys.readouterr())
+
+    return call
+
+
+def test_a_live_run_is_run_again_to_the_bit(lossy: Path, typed: Callable[..., Said]) -> None:
+    said = typed(lossy)
+    assert (said.code, said.err) == (0, "")
+    for name in ("master", "slave"):
+        assert f"{name}   " in said.out
+    assert said.out.count("forces and messages the same to the bit") == 2
+    one = typed(lossy / "slave", "--json")
+    document = json.loads(one.out)
+    assert (one.code, document["status"], document["slave"]["difference"]) == (0, "same", None)
+    assert document["slave"]["ticks"] == json.loads((lossy / "slave" / "summary.json").read_text())["ticks"]
+    assert "master" not in document
+
+
+@pytest.mark.parametrize(("column", "field"), [
+    ("x_m", "x_m"), ("v_m", "f_m"), ("gain", "f_m"), ("tx", "tx.u"), ("f_m", "f_m"),
+])
+def test_one_number_that_is_another_is_named_with_its_tick(
+    column: str, field: str, lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+) -> None:
+    folder = tmp_path / "m"
+    shutil.copytree(lossy / "master", folder)
+    scene = load_scene("hard_wall", **json.loads((lossy / "master" / INPUTS).read_bytes().split(b"\n")[0])["knobs"])
+    end = read_end(folder, scene)
+    rows = end.inputs.rows.part(0, end.ticks).copy()
+    at = end.ticks - 3
+    rows[at, end.inputs.places[column]] += 1e-6
+    header = (folder / INPUTS).read_bytes().split(b"\n", 1)[0]
+    (folder / INPUTS).write_bytes(header + b"\n" + rows.astype("<f8").tobytes())
+    said = typed(folder, "--json")
+    found = json.loads(said.out)
+    assert (said.code, found["status"]) == (1, "differs")
+    assert (found["master"]["difference"]["k"], found["master"]["difference"]["field"]) == (int(rows[at, 0]), field)
+    assert f"differs at tick {int(rows[at, 0])}" in typed(folder).out
+
+
+def test_open_loop_the_same_law_commands_what_it_did_whatever_the_messages_come_from(
+    lossy: Path, typed: Callable[..., Said]
+) -> None:
+    """With both ends the messages are sent anew and take the recorded way; alone, they are the recorded ones."""
+    for folder, heard in ((lossy, "exchanged"), (lossy / "master", "recorded")):
+        document = json.loads(typed(folder, "--set", f"law.b={load_scene('hard_wall').law.b}", "--json").out)
+        assert document["status"] == "open loop"
+        assert "open loop" in document["sentence"]
+        assert document["master"]["heard"] == heard
+        assert document["master"]["force"]["greatest_difference"] == 0.0
+        assert document["master"]["force"]["rms"] > 0.01
+
+
+def test_another_law_says_what_it_would_have_commanded_and_draws_it(
+    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+) -> None:
+    pytest.importorskip("matplotlib")
+    said = typed(lossy, "--set", "law=pfra", "--plot", "--out", "mine")
+    assert (said.code, said.err) == (0, "")
+    assert "open loop: each end reads the motion that was recorded" in said.out
+    assert (tmp_path / "mine" / "replay.png").is_file()
+    with np.load(tmp_path / "mine" / "forces.npz") as forces:
+        apart = np.abs(forces["f_s_commanded"] - forces["f_s_recorded"])[:, 0]
+        at = forces["t_s"][int(np.argmax(apart))]
+    own = json.loads((tmp_path / "mine" / "summary.json").read_text())["slave"]["force"]
+    assert own["greatest_difference"] == apart.max() > 0.1
+    assert own["at"] == at
+    assert own["rms_difference"] == pytest.approx(float(np.sqrt(np.mean(apart**2))))
+
+
+def test_what_cannot_be_replayed_is_refused_in_one_sentence(
+    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+) -> None:
+    shutil.copytree(lossy / "master", tmp_path / "old")
+    (tmp_path / "old" / INPUTS).unlink()
+    mine = tmp_path / "law_mine.py"
+    mine.write_text("from teleop.laws.wave import Wave\n\n\nclass Mine(Wave):\n    pass\n")
+    for words, sentence in (
+        (["nowhere"], "nowhere holds no record of a live end; give the folder"),
+        ([tmp_path / "old"], "holds no inputs.bin to run again (No such file"),
+        ([lossy / "master", "--set", "law=pfra"], "the master heard w of the law wave, and the law pfra hears f_env"),
+        ([lossy, "--set", "dt=0.002"], "the record has the ticks and the axes of its run"),
+        ([lossy, "--set", "nonsense=1"], "nonsense"),
+        ([lossy / "slave", lossy / "master"], "give the master's folder first"),
+    ):
+        said = typed(*words)
+        assert (said.code, said.out) == (2, ""), words
+        assert said.err.startswith("teleop: "), said.err
+        assert said.err.count("\n") == 1, said.err
+        assert sentence in said.err
+
+
+def test_a_scene_in_a_file_of_its_own_is_replayed_with_trust_alone(
+    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+) -> None:
+    folder, scene = tmp_path / "m", tmp_path / "mine.py"
+    shutil.copytree(lossy / "master", folder)
+    scene.write_text("from scenarios.hard_wall import scene as scene\n")
+    for name in (INPUTS, "record.bin"):
+        first, rows = (folder / name).read_bytes().split(b"\n", 1)
+        (folder / name).write_bytes(json.dumps({**json.loads(first), "scene": str(scene)}).encode() + b"\n" + rows)
+    said = typed(folder)
+    assert said.code == 2
+    assert "add --trust" in said.err
+    assert "the same to the bit" in typed(folder, "--trust").out
+
+
+def test_a_record_that_is_cut_off_is_replayed_as_far_as_it_goes_and_says_so(
+    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+) -> None:
+    folder = tmp_path / "m"
+    shutil.copytree(lossy / "master", folder)
+    (folder / INPUTS).write_bytes((folder / INPUTS).read_bytes()[:-1000])
+    said = typed(folder, "--json")
+    document = json.loads(said.out)
+    assert (said.code, document["status"]) == (0, "same")
+    assert 0 < document["master"]["ticks"] < len(read_rows(folder))
+    assert "cut off in the middle of a row" in document["notes"][0]
+
+
+def read_rows(folder: Path) -> Any:
+    from teleop.live.records.record import read_record
+
+    return read_record(folder)[1].ticks
+
+
+@pytest.mark.parametrize("every", [{"m": 1, "s": 1}, {"m": 2, "s": 1}], ids=["one rate", "two rates"])
+def test_sessions_that_begin_anew_pauses_and_other_rates_are_run_again_to_the_bit(
+    every: dict[str, int], tmp_path: Path
+) -> None:
+    scene = healing(energy=True, duration=20.0, playout=Integral())
+    world = Recording(scene, out=tmp_path, loss=0.1, jitter=30_000_000, copies=0.1, every=every)
+    world.run(2.0)
+    world.pause("s", asleep=True)
+    world.run(1.5)
+    world.pause("s", asleep=False)
+    world.run(2.0)
+    world.start("m")
+    world.until_both_play(8.0)
+    world.run(1.0)
+    sessions, gaps = set(), 0
+    for folder, e in world.folders():
+        end = read_end(folder, world.scene)
+        rows = end.inputs.rows.part(0, end.ticks)
+        assert end.ticks > 50
+        assert difference(end, world.scene) is None, (folder, e)
+        sessions.add(rows[:, 2].max())
+        gaps += int((rows[:, 1] > 1).sum())
+    assert max(sessions) >= 2
+    assert gaps >= 1
+
+
+def test_ends_that_go_by_packets_are_run_again_to_the_bit(pair: Callable[..., Pair]) -> None:
+    scene = load_scene("hard_wall", duration=0.3)
+    run = pair(scene, seed=3).run()
+    assert set(run.status().values()) == {"ok"}
+    master, slave = run.write()
+    for folder in (master, slave):
+        assert difference(read_end(folder, scene), scene) is None
+    assert not (master / "arrivals.bin").exists()
