@@ -16,7 +16,7 @@ from teleop.live.net.address import Address, address, bound, peer_address, shown
 from teleop.live.net.wire import Wire
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
-from teleop.scene.loading import load_scene
+from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import both_ends
 from teleop.terminal.options import Parser, guarded, knobs_from, realtime_option, scene_options
 
@@ -35,7 +35,7 @@ def _run(argv: list[str]) -> int:
     realtime_option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     args = parser.parse_args(argv)
-    scene = both_ends(load_scene(args.scene, **knobs_from(args)))
+    scene = both_ends(load_scene(args.scene, **live_knobs(args.scene, knobs_from(args))))
     peer = _with_host(peer_address(args.peer), "127.0.0.1")  # answers come from there
     listen = address(args.listen, "--listen")
     with (output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt,
