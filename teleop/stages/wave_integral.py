@@ -16,7 +16,7 @@ newest message, all zero before the first:
     L = T - C        the queue: the time that is owed
     H = D^2/(2 S)        the shortest time over which the energy lets D be played evenly
     M = max(0, min(M + (L - M) dt/memory, L - dt))
-    h = max(dt, L - min(M, L - target) dt/settle, min(H, L))        the time over which it is played
+    h = max(dt, L - min(M, L - target) dt/settle, min(H, L)) where L >= dt/2, else dt        the time for it
     p = D/max(h, H) where L >= dt/2, else p' limited to +-sqrt(S/dt)
     P += dt p        G += dt p^2/2        C = max(C, T - (h - dt))
     C += max(0, dt + L dt/ahead) where L < dt/2, no newer message is played, and p' was not limited
@@ -142,6 +142,7 @@ class WaveIntegralStage(Stage):
                 own.M = max(0.0, min(own.M + (own.L - own.M) * self.recalls, own.L - self.spared))
                 own.H = own.D * own.D / max(2.0 * own.S, TINY)
                 own.h = max(run.dt, own.L - self.settles * min(own.M, own.L - self.target), min(own.H, own.L))
+                own.h = where(run.half_dt <= own.L, own.h, run.dt)
                 own.most = sqrt(own.S / run.dt)
                 own.credit = where(run.half_dt > own.L, max(0.0, self.leads + own.L * self.returns), 0.0)
                 own.credit = where(e.got, 0.0, where(abs(own.p) < own.most, own.credit, 0.0))
@@ -171,7 +172,8 @@ class WaveIntegralStage(Stage):
         else:
             own.most = sqrt(own.S / run.dt)
             if not -own.most < own.p < own.most:
-                own.p = -own.most if own.p < 0.0 else own.most
+                if not -own.most <= own.p <= own.most:  # minus nothing stays minus nothing
+                    own.p = -own.most if own.p < 0.0 else own.most
             elif not e.got and self.leads + own.L * self.returns > 0.0:
                 own.credit = self.leads + own.L * self.returns
         if a.heard.T - (own.h - run.dt) > own.C and a.heard.T > 0.0:

@@ -1,0 +1,493 @@
+"""The playouts of waves by themselves: the numbers of a wave over a given link, and what holds over every link.
+
+Each property is a figure that is zero, or rounding, of the rule; the mutants of the rule at the end show that it is
+more of a rule that is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import isfinite, pi, sin, sqrt
+from random import Random
+from types import ModuleType, SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as asked
+from hypothesis import strategies as st
+
+from channel import Effect, Ints, Rng, by_time
+from teleop import At, Energy, Hold, Integral, MassDamper, Result, Scaled, Scene, Zero, run
+from teleop.law import kind
+from teleop.scene.playout import Gaps
+from teleop.stages import wave_integral
+from teleop.stages.end import End, EndHas, Run, RunHas
+from teleop.stages.wave_integral import Integrals, WaveScalingStage
+from tests.teleop.stages.receiver import DT, NOTHING, Alone, Message, Tick, mutant, over_a_link
+
+BARE = Integral(settle=1.0, memory=0.0, ahead=0.0)  # releases the queue with 1 s, whatever gaps there were
+RULES = {"integral": Integral(), "integral:0.005": Integral(0.005), "bare": BARE, "energy": Energy()}
+both_forms = pytest.mark.parametrize("compiled", [False, True], ids=["plain", "compiled"])
+every_rule = pytest.mark.parametrize("name", RULES)
+
+
+# -- a given wave over a given link
+
+
+def two_tones(k: int) -> float:
+    return sin(2.0 * pi * 3.0 * k / 1000.0) + 0.5 * sin(2.0 * pi * 7.3 * k / 1000.0 + 1.0)
+
+
+def steady(_k: int) -> float:
+    return 0.5
+
+
+def is_lost(k: int) -> bool:
+    return (7919 * k + 13) % 10 == 0 or (k // 40) % 25 == 7
+
+
+def is_late(k: int) -> int:
+    return (31 * k * k + 7 * k) % 21
+
+
+def punctual(_k: int) -> int:
+    return 0
+
+
+class Told(NamedTuple):
+    """What came of 20,000 ticks."""
+
+    integral: float
+    energy: float  # J
+    least: float  # of the energy sent so far less that played, J
+    zeros: int  # ticks
+    peak: float
+
+
+def told(waves: list[float], integral: float, energy: float, left: list[float]) -> Told:
+    return Told(round(integral, 6), round(energy, 6), round(min(left), 6), waves.count(0.0),
+                round(max(map(abs, waves)), 6))
+
+
+def reconstructed(playout: Gaps, wave: Callable[[int], float], late: Callable[[int], int], *, compiled: bool) -> Any:
+    """The waves that a rule plays, and what came of them."""
+    sender, receiver = Alone(playout, compiled=compiled), Alone(playout, compiled=compiled)
+    arriving: dict[int, list[Integrals]] = {}
+    heard, waves, left = NOTHING, [], []
+    for k in range(20_000):
+        sent = sender.send(wave(k))
+        if not is_lost(k):
+            arriving.setdefault(k + 50 + late(k), []).append(sent)
+        heard = max(heard, *arriving.pop(k, ()), NOTHING)
+        waves.append(receiver.play(heard))
+        left.append(sent.E - receiver.own.G)
+    return waves, told(waves, receiver.own.P, receiver.own.G, left)
+
+
+@pytest.mark.parametrize(("playout", "expected"), [
+    (BARE, Told(0.053981, 4.792302, 0.000089, 58, 1.384595)),
+    (Energy(), Told(0.036347, 6.229308, 0.000034, 1710, 3.076739)),
+], ids=["bare", "energy"])
+def test_a_wave_of_two_tones_is_played_as_worked_out_by_other_means_in_the_same_bits_in_both_forms(
+    playout: Gaps, expected: Told
+) -> None:
+    plain, compiled = [reconstructed(playout, two_tones, is_late, compiled=form) for form in (False, True)]
+    assert plain[1] == expected
+    assert plain[0] == compiled[0]
+
+
+@pytest.mark.parametrize("name", ["integral", "bare", "energy"])
+def test_of_a_steady_wave_nothing_is_missing_after_its_first_message(name: str) -> None:
+    waves, came = reconstructed(RULES[name], steady, punctual, compiled=False)
+    assert came.zeros == 90  # 50 of the delay, and then the longest gap
+    assert came.peak == 0.5
+    assert sum(waves) / 20_000 == pytest.approx(0.497750, abs=5e-7)
+
+
+@dataclass(frozen=True)
+class Given(Effect):
+    """The link of the numbers: which packets are lost and how late the rest are is a formula."""
+
+    late: Callable[[int], int]
+
+    def begin(self, rng: Rng) -> None:
+        """No state: what happens to a packet depends on its number alone."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
+        kept = np.array([not is_lost(k) for k in packet.tolist()], bool)
+        at = time_ns + np.array([1_000_000 * (50 + self.late(k)) for k in packet.tolist()], dtype=np.int64)
+        return *by_time(packet[kept], at[kept]), state
+
+
+class Back(NamedTuple):
+    w: kind.Wave
+
+
+class Forth(NamedTuple):
+    u: kind.Wave
+
+
+class Count(NamedTuple):
+    k: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A master that sends a wave that is given, and a slave whose force is the wave that is played."""
+
+    wave: Callable[[int], float]
+
+    def master_start(self, at: At) -> tuple[Count, Back]:
+        return Count(0), Back(0.0)
+
+    def slave_start(self, at: At) -> tuple[tuple[()], Forth]:
+        return (), Forth(0.0)
+
+    def master(self, s: Count, at: At, rx: Back) -> tuple[float, Forth, Count]:
+        return 0.0, Forth(self.wave(s.k)), Count(s.k + 1)
+
+    def slave(self, s: tuple[()], at: At, rx: Forth) -> tuple[float, Back, tuple[()]]:
+        return rx.u * at.fresh, Back(0.0), s
+
+
+def sent_in_a_run(playout: Any, wave: Callable[[int], float], late: Callable[[int], int]) -> Result:
+    return run(Scene(law=Source(wave=wave), master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), playout=playout,
+                     link=Given(late), energy=True, duration=20.0))
+
+
+@pytest.mark.parametrize(("playout", "expected", "mean"), [
+    (Zero(), Told(0.091662, 1.421061, 0.000089, 15505, 1.499876), 0.430875),
+    (Hold(), Told(-0.181123, 6.375165, -0.141135, 50, 1.499876), None),
+    (Energy(), Told(0.036347, 6.229308, 0.000034, 1710, 3.076739), None),
+    (BARE, Told(0.053981, 4.792302, 0.000089, 58, 1.384595), 0.497750),
+], ids=["zero", "hold", "energy", "bare"])
+def test_a_run_plays_it_as_worked_out_by_other_means(playout: Any, expected: Told, mean: float | None) -> None:
+    trace = sent_in_a_run(playout, two_tones, is_late).trace
+    waves, left = trace["f_s"].tolist(), (trace["E_in_fwd"] - trace["E_out_fwd"]).tolist()
+    assert trace["E_in_fwd"][-1] == pytest.approx(6.25)
+    assert told(waves, DT * sum(waves), float(trace["E_out_fwd"][-1]), left) == expected
+    if mean is not None:
+        assert sent_in_a_run(playout, steady, punctual).trace["f_s"].mean() == pytest.approx(mean, abs=5e-7)
+
+
+# -- Lozano, Chopra and Spong
+
+
+@pytest.mark.parametrize(("slope", "unscaled", "end"), [
+    (0.1, -0.009328, 0.129640), (0.25, -0.013166, 0.339460), (0.5, -0.094636, 0.632770)])
+def test_over_a_delay_that_varies_the_scaled_playout_is_passive_and_the_unscaled_is_not(
+    slope: float, unscaled: float, end: float
+) -> None:
+    """A triangle of delay, 50 to 90 ms and back; in steps of 10 us, since the numbers are those of continuous time."""
+    dt = 1e-5
+    t = dt * np.arange(400_000)
+    phase = np.mod(t * slope / 0.04, 2.0)
+    delay = 0.05 + 0.04 * np.minimum(phase, 2.0 - phase)
+
+    def wave(at: Any) -> Any:
+        return np.where(at >= 0.0, np.sin(6.0 * pi * at) + 0.5 * np.sin(14.6 * pi * at + 1.0), 0.0)
+
+    def left(rate: float) -> Any:
+        """The energy sent less that played, J, at every step."""
+        stage, scaled, e = WaveScalingStage("s", 1), Run(), End("s", 1, EndHas())
+        scaled.has = RunHas()
+        e.rx_wave, e.rx_fields, e.Message, e.got = "u", ("u",), Message, True
+        e.axes[0].rx = Message(wave(t - delay))
+        stage.begin(scaled, e, stage.given(SimpleNamespace(wave_playout=Scaled(rate)), "s", dt, []))
+        stage.receive(scaled, e)
+        return np.cumsum(0.5 * dt * (wave(t)**2 - e.axes[0].rx.u**2))
+
+    assert left(0.0).min() == pytest.approx(unscaled, abs=2e-6)
+    assert left(slope).min() >= 0.0
+    assert left(slope)[-1] == pytest.approx(end, abs=1e-5)
+
+
+# -- what holds over every link
+
+
+def waves_with_rests(dice: Random, count: int, rest: int = 400) -> list[float]:
+    """Waves that are noisy steps, and zero in the last `rest` ticks."""
+    waves, level = [], 1.0
+    for k in range(count):
+        if dice.random() < 0.02:
+            level = dice.choice((0.0, 0.5, 1.0, -1.0))
+        waves.append(level + 0.1 * dice.gauss(0.0, 1.0) if k < count - rest else 0.0)
+    return waves
+
+
+def overdrawn(module: Any, playout: Gaps, *, compiled: bool) -> float:
+    """The greatest share by which a tick passes the energy that is left, from states drawn at random."""
+    dice, worst = Random(5), -1.0
+    for _ in range(2000):
+        receiver = Alone(playout, compiled=compiled, module=module)
+        own, S = receiver.own, 10.0**dice.uniform(-9.0, 2.0)
+        own.G, own.P, own.C = dice.choice([0.0, S * dice.random()]), dice.uniform(-1.0, 1.0), dice.uniform(-0.1, 1.0)
+        own.M, own.p = dice.choice([0.0, dice.uniform(0.0, 0.2)]), dice.uniform(-2.0, 2.0) * sqrt(S / DT)
+        D = sqrt(2.0 * S * DT) * (dice.uniform(0.8, 1.2) if dice.random() < 0.5 else 10.0**dice.uniform(-3.0, 3.0))
+        message = Integrals(
+            own.C + dice.choice([0.0, DT, dice.uniform(-0.1, 0.5)]), own.P + dice.choice([-D, D]), own.G + S)
+        receiver.play(message)
+        worst = max(worst, (own.G - message.E) / S)
+    return worst
+
+
+def over_gaps(module: Any, playout: Gaps, *, compiled: bool) -> Iterator[tuple[Tick, Any]]:
+    """The ticks of a steady wave over a link that loses and jitters, with what the receiver keeps."""
+    sender, receiver = [Alone(playout, compiled=compiled, module=module) for _ in range(2)]
+    for tick in over_a_link(sender, receiver, [0.5] * 4000, Random(2), loss=0.2, jitter=15):
+        yield tick, receiver.own
+
+
+def above(module: Any, playout: Gaps, *, compiled: bool) -> float:
+    """The most by which a steady wave is played above itself."""
+    return max(tick.p - 0.5 for tick, _ in over_gaps(module, playout, compiled=compiled))
+
+
+def out_of_the_cone(module: Any, playout: Gaps, *, compiled: bool) -> float:
+    """How far a steady wave leaves D^2 <= 2 S L."""
+    return max(own.D * own.D - 2.0 * own.S * own.L for _, own in over_gaps(module, playout, compiled=compiled)
+               if own.L >= 0.5 * DT)
+
+
+def misbooked(module: Any, playout: Gaps, *, compiled: bool, left_out: float = 0.1, every: tuple[int, int] = (1, 1),
+              seeds: int = 2) -> float:
+    """The most by which what was booked as sent or played is not what was held, or is not all played in the end."""
+    worst = 0.0
+    for seed in range(seeds):
+        dice = Random(seed)
+        sender, receiver = [Alone(playout, compiled=compiled, module=module, leaves_out=True, dt=ms * DT)
+                            for ms in every]
+        for tick in over_a_link(sender, receiver, waves_with_rests(dice, 2000), dice, loss=0.2, jitter=15, calm=200,
+                                left_out=left_out, every=every):
+            worst = max(worst, abs(tick.waves_played - (receiver.own.P - receiver.run.dt * tick.p)),
+                        abs(tick.waves_sent - tick.sent.U))
+        if not isinstance(playout, Energy):  # which may be left without the energy for the rest
+            worst = max(worst, abs(tick.sent.U - receiver.own.P))
+    return worst
+
+
+def left_behind(module: Any, playout: Gaps, *, compiled: bool, seeds: int = 30) -> float:
+    """The most that is not played in the end where the delay rises by some ticks within a gap."""
+    worst = 0.0
+    for seed in range(seeds):
+        dice = Random(seed)
+        sender, receiver = [Alone(playout, compiled=compiled, module=module) for _ in range(2)]
+        sent, newest, rise, at = [NOTHING], 0, dice.randrange(1, 41), dice.randrange(400, 600)
+        for k in range(1100):
+            varying = (0.0 if dice.random() < 0.3 else 0.5) + 0.3 * sin(k / 7.0)
+            sent.append(sender.send(varying if k < 500 else 0.5 if k < 700 else 0.0))
+            there = k - 4 - (rise if k >= at else 0)
+            if there > newest and dice.random() < 0.9:
+                newest = there
+            receiver.play(sent[newest])
+        worst = max(worst, abs(sent[-1].U - receiver.own.P))
+    return worst
+
+
+PROPERTIES: dict[str, tuple[Callable[..., float], float]] = {  # with what is rounding of each
+    "a tick plays no more energy than is left": (overdrawn, 1e-12),
+    "a steady wave is played no higher than it was sent": (above, 1e-12),
+    "a steady wave stays within the cone": (out_of_the_cone, 1e-12),
+    "what is booked is what was held": (misbooked, 1e-12),
+    "a delay that rises within a gap leaves nothing unplayed": (left_behind, 1e-12),
+}
+
+
+# Energy plays late waves in bursts, and a queue that was filled on purpose is played a little faster to shorten it.
+KEPT = [(holds, name) for holds in PROPERTIES for name in RULES if not (
+    name == "energy" and "steady" in holds) and not (name == "integral:0.005" and "no higher" in holds)]
+
+
+@both_forms
+@pytest.mark.parametrize(("holds", "name"), KEPT)
+def test_over_every_link(holds: str, name: str, *, compiled: bool) -> None:
+    figure, rounding = PROPERTIES[holds]
+    assert figure(wave_integral, RULES[name], compiled=compiled) <= rounding
+
+
+@every_rule
+@pytest.mark.parametrize("every", [(1, 2), (2, 1), (2, 3), (3, 1)], ids=str)
+def test_ends_of_other_rates_need_no_resampling(name: str, every: tuple[int, int]) -> None:
+    assert misbooked(wave_integral, RULES[name], compiled=False, every=every) <= 1e-12
+    assert misbooked(wave_integral, RULES[name], compiled=False, every=every, left_out=0.0) <= 1e-12
+
+
+def over_rates(name: str, left_out: float) -> Iterator[tuple[Tick, float]]:
+    """Ticks of random waves over a rough link, of ends at 1 kHz and 500 Hz, with the energy played by then, J."""
+    for every in ((1, 1), (1, 2), (2, 1)):
+        dice = Random(3)
+        sender, receiver = [Alone(RULES[name], leaves_out=True, dt=ms * DT) for ms in every]
+        for tick in over_a_link(sender, receiver, waves_with_rests(dice, 2000), dice, loss=0.3, jitter=20, every=every,
+                                left_out=left_out):
+            yield tick, receiver.own.G
+
+
+@every_rule
+def test_no_more_energy_is_played_than_the_newest_message_brought(name: str) -> None:
+    assert min(tick.heard.E - played for tick, played in over_rates(name, 0.0)) >= -1e-15
+
+
+@every_rule
+def test_what_is_held_over_ticks_left_out_is_paid_before_anything_else_is_played(name: str) -> None:
+    waves = [tick.p for tick, played in over_rates(name, 0.4) if played > tick.heard.E]
+    assert len(waves) > 0
+    assert set(waves) == {0.0}
+
+
+def test_a_varying_wave_stays_within_the_cone_where_nothing_is_played_ahead() -> None:
+    """H <= L: where gaps are played ahead of the queue, that holds of steady waves alone."""
+    dice = Random(4)
+    sender, receiver = Alone(Integral(ahead=0.0)), Alone(Integral(ahead=0.0))
+    own, tried = receiver.own, 0
+    for _ in over_a_link(sender, receiver, waves_with_rests(dice, 4000), dice, loss=0.3, jitter=20):
+        if own.L >= 0.5 * DT:
+            tried += 1
+            assert own.D * own.D <= 2.0 * own.S * own.L + 1e-12
+    assert tried > 3000
+
+
+@pytest.mark.parametrize(("target", "felt"), [(0.0, 8), (0.003, 5), (0.01, 0)])
+def test_a_steady_wave_has_a_dip_in_the_first_gap_of_a_length_alone(target: float, felt: int) -> None:
+    """Of 8 ticks, twice a second; the queue that is kept bridges as much as it is long."""
+    playout = Integral(target)
+    sender, receiver = Alone(playout), Alone(playout)
+    heard, dips = NOTHING, []
+    for k in range(12_000):
+        sent = sender.send(0.5)
+        heard = heard if k >= 4000 and k % 500 < 8 else sent
+        if receiver.play(heard) < 0.25 and k >= 4000:
+            dips.append(k)
+    assert set(dips) <= {*range(4000, 4008)}
+    assert len(dips) == felt
+
+
+def test_the_queue_falls_by_e_in_each_settle_once_the_hand_lets_go() -> None:
+    playout = Integral(settle=0.5, memory=0.0, ahead=0.0)
+    sender, receiver = Alone(playout), Alone(playout)
+    heard, queues = NOTHING, []
+    for k in range(2700):
+        sent = sender.send(0.5 if k < 1000 else 0.0)
+        heard = heard if 900 <= k < 950 else sent
+        receiver.play(heard)
+        queues.append(receiver.own.L)
+    assert queues[950:1000] == pytest.approx([0.051] * 50)  # the gap and a tick; a steady wave keeps it
+    assert [queues[k + 500] / queues[k] for k in (1100, 1600, 2100)] == pytest.approx([np.exp(-1.0)] * 3, rel=2e-3)
+
+
+# -- peers that lie
+
+numbers = st.floats(-1e9, 1e9) | st.floats(-2.0, 2.0) | st.sampled_from([0.0, -0.0, 1e-300, 1e150, 1e300, -1e300])
+messages = st.builds(Integrals, numbers, numbers, numbers)
+knobs = st.builds(
+    Integral, st.sampled_from([0.0, 0.005, 0.1, 10.0]), settle=st.sampled_from([1e-4, 0.01, 0.5, 30.0]),
+    memory=st.sampled_from([0.0, 0.01, 10.0]), ahead=st.sampled_from([0.0, 0.01, 0.05]))
+
+
+@given(st.lists(st.tuples(messages, st.integers(1, 5)), max_size=12), knobs | st.just(Energy()))
+@asked(max_examples=150)
+def test_whatever_a_peer_sends_is_played_within_the_energy_that_it_sent_and_alike_in_both_forms(
+    heard: list[tuple[Integrals, int]], playout: Gaps
+) -> None:
+    """Of each tick: its energy is at most S; a wave is at most 2 S/|D|; and all is finite."""
+    forms = [Alone(playout, compiled=compiled) for compiled in (False, True)]
+    most = 0.0
+    for message, ticks in heard:
+        most = max(most, message.E)
+        for _ in range(ticks):
+            own = forms[0].own
+            before = own.G
+            p, alike = [each.play(message) for each in forms]
+            assert [p, own.C, own.M] == [alike, forms[1].own.C, forms[1].own.M]
+            left = max(message.E - before, 0.0)
+            assert isfinite(p)
+            assert max(before, message.E) * (1.0 + 1e-12) >= own.G
+            assert abs(p) <= sqrt(2.0 * left / DT) * (1.0 + 1e-12) + 1e-150
+            if own.L >= 0.5 * DT or isinstance(playout, Energy):
+                assert abs(p) * abs(own.D) <= 2.0 * left * (1.0 + 1e-9) + 1e-150
+    assert most * (1.0 + 1e-9) >= forms[0].own.G
+
+
+def pressed(change: Callable[[Integrals], Integrals]) -> Alone:
+    """A receiver of a steady wave of 0.5, whose sender begins to lie after a second, for another."""
+    sender, receiver = Alone(), Alone()
+    for k in range(2000):
+        honest = sender.send(0.5)
+        receiver.play(change(honest) if k >= 1000 else honest)
+    return receiver
+
+
+def test_a_claim_of_endless_energy_alone_changes_nothing() -> None:
+    assert pressed(lambda said: said._replace(E=1e9)).own.p == pytest.approx(0.5)
+
+
+def test_an_integral_without_the_energy_for_it_fades() -> None:
+    assert abs(pressed(lambda said: said._replace(U=said.U + 1e3)).own.p) < 2e-3
+
+
+@pytest.mark.parametrize("said", [
+    lambda said: said._replace(E=0.1),
+    lambda said: said._replace(E=-1e300),
+    lambda said: said._replace(U=1e300, E=1e300),
+], ids=["energy goes back", "energy below nothing", "both absurd"])
+def test_without_energy_or_with_absurd_sums_nothing_is_played(said: Any) -> None:
+    assert abs(pressed(said).own.p) < 1e-12
+
+
+def test_a_wave_is_bounded_by_the_energy_that_a_peer_claims_for_it() -> None:
+    """What is left to bound it is the law's: the force cap and the energy budget."""
+    sender, receiver, top = Alone(), Alone(), 0.0
+    for _ in range(100):
+        said = sender.send(0.5)._replace(U=1e6, E=1e9)
+        top = max(top, abs(receiver.play(said)))
+    assert 1000.0 < top <= 2.0 * 1e9 / 1e6
+
+
+def test_a_time_that_goes_back_heals_when_it_comes_up_to_what_was_played() -> None:
+    assert pressed(lambda said: said._replace(T=said.T - 0.3)).own.p == pytest.approx(0.5)
+
+
+# -- mutants of the rule
+
+NEWS = "where(e.got, 0.0, where(abs(own.p) < own.most, own.credit, 0.0))"
+HELD = "own.held = elapsed(run, e) - run.dt\n        "
+MUTANTS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {  # with the property that sees it
+    "energy 10 % over": ("a tick plays no more energy than is left", (
+        ("own.S = max(a.heard.E - own.G, 0.0)", "own.S = 1.1 * max(a.heard.E - own.G, 0.0)"),
+        ("own.S = a.heard.E - own.G if", "own.S = 1.1 * (a.heard.E - own.G) if"))),
+    "the whole queue at once": ("a steady wave is played no higher than it was sent", (
+        ("max(run.dt, own.L - self.settles * min(own.M, own.L - self.target), min(own.H, own.L))", "run.dt"),
+        ("if own.L - self.settles * own.spare > own.h", "if False"), ("if own.h < own.H and", "if False and"))),
+    "span ignored by the receiver": ("what is booked is what was held", (
+        (f"{HELD}own.P", "own.held = 0.0\n        own.P"),)),
+    "span ignored by the sender": ("what is booked is what was held", (
+        (f"{HELD}T, U", "own.held = 0.0\n        T, U"),)),
+    "what is held counts as played at ticks with news too": (
+        "a delay that rises within a gap leaves nothing unplayed", (
+            (NEWS, "where(abs(own.p) < own.most, own.credit, 0.0)"), ("elif not e.got and", "elif"))),
+    "what is held counts as played where only a part of it was": (
+        "a steady wave stays within the cone", (
+            (NEWS, "where(e.got, 0.0, own.credit)"), ("elif not e.got and", "if not e.got and"))),
+}
+
+
+@pytest.fixture(scope="module", params=MUTANTS)
+def changed(request: pytest.FixtureRequest) -> tuple[str, ModuleType]:
+    """A mutant's module, and the property that it breaks."""
+    breaks, changes = MUTANTS[request.param]
+    return breaks, mutant(*changes)
+
+
+@both_forms
+def test_a_mutant_of_the_rule_breaks_a_property(changed: tuple[str, ModuleType], *, compiled: bool) -> None:
+    breaks, module = changed
+    figure, rounding = PROPERTIES[breaks]
+    assert figure(module, Integral(), compiled=compiled) > 1e6 * rounding
+
+
+@both_forms
+@pytest.mark.parametrize("name", ["energy 10 % over", "the whole queue at once"])
+def test_a_steady_wave_shows_more_than_one_mutant(name: str, *, compiled: bool) -> None:
+    assert above(mutant(*MUTANTS[name][1]), Integral(), compiled=compiled) > 0.01
