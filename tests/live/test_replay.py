@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import json
 import shutil
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from channel.recorded import Recorded
 from teleop.__main__ import main
-from teleop.live.records.inputs import INPUTS
+from teleop.errors import Refused
+from teleop.live.records.inputs import ARRIVALS, INPUTS
+from teleop.live.records.rows import TruncatedRecord
+from teleop.live.replay.open_loop import commanded
 from teleop.live.replay.rerun import difference, read_end
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Integral
@@ -156,6 +163,31 @@ def test_a_record_that_is_cut_off_is_replayed_as_far_as_it_goes_and_says_so(
     assert "cut off in the middle of a row" in document["notes"][0]
 
 
+def test_whatever_a_folder_of_others_holds_a_replay_ends_in_an_answer_or_in_one_sentence(
+    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+) -> None:
+    dice, codes = Random(3), set()
+    for i in range(16):
+        folder = tmp_path / str(i)
+        shutil.copytree(lossy, folder)
+        file = folder / dice.choice(("master", "slave")) / dice.choice((INPUTS, ARRIVALS, "record.bin"))
+        data = bytearray(file.read_bytes())
+        start = data.index(b"\n") + 1
+        for _ in range(dice.choice((1, 3, 20))):
+            at = dice.randrange(start) if dice.random() < 0.2 else dice.randrange(start, len(data))
+            data[at : at + 8] = dice.choice((b"\xff" * 8, bytes(6) + b"\xf0\x7f", b"", dice.randbytes(8), bytes(9)))
+        file.write_bytes(data)
+        said = typed(folder, *(["--set", "law=pfra"] if i % 2 else []))
+        codes.add(said.code)
+        assert said.code in (0, 1, 2)
+        assert (said.code == 2) is (said.out == "")
+        assert said.code != 2 or said.err.count("\n") == 1
+        with suppress(Refused), warnings.catch_warnings():
+            warnings.simplefilter("ignore", TruncatedRecord)
+            Recorded(str(folder)).arrivals(0, 100, 1_000_000, 1, 100)
+    assert len(codes) > 1
+
+
 def read_rows(folder: Path) -> Any:
     from teleop.live.records.record import read_record
 
@@ -186,6 +218,23 @@ def test_sessions_that_begin_anew_pauses_and_other_rates_are_run_again_to_the_bi
         gaps += int((rows[:, 1] > 1).sum())
     assert max(sessions) >= 2
     assert gaps >= 1
+
+
+def test_open_loop_over_sessions_that_begin_anew_the_messages_take_the_way_they_took(tmp_path: Path) -> None:
+    """One that is started anew counts what waves have come to from the first message that it plays."""
+    scene = healing(energy=True, duration=20.0, playout=Integral())
+    world = Recording(scene, out=tmp_path, loss=0.1, jitter=30_000_000, copies=0.1)
+    world.run(1.0)
+    world.pause("s", asleep=True)
+    world.run(1.5)
+    world.pause("s", asleep=False)
+    world.until_both_play(8.0)
+    world.run(2.0)
+    ends = [read_end(folder, scene) for folder, _ in sorted(world.folders())]
+    for one in commanded(ends, scene, scene).values():
+        assert len(one.k) > 300
+        assert np.abs(one.commanded).max() > 0.1
+        assert np.array_equal(one.commanded, one.recorded)
 
 
 def test_ends_that_go_by_packets_are_run_again_to_the_bit(pair: Callable[..., Pair]) -> None:

@@ -134,6 +134,9 @@ def _check_same_messages(end: EndFolder, base: Scene, scene: Scene) -> None:
         raise Refused(f"the {NAMES[end.e]} heard {enumerated(were)} of the law {law_name(base.law)}, and the law "
                       f"{law_name(scene.law)} hears {enumerated(are)}; give both ends' folders, and each hears what "
                       "the other end's law would have sent")
+    if structure_of(scene).has.integral and not structure_of(base).has.integral:
+        raise Refused("the messages of the run came without what their waves have come to, by which this playout plays "
+                      "them; give both ends' folders, or leave playout out")
 
 
 def _touch(end: EndFolder, base: Scene, scene: Scene) -> NDArray[np.float64] | None:
