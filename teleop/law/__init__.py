@@ -131,7 +131,7 @@ def _built_in_name(kind: type[Any]) -> str | None:
 
 def start_at(x: float, v: float, f: float, dt: float) -> At:
     """The situation of an end before its first tick (m, m/s, N, s): no force held, no message yet."""
-    return At(x, v, f, 0.0, 0.0, False, inf, dt, dt)
+    return At(x, v, f, 0.0, 0.0, False, inf, dt, dt, 1.0)
 
 
 def messages(law: Law, dt: float = 1e-3) -> tuple[type[Any], type[Any]]:

@@ -65,7 +65,7 @@ class Wave:
         return (), Back(0.0)
 
     def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(at.x), Forth(0.0)
+        return Slave(at.x, 0.0), Forth(0.0)  # compiled code fills in no default
 
     def master(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Forth, tuple[()]]:
         v = at.v

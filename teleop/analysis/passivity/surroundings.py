@@ -26,6 +26,10 @@ def linear_parts(scene: Scene) -> tuple[Scene, list[str]]:
         if device is not None and device.encoder is not None:
             changes[name] = replace(device, encoder=None)
             left.append("encoder" if name == "device_m" else "encoder of the slave")
+    for name, whose in (("left_out_m", "master"), ("left_out_s", "slave")):
+        if getattr(scene, name) is not None:
+            changes[name] = None
+            left.append(f"ticks that the {whose} leaves out")
     for name in ("master", "slave"):
         body = getattr(scene, name)
         if body is not None and body.friction > 0.0:

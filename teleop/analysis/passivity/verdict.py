@@ -69,7 +69,7 @@ def verdict(scene: Scene, E: Impedance, needed: Needed) -> Verdict:
     left = _unknown(scene, device, E, spring=spring, damped=damped, stepped=stepped)
     said = _sentence(scene, needed, passive, damped, stepped, asked, shunt)
     if left:
-        them = "it" if len(left) == 1 else "them"
+        them = "it" if len(left) == 1 and not left[0].endswith("s") else "them"
         said = f"not known with its {' and '.join(left)}; without {them} {said}"
         return Verdict(None, said, left, asked, spring, shunt)
     return Verdict(passive, said, (), asked, spring, shunt)
@@ -141,6 +141,7 @@ def _unknown(scene: Scene, device: Device, E: Impedance, *, spring: bool, damped
     from teleop.analysis.models.coupling import stiffness
 
     left = ["passivity controller"] if scene.passivity is not None else []
+    left += ["left-out ticks"] if scene.left_out_m is not None else []
     if cap := scene.cap:
         plain = cap.slew is None and cap.v_max is None and cap.power is None
         step = 0.0 if device.encoder is None else stiffness(E, scene.dt_ns / 1e9) * device.encoder.step

@@ -11,6 +11,8 @@ import pytest
 from channel import LeftOut, LeftOutTicks, parse_link
 from teleop import Cap, Device, Refused, Scene, Watchdog, Zero, load_scene, run
 from teleop.analysis.models.linear import linear_scene
+from teleop.analysis.passivity.one_port import one_port
+from teleop.analysis.passivity.surroundings import linear_parts
 from teleop.scene.scene import both_ends
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.source import rendered
@@ -119,6 +121,14 @@ def test_a_sweep_over_the_share_gives_each_row_its_run() -> None:
         assert row["x_err_rms"] == single.metrics["x_err_rms"]
         assert row["fresh_fwd"] == single.metrics["fresh_fwd"]
     assert len({row["x_err_rms"] for row in told.rows}) == 3
+
+
+def test_passivity_says_that_ticks_are_left_out_and_not_that_it_is_passive_with_them() -> None:
+    port = one_port(load_scene("virtual_wall", left_out=0.1))
+    assert port.passive is None
+    assert port.verdict.sentence.startswith("not known with its left-out ticks; without them passive")
+    _, left = linear_parts(load_scene("soft_tissue", law="direct", left_out=0.1))
+    assert left[-2:] == ["ticks that the master leaves out", "ticks that the slave leaves out"]
 
 
 def test_what_needs_every_tick_says_what_to_type() -> None:
