@@ -38,7 +38,7 @@ class HeldForce:
 
     def take(self, force: tuple[float, ...]) -> bool:
         """Set it to `force` (N, per axis); False if that is not finite, and then it stays what it was."""
-        if not all(map(isfinite, force)):
+        if not isfinite(sum(force)) and not all(map(isfinite, force)):  # a sum may be too great that is of finite ones
             return False
         self.force = force
         return True

@@ -66,6 +66,15 @@ def test_what_cannot_be_read_or_is_not_finite_is_no_reading(wrong: Any) -> None:
     assert guarded.trouble is None
 
 
+def test_finite_numbers_without_a_finite_sum_are_a_reading() -> None:
+    huge = Reading((1.7e308,), (1.7e308,), (1.7e308,))
+    device = Device()
+    device.reads = huge
+    guarded = GuardedDevice(device, 1)
+    assert guarded.read(0, 0) == guarded.read(1, MS) == huge
+    assert guarded.trouble is None
+
+
 def test_a_body_that_has_left_is_not_a_device_that_fails() -> None:
     device = Device()
     device.reads = Reading((inf,), (0.0,), None)

@@ -101,3 +101,11 @@ def test_after_a_stall_on_its_way_the_force_is_where_the_ramp_has_come_to_or_at_
         end.held.force = (2.0,)
         end.held.over(None)
         assert end.held.over(None, stall)[0] == pytest.approx(2.0 * left)
+
+
+def test_a_force_is_held_if_its_parts_are_finite_whatever_their_sum_is() -> None:
+    held = met(scene(Direct(K=200.0, B=0.0)))["s"].held
+    assert held.take((1.7e308, 1.7e308))
+    assert not held.take((1.0, nan))
+    assert not held.take((float("inf"), float("-inf")))
+    assert held.force == (1.7e308, 1.7e308)

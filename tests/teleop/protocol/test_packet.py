@@ -33,6 +33,7 @@ from teleop.protocol.packet import (
 )
 
 WIDTH = 5
+HUGE = 1.7e308  # of which two have no finite sum
 MOST_NS = 2**63 - 1
 LARGEST = Packet(Kind.FORTH, 2**64 - 1, 2**32 - 1, MOST_NS, Echo(MOST_NS, MOST_NS), (0.1,) * WIDTH, -1e-300)
 GOOD = msgpack.packb([1, 2, 3, None, [0.0] * WIDTH, None])
@@ -117,6 +118,13 @@ def test_the_two_ways_are_two_kinds_and_both_carry_messages_alone() -> None:
 @given(st.integers(0, 2**40), st.integers(-(2**31), 2**31 - 1))
 def test_a_number_is_found_again_from_its_last_32_bits_within_2_31_of_where_one_is(near: int, off: int) -> None:
     assert unwrapped((near + off) % 2**32, near) == near + off
+
+
+def test_finite_numbers_without_a_finite_sum_are_a_message() -> None:
+    packet = LARGEST._replace(payload=(HUGE, HUGE, HUGE, 0.0, 1.0))
+    assert decode(encode(packet), WIDTH) == packet
+    assert decode(encode(packet._replace(payload=(HUGE, HUGE, HUGE, inf, -inf))), WIDTH) is Rejection.NON_FINITE
+    assert decode(encode(packet._replace(payload=(inf, -inf, 0.0, 0.0, 0.0))), WIDTH) is Rejection.NON_FINITE
 
 
 @pytest.mark.parametrize("width", [0, 1, 5, 15, 16, 126])
