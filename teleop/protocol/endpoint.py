@@ -209,8 +209,7 @@ class Endpoint:
             return []
         came = -((start_ns - now) // dt_ns)  # the tick, rounded up
         near = self._tick if self.stepped or came < self._tick else came
-        if not -_NEAR < seq - near < _NEAR:
-            seq = unwrapped(seq, near)
+        seq = seq if -_NEAR < seq - near < _NEAR else unwrapped(seq, near)
         sent = start_ns + seq * dt_ns  # when, by our clock
         if session.met != self._met and not self.stepped:
             session.data_came(now, sent)
