@@ -1,4 +1,4 @@
-"""Loss in bursts, as on radio links (Gilbert-Elliott)."""
+"""Loss in bursts, as on radio links (Gilbert-Elliott); waves fill the gaps by their integral."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 from channel import Delay, GilbertElliott
 from master import Grip, Reach
 from slave import Wall
-from teleop import Cap, Fixed, Knob, Law, MassDamper, Playout, Scene, Watchdog, Wave, knob
+from teleop import Cap, Fixed, Integral, Knob, Law, MassDamper, Playout, Scene, Watchdog, Wave, knob
 
 
 def scene(
@@ -18,7 +18,7 @@ def scene(
         "", "probability of turning bad, from one packet to the next", low=0.0, high=1.0, link=True)] = 0.005,
     to_good: Annotated[float, Knob(
         "", "probability of turning good: bad for 1/to_good packets in the mean", low=0.0, high=1.0, link=True)] = 0.05,
-    playout: Playout = Fixed(0.03),
+    playout: Playout = Fixed(0.03, Integral()),
     k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 5e3,
     d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 10.0,
     wall: Annotated[float, Knob("m", "position of its surface")] = 0.03,

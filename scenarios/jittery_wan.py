@@ -1,4 +1,4 @@
-"""Wide-area network: delay, jitter with reordering, and some loss."""
+"""Wide-area network: delay, jitter with reordering, and some loss; waves fill the gaps by their integral."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 from channel import Bernoulli, Delay, UniformJitter
 from master import Grip, Reach
 from slave import Wall
-from teleop import Cap, Fixed, Knob, Law, MassDamper, Playout, Scene, Watchdog, Wave, knob
+from teleop import Cap, Fixed, Integral, Knob, Law, MassDamper, Playout, Scene, Watchdog, Wave, knob
 
 
 def scene(
@@ -16,7 +16,7 @@ def scene(
     delay: knob.LinkDelay = 0.04,
     jitter: Annotated[float, Knob("s", "most that a packet is late", low=0.0, link=True)] = 0.02,
     loss: Annotated[float, Knob("", "probability that a packet is lost", low=0.0, high=1.0, link=True)] = 0.02,
-    playout: Playout = Fixed(0.065),
+    playout: Playout = Fixed(0.065, Integral()),
     k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 5e3,
     d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 10.0,
     wall: Annotated[float, Knob("m", "position of its surface")] = 0.03,

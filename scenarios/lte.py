@@ -1,4 +1,4 @@
-"""Cellular network: two recorded LTE links, up from the master, down to it."""
+"""Cellular network: two recorded LTE links, up from the master, down to it; waves fill the gaps by their integral."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 from channel import Delay, Link, Mahimahi
 from master import Grip, Reach
 from slave import Wall
-from teleop import Cap, Fixed, Knob, Law, MassDamper, Playout, Scene, Watchdog, Wave, knob
+from teleop import Cap, Fixed, Integral, Knob, Law, MassDamper, Playout, Scene, Watchdog, Wave, knob
 
 
 def scene(
@@ -19,7 +19,7 @@ def scene(
     delay: knob.LinkDelay = 0.02,
     queue: Annotated[int, Knob("packets", "room to wait", low=1, link=True)] = 300,
     start: Annotated[float, Knob("s", "time of the recordings to skip", low=0.0, link=True)] = 0.0,
-    playout: Playout = Fixed(0.12),
+    playout: Playout = Fixed(0.12, Integral()),
     k_e: Annotated[float, Knob("N/m", "stiffness of the wall", low=0.0)] = 5e3,
     d_e: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 10.0,
     wall: Annotated[float, Knob("m", "position of its surface")] = 0.03,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES, WAYS, end_result
@@ -12,13 +12,11 @@ from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.live.shell import Shell
 from teleop.protocol.endpoint import SLEW
 from teleop.protocol.estimates import LinkEstimates, Times
+from teleop.scene.scene import Scene
+from teleop.simulation.notes import in_gaps
 from teleop.simulation.outcome import age_note
 from teleop.simulation.packets import Packets
 from teleop.simulation.result import Result
-
-if TYPE_CHECKING:
-
-    pass
 
 INSECURE = "the link was neither authenticated nor encrypted, beyond loopback, as --insecure asked"
 UNWATCHED = ("the device has neither a deadline nor a watchdog: if this process is killed, stopped or hangs, its force "
@@ -77,7 +75,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         notes=[*old, *cut, *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),
                *filter(None, [shell.recorder.trouble, shell.recorder.inputs.trouble, clock_note(endpoint.link),
                               missed_note(shell.counts.skipped, shell.counts.skipped + shell.counts.ticks,
-                                          endpoint.own.dt, told)])],
+                                          endpoint.own, told)])],
     )
 
 
@@ -109,20 +107,18 @@ def clock_note(link: LinkEstimates) -> str | None:
             "begin a new session for it; have a time service (NTP, PTP) keep both clocks, or mend the one that is off")
 
 
-def missed_note(skipped: int, due: int, dt: float, realtime: dict[str, str] | None = None) -> str | None:
-    """A sentence if more than `MISSED` of an end's `due` ticks of `dt` s were left out; None if not.
+def missed_note(skipped: int, due: int, scene: Scene, realtime: dict[str, str] | None = None) -> str | None:
+    """A sentence if more than `MISSED` of the `due` ticks of an end were left out; None if not.
 
-    `realtime`: what the system gave of real-time scheduling, None where it was not asked for.
-
-    >>> missed_note(10, 1000, 0.001), missed_note(11, 1000, 0.001)[:34]
-    (None, '11 of 1000 ticks (1.1 %) were left')
+    `scene`: with the end's own tick. `realtime`: what the system gave of real-time scheduling, None where it was not
+    asked for.
     """
     if skipped <= MISSED * due:
         return None
     return (f"{skipped} of {due} ticks ({100.0 * skipped / due:.3g} %) were left out, as this end was not ready in "
-            f"time for one every {dt:g} s: the machine is busy, or its device or law is slow; the other end has no "
-            "message of these ticks, so under waves the force fades; close what else runs here, or try --spin, "
-            f"{_allow(realtime)}--rate {0.5 / dt:g}")
+            f"time for one every {scene.dt:g} s: the machine is busy, or its device or law is slow; the other end has "
+            f"no message of these ticks: {in_gaps(scene)}; close what else runs here, or try --spin, "
+            f"{_allow(realtime)}--rate {0.5 / scene.dt:g}")
 
 
 def _allow(realtime: dict[str, str] | None) -> str:

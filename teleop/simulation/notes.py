@@ -1,4 +1,4 @@
-"""Notes on the packets of a run that were never played, and what to type."""
+"""Notes on packets that were never played, and on what is played in the gaps; and what to type."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from teleop.errors import number_of
-from teleop.scene.playout import Fixed, as_typed, gaps_of
+from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.packets import Packets
 
 SHARE = 0.99  # of the packets that come, which a longer playout is to play
+FADES = 0.001  # of the ticks: where so many are gaps, a steady force has lost a twentieth of itself in ten seconds
 MARGIN = 0.01  # s, live: what the machine adds to the link
 
 
@@ -23,6 +24,45 @@ def unplayed(scene: Scene, trace: Mapping[str, Any], packets: Mapping[str, Packe
     return [note for direction, (way, seq, end) in enumerate((("fwd", "seq_s", "slave"), ("bwd", "seq_m", "master")))
             if way in packets and seq in trace
             for note in _unplayed(scene, direction, end, packets[way], int((trace[seq] >= 0).sum()), seed, live)]
+
+
+def faded(scene: Scene, trace: Mapping[str, Any]) -> list[str]:
+    """The note on waves that are played as zero in gaps, where more than `FADES` of an end's ticks are gaps."""
+    if not isinstance(scene.wave_playout, Zero):
+        return []
+    told = []
+    for seq, end in (("seq_s", "slave"), ("seq_m", "master")):
+        if seq in trace and (played := trace[seq] >= 0).any():
+            since = played[int(played.argmax()):]  # before the first message there is nothing to fade
+            gaps = int((~since).sum())
+            told += [f"{gaps} of {number_of(len(since), 'tick')} at the {end}"] * (gaps > FADES * len(since))
+    if not told:
+        return []
+    return [f"waves were played as zero in gaps, {' and '.join(told)}: a steady force fades; {_take_integral(scene)}"]
+
+
+def in_gaps(scene: Scene) -> str:
+    """What the end that hears of it makes of ticks of which there is no message, as a clause."""
+    gaps = scene.wave_playout
+    if isinstance(gaps, Integral):
+        return ("its queue of waves grows as long as the longest gap, and a gap that is longer than the queue is felt "
+                "as a short dip of the force")
+    if isinstance(gaps, Energy):
+        return "it plays what it is owed of their waves late, in short bursts"
+    if isinstance(gaps, Hold):
+        return "it plays the last wave again in their place, which is active"
+    if isinstance(gaps, Scaled):
+        return "it plays the last wave again in their place, scaled down, so a steady force fades"
+    if isinstance(gaps, Zero):
+        cure = "" if scene.link is None else f" ({_take_integral(scene)}, at both ends)"
+        return f"it plays waves as zero in their place, so a steady force fades{cure}"
+    return "its law does without"
+
+
+def _take_integral(scene: Scene) -> str:
+    own = scene.played_as
+    better: Playout = Fixed(own.delay, Integral()) if isinstance(own, Fixed) else Integral()
+    return f"type --set playout={as_typed(better)}" if scene.knobs else f"in a scene of your own write playout={better}"
 
 
 def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: int, seed: int, live: bool

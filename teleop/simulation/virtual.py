@@ -10,7 +10,7 @@ from teleop.errors import Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.notes import unplayed
+from teleop.simulation.notes import faded, unplayed
 from teleop.simulation.outcome import integration, over_tolerance, standing_notes, too_old, verdict
 from teleop.simulation.packets import counts_of, packet_counts
 from teleop.simulation.plan import LinkPlans, check_seed, link_plans, round_trip
@@ -80,7 +80,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     notes += too_old(scene, "master", bwd, ran)
     notes += too_old(scene, "slave", fwd, ran)
     notes += over_tolerance(reports)
-    notes += unplayed(scene, trace, packets, seed=seed)
+    notes += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
     notes += came.notes
     return Result.make(
         scene, seed=seed, mode="virtual", status=came.status, sentence=came.sentence, ticks=ran,

@@ -25,6 +25,7 @@ from teleop.live.records.record import EVENTS, FILE, read_record
 from teleop.live.summary import missed_note
 from teleop.protocol.packet import DATA, Kind, peek
 from teleop.scene.loading import load_scene
+from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
 from teleop.stages.watchdog import Watchdog
 
 pytestmark = pytest.mark.live
@@ -180,15 +181,29 @@ def test_a_stall_skips_whole_ticks_and_says_how_many(pair: Make) -> None:
 
 def test_a_run_of_which_a_third_of_the_ticks_was_left_out_is_not_ok_without_a_word() -> None:
     """On a busy machine the first demo said `ok`, with no force where virtual time has 0.94 N."""
-    note = missed_note(3637, 10000, 0.001)
+    scene = replace(SCENE, playout=Integral())
+    note = missed_note(3637, 10000, scene)
     assert note is not None
     assert note.startswith("3637 of 10000 ticks (36.4 %) were left out")
     assert note.endswith("try --spin, real-time scheduling (without --no-realtime) or --rate 500")
     refused, given = ({"scheduler": text} for text in ("no (Operation not permitted)", "SCHED_FIFO, priority 40"))
-    assert "`teleop doctor` says how" in str(missed_note(3637, 10000, 0.001, refused))
-    assert str(missed_note(3637, 10000, 0.001, given)).endswith("try --spin, or --rate 500")
-    assert missed_note(100, 10000, 0.001) is None, "one of a hundred changes no force that a hand feels"
-    assert missed_note(0, 0, 0.001) is None, "an end that never came to a tick"
+    assert "`teleop doctor` says how" in str(missed_note(3637, 10000, scene, refused))
+    assert str(missed_note(3637, 10000, scene, given)).endswith("try --spin, or --rate 500")
+    assert missed_note(100, 10000, scene) is None, "one of a hundred changes no force that a hand feels"
+    assert missed_note(0, 0, scene) is None, "an end that never came to a tick"
+
+
+@pytest.mark.parametrize(("playout", "said"), [
+    (Integral(), "its queue of waves grows as long as the longest gap"),
+    (Fixed(0.1, Integral()), "its queue of waves grows as long as the longest gap"),
+    (Zero(), "so a steady force fades (type --set playout=integral, at both ends)"),
+    (Fixed(0.1), "so a steady force fades (type --set playout=fixed:0.1:integral, at both ends)"),
+    (Hold(), "which is active"), (Scaled(0.5), "scaled down, so a steady force fades"), (Energy(), "in short bursts"),
+], ids=str)
+def test_a_note_on_ticks_that_were_left_out_says_what_the_playout_makes_of_them(playout: Playout, said: str) -> None:
+    """Of every playout it said that the force fades."""
+    assert said in str(missed_note(500, 1000, load_scene("hard_wall", playout=playout)))
+    assert "its law does without" in str(missed_note(500, 1000, load_scene("hard_wall", law="pfra", playout=playout)))
 
 
 def test_ticks_that_are_missed_at_the_very_end_are_counted_too(pair: Make) -> None:

@@ -15,7 +15,7 @@ from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
 from teleop.simulation.ending import Ending, ending
-from teleop.simulation.notes import unplayed
+from teleop.simulation.notes import faded, unplayed
 from teleop.simulation.outcome import standing_notes
 from teleop.simulation.packets import Packets, packet_counts
 from teleop.simulation.plan import round_trip
@@ -121,7 +121,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     extra = {**own, "channel": channel}
     if again:
         notes.append("the two met anew in between, and their ledgers began anew: there is no E_link of it all")
-    notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *came.notes,
+    notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *faded(scene, trace), *came.notes,
               *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
     return Result.make(
         scene, seed=ours["seed"], mode=ours["mode"], status=came.status, sentence=came.sentence, ticks=len(trace["t"]),

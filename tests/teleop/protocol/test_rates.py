@@ -174,6 +174,7 @@ def test_waves_at_another_rate_than_the_scenes_are_sent_by_their_integral_alone(
     with pytest.raises(Refused, match=r"exchange waves by their integral; write --set playout=integral at both ends"):
         ticks(load_scene("canonical"), 500.0)
     with pytest.raises(Refused, match=r"playout=fixed:0\.03:integral"):
-        ticks(load_scene("burst_loss"), 500.0)
+        ticks(load_scene("burst_loss", playout="fixed:0.03"), 500.0)
+    assert ticks(load_scene("burst_loss"), 500.0) == 2
     assert ticks(load_scene("canonical"), 1000.0) == 1
     assert ticks(load_scene("canonical", law="direct"), 500.0) == 2

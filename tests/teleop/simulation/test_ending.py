@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -125,6 +126,18 @@ class TestPacketsThatWereNotPlayed:
         trace = {"seq_s": np.full(500, -1), "seq_m": np.arange(500) - 20}
         note, = unplayed(scene, trace, counts, seed=0, live=True)
         assert note.endswith("type --set playout=fixed:0.03")
+
+    @pytest.mark.parametrize(("playout", "cure"), [("zero", "integral"), ("fixed:0.03", "fixed:0.03:integral")])
+    def test_that_leave_gaps_which_are_played_as_zero_are_told_of_as_what_fades(self, playout: str, cure: str) -> None:
+        lossy = {"link": "delay(0.02) | bernoulli(0.05) ; delay(0.02)", "duration": 1.0}
+        note, = warned(run(load_scene("hard_wall", playout=playout, **lossy)), "fades")
+        assert re.fullmatch(r"waves were played as zero in gaps, \d\d of 9[78]\d ticks at the slave: a steady force "
+                            rf"fades; type --set playout={cure}", note)
+        assert not warned(run(load_scene("hard_wall", playout=cure, **lossy)), "fades")
+        assert not warned(run(load_scene("hard_wall", playout=playout, link="delay(0.02)", duration=0.2)), "fades")
+        assert not warned(run(load_scene("hard_wall", law="pfra", playout=playout, **lossy)), "fades")
+        scene = replace(load_scene("hard_wall", playout=playout, **lossy), knobs={})
+        assert "in a scene of your own write playout=" in warned(run(scene), "fades")[0]
 
     def test_that_were_all_lost_are_told_of(self) -> None:
         note, = warned(run(load_scene("hard_wall", link="bernoulli(1) ; delay(0.01)", duration=0.2)), "played none")
