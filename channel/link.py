@@ -10,6 +10,7 @@ are loaded when a text names them.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING
@@ -58,6 +59,8 @@ EXAMPLES = {
 GROUP = "teleop.effects"  # of entry points
 KIND = PartKind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES)
 _LONGEST = 10_000  # characters of a text
+# A path by itself, which is no Python: in a shell, where quotes are in use already, people type recorded(runs/x).
+_BARE_PATH = re.compile(r"\b(mahimahi|ping_log|recorded)\(\s*(?![\d.]+[,)])([^\s'\"(),=|;]+)\s*(?=[,)])")
 _FORM = 'write for example "delay(0.05) | bernoulli(p=0.02)", or "FWD ; BWD"'
 
 
@@ -100,11 +103,14 @@ def known_effects() -> dict[str, str]:
 def parse_link(text: str) -> Effect | Chain | Link:
     """The link a text describes. Raises `Refused` for what it cannot mean.
 
+    A file or folder that is the first argument needs no quotes: recorded(runs/hard_wall-1).
+
     >>> parse_link("delay(0.05) | bernoulli(p=0.02)")
     Chain(effects=(Delay(delay=0.05), Bernoulli(p=0.02)))
     """
     if not isinstance(text, str) or len(text) > _LONGEST:
         raise Refused(f"a link is a text of at most {_LONGEST} characters; {_FORM}")
+    text = _BARE_PATH.sub(lambda found: f"{found[1]}({found[2]!r}", text)
     try:
         ways = ast.parse(text.strip()).body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

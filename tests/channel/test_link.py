@@ -4,6 +4,7 @@ import importlib.metadata
 import subprocess
 import sys
 from dataclasses import fields
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -166,3 +167,15 @@ def test_only_what_a_text_names_is_loaded() -> None:
             "assert not files & set(sys.modules); parse_link('delay(0.1) | bernoulli(0.1)');"
             "assert files & set(sys.modules) == {'channel.delay', 'channel.bernoulli'}")
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("path", ["log.txt", "./log.txt", "{here}/log.txt"])
+def test_a_path_needs_no_quotes(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--link 'recorded(runs/x)'` was refused: the quotes of the shell were taken for enough."""
+    monkeypatch.chdir(tmp_path)
+    Path("log.txt").write_text("[1000.0] 64 bytes from 10.0.0.1: icmp_seq=1 ttl=64 time=10.0 ms\n"
+                               "[1001.0] 64 bytes from 10.0.0.1: icmp_seq=2 ttl=64 time=12.0 ms\n")
+    bare = path.format(here=tmp_path)
+    quoted = parse_link(f"delay(0.01) | ping_log('{bare}', start=0.5) ; delay(0.02)")
+    assert parse_link(f"delay(0.01) | ping_log({bare}, start=0.5) ; delay(0.02)") == quoted
+    assert parse_link(describe(quoted)) == quoted

@@ -149,8 +149,3 @@ def test_what_is_no_live_run_is_refused_in_one_sentence(
     with pytest.raises(Refused, match=sentence) as refused:
         spoil(folder)
     assert "\n" not in str(refused.value)
-
-
-def test_a_path_without_quotes_is_told_how_to_be_written() -> None:
-    with pytest.raises(Refused, match=r"must be numbers or texts in quotes: write for example recorded\('runs/hard_w"):
-        parse_link("recorded(runs/x)")
