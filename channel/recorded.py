@@ -19,7 +19,7 @@ from teleop.errors import Refused
 from teleop.knob import Knob
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ARRIVALS, Arrivals, read_arrivals
-from teleop.live.records.record import FILE, read_record
+from teleop.live.records.record import FILE, never_met, read_record
 from teleop.simulation.trace import far_apart
 from teleop.storage.folder import is_being_written
 
@@ -164,7 +164,7 @@ def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa
             raise Refused(f"{folder} holds no ticks with the arrivals beside them; give the folder as the end wrote it")
         if spread:
             raise Refused(f"the ticks in {folder} lie too far apart for a link; give the folder of a run that ran on")
-    if any(headers["m"][key] != headers["s"][key] for key in ("scene", "knobs", "dt_ns")):
+    if any(headers["m"][key] != headers["s"][key] for key in ("scene", "knobs", "dt_ns")) or never_met(master, slave):
         raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
     dt_ns, every = headers["m"]["dt_ns"], {e: header.get("every", 1) for e, header in headers.items()}
     last = int(max(ticks["m"][-1], ticks["s"][-1]))  # an end that was over sooner leaves out all that follow

@@ -128,6 +128,10 @@ def spoiled(path: Path, **keys: object) -> None:
     path.write_bytes(json.dumps({**json.loads(first), **keys}).encode() + b"\n" + rows)
 
 
+def met(folder: Path, session: str) -> None:
+    (folder / "events.jsonl").write_text(json.dumps({"k": 0, "what": "met", "why": f"session {session}"}) + "\n")
+
+
 @pytest.mark.parametrize(("spoil", "sentence"), [
     (lambda at: Recorded(str(at / "master")), "is the folder of one end, which has the arrivals of one direction"),
     (lambda at: Recorded(str(at.parent)), "is no folder of a live run"),
@@ -140,8 +144,9 @@ def spoiled(path: Path, **keys: object) -> None:
     (lambda at: ((at / "slave" / "arrivals.bin").unlink(), Recorded(str(at))), "holds no arrivals.bin to run again"),
     (lambda at: (spoiled(at / "slave" / "arrivals.bin", version=9), Recorded(str(at))), "is of version 9"),
     (lambda at: (spoiled(at / "slave" / "arrivals.bin", dt_ns=5000), Recorded(str(at))), "holds no ticks with the arr"),
+    (lambda at: (met(at / "master", "a"), met(at / "slave", "b"), Recorded(str(at))), "not the two ends of one run"),
     (lambda at: (spoiled(at / "slave" / "record.bin", scene="x"), Recorded(str(at))), "not the two ends of one run"),
-], ids=[str(i) for i in range(12)])
+], ids=[str(i) for i in range(13)])
 def test_what_is_no_live_run_is_refused_in_one_sentence(
     spoil: Callable[[Path], object], sentence: str, tmp_path: Path
 ) -> None:

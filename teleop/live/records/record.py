@@ -145,6 +145,12 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
     return events
 
 
+def never_met(one: Path, other: Path) -> bool:
+    """True if the sessions of the two ends that wrote these folders were others, as far as their events tell."""
+    met = [{event["why"] for event in read_events(folder) if event["what"] == "met"} for folder in (one, other)]
+    return all(met) and not met[0] & met[1]
+
+
 @contextmanager
 def fresh_folder(out: Path | str | None, stem: str = "run") -> Iterator[tuple[Path, Callable[[], None]]]:
     """The folder of a live run, claimed as `teleop.storage.folder.claim` does, and what to call to have it kept.

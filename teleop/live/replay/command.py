@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES
-from teleop.live.records.record import FILE, read_record
+from teleop.live.records.record import FILE, never_met, read_record
 from teleop.live.replay.open_loop import Commanded, commanded
 from teleop.live.replay.rerun import Difference, EndFolder, difference, read_end
 from teleop.scene.loading import load_scene
@@ -114,7 +114,7 @@ def _check_one_run(ends: Sequence[EndFolder]) -> None:
     keys = ("scene", "knobs", "mode")
     if (master.e, slave.e) != ("m", "s"):
         raise Refused("give the master's folder first, then the slave's")
-    if any(master.header[key] != slave.header[key] for key in keys):
+    if any(master.header[key] != slave.header[key] for key in keys) or never_met(master.folder, slave.folder):
         raise Refused(f"{master.folder} and {slave.folder} are not the two ends of one run; give two that ran together")
 
 
