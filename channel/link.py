@@ -132,6 +132,11 @@ def describe(link: Effect | Chain | Link) -> str:
     return " | ".join(map(_call, link.in_direction(0))) if isinstance(link, Effect | Chain) else repr(link)
 
 
+def names_a_file(text: str) -> bool:
+    """True if a link of this text may read a file or a folder: it has a text among its arguments, quoted or bare."""
+    return "'" in text or '"' in text or _BARE_PATH.search(text) is not None
+
+
 def shown(text: str, link: Effect | Chain | Link) -> str:
     """`text` as it names `link` in what is kept: with the digest of what it replays, where it replays a live run.
 

@@ -48,7 +48,7 @@ def check_installed(name: str) -> None:
 
 def _check_no_file(name: str, knobs: Mapping[str, object]) -> None:
     from teleop.scene.knobs import knobs_of
-    from teleop.scene.library import scene_function
+    from teleop.scene.library import import_bundled, scene_function
     from teleop.scene.own_law import file_named
 
     kinds = {key: get_args(found.kind) if isinstance(found.kind, UnionType) else (found.kind,)
@@ -57,7 +57,6 @@ def _check_no_file(name: str, knobs: Mapping[str, object]) -> None:
         if isinstance(value, str) and file_named(value):  # of a law, whatever its knob is called
             raise Refused(f"the folder's scene {name} has {key}={value[:200]}, which is a file with code, so it is not "
                           f"run; {CURE}")
-        names_a_file = Path in kinds.get(key, ()) or (key == "link" and ("'" in str(value) or '"' in str(value)))
-        if names_a_file:
+        if Path in kinds.get(key, ()) or (key == "link" and import_bundled("channel.link").names_a_file(str(value))):
             raise Refused(f"the folder's scene {name} has {key}={str(value)[:200]}, which names a file of this "
                           f"machine, so it is not read; {CURE}")

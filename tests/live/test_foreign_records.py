@@ -116,6 +116,7 @@ class TestAScene:
     @pytest.mark.parametrize(("scene", "knobs"), [
         ("lte", {"up": "secret", "down": "secret"}), ("recorded_reach", {"motion": "secret"}),
         ("hard_wall", {"link": "mahimahi('secret')"}), ("hard_wall", {"link": 'delay(0.1) | ping_log("secret")'}),
+        ("hard_wall", {"link": "mahimahi(secret)"}), ("hard_wall", {"link": "delay(0) ; recorded( ../secret )"}),
     ])
     def test_whose_knobs_name_a_file_of_this_machine_has_it_read_only_for_who_trusts(
         self, scene: str, knobs: dict[str, str]
