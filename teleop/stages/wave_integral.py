@@ -16,7 +16,7 @@ newest message, all zero before the first:
     L = T - C        the queue: the time that is owed
     H = D^2/(2 S)        the shortest time over which the energy lets D be played evenly
     M = max(0, min(M + (L - M) dt/memory, L - dt))
-    h = max(dt, L - min(M, L - target) dt/settle, min(H, L)) where L >= dt/2, else dt        the time for it
+    h = max(dt, L - min(M, L - keep) dt/settle, min(H, L)) where L >= dt/2, else dt        the time for it
     p = D/max(h, H) where L >= dt/2, else p' limited to +-sqrt(S/dt)
     P += dt p        G += dt p^2/2        C = max(C, T - (h - dt))
     C += max(0, dt + L dt/ahead) where L < dt/2, no newer message is played, and p' was not limited
@@ -42,7 +42,8 @@ No drift: nothing that was sent is forgotten. x_m - x_d is the waves under way a
 comes to rest where they do.
 
 The queue follows the gaps of the link. M falls with it in a gap and rises towards it within `memory`, so M is what no
-gap of that time has needed; that alone is released, with the time constant `settle`, and never below `target`. A
+gap of that time has needed; that alone is released, with the time constant `settle`, and never below `target`: keep is
+target + dt, since L is the queue before the tick is played, and nothing where nothing is to be kept. A
 steady wave cannot give any of it back: to play u (t + d) within a time t takes an energy u^2 (t + d)^2/(2 t) at least,
 by Cauchy-Schwarz, and u^2 (t + d)/2 was sent. So no passive rule that forgets nothing shortens the queue of a steady
 wave. It shortens by what varying waves leave over, and in full where the hand lets go.
@@ -106,7 +107,8 @@ class WaveIntegralStage(Stage):
     """The wave p in place of the received one. Recorded is the queue, `queue_m` or `queue_s` (s)."""
 
     name: ClassVar[str] = "wave_integral"
-    target: float  # the least queue that is kept, s
+    target: float  # the least queue that is left after a tick, s
+    keeps: float  # the same before it, which is longer by the tick
     settles: float  # the share of what is spare that is released in a tick
     recalls: float  # the share of the way from M to L
     leads: float  # dt, or 0 where what is held in a gap does not count as played
@@ -122,13 +124,14 @@ class WaveIntegralStage(Stage):
         own = scene.wave_playout
         remembered = (min(1.0, dt / own.memory), dt) if own.memory else (1.0, 0.0)
         ahead = (dt, dt / own.ahead) if own.ahead else (0.0, 0.0)
-        return own.target, min(1.0, dt / own.settle), *remembered, *ahead
+        keeps = own.target + dt if own.target else 0.0
+        return own.target, keeps, min(1.0, dt / own.settle), *remembered, *ahead
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis(f"queue_{e.name}", self.axes, "queue"),)
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        self.target, self.settles, self.recalls, self.spared, self.leads, self.returns = given
+        self.target, self.keeps, self.settles, self.recalls, self.spared, self.leads, self.returns = given
         for a, own in zip(e.axes, self.axes, strict=True):
             own.q = own.p = own.P = own.G = own.M = own.queue = zero(run)
             own.C = zero(run) - self.target
@@ -141,7 +144,7 @@ class WaveIntegralStage(Stage):
             if run.has.compiled:
                 own.M = max(0.0, min(own.M + (own.L - own.M) * self.recalls, own.L - self.spared))
                 own.H = own.D * own.D / max(2.0 * own.S, TINY)
-                own.h = max(run.dt, own.L - self.settles * min(own.M, own.L - self.target), min(own.H, own.L))
+                own.h = max(run.dt, own.L - self.settles * min(own.M, own.L - self.keeps), min(own.H, own.L))
                 own.h = where(run.half_dt <= own.L, own.h, run.dt)
                 own.most = sqrt(own.S / run.dt)
                 own.credit = where(run.half_dt > own.L, max(0.0, self.leads + own.L * self.returns), 0.0)
@@ -163,7 +166,7 @@ class WaveIntegralStage(Stage):
         own.credit = 0.0
         if run.half_dt <= own.L:
             own.H = own.D * own.D / (2.0 * own.S if 2.0 * own.S > TINY else TINY)
-            own.spare = own.M if own.L - self.target > own.M else own.L - self.target
+            own.spare = own.M if own.L - self.keeps > own.M else own.L - self.keeps
             if own.L - self.settles * own.spare > own.h:  # noqa: PLR1730
                 own.h = own.L - self.settles * own.spare
             if own.h < own.H and own.h < own.L:
@@ -192,7 +195,7 @@ class WaveEnergyStage(WaveIntegralStage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # it has no times
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # it has no times
 
     def receive(self, run: Run, e: End) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
