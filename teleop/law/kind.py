@@ -10,9 +10,12 @@ it. Every other field is a sample, of which the newest stands.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Annotated, Any, get_args, get_type_hints
+from inspect import get_annotations
+from types import SimpleNamespace
+from typing import Annotated, Any, ForwardRef, get_args, get_type_hints
 
 _WAVE = "wave"
 Wave = Annotated[float, _WAVE]
@@ -26,10 +29,22 @@ def waves(message: type[Any]) -> tuple[str, ...]:
 
 @lru_cache(maxsize=256)
 def _waves(message: Any) -> tuple[str, ...]:
-    if "Wave" not in str(getattr(message, "__annotations__", {})):
-        return ()  # nothing to look up, which a class within a function could not be
-    hints = get_type_hints(message, localns={"Wave": Wave}, include_extras=True)
-    return tuple([name for name in message._fields if _WAVE in get_args(hints.get(name))[1:]])
+    return tuple([name for name in message._fields if _is_wave(message, name)])
+
+
+def _is_wave(message: type[Any], field: str) -> bool:
+    for base in message.__mro__:
+        if field in (hints := get_annotations(base)):
+            alone = SimpleNamespace(__annotations__={field: hints[field]})  # others may be of what is not to be found
+            words = vars(sys.modules[base.__module__]) if base.__module__ in sys.modules else {}
+            try:
+                hint = get_type_hints(alone, words, include_extras=True)[field]
+            except Exception:  # its names are those of the function that the class is made in
+                hint = hints[field]
+                text = hint.__forward_arg__ if isinstance(hint, ForwardRef) else str(hint)
+                return text.strip("'\"").rpartition(".")[2] == "Wave"
+            return _WAVE in get_args(hint)[1:]
+    return False
 
 
 def wave(message: type[Any]) -> str | None:

@@ -137,11 +137,12 @@ def read_playout(key: str, value: object) -> Playout:
     word, _, rest = text.partition(":")
     try:
         if word == "fixed" and rest:
-            delay, _, gaps = rest.partition(":")
-            return Fixed(float(delay), _gaps(gaps) if gaps else Zero())
+            delay, colon, gaps = rest.partition(":")
+            return Fixed(float(delay), _gaps(gaps) if colon else Zero())
         return _gaps(text)
     except WrongNumber as error:
-        raise Refused(f"{error}; {key} is {FORMS}; write {key}=fixed:0.1") from None
+        wrong = str(error).partition(";")[0]  # it goes on with the field's name, which is not typed
+        raise Refused(f"in {key}={text} the {wrong}; {key} is {FORMS}; write {key}=fixed:0.1") from None
     except (KeyError, ValueError):
         raise Refused(f"{key} is {FORMS}, not {value!r}; write {key}=fixed:0.1") from None
 

@@ -268,9 +268,19 @@ class TestOtherKinds:
         assert read("playout", text, Playout) == playout
         assert read("playout", playout, Playout) == playout
 
-    @pytest.mark.parametrize("text", ["fixed", "fixed:", "fixed:soon", "fixed:-1", "fixed:0.1:never", "hold:1", "none"])
+    @pytest.mark.parametrize(
+        "text", ["fixed", "fixed:", "fixed:soon", "fixed:-1", "fixed:0.1:", "fixed:0.1:never", "hold:1", "none"])
     def test_playouts_that_are_none(self, text: str) -> None:
         with pytest.raises(Refused):
+            read("playout", text, Playout)
+
+    @pytest.mark.parametrize(("text", "wrong"), [
+        ("integral:-1", "the target must be at least 0, not -1"), ("scaled:2", "the rate must be at most 1, not 2"),
+        ("fixed:-1", "the playout delay must be above 0, not -1")])
+    def test_a_number_within_a_playout_out_of_bounds_has_no_cure_that_cannot_be_typed(self, text: str, wrong: str
+                                                                                      ) -> None:
+        """It said to write target=0, which is no knob."""
+        with pytest.raises(Refused, match=rf"^in playout={text} {wrong}; playout is .*; write playout=fixed:0.1$"):
             read("playout", text, Playout)
 
     def test_paths_are_not_looked_at(self) -> None:
