@@ -52,7 +52,8 @@ PARTS = {
     "send": ("live.net.wire:Wire.send",),
     "record, live line": ("live.records.record:RecordWriter.add", "live.records.inputs:InputWriter.ticked",
                           "live.records.inputs:InputWriter.arrived", "live.live_line:LiveLine.tick",
-                          "live.live_line:LiveLine.announce"),
+                          "live.live_line:LiveLine.announce", "live.records.inputs:InputWriter.ticked",
+                          "live.records.inputs:InputWriter.arrived"),
     "driver and shell": ("live.driving:ClockDriver.wake", "live.shell:Shell.tick", "live.shell:Shell.take_events",
                          "live.shell:Shell.say_again", "live.listening:Listening.update",
                          "live.process.suspension:Suspension.passed"),
@@ -164,9 +165,12 @@ def wrap() -> dict[str, list[int]]:
     times: dict[str, list[int]] = defaultdict(list)
     inside = [0]
     for name in [each for names in PARTS.values() for each in names]:
-        owner, last = place_of(name)
-        if hasattr(owner, last):
-            setattr(owner, last, timed(times[name], inside, getattr(owner, last)))
+        try:
+            owner, last = place_of(name)
+            function = getattr(owner, last)
+        except (ImportError, AttributeError):
+            continue  # this tree has it not
+        setattr(owner, last, timed(times[name], inside, function))
     return times
 
 
