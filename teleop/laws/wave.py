@@ -77,7 +77,7 @@ class Wave:
         b, K, B, x, v, dt = self.b, self.K, self.B, at.x, at.v, at.dt
         u = rx.u * at.fresh
         root = sqrt(2.0 * b)
-        x_d = s.x_d + max(0.0, at.span - dt) * s.v_d
+        x_d = s.x_d + (at.span - dt) * s.v_d
         v_d = (root * u - K * (x_d - x) + B * v) / (b + B + K * dt)
         x_d = x_d + dt * v_d
         # The same as root*u - b*v_d, which cancels at large K.

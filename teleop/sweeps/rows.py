@@ -148,6 +148,8 @@ class RowMaker:
         """A scene that differs from a known one in these parts; None if it is of another structure."""
         if not changed <= LIGHT:
             return None
+        if "link" in changed and structure_of(scene) != known.prepared.structure:  # it may decide how waves are played
+            return None
         made = known.made._replace(drawn={}) if "link" in changed else known.made
         bodies = known.prepared.bodies
         if "environment" in changed:
