@@ -146,9 +146,8 @@ class RowMaker:
 
     def _varied(self, known: KnownScene, scene: Scene, changed: frozenset[str]) -> Made | None:
         """A scene that differs from a known one in these parts; None if it is of another structure."""
-        if not changed <= LIGHT:
-            return None
-        if "link" in changed and structure_of(scene) != known.prepared.structure:  # it may decide how waves are played
+        # A link may decide how waves are played.
+        if not changed <= LIGHT or ("link" in changed and structure_of(scene) != known.prepared.structure):
             return None
         made = known.made._replace(drawn={}) if "link" in changed else known.made
         bodies = known.prepared.bodies
