@@ -7,6 +7,7 @@ import shutil
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from channel.recorded import Recorded
+from slave.wall import Wall
 from teleop.__main__ import main
 from teleop.errors import Refused
 from teleop.live.records.inputs import ARRIVALS, INPUTS
@@ -23,6 +25,9 @@ from teleop.live.replay.open_loop import commanded
 from teleop.live.replay.rerun import difference, read_end
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Integral
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
+from teleop.stages.velocity.low_pass import LowPass
 from tests.live.conftest import Pair
 from tests.live.recording import Recording
 from tests.teleop.protocol.virtual_clock import healing
@@ -237,11 +242,21 @@ def test_open_loop_over_sessions_that_begin_anew_the_messages_take_the_way_they_
         assert np.array_equal(one.commanded, one.recorded)
 
 
-def test_ends_that_go_by_packets_are_run_again_to_the_bit(pair: Callable[..., Pair]) -> None:
-    scene = load_scene("hard_wall", duration=0.3)
+THREE: dict[str, Any] = {"axes": 3, "environment": (Wall(k=2e3, at=0.002), None, None), "device_m": Device(
+    encoder=Encoder(step=1e-5), velocity=LowPass(cutoff=50.0)), "playout": Integral()}
+
+
+@pytest.mark.parametrize(("law", "other"), [("wave", {}), ("wave", THREE), ("pfra", THREE)],
+                         ids=["one axis", "waves in three", "a sensor in three"])
+def test_ends_that_go_by_packets_are_run_again_to_the_bit(
+    law: str, other: dict[str, Any], pair: Callable[..., Pair]
+) -> None:
+    scene = replace(load_scene("hard_wall", law=law, observer="none", duration=0.3), **other)
     run = pair(scene, seed=3).run()
     assert set(run.status().values()) == {"ok"}
     master, slave = run.write()
     for folder in (master, slave):
-        assert difference(read_end(folder, scene), scene) is None
-    assert not (master / "arrivals.bin").exists()
+        end = read_end(folder, scene)
+        assert end.inputs.sensor is (law == "pfra")
+        assert difference(end, scene) is None
+    assert not (master / ARRIVALS).exists()
