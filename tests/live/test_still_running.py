@@ -17,6 +17,7 @@ import pytest
 from teleop import Refused, load_result
 from teleop.__main__ import main
 from teleop.live.records.end_result import NAMES
+from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.merge import merge, needs_recovery
 from teleop.live.records.record import FILE, RecordWriter
 from teleop.protocol.guard import Event
@@ -166,7 +167,7 @@ def test_two_ends_of_which_one_was_killed_and_one_runs_are_shown_and_not_written
     assert "still running: master;" in said
     assert "slave: the process ended without a word after tick 1199" in said
     assert not (tmp_path / "both").exists()
-    assert [sorted(left_in(tmp_path / each)) for each in "ms"] == [["events.jsonl", FILE]] * 2
+    assert [sorted(left_in(tmp_path / each)) for each in "ms"] == [[ARRIVALS, "events.jsonl", INPUTS, FILE]] * 2
     master.tick(150)
     master.kill()
     assert "written to" in shown(capsys, tmp_path / "m", tmp_path / "s", "--out", tmp_path / "both")
