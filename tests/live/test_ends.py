@@ -101,7 +101,7 @@ def test_two_ends_do_without_a_channel_and_talk_plainly_to_people(command: Start
         assert "\r" not in out
         assert "written to one/" in out
     assert summary(tmp_path / "one" / "slave")["slave"]["delay"]["least"] < 0.03
-    scene = load_scene("hard_wall", duration=0.6, timeout=0.06)
+    scene = load_scene("hard_wall", duration=0.6, timeout=0.06, playout="integral")
     whole = merge(scene, tmp_path / "one" / "master", tmp_path / "one" / "slave")
     assert whole.status == "ok"
     assert whole.ticks > 0
