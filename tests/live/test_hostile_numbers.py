@@ -22,12 +22,14 @@ def hostile(shell: Any, size: float) -> None:
     end = shell.endpoint
     honest = end._datagram
 
-    def datagram(k: int, now: int, tx: tuple[Any, ...], row: tuple[float, ...]) -> bytes | None:
+    def datagram(k: int, now: int, tx: tuple[Any, ...], sent: tuple[Any, ...] | None, row: Any) -> bytes | None:
         if k > 100:
             value = size if k // 20 % 2 else -size
             tx = tuple(type(message)(*[value] * len(message)) for message in tx)
+            if sent is not None:  # what its waves have come to
+                sent = tuple(type(one)(one.T, value, size) for one in sent)
             row = tuple(size if i == end._E_in else number for i, number in enumerate(row))
-        data: bytes | None = honest(k, now, tx, row)
+        data: bytes | None = honest(k, now, tx, sent, row)
         return data
 
     end._datagram = datagram
