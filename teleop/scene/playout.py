@@ -32,10 +32,10 @@ class Integral:
     """Playout of waves by their integral within their energy, both sent along: `teleop.stages.wave_integral`.
 
     Nothing that was sent is forgotten, so a steady wave stays steady through loss and jitter; and no more energy is
-    played than was sent, so E_link >= 0 over any link. The queue that fills the gaps is as long as the longest gap of
-    the last `memory` s, and at least `target` s, which trades delay for smoothness; what is beyond is released with
-    the time constant `settle` (s), as far as the energy allows. What is held in a gap counts as played, up to
-    `ahead` s.
+    played than was sent, so E_link >= 0 over any link, but for a wave that is held over ticks that are left out, until
+    it is paid. The queue that fills the gaps is as long as the longest gap of the last `memory` s, and at least
+    `target` s, which trades delay for smoothness; what is beyond is released with the time constant `settle` (s), as
+    far as the energy allows. What is held in a gap counts as played, up to `ahead` s.
     """
 
     stage: ClassVar[str] = "wave_integral"

@@ -19,7 +19,7 @@ from teleop.law import Law
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import built_in_scenes, scene_function
 from teleop.scene.parts import Reference
-from teleop.scene.playout import Playout, Zero
+from teleop.scene.playout import Energy, Fixed, Gaps, Integral, Playout, Zero
 from teleop.scene.scene import Scene
 
 Dice = np.random.Generator
@@ -175,6 +175,22 @@ def drawn(law: Any, dice: Dice, ticks: int, files: Mapping[str, list[Path]]) -> 
         "k_e": 10.0 * 1e4 ** float(dice.random()), "d_e": float(dice.uniform(0.0, 20.0)),
         "wall": float(dice.uniform(-0.02, 0.03)), "x_limit": 10.0,  # a law may diverge; rounding is not to show
     }
+
+
+def integrated(knobs: Mapping[str, Any], dice: Dice) -> dict[str, Any]:
+    """The same row with waves played by their integral, or at once within the energy."""
+    dt, playout = float(knobs["dt"]), str(knobs["playout"])
+    own = Integral(
+        [0.0, dt * int(dice.integers(1, 20))][int(dice.integers(2))],
+        settle=10.0 ** _within(dice, -3.0, 1.0), memory=[0.0, 10.0 ** _within(dice, -2.0, 1.0)][int(dice.integers(2))],
+        ahead=[0.0, _within(dice, 0.0, 0.2)][int(dice.integers(2))])
+    gaps: Gaps = [Integral(), own, Energy()][int(dice.integers(3))]
+    return {**knobs, "playout": gaps if playout == "zero" else Fixed(float(playout.partition(":")[2]), gaps)}
+
+
+def late(knobs: Mapping[str, Any], dice: Dice) -> dict[str, Any]:
+    """The same row with ticks left out at both ends."""
+    return {**knobs, "left_out": _within(dice, 0.01, 0.6)}
 
 
 def held(knobs: Mapping[str, Any]) -> dict[str, Any]:
