@@ -39,6 +39,7 @@ from teleop.protocol.packet import (
 from teleop.protocol.presence import Presence
 from teleop.protocol.rates import Heard, Messages, Resampling
 from teleop.protocol.session import Session
+from teleop.protocol.sums import Sums
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 from teleop.simulation.given import numbers_of
@@ -163,6 +164,7 @@ class Endpoint:
         self._size = check_size(scene.wire_size, most, energy=scene.energy and not self._integral)
         self._newest_wins = not self.stepped and not isinstance(scene.played_as, Fixed)
         self._rates = Resampling(self._rx_type, mine=self.every)
+        self._sums = Sums(scene.dt_ns / 1e9, scene.axes)
         self._dt, self._dt_ns = dt, scene.dt_ns
 
     @property
@@ -218,8 +220,9 @@ class Endpoint:
             self.rejected["early"] += 1
             self.presence.ahead(self._tick, seq - near, sent_ns, now)
             return []
-        if seq < 0 or seq < near - (1 << 30):
-            self.rejected["old"] += 1
+        old, heard = seq < 0 or seq < near - (1 << 30), self._heard(packet)
+        if old or (heard.waves is not None and not self._sums.add_up(seq, heard.waves, session.peer_every)):
+            self.rejected["old" if old else "integrals"] += 1
             return []
         self.received += 1
         if self._window.judge(seq, near) == "new":
@@ -235,7 +238,7 @@ class Endpoint:
         tick = came if came > self._tick else self._tick + 1
         if self.witness is not None:
             self.witness.arrived(self._met, seq, now - start_ns, tick)
-        self.inbox.put(seq, tick, self._heard(packet))
+        self.inbox.put(seq, tick, heard)
         return []
 
     def tick(self, k: int, now: int, reading: Reading, trouble: str | None = None) -> Tick:
@@ -319,6 +322,7 @@ class Endpoint:
                 self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
                 self.inbox, self._tick = Inbox(self.scene.played_as, self.scene.dt_ns, tick=k - 1), k - 1
                 self._window, self._newest, self._shifted = Window(), None, 0
+                self._sums = Sums(self.scene.dt_ns / 1e9, self.scene.axes)
                 self.presence.begin()
                 self.link.begin(self._rates.theirs)
             self.guard.begin(k, "the law begins from rest, and its positions from here")
