@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from teleop.errors import Refused
+from teleop.errors import Refused, number_of, plural
 from teleop.live.records.end_result import NAMES, WAYS, end_result
 from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.live.shell import Shell
@@ -74,6 +74,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         first=shell.counts.first, every=endpoint.every,
         notes=[*old, *cut, *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),
                *filter(None, [shell.recorder.trouble, shell.recorder.inputs.trouble, clock_note(endpoint.link),
+                              sums_note(endpoint.rejected["integrals"], NAMES["s" if endpoint.e == "m" else "m"]),
                               missed_note(shell.counts.skipped, shell.counts.skipped + shell.counts.ticks,
                                           endpoint.own, told)])],
     )
@@ -105,6 +106,17 @@ def clock_note(link: LinkEstimates) -> str | None:
             f"ticks follows {1e6 / SLEW:.0f} ppm: in {seen / 1e9:.0f} s the two grids came apart by {apart / 1e6:.1f} "
             "ms, by which delays and ages as told, a fixed playout and the tracking error are wrong, until the two "
             "begin a new session for it; have a time service (NTP, PTP) keep both clocks, or mend the one that is off")
+
+
+def sums_note(count: int, other: str) -> str | None:
+    """A sentence if `count` messages of the `other` end were not taken for their T, U and E; None of none."""
+    if not count:
+        return None
+    were = f"{number_of(count, 'message')} of it {plural(count, 'was', 'were')}"
+    return (f"the {other}'s waves do not add up: {were} not taken, for what its waves have come to did "
+            "not fit its number and the messages before; somebody changes them on the way, or the software "
+            "of that end is at fault: have the link sealed (see teleop/protocol/README.md), and the same version at "
+            "both ends")
 
 
 def missed_note(skipped: int, due: int, scene: Scene, realtime: dict[str, str] | None = None) -> str | None:

@@ -22,7 +22,7 @@ from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS, FILE, read_record
-from teleop.live.summary import missed_note
+from teleop.live.summary import missed_note, sums_note
 from teleop.protocol.packet import DATA, Kind, peek
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
@@ -204,6 +204,12 @@ def test_a_note_on_ticks_that_were_left_out_says_what_the_playout_makes_of_them(
     """Of every playout it said that the force fades."""
     assert said in str(missed_note(500, 1000, load_scene("hard_wall", playout=playout)))
     assert "its law does without" in str(missed_note(500, 1000, load_scene("hard_wall", law="pfra", playout=playout)))
+
+
+def test_messages_whose_waves_do_not_add_up_are_said_in_a_note() -> None:
+    assert sums_note(0, "master") is None
+    assert str(sums_note(1, "slave")).startswith("the slave's waves do not add up: 1 message of it was not taken")
+    assert str(sums_note(7, "master")).startswith("the master's waves do not add up: 7 messages of it were not taken")
 
 
 def test_ticks_that_are_missed_at_the_very_end_are_counted_too(pair: Make) -> None:
