@@ -10,15 +10,8 @@ from functools import reduce
 from operator import add
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Run, Stage, elapsed, zero
+from teleop.stages.end import Column, End, Run, Stage
 from teleop.stages.record import Record
-
-
-class Power(Record):
-    """The waves of one axis at the last tick, which are held over ticks that are left out."""
-
-    out: float  # half of the square of the wave that was played, W
-    into: float  # of that which was sent
 
 
 class WaveLedger(Stage):
@@ -26,19 +19,12 @@ class WaveLedger(Stage):
 
     name: ClassVar[str] = "wave_ledger"
 
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Power(f"{e}{i}") for i in range(axes)])
-
     def columns(self, e: End) -> tuple[Column, ...]:
         out, inward = ("fwd", "bwd") if e.name == "m" else ("bwd", "fwd")
         return Column(f"E_in_{out}", ((e, "E_in"),)), Column(f"E_out_{inward}", ((e, "E_out"),))
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         e.E_in = e.E_out = 0.0
-        if e.has.leaves_out:
-            for own in self.axes:
-                own.out = own.into = zero(run)
 
     def act(self, run: Run, e: End, k: int) -> None:
         if run.has.integral:  # which keeps both itself
@@ -49,17 +35,10 @@ class WaveLedger(Stage):
 
     def sum(self, run: Run, e: End) -> None:
         """The energy of this tick's waves."""
-        for a, own in zip(e.axes, self.axes, strict=True):
-            if e.has.leaves_out:
-                e.E_out = e.E_out + (elapsed(run, e) - run.dt) * own.out
-                e.E_in = e.E_in + (elapsed(run, e) - run.dt) * own.into
+        for a in e.axes:
             wave = getattr(a.rx, e.rx_wave) * (True if run.has.repeats else e.got)
-            if e.has.leaves_out:
-                own.out = 0.5 * (wave * wave)
             e.E_out = e.E_out + run.half_dt * (wave * wave)
             wave = getattr(a.tx, e.tx_wave)
-            if e.has.leaves_out:
-                own.into = 0.5 * (wave * wave)
             e.E_in = e.E_in + run.half_dt * (wave * wave)
 
 
