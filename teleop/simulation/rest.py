@@ -117,9 +117,13 @@ def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
     window = (ticks - since) // WINDOWS
     late = sum(end.delay + end.every - 1 for end in (scene.device_m, scene.device_s) if end)
     own = ceil(PERIODS * period(scene) * 1e9 / scene.dt_ns)
-    disturbed = scene.left_out_m or scene.left_out_s or (scene.link is not None and varies(scene.link))
-    least = DISTURBED if disturbed else FELT
-    return Still(since, window, encoder_step(scene), late, own, least) if window >= LEAST else None
+    return Still(since, window, encoder_step(scene), late, own, least_swing(scene)) if window >= LEAST else None
+
+
+def least_swing(scene: Scene) -> float:
+    """The swing (m) below which a scene rests, its encoders aside: more where its link, or its ticks, disturb it."""
+    late = scene.left_out_m is not None or scene.left_out_s is not None
+    return DISTURBED if late or (scene.link is not None and varies(scene.link)) else FELT
 
 
 def period(scene: Scene) -> float:

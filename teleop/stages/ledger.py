@@ -15,7 +15,11 @@ from teleop.stages.record import Record
 
 
 class WaveLedger(Stage):
-    """Half of the squared waves, tick by tick, where the law's messages have waves."""
+    """Half of the squared waves, tick by tick, where the law's messages have waves.
+
+    Of ticks that are left out it has nothing, as it has nothing of the time between two ticks: what the held force does
+    then is in `E_port`. Where waves are played by their integral that stage keeps the ledger, held waves and all.
+    """
 
     name: ClassVar[str] = "wave_ledger"
 

@@ -21,7 +21,7 @@ from teleop.scene.loading import SceneMaker
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
 from teleop.simulation.prepared import Prepared, prepare
-from teleop.simulation.rest import Still, still
+from teleop.simulation.rest import Still, least_swing, still
 from teleop.simulation.structure import structure_of
 from teleop.sweeps.engine import Measure, Stamps, kernel_of, needs_record
 from teleop.sweeps.kernels.kernel import Kernel, NotCompiled, available, tree_of
@@ -149,7 +149,7 @@ class RowMaker:
         # A link may decide how waves are played.
         if not changed <= LIGHT or ("link" in changed and structure_of(scene) != known.prepared.structure):
             return None
-        made = known.made._replace(drawn={}) if "link" in changed else known.made
+        made = _with_link_of(scene, known.made) if "link" in changed else known.made
         bodies = known.prepared.bodies
         if "environment" in changed:
             slaves = slave_plants(scene)
@@ -183,6 +183,12 @@ class RowMaker:
             return None
         group = self._group(made.group.kernel, made.group.ticks, flat, rest)
         return made._replace(group=group, flat=flat, path=path, still=rest)
+
+
+def _with_link_of(scene: Scene, made: Made) -> Made:
+    """The same with another link: it has its own schedules, and may disturb what is at rest."""
+    rest = made.still and made.still._replace(least_swing=least_swing(scene))
+    return made._replace(drawn={}, still=rest)
 
 
 class Made(NamedTuple):
