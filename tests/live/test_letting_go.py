@@ -120,8 +120,8 @@ def law_is_nan(both: list[Any], e: str) -> Callable[[Reading], Reading]:
             self.started = started
 
         def send(self, told: Any) -> Any:
-            _, tx, row = self.started.send(told)
-            return (nan,), tx, row
+            _, *rest = self.started.send(told)
+            return (nan,), *rest
 
     def act(reading: Reading) -> Reading:
         endpoint = both[0].shells[e].endpoint
