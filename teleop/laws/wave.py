@@ -19,10 +19,13 @@ motion would leave it v_d dt behind, and nothing brings it back. Over a gap of g
 coupling takes in f_s e' g = K e e' g + B e'^2 g and its spring stores K e e' g + K e'^2 g^2/2, so it makes no energy as
 long as g <= 2 B/K.
 
-Claims: E_link >= 0 to rounding, for every link that plays a wave at most once and puts zero in the
-gaps (playout `zero`, or `fixed` with gaps `zero`): then the waves taken out are a subset of the waves
-put in. Holding a wave in the gaps plays it twice and is active. A constant delay of whole ticks keeps
-E_link equal to the waves under way. Nothing is claimed of E_port, which contains the hold's own leak.
+Claims: E_link >= 0 to rounding over every link, with the playouts that play no more energy than was
+sent: `integral` and `energy`, which play what is owed of the waves within the energy that came with
+them (`teleop.stages.wave_integral`), and `zero`, with which the waves taken out are a subset of the
+waves put in; each alone or in the gaps of `fixed`. With `zero` a steady force fades, by one wave with
+each gap. Holding a wave in the gaps (`hold`) plays it twice and is active. A constant delay of whole
+ticks keeps E_link equal to the waves under way. Nothing is claimed of E_port, which contains the
+hold's own leak.
 """
 
 from __future__ import annotations
