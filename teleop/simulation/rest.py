@@ -122,8 +122,16 @@ def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
 
 def least_swing(scene: Scene) -> float:
     """The swing (m) below which a scene rests, its encoders aside: more where its link, or its ticks, disturb it."""
+    return DISTURBED if disturbed(scene) else FELT
+
+
+def disturbed(scene: Scene) -> bool:
+    """True if a link that loses or jitters, or ticks that are left out, move the scene for ever: see `DISTURBED`.
+
+    One end by itself they do not: what it holds over ticks that are left out is no other than at rest.
+    """
     late = scene.left_out_m is not None or scene.left_out_s is not None
-    return DISTURBED if late or (scene.link is not None and varies(scene.link)) else FELT
+    return scene.slave is not None and (late or (scene.link is not None and varies(scene.link)))
 
 
 def period(scene: Scene) -> float:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law import law_name
-from teleop.scene.playout import Fixed, Scaled, Zero, gaps_of
+from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.given import numbers_of
@@ -83,10 +83,14 @@ def about_rest(scene: Scene) -> Scene:
 
 
 def refuse_nonlinear_parts(scene: Scene) -> None:
-    """Refuse a cap, an encoder, friction, a passivity controller, ticks left out, and an environment not linear."""
+    """Refuse a cap, an encoder, friction, a passivity controller, ticks left out, a queue of waves that is kept, and an
+    environment not linear."""
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out, so the loop is not time-invariant and its scene has no eigenvalues; "
                       f"{INSTEAD}, or {without(scene, 'leave left_out_m and left_out_s away', left_out='0')}")
+    if isinstance(gaps := scene.wave_playout, Integral) and gaps.target > 0.0:
+        raise Refused(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags, and as their energy "
+                      f"has it, so its scene has no eigenvalues; {INSTEAD}, or leave the seconds of the queue out")
     if scene.cap is not None:
         leave = without(scene, "leave the cap out", f_max="none", slew="none", v_max="none", power="none")
         raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")

@@ -11,6 +11,9 @@ again up to `LENGTHS`, until
 Where the longest run decides nothing, a swing that grew in it is unstable. One that fell all the time is stable, but
 not behind an encoder, which leaves limit cycles of any size. All else is a limit cycle.
 
+What a link that loses or jitters, or ticks that are left out, move for ever is no limit cycle below `DISTURBED`: it is
+stable, unless it grew in the longest run.
+
 Does it rest? What is stable does, and behind an encoder also what swings by at most `STEPS` of its steps peak to peak.
 Where in a step the device comes to stand is chance, and near an edge the reading flickers by one for good, so that a
 stricter limit would tell where the edges are and not how stiff the wall may be. How little of a swing a hand feels is
@@ -24,7 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
-from teleop.simulation.rest import STEPS, WINDOWS, encoder_step, pitch, places, swings, trend
+from teleop.simulation.rest import DISTURBED, STEPS, WINDOWS, disturbed, encoder_step, pitch, places, swings, trend
 
 if TYPE_CHECKING:
     from teleop.simulation.result import Result
@@ -97,6 +100,9 @@ def _decided(scene: Scene, seen: _Seen, lasting: float) -> FreeMotion:
         return FreeMotion("unstable", f"still grows after {lasting:.3g} s: {told} by now", amplitude, seen.pitch, False)
     if seen.trend == "falls" and not step:
         return FreeMotion("stable", f"still dies away after {lasting:.3g} s: {told} left", amplitude, seen.pitch, True)
+    if disturbed(scene) and seen.last < DISTURBED:
+        return FreeMotion("stable", f"rests but for what its link or its left-out ticks move: {told}", amplitude,
+                          seen.pitch, True)
     rests = seen.last <= STEPS * step
     if step:
         told += f", {seen.last / step:.2g} steps of the encoder"

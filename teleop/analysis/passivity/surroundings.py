@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.models.linear import link_ticks
 from teleop.errors import Refused
-from teleop.scene.playout import Fixed
+from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -30,6 +30,10 @@ def linear_parts(scene: Scene) -> tuple[Scene, list[str]]:
         if getattr(scene, name) is not None:
             changes[name] = None
             left.append(f"ticks that the {whose} leaves out")
+    gaps, own = scene.wave_playout, scene.played_as
+    if isinstance(gaps, Scaled) or (isinstance(gaps, Integral) and gaps.target > 0.0):
+        changes["playout"] = Fixed(own.delay) if isinstance(own, Fixed) else Zero()
+        left.append(f"playout {as_typed(own)}")
     for name in ("master", "slave"):
         body = getattr(scene, name)
         if body is not None and body.friction > 0.0:

@@ -20,7 +20,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.scene.playout import Fixed
+from teleop.scene.playout import Fixed, Integral
 from teleop.scene.playout import Hold as Repeat
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
@@ -131,6 +131,7 @@ class TestWhatIsNotLinear:
         ({"link": parse_link("delay(0.01) | bernoulli(0.01)")}, ["same number of ticks", "--link 'delay(0.05)'"]),
         ({"link": parse_link("delay(0.01) | uniform(0.01)")}, ["same number of ticks"]),
         ({"link": parse_link("delay(0.01)"), "playout": Fixed(0.005)}, ["same number of ticks"]),
+        ({"law": Wave(), "playout": Fixed(0.1, Integral(0.05))}, ["fixed:0.1:integral:0.05 keeps a queue", "--time"]),
     ])
     def test_is_refused_with_what_to_do_instead(self, changes: dict[str, Any], words: list[str]) -> None:
         with pytest.raises(Refused) as refused:

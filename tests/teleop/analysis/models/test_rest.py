@@ -11,6 +11,7 @@ import pytest
 
 import teleop.simulation.virtual
 from master.hand import Grip, Rest
+from teleop import load_scene
 from teleop.analysis.models.rest import QUIET, settled
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
@@ -105,6 +106,22 @@ class TestRest:
         assert asked == [2000 * 2**i for i in range(lengths)]
         assert got.amplitude == pytest.approx(sizes[-1], rel=0.1)
         assert got.verdict == ("stable" if sizes[-1] < QUIET else "limit cycle")
+
+    @pytest.mark.parametrize(("size", "verdict"), [(2e-4, "stable"), (2e-3, "limit cycle")])
+    def test_what_ticks_that_are_left_out_move_for_ever_is_no_limit_cycle(
+        self, size: float, verdict: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A run over a lossy link was ok, and `stability --time` called the same 0.02 mm a limit cycle."""
+        def swinging(scene: Scene, **_: int) -> SimpleNamespace:
+            x = 0.5 * size * np.sin(80.0 * np.pi * np.arange(scene.ticks) * 1e-3)
+            return SimpleNamespace(status="ok", ticks=scene.ticks, dt=1e-3, trace={"x_m": x})
+
+        monkeypatch.setattr(teleop.simulation.virtual, "run", swinging)
+        moved = load_scene("soft_tissue", left_out=0.1, duration=2.0)
+        found = settled(moved)
+        assert (found.verdict, found.rests) == (verdict, verdict == "stable")
+        assert settled(replace(moved, left_out_m=None, left_out_s=None)).verdict == "limit cycle"
+        assert settled(spring(0.0, left_out_m=moved.left_out_m)).verdict == "limit cycle"
 
     def test_is_looked_for_after_what_moved_it(self) -> None:
         assert settled(spring(0.1, duration=4.0), since=2000).sentence.startswith("still dies away after 64 s")

@@ -20,7 +20,7 @@ from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop import Refused, Scene, load_scene
 from teleop.analysis.passivity.judge import judge, two_ports
-from teleop.analysis.passivity.surroundings import touched
+from teleop.analysis.passivity.surroundings import linear_parts, touched
 from teleop.analysis.passivity.two_port import TwoPort, continuous_two_port, sampled_two_port
 from teleop.law import At
 from teleop.laws.direct import Direct
@@ -363,6 +363,13 @@ class TestDevice:
             sampled_two_port(handles(Direct(), device_s=Device(every=2)), self.f)
         with pytest.raises(Refused, match="BackwardDifference or LowPass"):
             sampled_two_port(handles(Direct(), device_m=Device(velocity=Levant(L=10.0))), self.f)
+
+    @pytest.mark.parametrize(("playout", "left"), [
+        ("integral:0.05", ["playout integral:0.05"]), ("fixed:0.1:scaled:0.5", ["playout fixed:0.1:scaled:0.5"]),
+        ("integral", []), ("fixed:0.1", [])])
+    def test_a_playout_that_lags_or_scales_is_said_to_be_left_out(self, playout: str, left: list[str]) -> None:
+        """The two-port was that without the queue that is kept, and without a word."""
+        assert linear_parts(load_scene("soft_tissue", playout=playout))[1] == left
 
     def test_an_encoder_and_a_cap_are_left_out(self) -> None:
         rough = handles(Direct(), cap=Cap(f_max=1.0), device_m=Device(encoder=Encoder(step=1e-4)))
