@@ -89,8 +89,8 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
         raise Refused("ticks are left out, so the loop is not time-invariant and its scene has no eigenvalues; "
                       f"{INSTEAD}, or {without(scene, 'leave left_out_m and left_out_s away', left_out='0')}")
     if isinstance(gaps := scene.wave_playout, Integral) and gaps.target > 0.0:
-        raise Refused(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags, and as their energy "
-                      f"has it, so its scene has no eigenvalues; {INSTEAD}, or leave the seconds of the queue out")
+        raise Refused(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags as their energy has "
+                      f"it, so its scene has no eigenvalues; {INSTEAD}, or leave the seconds of the queue out")
     if scene.cap is not None:
         leave = without(scene, "leave the cap out", f_max="none", slew="none", v_max="none", power="none")
         raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")
