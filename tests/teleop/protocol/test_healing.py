@@ -66,6 +66,7 @@ def check(world: World) -> None:
         if process is not None:
             assert (process.end.stamp_margin or 0.0) >= -1e-12
             assert process.end.force_failed is None
+            assert not process.end.rejected["integrals"], "what an honest end sends adds up"
 
 
 def alike(world: World) -> None:

@@ -18,8 +18,9 @@ from teleop.protocol.sums import Sums
 from teleop.scene.playout import Energy, Fixed, Integral
 from teleop.stages.force_cap import Cap
 from teleop.stages.wave_integral import Integrals
-from tests.teleop.protocol.test_endpoint import ROUGH, Both, met, scene
+from tests.teleop.protocol.test_endpoint import MS, ROUGH, Both, met, scene
 from tests.teleop.protocol.threats.hands import STILL, WATCHED, at, gains, handed_on
+from tests.teleop.protocol.virtual_clock import World, healing
 
 INTEGRAL = replace(WATCHED, playout=Integral(), cap=Cap(f_max=2.0, slew=200.0))
 Lie = Callable[[Integrals], Integrals]
@@ -121,6 +122,36 @@ def test_no_honest_message_is_refused_over_a_rough_link(playout: Integral | Ener
     both = Both(scene(link=parse_link(ROUGH), playout=playout)).run()
     assert min(both.ends[e].received for e in "ms") > 100
     assert not any(both.ends[e].rejected for e in "ms")
+
+
+def test_no_honest_message_is_refused_of_ends_that_stand_still_are_cut_off_or_begin_anew() -> None:
+    world = World(healing(playout=Integral()), jitter=5 * MS)
+
+    def settled() -> None:
+        world.run(0.1)
+        assert world.until_both_play(6.0) < 6.0
+        world.run(0.5)
+        for e in "ms":
+            assert world.end(e).received > 0
+            assert not world.end(e).rejected["integrals"]
+
+    settled()
+    for e, away in (("s", 0.05), ("m", 0.3), ("s", 1.5)):
+        world.pause(e, True)
+        world.run(away)
+        world.pause(e, False)
+        settled()
+    world.cut = {"m", "s"}
+    world.run(2.0)
+    world.cut = set()
+    settled()
+    for who in ("m", "s", "ms"):
+        for e in who:
+            world.kill(e)
+        world.run(0.7)
+        for e in who:
+            world.start(e)
+        settled()
 
 
 def sent(waves: list[tuple[float, int, int]], every: int, dt: float) -> list[tuple[int, Integrals]]:
