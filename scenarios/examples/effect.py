@@ -36,7 +36,7 @@ class Handover(Effect):
 
 if __name__ == "__main__":
     check_effect(Handover(1.0, 0.1))  # raises one sentence for the first promise that is broken
-    for gap in (0.0, 0.1, 0.3):
+    for gap in (0.0, 0.1, 0.15):
         result = run(load_scene("hard_wall", link=Handover(1.0, gap) | Delay(0.03)))
         fresh = result.metrics["fresh_fwd"]
         print(f"{1e3 * gap:3g} ms a second: {result.status}, {100 * fresh:.0f} % of the slave's ticks had a message")
