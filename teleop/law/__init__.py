@@ -163,7 +163,11 @@ def _of_its_class(kind: Any) -> bool:
 
 
 def reads(end: Callable[..., Any]) -> frozenset[str]:
-    """Fields of `At` that the lines of an end name, and those of the plain functions that it calls."""
+    """Fields of `At` that the lines of an end name, and those of the plain functions that it calls.
+
+    An end that calls the same end of another law has the fields of that one; where its class is not named, as with
+    `super()` or a law that is kept, it has them all.
+    """
     function = getattr(end, "__func__", end)
     return _reads(function) if isinstance(function, FunctionType) else frozenset()
 
@@ -181,8 +185,13 @@ def _reads(function: FunctionType) -> frozenset[str]:
         found.update(name for name in code.co_names if name in At._fields)
         # Comprehensions and lambdas are code of their own; which of them are depends on the Python version.
         waiting.extend((inner, around) for inner in code.co_consts if isinstance(inner, CodeType))
-        for name in code.co_names:
-            waiting.extend(_code(around.get(name)))
+        named = [around.get(name) for name in code.co_names]
+        waiting.extend(each for thing in named for each in _code(thing))
+        if function.__name__ in code.co_names:
+            others = [each for kind in named if isinstance(kind, type)
+                      for each in _code(getattr(kind, function.__name__, None))]
+            waiting.extend(others)
+            found.update(() if others else At._fields)
     return frozenset(found)
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib.metadata
 import subprocess
 import sys
+from dataclasses import dataclass, replace
 from math import inf
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from teleop import load_scene, run
 from teleop.errors import Refused
 from teleop.law import BUILT_IN, At, find_law, known_laws, law_name, messages, reads, start_at
 from teleop.laws import direct, pfra, wave
@@ -101,6 +103,45 @@ def test_so_do_comprehensions_and_lambdas_in_every_version_of_python() -> None:
         return sum(k * at.f for k in rx) + late, [at.dx for _ in rx], s
 
     assert reads(end) == {"age", "f", "dx"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inherits(wave.Wave):
+    """A law that has another as its base class."""
+
+    def slave(self, s: wave.Slave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.Slave]:
+        return super().slave(s, at, rx)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Names(wave.Wave):
+    """A law that names the class of another."""
+
+    def slave(self, s: wave.Slave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.Slave]:
+        return Base.slave(self, s, at, rx)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keeps(wave.Wave):
+    """A law that keeps another."""
+
+    inner: wave.Wave = wave.Wave()
+
+    def slave(self, s: wave.Slave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.Slave]:
+        return self.inner.slave(s, at, rx)
+
+
+Base = wave.Wave
+
+
+@pytest.mark.parametrize(("law", "fields"), [
+    (Names(), {"x", "v", "fresh", "dt", "span"}), (Inherits(), set(At._fields)), (Keeps(), set(At._fields))])
+def test_a_law_that_calls_the_same_end_of_another_is_told_what_that_one_reads(law: Any, fields: set[str]) -> None:
+    """It was told no span, and its first force was NaN."""
+    assert reads(law.slave) == fields
+    scene = load_scene("canonical", law=wave.Wave(), left_out=0.1, duration=0.2)
+    here, there = run(replace(scene, law=law)).trace, run(scene).trace
+    assert list(here["f_s"]) == list(there["f_s"])
 
 
 def test_what_is_no_plain_function_reads_nothing() -> None:
