@@ -141,7 +141,7 @@ class WaveIntegralStage(Stage):
     def receive(self, run: Run, e: End) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
             owed(run, e, a, own)
-            if run.has.compiled:
+            if run.has.lanes:
                 own.M = max(0.0, min(own.M + (own.L - own.M) * self.recalls, own.L - self.spared))
                 own.H = own.D * own.D / max(2.0 * own.S, TINY)
                 own.h = max(run.dt, own.L - self.settles * min(own.M, own.L - self.keeps), min(own.H, own.L))
@@ -156,7 +156,7 @@ class WaveIntegralStage(Stage):
             play(run, e, a, own)
 
     def release(self, run: Run, e: End, a: Axis, own: AxisWaves) -> None:
-        """The same as for compiled code, with branches in place of calls."""
+        """The same of one scene, with branches, which cost less than roots and quotients that are seldom needed."""
         own.M = own.M + (own.L - own.M) * self.recalls
         if own.L - self.spared < own.M:  # noqa: PLR1730 - a call costs more
             own.M = own.L - self.spared

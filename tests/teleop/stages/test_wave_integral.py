@@ -30,7 +30,7 @@ from tests.teleop.stages.receiver import DT, NOTHING, Alone, Message, Tick, muta
 
 BARE = Integral(settle=1.0, memory=0.0, ahead=0.0)  # releases the queue with 1 s, whatever gaps there were
 RULES = {"integral": Integral(), "integral:0.005": Integral(0.005), "bare": BARE, "energy": Energy()}
-both_forms = pytest.mark.parametrize("compiled", [False, True], ids=["plain", "compiled"])
+both_forms = pytest.mark.parametrize("lanes", [False, True], ids=["one scene", "lanes"])
 every_rule = pytest.mark.parametrize("name", RULES)
 
 
@@ -72,9 +72,9 @@ def told(waves: list[float], integral: float, energy: float, left: list[float]) 
                 round(max(map(abs, waves)), 6))
 
 
-def reconstructed(playout: Gaps, wave: Callable[[int], float], late: Callable[[int], int], *, compiled: bool) -> Any:
+def reconstructed(playout: Gaps, wave: Callable[[int], float], late: Callable[[int], int], *, lanes: bool) -> Any:
     """The waves that a rule plays, and what came of them."""
-    sender, receiver = Alone(playout, compiled=compiled), Alone(playout, compiled=compiled)
+    sender, receiver = Alone(playout, lanes=lanes), Alone(playout, lanes=lanes)
     arriving: dict[int, list[Integrals]] = {}
     heard, waves, left = NOTHING, [], []
     for k in range(20_000):
@@ -94,14 +94,14 @@ def reconstructed(playout: Gaps, wave: Callable[[int], float], late: Callable[[i
 def test_a_wave_of_two_tones_is_played_as_worked_out_by_other_means_in_the_same_bits_in_both_forms(
     playout: Gaps, expected: Told
 ) -> None:
-    plain, compiled = [reconstructed(playout, two_tones, is_late, compiled=form) for form in (False, True)]
-    assert plain[1] == expected
-    assert plain[0] == compiled[0]
+    alone, lanes = [reconstructed(playout, two_tones, is_late, lanes=form) for form in (False, True)]
+    assert alone[1] == expected
+    assert alone[0] == lanes[0]
 
 
 @pytest.mark.parametrize("name", ["integral", "bare", "energy"])
 def test_of_a_steady_wave_nothing_is_missing_after_its_first_message(name: str) -> None:
-    waves, came = reconstructed(RULES[name], steady, punctual, compiled=False)
+    waves, came = reconstructed(RULES[name], steady, punctual, lanes=False)
     assert came.zeros == 90  # 50 of the delay, and then the longest gap
     assert came.peak == 0.5
     assert sum(waves) / 20_000 == pytest.approx(0.497750, abs=5e-7)
@@ -218,11 +218,11 @@ def waves_with_rests(dice: Random, count: int, rest: int = 400) -> list[float]:
     return waves
 
 
-def overdrawn(module: Any, playout: Gaps, *, compiled: bool) -> float:
+def overdrawn(module: Any, playout: Gaps, *, lanes: bool) -> float:
     """The greatest share by which a tick passes the energy that is left, from states drawn at random."""
     dice, worst = Random(5), -1.0
     for _ in range(2000):
-        receiver = Alone(playout, compiled=compiled, module=module)
+        receiver = Alone(playout, lanes=lanes, module=module)
         own, S = receiver.own, 10.0**dice.uniform(-9.0, 2.0)
         own.G, own.P, own.C = dice.choice([0.0, S * dice.random()]), dice.uniform(-1.0, 1.0), dice.uniform(-0.1, 1.0)
         own.M, own.p = dice.choice([0.0, dice.uniform(0.0, 0.2)]), dice.uniform(-2.0, 2.0) * sqrt(S / DT)
@@ -234,31 +234,31 @@ def overdrawn(module: Any, playout: Gaps, *, compiled: bool) -> float:
     return worst
 
 
-def over_gaps(module: Any, playout: Gaps, *, compiled: bool) -> Iterator[tuple[Tick, Any]]:
+def over_gaps(module: Any, playout: Gaps, *, lanes: bool) -> Iterator[tuple[Tick, Any]]:
     """The ticks of a steady wave over a link that loses and jitters, with what the receiver keeps."""
-    sender, receiver = [Alone(playout, compiled=compiled, module=module) for _ in range(2)]
+    sender, receiver = [Alone(playout, lanes=lanes, module=module) for _ in range(2)]
     for tick in over_a_link(sender, receiver, [0.5] * 4000, Random(2), loss=0.2, jitter=15):
         yield tick, receiver.own
 
 
-def above(module: Any, playout: Gaps, *, compiled: bool) -> float:
+def above(module: Any, playout: Gaps, *, lanes: bool) -> float:
     """The most by which a steady wave is played above itself."""
-    return max(tick.p - 0.5 for tick, _ in over_gaps(module, playout, compiled=compiled))
+    return max(tick.p - 0.5 for tick, _ in over_gaps(module, playout, lanes=lanes))
 
 
-def out_of_the_cone(module: Any, playout: Gaps, *, compiled: bool) -> float:
+def out_of_the_cone(module: Any, playout: Gaps, *, lanes: bool) -> float:
     """How far a steady wave leaves D^2 <= 2 S L."""
-    return max(own.D * own.D - 2.0 * own.S * own.L for _, own in over_gaps(module, playout, compiled=compiled)
+    return max(own.D * own.D - 2.0 * own.S * own.L for _, own in over_gaps(module, playout, lanes=lanes)
                if own.L >= 0.5 * DT)
 
 
-def misbooked(module: Any, playout: Gaps, *, compiled: bool, left_out: float = 0.1, every: tuple[int, int] = (1, 1),
+def misbooked(module: Any, playout: Gaps, *, lanes: bool, left_out: float = 0.1, every: tuple[int, int] = (1, 1),
               seeds: int = 2) -> float:
     """The most by which what was booked as sent or played is not what was held, or is not all played in the end."""
     worst = 0.0
     for seed in range(seeds):
         dice = Random(seed)
-        sender, receiver = [Alone(playout, compiled=compiled, module=module, leaves_out=True, dt=ms * DT)
+        sender, receiver = [Alone(playout, lanes=lanes, module=module, leaves_out=True, dt=ms * DT)
                             for ms in every]
         for tick in over_a_link(sender, receiver, waves_with_rests(dice, 2000), dice, loss=0.2, jitter=15, calm=200,
                                 left_out=left_out, every=every):
@@ -269,12 +269,12 @@ def misbooked(module: Any, playout: Gaps, *, compiled: bool, left_out: float = 0
     return worst
 
 
-def left_behind(module: Any, playout: Gaps, *, compiled: bool, seeds: int = 30) -> float:
+def left_behind(module: Any, playout: Gaps, *, lanes: bool, seeds: int = 30) -> float:
     """The most that is not played in the end where the delay rises by some ticks within a gap."""
     worst = 0.0
     for seed in range(seeds):
         dice = Random(seed)
-        sender, receiver = [Alone(playout, compiled=compiled, module=module) for _ in range(2)]
+        sender, receiver = [Alone(playout, lanes=lanes, module=module) for _ in range(2)]
         sent, newest, rise, at = [NOTHING], 0, dice.randrange(1, 41), dice.randrange(400, 600)
         for k in range(1100):
             varying = (0.0 if dice.random() < 0.3 else 0.5) + 0.3 * sin(k / 7.0)
@@ -303,16 +303,16 @@ KEPT = [(holds, name) for holds in PROPERTIES for name in RULES if not (
 
 @both_forms
 @pytest.mark.parametrize(("holds", "name"), KEPT)
-def test_over_every_link(holds: str, name: str, *, compiled: bool) -> None:
+def test_over_every_link(holds: str, name: str, *, lanes: bool) -> None:
     figure, rounding = PROPERTIES[holds]
-    assert figure(wave_integral, RULES[name], compiled=compiled) <= rounding
+    assert figure(wave_integral, RULES[name], lanes=lanes) <= rounding
 
 
 @every_rule
 @pytest.mark.parametrize("every", [(1, 2), (2, 1), (2, 3), (3, 1)], ids=str)
 def test_ends_of_other_rates_need_no_resampling(name: str, every: tuple[int, int]) -> None:
-    assert misbooked(wave_integral, RULES[name], compiled=False, every=every) <= 1e-12
-    assert misbooked(wave_integral, RULES[name], compiled=False, every=every, left_out=0.0) <= 1e-12
+    assert misbooked(wave_integral, RULES[name], lanes=False, every=every) <= 1e-12
+    assert misbooked(wave_integral, RULES[name], lanes=False, every=every, left_out=0.0) <= 1e-12
 
 
 def over_rates(name: str, left_out: float) -> Iterator[tuple[Tick, float]]:
@@ -392,7 +392,7 @@ def test_whatever_a_peer_sends_is_played_within_the_energy_that_it_sent_and_alik
     heard: list[tuple[Integrals, int]], playout: Gaps
 ) -> None:
     """Of each tick: its energy is at most S; a wave is at most 2 S/|D|; and all is finite."""
-    forms = [Alone(playout, compiled=compiled) for compiled in (False, True)]
+    forms = [Alone(playout, lanes=lanes) for lanes in (False, True)]
     most = 0.0
     for message, ticks in heard:
         most = max(most, message.E)
@@ -481,13 +481,13 @@ def changed(request: pytest.FixtureRequest) -> tuple[str, ModuleType]:
 
 
 @both_forms
-def test_a_mutant_of_the_rule_breaks_a_property(changed: tuple[str, ModuleType], *, compiled: bool) -> None:
+def test_a_mutant_of_the_rule_breaks_a_property(changed: tuple[str, ModuleType], *, lanes: bool) -> None:
     breaks, module = changed
     figure, rounding = PROPERTIES[breaks]
-    assert figure(module, Integral(), compiled=compiled) > 1e6 * rounding
+    assert figure(module, Integral(), lanes=lanes) > 1e6 * rounding
 
 
 @both_forms
 @pytest.mark.parametrize("name", ["energy 10 % over", "the whole queue at once"])
-def test_a_steady_wave_shows_more_than_one_mutant(name: str, *, compiled: bool) -> None:
-    assert above(mutant(*MUTANTS[name][1]), Integral(), compiled=compiled) > 0.01
+def test_a_steady_wave_shows_more_than_one_mutant(name: str, *, lanes: bool) -> None:
+    assert above(mutant(*MUTANTS[name][1]), Integral(), lanes=lanes) > 0.01

@@ -14,7 +14,7 @@ from channel.link import parse_link
 from scenarios.virtual_coupling import scene as virtual_coupling
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop import At, Scene, load_scene
+from teleop import At, Energy, Fixed, Integral, Scaled, Scene, load_scene
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.laws.pfra import PFRA
 from teleop.laws.virtual_wall import VirtualWall
@@ -77,6 +77,50 @@ def test_engines_agree_on_random_scenes_of_every_law(law: str, link: str | None)
     assert repr(done["plain"].rows) == repr(done["scalar"].rows) == repr(done["vector"].rows)
     if law != "wave":
         assert {row["status"] for row in done["vector"].rows} == {"ok", "diverged"}
+
+
+QUEUES = (Integral(), Integral(0.005), Integral(0.05, settle=0.01, memory=0.5),
+          Integral(settle=1.0, memory=0.0, ahead=0.0))
+
+
+def waves_over_own_links(dice: random.Random, playouts: tuple[Any, ...], **more: Any) -> list[Any]:
+    """Rows whose playouts have other numbers, each over a link of its own."""
+    return [(n, {"playout": playouts[n % len(playouts)], "law.b": dice.uniform(0.5, 20.0),
+                 "link": f"delay({0.001 * n}) | uniform(0.02) | bernoulli({0.05 * n}) ; delay(0.02) | bernoulli(0.3)",
+                 **more}, n) for n in range(11)]
+
+
+def assert_engines_agree(
+        scene: str, fixed: dict[str, Any], rows: list[Any], engines: tuple[str, ...],
+        measures: tuple[str, ...] = MEASURES) -> None:
+    done = {engine: work(Job(scene, fixed, rows, measures, engine)) for engine in ("plain", *engines)}
+    assert {engine: one.ran for engine, one in done.items()} == {engine: {(engine, ""): 11} for engine in done}
+    assert {repr(one.rows) for one in done.values()} == {repr(done["plain"].rows)}
+    assert len({row["x_err_rms"] for row in done["plain"].rows}) == 11
+
+
+def test_lanes_may_differ_in_the_queues_that_they_keep() -> None:
+    rows = waves_over_own_links(random.Random(4), QUEUES, law="wave")
+    assert_engines_agree("canonical", {"duration": 0.7}, rows, ("scalar", "vector"))
+
+
+def test_waves_of_three_axes_have_lanes() -> None:
+    rows = waves_over_own_links(random.Random(5), QUEUES)
+    fixed = {"duration": 0.5, "law": "wave", "energy": False}
+    assert_engines_agree("recorded_reach", fixed, rows, ("vector",), ("x_err_rms",))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("playouts", [
+    QUEUES, (Energy(),), (Scaled(0.1), Scaled(0.0)), tuple([Fixed(0.03 + 0.01 * n, Integral()) for n in range(5)]),
+], ids=["integral", "energy", "scaled", "fixed"])
+@pytest.mark.parametrize("scene", ["canonical", "recorded_reach"])
+@pytest.mark.parametrize("left_out", [{}, {"left_out": 0.2}], ids=["every tick", "ticks left out"])
+def test_every_playout_of_waves_has_the_same_bits_in_every_engine(
+    playouts: tuple[Any, ...], scene: str, left_out: dict[str, float]
+) -> None:
+    rows = waves_over_own_links(random.Random(6), playouts, **left_out)
+    assert_engines_agree(scene, {"duration": 0.5, "law": "wave", "energy": True}, rows, ("scalar", "vector"))
 
 
 HARD = Wall(k=2e4, d=10.0, at=0.004)
