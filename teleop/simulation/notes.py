@@ -78,6 +78,9 @@ def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: i
     so = f"the {end} played none of the {number_of(counts.sent, 'packet')} that the {other} sent, and ran without them"
     if counts.lost == counts.sent:
         return [f"{so}: the link lost them all; type another, for example --link 'delay(0.05)'"]
+    if not counts.received and scene.leaves_out(end[0]) is not None:
+        return [f"{so}: none came before the last tick that the {end} ran; type a smaller --set left_out, or a longer "
+                "--set duration"]
     if not counts.received:
         return [f"{so}: none came within the {scene.duration:g} s of the run, so the link takes longer than the run; "
                 "type a smaller --set delay, or a --set duration that is longer than the link's delay"]

@@ -12,6 +12,7 @@ from numbers import Integral
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
+from teleop.scene.parts import LeftOutLike
 from teleop.scene.playout import Fixed, Playout, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.lanes import LEFT_OUT
@@ -137,7 +138,7 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
     parts = scene.leaves_out("m"), scene.leaves_out("s")
     if scene.link is None and parts == (None, None):
         return LinkPlans(None, None)
-    out = [None if part is None else part.left_out(end, count, seed) for end, part in enumerate(parts)]
+    out = [None if part is None else _left_out(part, end, count, seed) for end, part in enumerate(parts)]
     if scene.slave is None:
         assert out[0] is not None
         return LinkPlans(None, _without_packets(out[0]))
@@ -148,6 +149,18 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
         playout = Zero() if scene.link is None else scene.played_as
         plans.append(plan(playout, packet, time_ns, count, scene.dt_ns, sent, receiver))
     return LinkPlans(*plans)
+
+
+def _left_out(part: LeftOutLike, end: int, count: int, seed: int) -> NDArray[np.bool_]:
+    """The ticks that an end leaves out, of a part that may be the user's own. Raises `Refused` if they are none."""
+    import numpy as np
+
+    out = part.left_out(end, count, seed)
+    if not isinstance(out, np.ndarray) or out.dtype != np.bool_ or out.shape != (count,):
+        what = f"an array {out.shape} of {out.dtype}" if isinstance(out, np.ndarray) else type(out).__name__
+        raise Refused(f"{type(part).__name__}.left_out gives {what}, not a truth for each of {count} ticks; return an "
+                      "array such as numpy.zeros(count, dtype=bool)")
+    return out
 
 
 def _without_packets(left_out: NDArray[np.bool_]) -> Plan:

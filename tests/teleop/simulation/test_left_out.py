@@ -131,6 +131,22 @@ def test_passivity_says_that_ticks_are_left_out_and_not_that_it_is_passive_with_
     assert left[-2:] == ["ticks that the master leaves out", "ticks that the slave leaves out"]
 
 
+@pytest.mark.parametrize("out", [[True] * 300, np.zeros(299, dtype=bool), np.zeros(300, dtype=int), None])
+def test_ticks_of_ones_own_that_are_no_truths_are_refused(out: Any) -> None:
+    """A list ended in a TypeError of numpy's, and numbers in place of truths in a run without a single packet."""
+    class Own:
+        def left_out(self, end: int, count: int, seed: int) -> Any:
+            return out
+
+    with pytest.raises(Refused, match=r"^Own.left_out gives .*, not a truth for each of 300 ticks; return an array"):
+        run(pressed(left_out_m=Own()))
+
+
+def test_an_end_that_runs_no_tick_is_not_said_to_have_too_long_a_link() -> None:
+    note = next(note for note in run(pressed(left_out_s=LeftOut(1.0))).notes if "played none" in note)
+    assert "none came before the last tick that the slave ran; type a smaller --set left_out" in note
+
+
 def test_what_needs_every_tick_says_what_to_type() -> None:
     scene = load_scene("soft_tissue", law="direct", left_out=0.1)
     with pytest.raises(Refused, match="leave it out with --set left_out=0"):
