@@ -159,6 +159,9 @@ def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa
         if headers[e]["end"] != e:
             raise Refused(f"{folder} is of a {NAMES[headers[e]['end']]}; give the master's folder first, then the "
                           "slave's")
+        if headers[e]["mode"] == "lockstep":
+            raise Refused(f"the run in {folder} went by packets (--lockstep), over a link that was drawn up front; "
+                          "give that link by --link, or record a run by the clock")
         ticks[e], came[e], spread = np.asarray(record.ticks, np.int64), read_arrivals(folder), far_apart(record.ticks)
         if came[e].header["dt_ns"] != headers[e]["dt_ns"] or not len(ticks[e]):
             raise Refused(f"{folder} holds no ticks with the arrivals beside them; give the folder as the end wrote it")

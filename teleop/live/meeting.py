@@ -9,6 +9,7 @@ from teleop.errors import Refused
 from teleop.live import fault
 from teleop.live.net.address import shown
 from teleop.live.shell import Shell
+from teleop.protocol.packet import VERSION, Rejection
 from teleop.protocol.session import FINISHED
 
 HINT_NS = 2_000_000_000  # of waiting for a peer, and the terminal is told what may be wrong
@@ -81,6 +82,8 @@ def _why_no_peer(shell: Shell, since: str) -> str:
         why = f"no master came {since}; start one that has this address as its --peer, or --wait longer"
     else:
         why = f"no answer from {shown(peer)} {since}; start the other end first, and check address and port"
+    if secure_link is None and shell.endpoint.rejected[Rejection.VERSION.value]:
+        return f"{why}; what came is of another wire version than {VERSION}: install the same release at both ends"
     keys = "; what came was from no such end: has one of the two keys, and the other none?"
     return why + keys * _unknown_came(shell)
 

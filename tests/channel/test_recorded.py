@@ -146,7 +146,8 @@ def met(folder: Path, session: str) -> None:
     (lambda at: (spoiled(at / "slave" / "arrivals.bin", dt_ns=5000), Recorded(str(at))), "holds no ticks with the arr"),
     (lambda at: (met(at / "master", "a"), met(at / "slave", "b"), Recorded(str(at))), "not the two ends of one run"),
     (lambda at: (spoiled(at / "slave" / "record.bin", scene="x"), Recorded(str(at))), "not the two ends of one run"),
-], ids=[str(i) for i in range(13)])
+    (lambda at: (spoiled(at / "master" / "record.bin", mode="lockstep"), Recorded(str(at))), "by packets .* --link"),
+], ids=[str(i) for i in range(14)])
 def test_what_is_no_live_run_is_refused_in_one_sentence(
     spoil: Callable[[Path], object], sentence: str, tmp_path: Path
 ) -> None:

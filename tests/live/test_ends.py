@@ -167,12 +167,16 @@ def test_a_request_that_comes_to_nothing_is_one_sentence(
     nothing_left(tmp_path)
 
 
-@pytest.mark.parametrize(("name", "words"), [
-    ("master", ["master: no answer from 127.0.0.1:", " yet; start the other end first"]),
-    ("slave", ["slave: no master came yet", "has one of the two keys, and the other none?"]),
-])
-def test_whoever_waits_is_told_what_may_be_wrong_while_it_waits(name: str, words: list[str], command: Start) -> None:
-    """A wrong port, or keys at one end alone, was silence for ever at both."""
+@pytest.mark.parametrize(("name", "came", "words"), [
+    ("master", b"", ["master: no answer from 127.0.0.1:", " yet; start the other end first"]),
+    ("slave", bytes((22, 254, 253)) + bytes(100),  # as an end with keys begins
+     ["slave: no master came yet", "has one of the two keys, and the other none?"]),
+    ("slave", b"BT\x03" + bytes(100), ["slave: no master came yet", "of another wire version than 4: install"]),
+], ids=["silence", "keys", "wire version"])
+def test_whoever_waits_is_told_what_may_be_wrong_while_it_waits(
+    name: str, came: bytes, words: list[str], command: Start
+) -> None:
+    """A wrong port, keys at one end alone, or an older release was silence for ever at both."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         at = ("--peer", f"127.0.0.1:{other.getsockname()[1]}") if name == "master" else ANY
@@ -181,7 +185,7 @@ def test_whoever_waits_is_told_what_may_be_wrong_while_it_waits(name: str, words
         said = end.process.stdout.readline()
         if name == "slave":
             port = int(said.split(";")[0].rpartition(":")[2])
-            other.sendto(bytes((22, 254, 253)) + bytes(100), ("127.0.0.1", port))  # as an end with keys begins
+            other.sendto(came, ("127.0.0.1", port))
         assert end.process.stderr is not None
         hint = end.process.stderr.readline()
     assert hint.startswith(words[0])

@@ -168,6 +168,25 @@ def test_a_record_that_is_cut_off_is_replayed_as_far_as_it_goes_and_says_so(
     assert "cut off in the middle of a row" in document["notes"][0]
 
 
+def test_messages_that_no_folder_has_in_open_loop_are_told_of_and_each_note_once(
+    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+) -> None:
+    """Of a slave that was killed and started again its last folder alone was given: silence, and no word of it."""
+    folder = tmp_path / "run"
+    shutil.copytree(lossy, folder)
+    inputs, record = folder / "slave" / INPUTS, folder / "master" / "record.bin"
+    inputs.write_bytes(inputs.read_bytes()[: inputs.stat().st_size // 2])
+    record.write_bytes(record.read_bytes()[:-1])
+    document = json.loads(typed(folder, "--set", "law.b=21", "--json").out)
+    whole = json.loads(typed(lossy, "--set", "law.b=21", "--json").out)
+    assert len(document["notes"]) == len({*document["notes"]}) == 3
+    told = document["notes"][2]
+    assert told.startswith("master: ")
+    assert "came from ticks that the other folder does not have" in told
+    assert 100 < int(told.split()[1]) < whole["slave"]["ticks"]
+    assert whole["notes"] == []
+
+
 def test_whatever_a_folder_of_others_holds_a_replay_ends_in_an_answer_or_in_one_sentence(
     lossy: Path, tmp_path: Path, typed: Callable[..., Said]
 ) -> None:

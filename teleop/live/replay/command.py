@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.errors import Refused
+from teleop.errors import Refused, number_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.record import FILE, never_met, read_record
 from teleop.live.replay.open_loop import Commanded, commanded
@@ -55,13 +55,16 @@ def command(args: Namespace) -> Answer:
         base, scene, seed = _scenes(folders, typed, trust=args.trust)
         ends = [read_end(folder, base) for folder in folders]
     _check_one_run(ends)
-    notes = [str(one.message) for one in warned]
+    notes = [*dict.fromkeys(str(one.message) for one in warned)]  # a record is read twice
     what = titled(scene)
     answers = commanded(ends, base, scene) if typed or formats or args.out else {}
     if typed:
         rows, document = _told_open(answers, scene, len(ends))
         sentence, status, code = f"what {what} would have commanded, {OPEN_LOOP}", "open loop", DONE
         rows += [("", OPEN_LOOP), ("", ALONE if len(ends) == 1 else BOTH)]
+        notes += [f"{NAMES[e]}: {number_of(one.unknown, 'message')} that it played in the run came from ticks that the "
+                  "other folder does not have, as of a process that was killed or started again; it plays a gap in the "
+                  "place of each" for e, one in answers.items() if one.unknown]
     else:
         found = {NAMES[end.e]: difference(end, base) for end in ends}
         rows, document = _told_same(found, ends, base)

@@ -40,6 +40,7 @@ class Commanded(NamedTuple):
     k: NDArray[np.int64]
     recorded: NDArray[np.float64]  # N, (ticks, axes)
     commanded: NDArray[np.float64]
+    unknown: int = 0  # messages that it played in the run, sent at ticks that the other end's folder does not have
 
 
 def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str, Commanded]:
@@ -69,7 +70,8 @@ def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str,
             column.append(value)
         waiting[e] = next(sources[e], None)
     return {e: Commanded(np.array(k, np.int64), np.array(was, float).reshape(-1, scene.axes),
-                         np.array(now, float).reshape(-1, scene.axes)) for e, (k, was, now) in found.items()}
+                         np.array(now, float).reshape(-1, scene.axes), 0 if exchange is None else exchange.unknown[e])
+            for e, (k, was, now) in found.items()}
 
 
 class Exchange:
@@ -84,6 +86,7 @@ class Exchange:
         self._next = {end.e: 0 for end in ends}  # of the arrivals
         # Of a session that did not begin with tick 0 at both ends: what waves had come to in the first message played.
         self._before: dict[str, tuple[Integrals, ...]] = {}
+        self.unknown = {end.e: 0 for end in ends}  # messages that came and that the other end's folder has no tick of
         self._joined = {end.e for end in ends if any(one["what"] == "joined" for one in read_events(end.folder))}
 
     def send(self, e: str, k: int, message: tuple[Any, Any]) -> None:
@@ -114,6 +117,7 @@ class Exchange:
             packet = None if got is None else got[0]
         message = self._sent["s" if e == "m" else "m"].get(-1 if packet is None else packet)
         if packet is None or message is None:
+            self.unknown[e] += packet is not None
             return None
         tx, waves = message
         if waves is not None and (told.session > 1 or e in self._joined):
