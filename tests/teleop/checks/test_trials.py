@@ -39,7 +39,7 @@ class OtherWave:
 
     def slave(self, s: Any, at: At, rx: Any) -> Any:
         u = rx.u * max(at.fresh, self.deaf)
-        known = At(at.x, at.v, 0.0, 0.0, 0.0, True, 0.0, at.dt)
+        known = At(at.x, at.v, 0.0, 0.0, 0.0, True, 0.0, at.dt, at.span)
         f_s, back, state = Wave().slave(s, known, type(rx)(u))
         return f_s, type(back)(self.gain * back.w), state
 
