@@ -7,6 +7,7 @@ hears what was heard then, so it has to be a law of the same messages.
 
 from __future__ import annotations
 
+from array import array
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import partial
@@ -58,7 +59,7 @@ def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str,
     reruns = {end.e: Rerun(end, scene, _touch(end, base, scene)) for end in ends}
     sources = {end.e: told(end) for end in ends}
     exchange = None if len(ends) == 1 else Exchange(ends, scene)
-    found: dict[str, tuple[list[int], list[Any], list[Any]]] = {end.e: ([], [], []) for end in ends}
+    found = {end.e: (array("q"), array("d"), array("d")) for end in ends}  # 24 bytes a tick, in one axis
     waiting = {e: next(source, None) for e, source in sources.items()}
     while any(waiting.values()):
         e = min((e for e in waiting if waiting[e] is not None), key=lambda e: (waiting[e][0].k, e))  # type: ignore[index]
@@ -66,8 +67,10 @@ def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str,
         got = reruns[e].tick(one, None if exchange is None else partial(exchange.play, e))
         if exchange is not None:
             exchange.send(e, one.k, (got.tx, got.sent))
-        for column, value in zip(found[e], (one.k, answered[: scene.axes], got.force), strict=True):
-            column.append(value)
+        ticks, was, now = found[e]
+        ticks.append(one.k)
+        was.extend(answered[: scene.axes])
+        now.extend(got.force)
         waiting[e] = next(sources[e], None)
     return {e: Commanded(np.array(k, np.int64), np.array(was, float).reshape(-1, scene.axes),
                          np.array(now, float).reshape(-1, scene.axes), 0 if exchange is None else exchange.unknown[e])
