@@ -166,7 +166,7 @@ def reads(end: Callable[..., Any]) -> frozenset[str]:
     """Fields of `At` that the lines of an end name, and those of the plain functions that it calls.
 
     An end that calls the same end of another law has the fields of that one; where its class is not named, as with
-    `super()` or a law that is kept, it has them all.
+    `super()` or a law that is kept, it has all but the external force, which takes an observer: that has to be named.
     """
     function = getattr(end, "__func__", end)
     return _reads(function) if isinstance(function, FunctionType) else frozenset()
@@ -191,7 +191,7 @@ def _reads(function: FunctionType) -> frozenset[str]:
             others = [each for kind in named if isinstance(kind, type)
                       for each in _code(getattr(kind, function.__name__, None))]
             waiting.extend(others)
-            found.update(() if others else At._fields)
+            found.update(() if others else {*At._fields} - {"f"})
     return frozenset(found)
 
 
