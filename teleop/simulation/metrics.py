@@ -52,8 +52,9 @@ METRICS = {
     "E_link_end": Metric("J", "energy stored in the link at the end", WAVES),
     "E_port_min": Metric("J", "smallest energy that law and link have taken up at the ports", PORTS),
     "E_port_end": Metric("J", "energy that law and link have taken up at the ports by the end", PORTS),
-    "E_fwd_min": Metric("J", "forward: sender's stamped energy less what was received, smallest", STAMPS),
-    "E_bwd_min": Metric("J", "backward: sender's stamped energy less what was received, smallest", STAMPS),
+    "E_fwd_min": Metric("J", "forward: sender's stamped energy less what was received, smallest; below zero at most by "
+                        "what was held over ticks that were left out", STAMPS),
+    "E_bwd_min": Metric("J", "backward: the same", STAMPS),
     "g_m_min": Metric("1", "smallest gain the master's watchdog came to", WATCHDOG),
     "g_s_min": Metric("1", "smallest gain the slave's watchdog came to", WATCHDOG),
     "swing_end": Metric("m", "swing that is left at the end, peak to peak", STANDS),
