@@ -54,7 +54,10 @@ class Integral:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Energy:
-    """Playout of what is owed of a wave at once, as far as its energy allows: passive over any link, and restless."""
+    """Playout of what is owed of a wave at once, as far as its energy allows: passive over any link, and restless.
+
+    Over ticks that are left out the short waves that it plays are held, which may be more energy than was sent.
+    """
 
     stage: ClassVar[str] = "wave_energy"
 
