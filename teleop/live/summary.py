@@ -6,12 +6,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from teleop.errors import Refused, number_of, plural
+from teleop.errors import Refused, enumerated, number_of, plural
 from teleop.live.records.end_result import NAMES, WAYS, end_result
 from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.live.shell import Shell
 from teleop.protocol.endpoint import SLEW
 from teleop.protocol.estimates import LinkEstimates, Times
+from teleop.scene.playout import integrates
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import in_gaps
 from teleop.simulation.outcome import age_note
@@ -127,18 +128,21 @@ def missed_note(skipped: int, due: int, scene: Scene, realtime: dict[str, str] |
     """
     if skipped <= MISSED * due:
         return None
+    choices = ["--spin", *_allow(realtime)]
+    if not scene.has_waves or integrates(scene.played_as):  # others are refused at another rate
+        choices.append(f"--rate {0.5 / scene.dt:g}")
     return (f"{skipped} of {due} ticks ({100.0 * skipped / due:.3g} %) were left out, as this end was not ready in "
             f"time for one every {scene.dt:g} s: the machine is busy, or its device or law is slow; the other end has "
-            f"no message of these ticks: {in_gaps(scene)}; close what else runs here, or try --spin, "
-            f"{_allow(realtime)}--rate {0.5 / scene.dt:g}")
+            f"no message of these ticks: {in_gaps(scene)}; close what else runs here, or try "
+            f"{enumerated(choices, 'or')}")
 
 
-def _allow(realtime: dict[str, str] | None) -> str:
+def _allow(realtime: dict[str, str] | None) -> list[str]:
     """What of a note asks for real-time scheduling, where there was none."""
     if realtime is None:
-        return "real-time scheduling (without --no-realtime) or "
+        return ["real-time scheduling (without --no-realtime)"]
     refused = realtime["scheduler"].startswith("no ")
-    return "real-time scheduling (`teleop doctor` says how to allow it) or " if refused else "or "
+    return ["real-time scheduling (`teleop doctor` says how to allow it)"] * refused
 
 
 def holds_on(shell: Shell) -> bool:

@@ -20,6 +20,7 @@ from teleop.live.driving import run
 from teleop.live.net.address import bound
 from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.rate import ticks_of
 from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS, FILE, read_record
 from teleop.live.summary import missed_note, sums_note
@@ -188,9 +189,16 @@ def test_a_run_of_which_a_third_of_the_ticks_was_left_out_is_not_ok_without_a_wo
     assert note.endswith("try --spin, real-time scheduling (without --no-realtime) or --rate 500")
     refused, given = ({"scheduler": text} for text in ("no (Operation not permitted)", "SCHED_FIFO, priority 40"))
     assert "`teleop doctor` says how" in str(missed_note(3637, 10000, scene, refused))
-    assert str(missed_note(3637, 10000, scene, given)).endswith("try --spin, or --rate 500")
+    assert str(missed_note(3637, 10000, scene, given)).endswith("try --spin or --rate 500")
     assert missed_note(100, 10000, scene) is None, "one of a hundred changes no force that a hand feels"
     assert missed_note(0, 0, scene) is None, "an end that never came to a tick"
+
+
+def test_a_note_on_ticks_left_out_proposes_no_rate_that_is_refused() -> None:
+    zero, given = load_scene("hard_wall", playout=Zero()), {"scheduler": "SCHED_FIFO, priority 40"}
+    with pytest.raises(Refused, match="--rate 500 is not the scene's"):
+        ticks_of(zero, 500.0, lockstep=False, spin=False)
+    assert str(missed_note(3637, 10000, zero, given)).endswith("or try --spin")
 
 
 @pytest.mark.parametrize(("playout", "said"), [
