@@ -30,7 +30,7 @@ FLOORS: tuple[dict[str, str], ...] = (
     {"laws": "one law, one file", "stages": "between device, law, motor"},
     {"law": "what every law is asked"},
     {"physics": "bodies and contact, exact", "naming": "parts found by name", "knob": "unit, meaning, bounds",
-     "storage": "files of unknown origin"},
+     "kind": "waves among fields", "storage": "files of unknown origin"},
     {"errors": "one sentence each", "version": "which release"},
 )
 """Rooms by floor, the highest first, each with what it is for; a room may import from the floors below its own."""

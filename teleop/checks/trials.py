@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from math import sin
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop import kind
 from teleop.errors import Refused
-from teleop.law import At, Law, kind, messages, start_at
+from teleop.law import At, Law, messages, start_at
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant
 from teleop.scene.playout import Fixed, Integral, Playout, Zero
@@ -58,7 +59,7 @@ def _waves_balance(law: Any, name: str) -> None:
     u, w = kind.wave(forth), kind.wave(back)
     if u is None or w is None:
         raise Refused(f"{name} claims E_link, but its messages carry no waves; write `u: kind.Wave` for the field that "
-                      "is one, in each direction, with `from teleop.law import kind`")
+                      "is one, in each direction, with `from teleop import kind`")
     dice, dt = spread(name), 1e-3
     ways = (("master", 1.0, back, w, u), ("slave", -1.0, forth, u, w))
     for end, sign, rx_type, rx_wave, tx_wave in ways:

@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 from weakref import WeakSet
 
 from teleop.errors import Refused, nearest, number_of
+from teleop.kind import waves
 from teleop.law import At, functions_of
-from teleop.law.kind import waves
 
 RETURNS = {
     "master_start": ("state", "message"), "master_sums": ("sums",), "master": ("force", "message", "state"),
@@ -120,7 +120,7 @@ def _check_waves(law: Any, sent: Mapping[str, Any]) -> None:
     if without and (claims or len(without) < len(found)):
         why = "claims E_link" if claims else "has a wave in one direction"
         raise LawMistake(f"{name} {why}, and its message {without[0]} has no field that is a wave; write `u: "
-                         "kind.Wave` for the one that is, with `from teleop.law import kind`")
+                         "kind.Wave` for the one that is, with `from teleop import kind`")
 
 
 def _probe_one_port(law: Any) -> None:

@@ -34,8 +34,9 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
+from teleop import kind
 from teleop.knob import Knob, check_knobs
-from teleop.law import At, kind
+from teleop.law import At
 
 
 class Forth(NamedTuple):

@@ -6,7 +6,7 @@ greatest number that has come, if it is greater than every one played before. Ei
 and the numbers played only grow.
 
 What is played in a gap, and of a wave at every tick, is the choice among `Zero`, `Hold`, `Integral`, `Energy` and
-`Scaled`; the last three are for laws with waves (`teleop.law.kind`), and are `Zero` for any other law.
+`Scaled`; the last three are for laws with waves (`teleop.kind`), and are `Zero` for any other law.
 """
 
 from __future__ import annotations

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
+from teleop import kind
 from teleop.errors import Refused, number, number_of, whole_number
-from teleop.law import kind, law_name, messages
+from teleop.law import law_name, messages
 from teleop.law.contract import check_contract
 from teleop.scene.parts import (
     Environment,

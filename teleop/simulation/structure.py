@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from teleop.kind import wave
 from teleop.law import functions_of, messages, reads, start_at
-from teleop.law.kind import wave
 from teleop.scene.playout import integrates, repeats
 from teleop.scene.scene import Scene
 from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Stage, per_axis

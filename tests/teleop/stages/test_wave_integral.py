@@ -20,8 +20,7 @@ from hypothesis import settings as asked
 from hypothesis import strategies as st
 
 from channel import Effect, Ints, Rng, by_time
-from teleop import At, Energy, Hold, Integral, MassDamper, Result, Scaled, Scene, Zero, run
-from teleop.law import kind
+from teleop import At, Energy, Hold, Integral, MassDamper, Result, Scaled, Scene, Zero, kind, run
 from teleop.scene.playout import Gaps
 from teleop.stages import wave_integral
 from teleop.stages.end import End, EndHas, Run, RunHas

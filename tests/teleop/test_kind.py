@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from teleop import load_scene
-from teleop.law.kind import wave, waves
+from teleop.kind import wave, waves
 from teleop.scene.library import own_module
 from teleop.scene.own_law import file_law
 
@@ -16,9 +16,9 @@ MESSAGES = '''
 from collections import namedtuple
 from typing import Annotated, NamedTuple
 
-from teleop.law import kind
-from teleop.law.kind import Wave
-from teleop.law.kind import Wave as Power
+from teleop import kind
+from teleop.kind import Wave
+from teleop.kind import Wave as Power
 
 
 class Named(NamedTuple):
@@ -48,7 +48,7 @@ class Inherited(Named):
 
 
 def inner():
-    from teleop.law import kind as kinds
+    from teleop import kind as kinds
 
     class Sample(NamedTuple):
         x: float
@@ -88,7 +88,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from teleop import Wave
-from teleop.law import kind
+from teleop import kind
 
 
 class Forth(NamedTuple):
