@@ -12,6 +12,7 @@ import pytest
 
 from channel.link import describe, parse_link
 from channel.recorded import Recorded
+from teleop.analysis.models.linear import refuse_nonlinear_parts
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.simulation.plan import link_plans
@@ -121,6 +122,14 @@ def test_in_a_sweep_a_row_is_the_run_and_another_recording_is_another_sweep(tmp_
     live_run(folder, FWD, BWD, ticks=100)
     with pytest.raises(Refused, match="holds another sweep"):
         sweep("free_motion", {"x_limit": [1.0, 2.0]}, fixed=fixed, engine="plain", out=tmp_path / "sweep")
+
+
+def test_stability_over_the_link_of_a_live_run_names_the_link_and_not_only_fields_that_nobody_wrote(
+    tmp_path: Path
+) -> None:
+    folder = live_run(tmp_path / "run", FWD, BWD, ticks=100, left_out={"m": {7}})
+    with pytest.raises(Refused, match=r"ticks are left out.*in place of a recorded link give --link 'delay\(0.05\)'"):
+        refuse_nonlinear_parts(load_scene("free_motion", link=f"recorded('{folder}')"))
 
 
 def spoiled(path: Path, **keys: object) -> None:

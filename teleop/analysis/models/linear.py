@@ -86,8 +86,9 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
     """Refuse a cap, an encoder, friction, a passivity controller, ticks left out, a queue of waves that is kept, and an
     environment not linear."""
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
+        words = "leave left_out_m and left_out_s away; in place of a recorded link give --link 'delay(0.05)'"
         raise Refused("ticks are left out, so the loop is not time-invariant and its scene has no eigenvalues; "
-                      f"{INSTEAD}, or {without(scene, 'leave left_out_m and left_out_s away', left_out='0')}")
+                      f"{INSTEAD}, or {without(scene, words, left_out='0')}")
     if isinstance(gaps := scene.wave_playout, Integral) and gaps.target > 0.0:
         raise Refused(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags as their energy has "
                       f"it, so its scene has no eigenvalues; {INSTEAD}, or leave the seconds of the queue out")
