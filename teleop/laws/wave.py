@@ -13,6 +13,16 @@ coupling): inserting x_d' = x_d + dt v_d into f_s = sqrt(2b) u_s - b v_d gives
 
     v_d = (sqrt(2b) u_s - K (x_d - x_s) + B v_s) / (b + B + K dt).
 
+A slave that lets go. Of the force f_s that the law asks for, the watchdog lets the device have g f_s. The waves are
+those of the force that there is, and of a damper b in place of what is missing of it, which takes up what comes:
+
+    sqrt(2b) u_s = b v_d + g f_s + (1 - g) b v_d
+    v_d = (sqrt(2b) u_s - g (K (x_d - x_s) - B v_s)) / ((2 - g) b + g (B + K dt)).
+
+With g = 1 that is the law above. With g = 0 nothing comes back, w_s = 0, so the hand feels b, and no wall that nobody
+presses; v_d = sqrt(2b) u_s/(2b) is the master's velocity, so the commanded point is where the master is when the slave
+takes hold again. g is that of the last tick. Both terms take power out of the waves: E_link is kept.
+
 Ticks that are left out. The force is held over them, and with it the waves that it stands for, so the commanded point
 has gone on at its last velocity: x_d += (span - dt) v_d before the tick is done as ever. Otherwise each such tick of a
 motion would leave it v_d dt behind, and nothing brings it back. Over a gap of g seconds, with e' = v_d - v_s, the held
@@ -82,8 +92,9 @@ class Wave:
         u = rx.u * at.fresh
         root = sqrt(2.0 * b)
         x_d = s.x_d + (at.span - dt) * s.v_d
-        v_d = (root * u - K * (x_d - x) + B * v) / (b + B + K * dt)
+        g = at.gain
+        v_d = (root * u - g * (K * (x_d - x) - B * v)) / ((2.0 - g) * b + g * (B + K * dt))
         x_d = x_d + dt * v_d
-        # The same as root*u - b*v_d, which cancels at large K.
         f_s = K * (x_d - x) + B * (v_d - v)
-        return f_s, Back(u - 2.0 / root * f_s), Slave(x_d, v_d)
+        # The force is the same as root*u - b*v_d, which cancels at large K.
+        return f_s, Back(u - 2.0 / root * (g * f_s + (1.0 - g) * b * v_d)), Slave(x_d, v_d)

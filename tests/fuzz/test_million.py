@@ -86,7 +86,7 @@ def bounded(run: Running, e: str) -> None:
     inbox = end.inbox
     kept = inbox._queued + inbox.waiting + len(inbox._waits) + len(inbox._coming) + len(inbox._copies)
     assert kept <= 4 * inbox._room
-    assert end._window._seen.bit_length() <= 4096
+    assert len(end._window._seen) == 4096
     assert len(end.session._welcomed) <= 1024
     assert len(end.rejected) <= 12
     assert len(end.guard.events) <= 10_000

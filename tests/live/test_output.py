@@ -224,7 +224,7 @@ def free_port() -> int:
 
 
 def hello(number: int, **knobs: Any) -> bytes:
-    manifest = {**manifest_of(load_scene("canonical", **knobs)), "mode": "live"}
+    manifest = {**manifest_of(load_scene("canonical", **{"playout": "integral", **knobs})), "mode": "live"}
     return encode(Packet(Kind.HELLO, number, 0, 0, None, manifest), 2000)
 
 

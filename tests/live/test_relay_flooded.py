@@ -24,7 +24,7 @@ from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene import load_scene
 from tests.channel.site import hello
 port, rate, sealed, dice = int(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "sealed", random.Random(1)
-scene = load_scene("canonical", duration="1", link="delay(0.05)")
+scene = load_scene("canonical", duration="1", link="delay(0.05)", playout="integral")
 manifest = {**manifest_of(scene), "mode": "live"}
 socks = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(64)]
 sent, began = 0, time.monotonic()

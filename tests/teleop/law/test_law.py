@@ -75,7 +75,7 @@ def test_before_the_first_tick_an_end_holds_nothing_and_heard_nothing() -> None:
 
 @pytest.mark.parametrize(("end", "fields"), [
     (wave.Wave().master, {"v", "fresh"}),
-    (wave.Wave().slave, {"x", "v", "fresh", "dt", "span"}),
+    (wave.Wave().slave, {"x", "v", "fresh", "dt", "span", "gain"}),
     (pfra.PFRA().master_sums, {"f"}),
     (pfra.PFRA().master, {"x", "v", "f"}),
     (direct.Direct().master, {"x", "v"}),
@@ -135,7 +135,7 @@ Base = wave.Wave
 
 
 @pytest.mark.parametrize(("law", "fields"), [
-    (Names(), {"x", "v", "fresh", "dt", "span"}), (Inherits(), {*At._fields} - {"f"}),
+    (Names(), {"x", "v", "fresh", "dt", "span", "gain"}), (Inherits(), {*At._fields} - {"f"}),
     (Keeps(), {*At._fields} - {"f"})])
 def test_a_law_that_calls_the_same_end_of_another_is_told_what_that_one_reads(law: Any, fields: set[str]) -> None:
     """It was told no span, and its first force was NaN."""

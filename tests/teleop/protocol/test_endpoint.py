@@ -61,6 +61,7 @@ class Both:
     seed: int = 3
     intruder: Intruder = lambda _k, _both: ()  # what else comes in before tick k, and at which end
     silent: Callable[[str, int], bool] = lambda _e, _k: False  # what an end sends at this tick is lost
+    trouble: Callable[[str, int], str | None] = lambda _e, _k: None  # why an end may hold no force
     ends: dict[str, Endpoint] = field(init=False)
     sent: dict[str, list[bytes]] = field(default_factory=lambda: {"m": [], "s": []})
     rows: dict[str, list[float]] = field(default_factory=lambda: {"m": [], "s": []})
@@ -82,7 +83,7 @@ class Both:
             for e, data in self.intruder(k, self):
                 self.ends[e].receive(data, START + at)
             for direction, e in enumerate("ms"):
-                out = self.ends[e].tick(k, START + at, devices[e].read(k))
+                out = self.ends[e].tick(k, START + at, devices[e].read(k), self.trouble(e, k))
                 devices[e].hold(out.force)
                 self.rows[e].extend(out.row)
                 self.played[e].append(out.played)
