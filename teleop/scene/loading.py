@@ -34,10 +34,11 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
 def live_knobs(name: str, knobs: Mapping[str, str]) -> dict[str, str]:
     """The knobs of a scene that is to run live by the clock: waves over a network are played by their integral.
 
-    For in virtual time a scene with a constant delay leaves its playout out, and no network has one. Raises `Refused`.
+    For in virtual time a scene with a constant delay, or without a link, leaves its playout out, and no network has
+    one. Raises `Refused`.
     """
     scene = load_scene(name, **knobs)
-    chosen = scene.playout is not None or scene.link is None or not scene.has_waves
+    chosen = scene.playout is not None or not scene.has_waves
     return dict(knobs) if chosen else {**knobs, "playout": "integral"}
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.knob import Declared, Knob
 from teleop.scene.library import import_bundled
-from teleop.scene.playout import Playout, as_typed
+from teleop.scene.playout import Playout, as_typed, integrates
 from teleop.scene.scene import Scene
 
 _SCALES = ("scale_x", "scale_f")
@@ -56,7 +56,8 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
         ticks = import_bundled("channel.left_out").LeftOut(share) if share > 0.0 else None
         parts |= {"left_out_m": ticks, "left_out_s": ticks if scene.slave is not None else None}
     made = replace(scene, **parts)
-    if "playout" in parts and made.link is None:
+    along = made.has_waves and integrates(made.played_as)  # what waves have come to is sent without a link too
+    if "playout" in parts and made.link is None and not along:
         cure = "" if made.slave is None else ", or write for example link='delay(0.05)'"
         raise Refused(f"playout={as_typed(values['playout'])} sets nothing in a scene without a link; leave it "
                       f"out{cure}")
