@@ -42,8 +42,8 @@ class At(NamedTuple):
     the law (watchdog and force cap among them), and the motion under it. The last tick is the last that this end ran:
     one that could not be run in time is left out, and the force is held until the next. So `span` is dt, and a whole
     number of times dt after ticks that were left out; what a law integrates over time, it integrates over `span`.
-    `gain` is what the watchdog had made of the last force: a law with a commanded point begins it anew where that is
-    0, instead of paying out a spring that was stretched meanwhile. A field added later breaks no law.
+    `gain` is what the watchdog had let the device have of the last force: a law that tells the other end of its force
+    tells of that, see `teleop.laws.wave`. A field added later breaks no law.
     """
 
     x: float  # position, m

@@ -322,8 +322,8 @@ class _Writer(Expressions):
             self.emit(ast.Assign([self.named(was, node, ast.Store())], self.named(word, node)), node)
         self.out += lines
         for word, was in kept.items():
-            parts = [self.named(each, node) for each in (mask, word, was)]
-            value = self.put(ast.Call(self.outer("chosen", chosen, node), parts, []), node)  # type: ignore[arg-type]
+            parts: list[ast.expr] = [self.named(each, node) for each in (mask, word, was)]
+            value = self.put(ast.Call(self.outer("chosen", chosen, node), parts, []), node)
             self.emit(ast.Assign([self.named(word, node, ast.Store())], value), node)
         return Known(None)
 

@@ -24,7 +24,7 @@ if hasattr(select, "epoll"):
         def __init__(self) -> None:
             super().__init__()
             self.readers: dict[int, Callable[[], None]] = {}
-            self.epoll: Any = self._selector  # type: ignore[attr-defined]
+            self.epoll: Any = self._selector  # type: ignore[attr-defined]  # typeshed lacks it
 
         def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
             """What is ready besides timers, which are dealt with."""

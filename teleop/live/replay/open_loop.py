@@ -60,10 +60,10 @@ def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str,
     sources = {end.e: told(end) for end in ends}
     exchange = None if len(ends) == 1 else Exchange(ends, scene)
     found = {end.e: (array("q"), array("d"), array("d")) for end in ends}  # 24 bytes a tick, in one axis
-    waiting = {e: next(source, None) for e, source in sources.items()}
-    while any(waiting.values()):
-        e = min((e for e in waiting if waiting[e] is not None), key=lambda e: (waiting[e][0].k, e))  # type: ignore[index]
-        one, answered = waiting[e]  # type: ignore[misc]  # it waits
+    waiting = {e: first for e, source in sources.items() if (first := next(source, None)) is not None}
+    while waiting:
+        e = min(waiting, key=lambda e: (waiting[e][0].k, e))
+        one, answered = waiting.pop(e)
         got = reruns[e].tick(one, None if exchange is None else partial(exchange.play, e))
         if exchange is not None:
             exchange.send(e, one.k, (got.tx, got.sent))
@@ -71,7 +71,8 @@ def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str,
         ticks.append(one.k)
         was.extend(answered[: scene.axes])
         now.extend(got.force)
-        waiting[e] = next(sources[e], None)
+        if (following := next(sources[e], None)) is not None:
+            waiting[e] = following
     return {e: Commanded(np.array(k, np.int64), np.array(was, float).reshape(-1, scene.axes),
                          np.array(now, float).reshape(-1, scene.axes), 0 if exchange is None else exchange.unknown[e])
             for e, (k, was, now) in found.items()}

@@ -385,11 +385,11 @@ def test_the_watchdog_lets_go_when_the_peer_falls_silent_and_takes_hold_when_it_
 
 def test_cap_and_slew_hold_at_every_tick() -> None:
     limit = Cap(f_max=0.5, slew=400.0)
-    both = Both(scene(link=parse_link(ROUGH), cap=limit)).run()
+    both = Both(scene(link=parse_link(ROUGH), cap=limit, playout=Zero())).run()  # whose gaps make the force jump
     for e in "ms":
         force = np.array([0.0, *[f[0] for f in both.held[e]]])
         assert np.abs(force).max() == 0.5
-        assert 0.01 < np.abs(np.diff(force)).max() <= 400.0 * 1e-3 + 1e-12
+        assert 0.3 < np.abs(np.diff(force)).max() <= 400.0 * 1e-3 + 1e-12
 
 
 def test_where_the_scene_names_no_watchdog_a_long_silence_makes_an_end_safe_live() -> None:
