@@ -21,6 +21,7 @@ FLOORS: tuple[dict[str, str], ...] = (
     {"__main__": "the commands", "doctor": "what is installed", "bench": "what it costs",
      "report": "a stored run again", "master": "hands", "slave": "robots, contacts",
      "channel": "effects, the relay"},
+    {"studies": "laws side by side"},
     {"analysis": "stability, passivity, Z-width", "sweeps": "many runs of one scene",
      "live": "sockets, timers, devices"},
     {"checks": "does a law keep its word", "terminal": "options, tables, plots",

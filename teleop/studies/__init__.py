@@ -1,0 +1,1 @@
+"""Studies: many laws, links and environments side by side, through sweeps and analyses."""
