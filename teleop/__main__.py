@@ -25,6 +25,7 @@ HOME = {
     "stability": "teleop.analysis.stability.command:command",
     "passivity": "teleop.analysis.passivity.command:command",
     "zwidth": "teleop.analysis.zwidth.command:command",
+    "reproduce": "teleop.studies.reproduce.command:command",
     "list": "teleop.terminal.listing:command",
     "show": "teleop.terminal.show:command",
     "doctor": "teleop.doctor:command",

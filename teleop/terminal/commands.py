@@ -20,6 +20,7 @@ examples:
   teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02 --plot
   teleop sweep soft_tissue --grid law=direct,wave delay=0:0.1:21 k_e=10:1e4:21:log --plot
   teleop matrix
+  teleop reproduce gil
   teleop list hard_wall
   teleop report runs/hard_wall-1 --plot --format pdf
   teleop replay runs/hard_wall-1 --set law.b=4
@@ -162,6 +163,13 @@ def _zwidth(added: ArgumentParser) -> None:
     _plot(added, "plane.png, impedance.png and levers.png")
 
 
+def _reproduce(added: ArgumentParser) -> None:
+    added.add_argument("name", metavar="NAME", nargs="?", help="one publication, for example diolaiti; left out: all")
+    added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json and page.md into; left out: "
+                       "none")
+    _json(added)
+
+
 def _list(added: ArgumentParser) -> None:
     added.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect, a velocity estimator or "
                        "the FILE.py of one of your own: shows its knobs; or all that there is of a kind: scenes, laws, "
@@ -227,6 +235,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
                   "passive.", _passivity),
     "zwidth": ("Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, and "
                "what widens it. Ctrl-C keeps what is done.", _zwidth),
+    "reproduce": ("Run published comparisons again, each number beside the printed one.", _reproduce),
     "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages and bodies (their "
              "integrators), or the knobs of one.", _list),
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),

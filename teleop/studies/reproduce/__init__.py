@@ -1,0 +1,26 @@
+"""Published comparisons rerun here: what each publication printed beside what this stack gives.
+
+Each publication is a module of this room with a `PUBLICATION`; `PUBLICATIONS` lists them in the order of the table.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from teleop.errors import Refused, nearest
+from teleop.studies.reproduce.publication import Finding, Publication
+
+PUBLICATIONS = (
+    "colgate_schenkel", "diolaiti", "abbott_okamura", "gil", "encoder_wall", "hannaford_ryu", "gillespie_cutkosky",
+    "choi_tan",
+)
+
+__all__ = ["PUBLICATIONS", "Finding", "Publication", "find_publication"]
+
+
+def find_publication(name: str) -> Publication:
+    """The publication of this name. Raises `Refused` with the nearest names if there is none."""
+    if name not in PUBLICATIONS:
+        raise Refused(f"there is no publication {name!r} to rerun; {nearest(name, PUBLICATIONS)}")
+    found: Publication = import_module(f"{__name__}.{name}").PUBLICATION
+    return found
