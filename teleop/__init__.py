@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from teleop.errors import DeviceError, Refused, number, whole_number
     from teleop.knob import Knob, check_knobs
     from teleop.law import At, Law, OnePortLaw, find_law, messages
+    from teleop.laws.around.names import around
     from teleop.laws.direct import Direct
     from teleop.laws.pfra import PFRA
     from teleop.laws.virtual_coupling import VirtualCoupling
@@ -56,14 +57,15 @@ __all__ = [
     "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant",
     "Playout", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table",
     "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__",
-    "check_knobs", "check_law", "end_main", "find_law", "load_result", "load_scene", "messages", "number", "run",
-    "sweep", "whole_number",
+    "around", "check_knobs", "check_law", "end_main", "find_law", "load_result", "load_scene", "messages", "number",
+    "run", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
     "errors": ("DeviceError", "Refused", "number", "whole_number"),
     "knob": ("Knob", "check_knobs"),
     "law": ("At", "Law", "OnePortLaw", "find_law", "messages"),
+    "laws.around.names": ("around",),
     "laws.direct": ("Direct",),
     "laws.pfra": ("PFRA",),
     "laws.virtual_coupling": ("VirtualCoupling",),

@@ -82,7 +82,7 @@ class PartKind:
             raise Refused(f"{text[:80]!r} has a part that is no {self.word}, {part!r}; {form}")
         name = node.func.id
         made = find(self.word, self.group, self.places, name)
-        return made(**self._arguments(name, made, node))
+        return made(**self.arguments(name, made, node))
 
     def read(self, text: str) -> Any:
         """Make the one part that `text` describes. Raises `Refused`.
@@ -98,8 +98,8 @@ class PartKind:
             raise Refused(f"the {self.word} {text[:80]!r} cannot be read: {unreadable(text, error)}; {form}") from None
         return self.make(node, text, form)
 
-    def _arguments(self, name: str, made: type[Any], node: ast.Call) -> dict[str, Any]:
-        """Arguments of a call by name; the part itself checks their values."""
+    def arguments(self, name: str, made: type[Any], node: ast.Call) -> dict[str, Any]:
+        """Arguments of a call by name, of the class `made`; the part itself checks their values. Raises `Refused`."""
         knobs = _arguments_of(made)
         usage = self._usage(name, made)
         in_place = [knob for knob, (_, by_name) in knobs.items() if not by_name]

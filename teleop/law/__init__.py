@@ -115,13 +115,21 @@ def law_name(law: object) -> str:
 
 
 def name_of_law(kind: type[Any]) -> str:
-    """The same of the law's class."""
-    return _built_in_name(kind) or kind.__name__
+    """The same of the law's class; of one with stages around it as it is typed, "deadband | wave"."""
+    known_as: str | None = vars(kind).get("known_as")
+    return known_as or _built_in_name(kind) or kind.__name__
 
 
 def is_built_in(law: object) -> bool:
-    """True if the law comes with this package."""
-    return _built_in_name(type(law)) is not None
+    """True if the law, whatever stages stand around it, comes with this package."""
+    return _built_in_name(innermost(type(law))) is not None
+
+
+def innermost(kind: type[Any]) -> type[Any]:
+    """The class of the law that stages stand around (`teleop.laws.around`); of any other law its own."""
+    while (inner := vars(kind).get("inner_law")) is not None:
+        kind = inner
+    return kind
 
 
 def _built_in_name(kind: type[Any]) -> str | None:

@@ -347,8 +347,8 @@ def refusal(law: Any, error: BaseException) -> LawMistake | None:
     method: Method | None = None
     place = file = ""
     for frame, line in walk_tb(error.__traceback__):
-        if method is None and (method := methods.get(frame.f_code)) is not None:
-            file = frame.f_code.co_filename
+        if (found := methods.get(frame.f_code)) is not None and (method is None or found.law is not method.law):
+            method, file = found, frame.f_code.co_filename
         if method is not None and frame.f_code.co_filename == file:
             place = file_line(file, line)
     return None if method is None else method.in_words(error, place)
@@ -402,8 +402,11 @@ def _traced(on_call: Callable[[FrameType, str, object], Any], work: Callable[...
 
 
 def _methods(law: Any) -> dict[CodeType, Method]:
-    """The methods of a law by their code."""
-    methods = [Method(law, name) for name in RETURNS if hasattr(law, name)]
+    """The methods of a law by their code, with those of the law that stages stand around."""
+    laws = [law]
+    while "inner_law" in vars(type(laws[-1])):  # a law with a stage around it calls the law's own functions
+        laws.append(laws[-1].inner())
+    methods = [Method(each, name) for each in laws for name in RETURNS if hasattr(each, name)]
     return {method.function.__code__: method for method in methods if method.function is not None}
 
 

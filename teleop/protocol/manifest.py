@@ -7,7 +7,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, plural
-from teleop.law import is_built_in, law_name
+from teleop.law import innermost, is_built_in, law_name
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
@@ -79,7 +79,8 @@ def _own_source(law: object) -> str:
 
     if is_built_in(law):
         return __version__
-    end: Any = getattr(type(law), "slave", None) or type(law).force  # type: ignore[attr-defined]  # one of both
+    own = innermost(type(law))
+    end: Any = getattr(own, "slave", None) or own.force  # one of both
     source = Path(end.__code__.co_filename)
     return fingerprint(source) if source.is_file() else "not in a file"
 

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 from teleop.errors import Refused, nearest
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
+from teleop.laws.around.names import EXAMPLES, STAGES
 from teleop.naming import known
-from teleop.scene.knobs import knobs_of
+from teleop.scene.knobs import knobs_of, read_law
 from teleop.scene.library import ROOT, built_in_scenes, import_bundled, known_scenes, own_module, scene_function
 from teleop.scene.own_law import file_law, file_named, laws_in
 from teleop.scene.wide import WIDE
@@ -37,6 +38,7 @@ def names() -> dict[str, dict[str, str]]:
     return {
         "scenes": {name: _scene_line(name) for name in known_scenes()},
         "laws": {name: _law_line(name, laws[name]) for name in sorted(laws)},
+        "around": {name: _line(_load(where)) for name, where in sorted(STAGES.items())},
         "effects": {name: _line(_load(where)) for name, where in sorted(_effects().items())},
         "estimators": {name: _line(_load(where)) for name, where in _estimators().items()},
     }
@@ -47,6 +49,8 @@ def find(name: str) -> list[Named]:
 
     Raises `Refused` for an unknown name.
     """
+    if "|" in name or name.endswith(")"):
+        return [_law(name, type(read_law(name)))]
     if file_named(name):
         return _in_file(name)
     found = []
@@ -54,6 +58,11 @@ def find(name: str) -> list[Named]:
         found.append(_scene(name))
     if name in (laws := known_laws()):
         found.append(_law(name, _load(laws[name])))
+    if name in STAGES:
+        stage = _load(STAGES[name])
+        knobs = {f"{name}_{knob}": one for knob, one in knobs_of_fields(stage).items()}
+        found.append(Named("stage around a law", name, _line(stage), knobs,
+                           f"--set law='{EXAMPLES[name]} | wave' --set law.NAME=VALUE"))
     if name in (effects := _effects()):
         effect = _load(effects[name])
         found.append(Named("effect", name, _line(effect), knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
@@ -62,7 +71,7 @@ def find(name: str) -> list[Named]:
         found.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
                            f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"))
     if not found:
-        there = nearest(name, {*known_scenes(), *laws, *effects, *estimators})
+        there = nearest(name, {*known_scenes(), *laws, *STAGES, *effects, *estimators})
         raise Refused(f"there is no scene, law, effect or estimator {name!r}; {there}")
     return found
 

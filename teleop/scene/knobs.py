@@ -14,6 +14,7 @@ from typing import Any, get_args, get_type_hints
 from teleop.errors import Refused, WrongNumber, enumerated, nearest, number, whole_number
 from teleop.knob import UNDECLARED, Declared, declared, knobs_of_fields
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
+from teleop.laws.around.names import LawText, arguments_of_law, around, law_text, read_stage
 from teleop.scene.own_law import file_law, file_named
 from teleop.scene.playout import Playout, Zero, read_playout
 from teleop.scene.wide import WIDE, read_link
@@ -111,7 +112,10 @@ def check_text(key: str, text: str, known: Mapping[str, Declared]) -> None:
     Bounds, and whether a law has a field, are for the scene that is made of it.
     """
     if key == "law":
-        _law_class(text)
+        parts = law_text(text)
+        for stage in parts.stages:
+            read_stage(stage)
+        _arguments(parts)
     elif key == "link" and key not in known:
         read_link(text)
     elif key.startswith("law."):
@@ -204,10 +208,30 @@ def _law(key: str, value: object) -> object:
     return value
 
 
+def read_law(text: str) -> Any:
+    """The law that a text names: `wave`, `wave(b=3.0)`, `FILE.py:CLASS`, `deadband(0.1) | wave`. Raises `Refused`."""
+    return _named_law(text, {})
+
+
 def _named_law(text: str, changes: Mapping[str, object]) -> Any:
-    """The law of a name, or of a file of the user's own, with its own numbers but for the changes."""
-    kind = _law_class(text)
-    values = _numbers_of_law(kind, changes)
+    """The law that a text names, with its own numbers, then those in its brackets, then the changes."""
+    parts = law_text(text)
+    kind, given = _arguments(parts)
+    if not parts.stages:
+        return _made_law(kind, _numbers_of_law(kind, {**given, **changes}))
+    own = {field.name for field in fields(kind)} if is_dataclass(kind) else set()
+    inner = {key: value for key, value in changes.items() if key in own}
+    law = around(" | ".join(parts.stages), _made_law(kind, _numbers_of_law(kind, {**given, **inner})))
+    return _tuned(law, changes) if len(inner) < len(changes) else law
+
+
+def _arguments(parts: LawText) -> tuple[Any, dict[str, object]]:
+    """The class of a law that a text names, and the numbers in the brackets behind it."""
+    kind = _law_class(parts.law)
+    return kind, arguments_of_law(parts.law, kind, parts.arguments) if parts.arguments else {}
+
+
+def _made_law(kind: Any, values: dict[str, object]) -> Any:
     try:
         return kind(**values)
     except WrongNumber as wrong:

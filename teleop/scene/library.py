@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
+from teleop.law import innermost
 from teleop.naming import find, known
 from teleop.storage.files import read_bytes
 
@@ -116,8 +117,11 @@ class OwnFile(NamedTuple):
 
 
 def own_file(thing: type | Callable[..., Any]) -> OwnFile | None:
-    """The file of the user's own that a class or a function was loaded from; None if it comes from a package."""
-    return _LOADED.get(thing.__module__)
+    """The file of the user's own that a class or a function was loaded from; None if it comes from a package.
+
+    Of a law with stages around it that is the file of the law.
+    """
+    return _LOADED.get((innermost(thing) if isinstance(thing, type) else thing).__module__)
 
 
 def own_module(path: Path, what: str, hint: str) -> Any:

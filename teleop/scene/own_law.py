@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused, enumerated, nearest
+from teleop.laws.around.names import law_text
 from teleop.scene.library import own_module
 from teleop.scene.parts import SHAPES
 
@@ -16,12 +17,19 @@ _HINT = "law=FILE.py names a file with a law of your own, law=FILE.py:CLASS one 
 
 
 def file_named(text: str) -> str:
-    """The file in the text that names a law; empty if it names none.
+    """The file in the text that names a law, with stages around it or numbers in brackets; empty if it names none.
 
     >>> file_named("law_mine.py:Mine"), file_named("law_mine.py"), file_named("wave")
     ('law_mine.py', 'law_mine.py', '')
+    >>> file_named("deadband(0.1) | law_mine.py:Mine(K=3.0)")
+    'law_mine.py'
     """
-    return _parted(text)[0]
+    if ".py" not in text:
+        return ""
+    try:
+        return _parted(law_text(text).law)[0]
+    except Refused:  # whatever it is, it names a file
+        return _parted(text)[0] or text
 
 
 def file_law(text: str) -> type[Any]:

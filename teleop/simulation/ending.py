@@ -149,6 +149,8 @@ def typed(scene: Scene, *options: str) -> str:
 
 
 def _file(kind: type[Any]) -> str:
-    """The file and the class of a law that does not come with this package."""
+    """The file and the class of a law that does not come with this package, with the stages around it."""
+    if (inner := vars(kind).get("inner_law")) is not None:
+        return f"{kind.stage.name} | {_file(inner)}"
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)
     return f"{file or kind.__module__}:{kind.__name__}"

@@ -19,9 +19,9 @@ from teleop.terminal.answer import Answer
 
 Rows = list[dict[str, Any]]  # one named cell beside the other, all rows alike; None is an empty one
 
-HEADINGS = {"estimators": "velocity estimators"}  # where it is not the kind itself
+HEADINGS = {"estimators": "velocity estimators", "around": "stages around a law"}  # where it is not the kind itself
 MEANINGS = {  # of knobs that declare nothing, by their type
-    "Law": "control law: direct, pfra, wave, one of a plug-in, or FILE.py:CLASS",
+    "Law": "control law: direct, pfra, wave, one of a plug-in, or FILE.py:CLASS; with stages 'deadband(0.1) | wave'",
     "OnePortLaw": "law that renders by itself: virtual_coupling, virtual_wall, one of a plug-in, or FILE.py:CLASS",
     "Playout": "zero, hold, integral, energy, scaled:RATE, or fixed:SECONDS from sending to playing",
     "VelocityEstimator": "backward_difference(), low_pass(cutoff=30), end_fit(noise=6e-5), levant(L=1) and others",
@@ -122,7 +122,7 @@ def _bodies() -> tuple[Rows, list[str]]:
 
 
 TABLES: dict[str, Callable[[], tuple[Rows, list[str]]]] = {
-    **{kind: partial(_kind_of, kind) for kind in ("scenes", "laws", "effects", "estimators")},
+    **{kind: partial(_kind_of, kind) for kind in ("scenes", "laws", "around", "effects", "estimators")},
     "metrics": _metrics, "playout": _playouts, "stages": _stages, "bodies": _bodies,
 }
 

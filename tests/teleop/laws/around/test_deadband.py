@@ -1,0 +1,107 @@
+"""The deadband around a law: what is sent, what it claims, and that it is the law itself with k = 0."""
+
+from __future__ import annotations
+
+from math import pi, sin
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop import check_law, load_scene, run
+from teleop.law import At
+from teleop.laws.around.deadband import Deadband, kept, moved, unpaid, within
+from teleop.laws.around.names import around
+from teleop.laws.direct import Direct
+from teleop.laws.pfra import PFRA
+from teleop.laws.wave import Back, Wave
+
+LAWS = [Wave(), Direct(), PFRA(alpha=0.3)]
+
+
+def at(x: float, v: float, *, dt: float = 1e-3, span: float = 1e-3) -> At:
+    return At(x, v, 0.0, 0.0, 0.0, True, 1e-3, dt, span)
+
+
+@pytest.mark.parametrize(("hertz", "sent"), [(1, 129), (2, 207), (5, 369)])
+def test_a_sine_sends_as_many_of_a_thousand_samples_as_weber_says(hertz: int, sent: int) -> None:
+    q = [sin(2.0 * pi * hertz * k / 1000.0) for k in range(1000)]
+    last, count = q[0], 0
+    for each in q:
+        if abs(each - last) > max(0.1 * abs(last), 1e-3):
+            last, count = each, count + 1
+    assert count == sent
+    law = around("deadband(0.1, floor=1e-3)", Direct(K=0.0))
+    s, _ = law.master_start(at(0.0, 0.0))
+    heard = []
+    for each in q:
+        _, tx, s = law.master(s, at(each, 0.0), law.master_start(at(0.0, 0.0))[1])
+        heard.append(tx.x)
+    assert s.deadband_sent == sent + 1  # the first message, of which the other end knows nothing
+    assert all(abs(a - b) <= max(0.1 * abs(b), 1e-3) for a, b in zip(q, heard, strict=True))
+
+
+def test_a_message_that_is_not_sent_has_the_values_of_the_last_one() -> None:
+    law = around("deadband(0.1)", Direct())
+    s, rx = law.master_start(at(0.0, 0.0))
+    _, first, s = law.master(s, at(1.0, 2.0), rx)
+    _, second, s = law.master(s, at(1.05, 2.1), rx)
+    _, third, s = law.master(s, at(1.05, 2.3), rx)  # the velocity has moved, so the message is sent with its position
+    assert (first, second, third) == ((1.0, 2.0), (1.0, 2.0), (1.05, 2.3))
+    assert s.deadband_sent == 2.0
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_with_k_zero_it_is_the_law_to_the_bit(law: Any) -> None:
+    knobs = {"delay": 0.02, "duration": 0.6}
+    alone, within_it = [run(load_scene("canonical", law=each, **knobs)).trace
+                        for each in (law, around("deadband(0.0, floor=0.5)", law))]
+    assert all(np.array_equal(alone[name], within_it[name], equal_nan=True) for name in alone)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_what_comes_out_is_a_law_that_keeps_what_it_claims(law: Any) -> None:
+    composed = around("deadband(0.3, floor=0.05)", law)
+    check_law(composed)
+    assert ("E_link" in composed.claims) == ("E_link" in law.claims)
+
+
+def test_a_deadband_that_holds_waves_as_it_holds_samples_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    from teleop.laws.around import compose
+
+    monkeypatch.setattr(compose, "_MADE", {})
+    monkeypatch.setattr(Deadband, "words", classmethod(lambda _: {
+        "moved": moved, "unpaid": lambda *_: 0.0, "kept": kept, "within": lambda wave, *_: wave}))
+    with pytest.raises(ValueError, match="more than the waves brought"):
+        check_law(around("deadband(0.3, floor=0.05)", Wave()))
+
+
+def test_waves_that_are_sent_never_have_more_energy_than_those_there_were() -> None:
+    law = around("deadband(0.4, floor=0.2)", Wave())
+    s, _ = law.master_start(at(0.0, 0.0))
+    there = sent = 0.0
+    rng = np.random.default_rng(3)
+    v, held, u_before, tx_before = 0.0, 0, 0.0, 0.0
+    for k in range(4000):
+        v += 0.02 * rng.standard_normal() - 0.01 * v
+        left_out = 5 * (k % 50 == 17)
+        _, tx, after = law.master(s, at(0.0, v, span=1e-3 * (1 + left_out)), Back(0.0))
+        u = (2.0 * law.b) ** 0.5 * v
+        there += 1e-3 * (0.5 * u * u + left_out * 0.5 * u_before * u_before)
+        sent += 1e-3 * (0.5 * tx.u * tx.u + left_out * 0.5 * tx_before * tx_before)
+        assert sent <= there + 1e-12 or left_out  # while ticks are left out the last wave goes on: paid at once
+        held += after.deadband_sent == s.deadband_sent
+        s, u_before, tx_before = after, u, tx.u
+    assert sent <= there + 1e-12
+    assert held > 1000
+
+
+def test_numbers_that_are_none_are_sent_and_not_kept() -> None:
+    nan = float("nan")
+    assert moved(0.1, 1e-3, nan, 0.0) == 1.0
+    assert moved(0.1, 1e-3, 1.0, nan) == 1.0
+    assert str(kept(1.0, -0.0, 5.0)) == "-0.0"
+    assert kept(0.0, 3.0, 5.0) == 5.0
+    assert unpaid(1.0, 2.0, 0.0, 1e-3) == 1.0
+    assert unpaid(1.0, 2.0, 1.5e-3, 1e-3) == 0.0
+    assert within(2.0, 2.0, -1e-3, 1e-3) == pytest.approx(2.0**0.5)

@@ -1,0 +1,174 @@
+"""Stages around a law as text, in every place that takes a law by its name."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pytest
+
+from teleop import Refused, around, load_scene, run, sweep
+from teleop.law import law_name
+from teleop.laws.virtual_wall import VirtualWall
+from teleop.laws.wave import Wave
+from teleop.protocol.manifest import manifest_difference, manifest_of
+from teleop.scene.library import ROOT
+from teleop.scene.trust import asks_for_trust
+from teleop.simulation.ending import typed as as_typed
+from teleop.simulation.prepared import prepare
+from teleop.simulation.result import parameters
+from teleop.sweeps.kernels.compiled import module_text
+from tests.teleop.conftest import Answer
+
+Typed = Callable[..., Answer]
+MINE = (ROOT / "scenarios" / "examples" / "law.py").read_text()
+
+
+def test_a_text_names_stages_and_law_with_their_numbers() -> None:
+    law = load_scene("canonical", law="deadband(0.2, floor=1e-4) | wave(b=3)").law
+    assert law == around("deadband(k=0.2, floor=1e-4)", Wave(b=3.0))
+    assert load_scene("canonical", law="deadband|wave").law == around("deadband()", Wave())
+    assert load_scene("canonical", law="wave(b=3.0)").law == Wave(b=3.0)
+
+
+def test_numbers_of_both_are_knobs_beside_each_other() -> None:
+    law = load_scene("canonical", **{"law": "deadband(0.2) | wave(b=3.0)", "law.b": 4.0, "law.deadband_k": 0.3}).law
+    assert (law.b, law.deadband_k, law.deadband_floor) == (4.0, 0.3, 1e-3)
+    assert [field.name for field in fields(law)] == ["b", "K", "B", "deadband_k", "deadband_floor"]
+
+
+def test_the_same_names_have_the_same_class_whatever_their_numbers() -> None:
+    assert type(around("deadband(0.1)", Wave())) is type(around("deadband(0.2)", Wave(b=5.0)))
+    assert law_name(around("deadband(0.1)", Wave())) == "deadband | wave"
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("deadbnd(0.1) | wave", "did you mean deadband?"),
+    ("deadband(0.1 | wave", r"its \( is never closed"),
+    ("deadband(0.1) |", "nothing stands behind its last |"),
+    ("| wave", "nothing stands in front of a |"),
+    ("deadband(2) | wave", "law.deadband_k must be at most 1, not 2; write for example law.deadband_k=1"),
+    ("deadband(0.1) | virtual_wall", "a law with two ends, and virtual_wall has one"),
+    ("deadband(a=1) | wave", r"deadband does not take a as an argument: write for example deadband\(0.1, floor=1e-3\)"),
+    ("deadband(0.1) | wave(b=-3)", "law.b must be above 0 N s/m, not -3"),
+    ("wave(3)", "wave takes at most 0 arguments without their names"),
+    ("wave(b=x)", "must be numbers"),
+    ("deadband | deadband | wave", "stands twice"),
+    ("wave | deadband(0.1)", "stands before a law"),
+    ("deadband(0.1)", "stands before a law"),
+])
+def test_a_text_that_cannot_be_meant_is_refused_with_what_to_type(text: str, said: str) -> None:
+    with pytest.raises(Refused, match=said):
+        load_scene("canonical" if "virtual" not in text else "virtual_wall", law=text)
+
+
+def test_around_takes_a_text_and_a_law() -> None:
+    with pytest.raises(Refused, match="around takes the stages as a text"):
+        around("", Wave())
+    with pytest.raises(Refused, match="has one"):
+        around("deadband", VirtualWall(K=500.0))
+
+
+def test_a_law_with_a_name_of_the_stage_is_told_so() -> None:
+    class Forth(NamedTuple):
+        x: float
+
+    @dataclass(frozen=True, kw_only=True)
+    class Mine:
+        deadband_k: float = 1.0
+        claims: ClassVar[Any] = Wave.claims.__class__()
+
+        def master_start(self, at: Any) -> Any:
+            return (), Forth(at.x)
+
+        def slave_start(self, at: Any) -> Any:
+            return (), Forth(at.x)
+
+        def master(self, s: Any, at: Any, rx: Forth) -> Any:
+            return self.deadband_k * (at.x - rx.x), Forth(at.x), s
+
+        slave = master
+
+    with pytest.raises(Refused, match="has a field deadband_k, which is one of the stage"):
+        around("deadband", Mine())
+
+
+def test_it_runs_in_every_engine_to_the_bit_and_rows_that_differ_in_numbers_share_a_kernel() -> None:
+    pytest.importorskip("numba")
+    axes = {"law.deadband_k": [0.0, 0.1], "delay": [0.0, 0.01]}
+    fixed = {"law": "deadband(0.3) | direct", "duration": 0.3}
+    plain, scalar, vector = [sweep("free_motion", axes, fixed=fixed, engine=engine, metrics=["x_err_rms"])["x_err_rms"]
+                             for engine in ("plain", "scalar", "vector")]
+    assert np.array_equal(plain, scalar)
+    assert np.array_equal(plain, vector)
+    names = set()
+    for k in (0.1, 0.2):
+        scene = load_scene("free_motion", law=f"deadband({k}) | pfra", duration=0.3)
+        names.add(module_text(scene, prepare(scene).bodies, ("x_err_rms",), "vector")[1])
+    assert len(names) == 1
+
+
+def test_a_composed_law_goes_to_another_process() -> None:
+    law = around("deadband(0.2)", Wave(b=3.0))
+    assert pickle.loads(pickle.dumps(law)) == law
+    told = subprocess.run([sys.executable, "-c", "import pickle, sys; print(pickle.load(sys.stdin.buffer))"],
+                          input=pickle.dumps(law), capture_output=True, check=True, cwd=ROOT)
+    assert told.stdout.decode().strip() == repr(law)
+
+
+def test_a_grid_and_a_summary_name_it_and_a_command_repeats_it(typed: Typed, tmp_path: Path) -> None:
+    answer = typed("sweep", "canonical", "--set", "duration=0.1", "--grid",
+                   "law=deadband(k=0.1,floor=1e-3) | wave,wave delay=0:0.05:2", "--out", str(tmp_path / "s"))
+    assert answer.code == 0
+    scene = load_scene("canonical", law="deadband(0.2) | wave(b=3.0)", duration=0.1)
+    told = parameters(scene)["law"]
+    assert told == {"name": "deadband | wave", "b": 3.0, "K": 500.0, "B": 20.0, "deadband_k": 0.2,
+                    "deadband_floor": 1e-3}
+    again = {f"law.{key}": value for key, value in told.items() if key != "name"}
+    assert load_scene("canonical", law=told["name"], **again).law == scene.law
+    assert as_typed(scene) == ("canonical --set law='deadband | wave' --set law.b=3.0 --set law.deadband_k=0.2 "
+                            "--set duration=0.1")
+
+
+def test_the_list_has_the_knobs_of_a_stage_and_of_a_law_with_it(typed: Typed) -> None:
+    found = json.loads(typed("list", "deadband(0.2) | wave", "--json").out)["found"][0]
+    assert [knob["name"] for knob in found["knobs"]] == ["b", "K", "B", "deadband_k", "deadband_floor"]
+    assert "deadband_floor" in typed("list", "deadband").out
+    assert "deadband" in typed("list", "around").out
+
+
+def test_a_law_of_a_file_has_stages_too_and_is_told_apart_by_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "law_mine.py"
+    file.write_text(MINE)
+    text = f"deadband(0.1) | {file}"
+    scene = load_scene("canonical", law=text, duration=0.2)
+    assert run(scene).status == "ok"
+    before = manifest_of(scene)
+    assert Path(str(parameters(scene)["law"]["file"])).name == "law_mine.py"
+    file.write_text(MINE + "\nEDITED = True\n")
+    os.utime(file, ns=(1, 1))
+    after = manifest_of(load_scene("canonical", law=text, duration=0.2))
+    assert "law source" in str(manifest_difference(before, after))
+
+
+@pytest.mark.parametrize("text", ["deadband(0.1) | {}", "{}(K=3.0)", "deadband(0.1) | {}:SmoothReflection(K=3.0)",
+                                  "deadband(0.1 | {}"])
+def test_a_stored_text_that_names_a_file_is_not_run_without_trust(text: str) -> None:
+    assert asks_for_trust("canonical", {"law": text.format("law_mine.py")})
+
+
+def test_a_mistake_of_the_law_inside_is_told_with_its_own_line(tmp_path: Path) -> None:
+    file = tmp_path / "law_wrong.py"
+    line = "return self.K * (rx.x - at.x)"
+    assert line in MINE
+    file.write_text(MINE.replace(line, "return 1.0 / (rx.x < 0.02) + self.K * (rx.x - at.x)"))
+    with pytest.raises(Refused, match=r"SmoothReflection.slave \(.*law_wrong.py:\d+\) raised ZeroDivisionError"):
+        run(load_scene("canonical", law=f"deadband(0.1) | {file}", duration=0.2))
