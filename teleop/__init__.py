@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from teleop.errors import DeviceError, Refused, number, whole_number
     from teleop.knob import Knob, check_knobs
     from teleop.law import At, Law, OnePortLaw, find_law, messages
+    from teleop.law.offers import Facts, seed_energy
     from teleop.laws.around.names import around
     from teleop.laws.direct import Direct
     from teleop.laws.pfra import PFRA
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from teleop.scene.parts import Environment, Hand, Reference, Vector
     from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
     from teleop.scene.scene import Scene
+    from teleop.simulation.facts import facts_of, fitted
     from teleop.simulation.result import Result
     from teleop.simulation.virtual import run
     from teleop.stages.device import Device, VelocityEstimator
@@ -53,18 +55,19 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DISTRIBUTION", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError", "DeviceWatchdog",
-    "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment", "Fixed", "Hand", "Hold",
+    "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment", "Facts", "Fixed", "Hand", "Hold",
     "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant",
     "Playout", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table",
     "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__",
-    "around", "check_knobs", "check_law", "end_main", "find_law", "load_result", "load_scene", "messages", "number",
-    "run", "sweep", "whole_number",
+    "around", "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene",
+    "messages", "number", "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
     "errors": ("DeviceError", "Refused", "number", "whole_number"),
     "knob": ("Knob", "check_knobs"),
     "law": ("At", "Law", "OnePortLaw", "find_law", "messages"),
+    "law.offers": ("Facts", "seed_energy"),
     "laws.around.names": ("around",),
     "laws.direct": ("Direct",),
     "laws.pfra": ("PFRA",),
@@ -82,6 +85,7 @@ _HOMES = {  # the module of each name, under this package
     "scene.playout": ("Energy", "Fixed", "Hold", "Integral", "Playout", "Scaled", "Zero"),
     "scene.scene": ("Scene",),
     "live.records.merge": ("load_result",),
+    "simulation.facts": ("facts_of", "fitted"),
     "simulation.result": ("Result",),
     "simulation.virtual": ("run",),
     "stages.device": ("Device", "VelocityEstimator"),

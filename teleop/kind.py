@@ -2,10 +2,17 @@
 
     class Forth(NamedTuple):
         u: kind.Wave
+        x: kind.Sample
+        E: kind.Total
 
-A field that is a wave has energy: half its square is the power that it carries, W, so its unit is sqrt(W). It enters
-the ledger of the link, and the playouts that fill gaps within the energy that was sent (`teleop.scene.playout`) fill
-it. Every other field is a sample, of which the newest stands.
+A *wave* has energy: half its square is the power that it carries, W, so its unit is sqrt(W). It enters the ledger of
+the link, and the playouts that fill gaps within the energy that was sent (`teleop.scene.playout`) fill it.
+
+A *total* is summed from the beginning and never set back, such as the energy that an end has put in so far: so a packet
+that is lost loses nothing and a copy adds nothing. The newest stands, also between ends of different rates.
+
+A *sample* is a value at a tick: the newest stands, and of several that a slower end plays together their mean. A field
+that declares nothing, `x: float`, is a sample.
 """
 
 from __future__ import annotations
@@ -17,22 +24,34 @@ from inspect import get_annotations
 from types import SimpleNamespace
 from typing import Annotated, Any, ForwardRef, get_args, get_type_hints
 
-_WAVE = "wave"
-Wave = Annotated[float, _WAVE]
+_KINDS = ("wave", "total", "sample")
+Wave = Annotated[float, "wave"]
+Total = Annotated[float, "total"]
+Sample = Annotated[float, "sample"]
+
+
+def kinds(message: type[Any]) -> dict[str, str]:
+    """The kind of each field of a message type, "wave", "total" or "sample", in their order."""
+    found: Callable[[Any], dict[str, str]] = _kinds
+    return found(message)
 
 
 def waves(message: type[Any]) -> tuple[str, ...]:
     """The names of the fields of a message type that are waves, in their order."""
-    found: Callable[[Any], tuple[str, ...]] = _waves
-    return found(message)
+    return tuple([name for name, kind in kinds(message).items() if kind == "wave"])
+
+
+def totals(message: type[Any]) -> tuple[str, ...]:
+    """The names of the fields of a message type that are totals, in their order."""
+    return tuple([name for name, kind in kinds(message).items() if kind == "total"])
 
 
 @lru_cache(maxsize=256)
-def _waves(message: Any) -> tuple[str, ...]:
-    return tuple([name for name in message._fields if _is_wave(message, name)])
+def _kinds(message: Any) -> dict[str, str]:
+    return {name: _kind(message, name) for name in message._fields}
 
 
-def _is_wave(message: type[Any], field: str) -> bool:
+def _kind(message: type[Any], field: str) -> str:
     for base in message.__mro__:
         if field in (hints := get_annotations(base)):
             alone = SimpleNamespace(__annotations__={field: hints[field]})  # others may be of what is not to be found
@@ -42,9 +61,13 @@ def _is_wave(message: type[Any], field: str) -> bool:
             except Exception:  # its names are those of the function that the class is made in
                 hint = hints[field]
                 text = hint.__forward_arg__ if isinstance(hint, ForwardRef) else str(hint)
-                return text.strip("'\"").rpartition(".")[2] == "Wave"
-            return _WAVE in get_args(hint)[1:]
-    return False
+                return _or_sample(text.strip("'\"").rpartition(".")[2].lower())
+            return next((_or_sample(each) for each in get_args(hint)[1:] if each in _KINDS), "sample")
+    return "sample"
+
+
+def _or_sample(word: str) -> str:
+    return word if word in _KINDS else "sample"
 
 
 def wave(message: type[Any]) -> str | None:

@@ -14,11 +14,11 @@ class Forth(NamedTuple):
 
 
 class Back(NamedTuple):
-    f: float  # the slave's force on the environment, low-passed, N
+    f_env: float  # the slave's force on the environment, low-passed, N
 
 
 class Memory(NamedTuple):
-    f: float  # N, the filter's last output
+    f_low: float  # N, the filter's last output
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class SmoothReflection:
     K: float = 500.0  # N/m, coupling stiffness
     B: float = 20.0  # N s/m, damping of the slave
     cutoff: float = 5.0  # Hz, of the force that goes back
-    claims: ClassVar[frozenset[str]] = frozenset()  # no ledger is promised to stay above zero
+    claims: ClassVar[dict[str, str]] = {}  # no ledger is promised to stay above zero
 
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)
@@ -37,11 +37,11 @@ class SmoothReflection:
         return Memory(0.0), Forth(at.x)  # until the first message comes: stay
 
     def master(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Forth, tuple[()]]:
-        return rx.f, Forth(at.x), s
+        return rx.f_env, Forth(at.x), s
 
     def slave(self, s: Memory, at: At, rx: Forth) -> tuple[float, Back, Memory]:
-        f = s.f + (1.0 - exp(-2.0 * pi * self.cutoff * at.span)) * (at.f - s.f)
-        return self.K * (rx.x - at.x) - self.B * at.v, Back(f), Memory(f)
+        f_env = s.f_low + (1.0 - exp(-2.0 * pi * self.cutoff * at.span)) * (at.f - s.f_low)
+        return self.K * (rx.x - at.x) - self.B * at.v, Back(f_env), Memory(f_env)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,9 @@ A one-port law, for a scene without a slave, has one end and no messages:
 
     start(at) -> state                     force(state, at) -> f_m, state
 
+Each field of a message is of a kind, a wave, a total or a sample (`teleop.kind`). What else a law may offer is in
+`teleop.law.offers`, the ledgers that it claims to keep among it.
+
 Only those fields of `At` are computed that the lines of an end name; the others are NaN, so that a field read
 in a way that `reads` cannot see shows in the force at once. `teleop.law.contract` checks a law when a scene
 is made of it.
@@ -25,7 +28,7 @@ is made of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from inspect import getattr_static
 from math import inf, nan
@@ -59,10 +62,10 @@ class At(NamedTuple):
 
 
 class Law(Protocol):
-    """The shape of a law with two ends. `claims` names the energy ledgers that the law keeps from going below zero."""
+    """The shape of a law with two ends. `claims`: the energy ledgers that it keeps, see `teleop.law.offers`."""
 
     @property
-    def claims(self) -> frozenset[str]: ...
+    def claims(self) -> Mapping[str, str]: ...
 
     def master_start(self, at: At, /) -> tuple[Any, Any]: ...
     def slave_start(self, at: At, /) -> tuple[Any, Any]: ...
@@ -76,7 +79,7 @@ class OnePortLaw(Protocol):
     """The shape of a law with one end, for a scene without a slave: it renders an impedance to the hand by itself."""
 
     @property
-    def claims(self) -> frozenset[str]: ...
+    def claims(self) -> Mapping[str, str]: ...
 
     def start(self, at: At, /) -> Any: ...
     def force(self, s: Any, at: At, /) -> tuple[float, Any]: ...

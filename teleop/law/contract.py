@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 from weakref import WeakSet
 
 from teleop.errors import Refused, nearest, number_of
-from teleop.kind import waves
 from teleop.law import At, functions_of
+from teleop.law.declarations import Wrong, check_claims, check_names, check_offers, check_waves, shown
 
 RETURNS = {
     "master_start": ("state", "message"), "master_sums": ("sums",), "master": ("force", "message", "state"),
@@ -46,7 +46,6 @@ FIRST = {  # the method that shows the type
 REST = At(0.0, 0.0, 0.0, 0.0, 0.0, False, inf, 1e-3, 1e-3)
 CREEP = At(1e-6, 1e-3, 0.0, 0.0, 1e-6, True, 1e-3, 1e-3, 1e-3)
 SITUATIONS = (REST, REST._replace(fresh=True, age=1e-3), CREEP, CREEP._replace(fresh=False, age=2e-3))
-LONGEST = 80  # characters of a value that a sentence shows
 REMEMBER = "keep what it remembers in its state, and nowhere else"
 
 _CHECKED: WeakSet[type] = WeakSet()  # classes of laws that keep the contract
@@ -54,10 +53,6 @@ _CHECKED: WeakSet[type] = WeakSet()  # classes of laws that keep the contract
 
 class LawMistake(Refused):
     """A law that breaks the contract, in one sentence with its method and the line."""
-
-
-class Wrong(Exception):
-    """What is wrong with a returned value; the text is the rest of a sentence that begins with the method."""
 
 
 def check_contract(law: Any) -> None:
@@ -74,6 +69,7 @@ def check_contract(law: Any) -> None:
     if is_dataclass(law) and not kind.__dataclass_params__.frozen:
         raise LawMistake(f"{kind.__name__}{_class_place(law)} is a dataclass that is not frozen, so a run may "
                          "change it; write @dataclass(frozen=True, kw_only=True) above it")
+    _declares(law, check_claims, law)
     try:
         own = deepcopy(law)  # a law that changes itself, or writes down its calls, has not done so before its run
     except Exception:  # a law may hold what has no copy
@@ -93,7 +89,9 @@ def _probe_two_port(law: Any) -> None:
     kinds, states, sent = {}, {}, {}
     for end, other in (("master", "slave"), ("slave", "master")):
         states[end], sent[other] = methods[f"{end}_start"].asked(REST)
-    _check_waves(law, sent)
+    _declares(law, check_waves, law, sent)
+    _declares(law, check_offers, law, states)
+    _declares(law, check_names, {"state": [*states.values()], "message": [*sent.values()]})
     for end, other in (("master", "slave"), ("slave", "master")):
         kinds[end] = {"state": type(states[end]), "message": type(sent[end])}
         own: dict[str, type] = {"at": At, "s": type(states[end]), "rx": type(sent[other])}
@@ -109,18 +107,12 @@ def _probe_two_port(law: Any) -> None:
             _, sent[end], states[end] = methods[end].asked(*given, kinds=kinds[end])
 
 
-def _check_waves(law: Any, sent: Mapping[str, Any]) -> None:
-    """Refuse messages with a wave in one direction alone, or with two in one, and E_link claimed without any."""
-    found = {type(message).__name__: waves(type(message)) for message in sent.values()}
-    name, claims = f"{type(law).__name__}{_class_place(law)}", "E_link" in getattr(law, "claims", ())
-    if two := next((message for message, fields in found.items() if len(fields) > 1), None):
-        raise LawMistake(f"{name}: its message {two} has {len(found[two])} waves, {', '.join(found[two])}, and one "
-                         "direction has one wave; write float for what is none")
-    without = [message for message, fields in found.items() if not fields]
-    if without and (claims or len(without) < len(found)):
-        why = "claims E_link" if claims else "has a wave in one direction"
-        raise LawMistake(f"{name} {why}, and its message {without[0]} has no field that is a wave; write `u: "
-                         "kind.Wave` for the one that is, with `from teleop import kind`")
+def _declares(law: Any, check: Callable[..., None], *given: Any) -> None:
+    """Do a check of what a law declares; `Refused` with its class and the line of that if it fails."""
+    try:
+        check(*given)
+    except Wrong as wrong:
+        raise LawMistake(f"{type(law).__name__}{_class_place(law)} {wrong}") from None
 
 
 def _probe_one_port(law: Any) -> None:
@@ -169,7 +161,7 @@ class Method(NamedTuple):
         answer = self.call(*arguments)
         for name, value in getattr(self.law, "__dict__", {}).items():
             if name not in before or before[name] is not value:
-                raise self.refuse(arguments, f"changes the law, {name}={_shown(value)}; {REMEMBER}")
+                raise self.refuse(arguments, f"changes the law, {name}={shown(value)}; {REMEMBER}")
         self.judge(arguments, answer, kinds)
         if in_bits(answer) != in_bits(self.call(*arguments)):
             raise self.refuse(arguments, f"answers the same arguments differently the second time; {REMEMBER}")
@@ -283,9 +275,9 @@ def judge_answer(name: str, answer: Any, kinds: Mapping[str, type] | None = None
         raise Wrong(f"returns nothing; write return {', '.join(names)}")
     parts = answer if len(names) > 1 else (answer,)
     if not isinstance(parts, tuple) or (len(parts) != len(names) and hasattr(parts, "_fields")):
-        raise Wrong(f"returns {_shown(answer)} of type {type(answer).__name__}; write return {', '.join(names)}")
+        raise Wrong(f"returns {shown(answer)} of type {type(answer).__name__}; write return {', '.join(names)}")
     if len(parts) != len(names):
-        raise Wrong(f"returns {number_of(len(parts), 'value')}, {_shown(answer)}; write return {', '.join(names)}")
+        raise Wrong(f"returns {number_of(len(parts), 'value')}, {shown(answer)}; write return {', '.join(names)}")
     for what, part in zip(names, parts, strict=True):
         _judge_part(what, part, exact=exact)
         kind = None if kinds is None else kinds.get(what)
@@ -293,23 +285,23 @@ def judge_answer(name: str, answer: Any, kinds: Mapping[str, type] | None = None
             raise Wrong(f"returns a {what} of type {type(part).__name__}, but {FIRST[name, what]} one of type "
                         f"{kind.__name__}; use one type throughout")
         if finite and not all(map(isfinite, part if isinstance(part, tuple) else (part,))):
-            raise Wrong(f"returns the {what} {_shown(part)} for finite arguments; guard denominators with max(.., eps)")
+            raise Wrong(f"returns the {what} {shown(part)} for finite arguments; guard denominators with max(.., eps)")
 
 
 def _judge_part(what: str, part: Any, *, exact: bool) -> None:
     if what == "force":
         if not _is_number(part, exact=exact):
-            raise Wrong(f"returns the force {_shown(part)} of type {type(part).__name__}; write it as a float")
+            raise Wrong(f"returns the force {shown(part)} of type {type(part).__name__}; write it as a float")
         return
     if what == "state" and type(part) is tuple and not part:
         return
     if not isinstance(part, tuple) or not hasattr(part, "_fields"):
         nothing = " or ()" if what == "state" else ""
-        raise Wrong(f"returns the {what} {_shown(part)} of type {type(part).__name__}; make it a NamedTuple of "
+        raise Wrong(f"returns the {what} {shown(part)} of type {type(part).__name__}; make it a NamedTuple of "
                     f"floats{nothing}")
     for field, entry in zip(part._fields, part, strict=True):
         if not _is_number(entry, exact=exact):
-            raise Wrong(f"returns the {what} with {field}={_shown(entry)} of type {type(entry).__name__}; "
+            raise Wrong(f"returns the {what} with {field}={shown(entry)} of type {type(entry).__name__}; "
                         "write it as a float")
 
 
@@ -457,15 +449,6 @@ def _text(error: Exception) -> str:
         return str(error)
     except Exception:  # an exception's own __str__ may be what is broken
         return ""
-
-
-def _shown(value: object) -> str:
-    """A value in one line of a sentence."""
-    try:
-        text = " ".join(repr(value).split())
-    except Exception:  # a repr of the author's own may be what is broken
-        text = f"a {type(value).__name__}"
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 def file_line(file: str, line: int) -> str:

@@ -14,6 +14,7 @@ Claims: nothing. It sends no waves, and its two-port generates energy as soon as
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, NamedTuple
 
@@ -38,7 +39,7 @@ class Direct:
     B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
     kf: Annotated[float, Knob("", "gain of the reflected force", low=0.0)] = 1.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
         check_knobs(self)

@@ -27,6 +27,7 @@ and a master of damping b by at most this over b, however large f_env is.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, NamedTuple
 
@@ -59,7 +60,7 @@ class PFRA:
     K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
     B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
         check_knobs(self)

@@ -52,6 +52,7 @@ Claims: nothing of the ledgers; E_port contains the hold's leak.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, NamedTuple
 
@@ -82,7 +83,7 @@ class VirtualCoupling:
     theta_f: Annotated[float, Knob("", "weight of the new state in the tool's forces", low=0.0, high=1.0)] = 1.0
     theta_x: Annotated[float, Knob("", "weight of the new velocity in the tool's position", low=0.0, high=1.0)] = 1.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
         check_knobs(self)

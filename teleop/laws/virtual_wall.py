@@ -26,6 +26,7 @@ zero by the hold's leak at any K; what is passive is the device and the wall tog
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -41,7 +42,7 @@ class VirtualWall:
     B: Annotated[float, Knob("N s/m", "damping of the wall", low=0.0)] = 0.0
     at: Annotated[float, Knob("m", "position of its surface")] = 0.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
         check_knobs(self)

@@ -40,6 +40,7 @@ hold's own leak.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
@@ -70,7 +71,7 @@ class Wave:
     K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
     B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
 
-    claims: ClassVar[frozenset[str]] = frozenset({"E_link"})
+    claims: ClassVar[Mapping[str, str]] = {"E_link": "any link"}
 
     def __post_init__(self) -> None:
         check_knobs(self)

@@ -17,6 +17,7 @@ TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
 STANDS = "a hand that comes to stand"
 PLAYED = "a link and a law of waves, played by their integral or energy"
 PORTS, WAVES, STAMPS = "energy=True", "energy=True and a law of waves", "energy=True, a law of waves and a link"
+STORED = "energy=True and a law that says what energy it keeps"
 
 
 class Metric(NamedTuple):
@@ -52,6 +53,8 @@ METRICS = {
     "E_link_end": Metric("J", "energy stored in the link at the end", WAVES),
     "E_port_min": Metric("J", "smallest energy that law and link have taken up at the ports", PORTS),
     "E_port_end": Metric("J", "energy that law and link have taken up at the ports by the end", PORTS),
+    "E_law_min": Metric("J", "smallest energy that the law keeps, of which it was given its seed energy", STORED),
+    "E_law_end": Metric("J", "energy that the law keeps at the end", STORED),
     "E_fwd_min": Metric("J", "forward: sender's stamped energy less what was received, smallest; below zero at most by "
                         "what was held over ticks that were left out", STAMPS),
     "E_bwd_min": Metric("J", "backward: the same", STAMPS),
@@ -99,7 +102,7 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
     forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
     out |= {f"{name}_max": _greatest(trace[name]) for name in forces}
     out |= {f"{name}_end": _at_end(trace, name, dt) for name in ("f_m", "f_env") if name in trace}
-    for ledger in ("E_link", "E_port"):
+    for ledger in ("E_link", "E_port", "E_law"):
         if ledger in trace:
             energy = trace[ledger]
             out |= {f"{ledger}_min": float(energy.min()), f"{ledger}_end": float(energy[-1])}

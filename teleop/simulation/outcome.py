@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import number_of, plural
 from teleop.law.contract import not_finite
-from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.ending import Ending, ending
@@ -43,13 +42,6 @@ def divergence(scene: Scene, k: int, what: str) -> str:
     """The sentence of a run that diverged at tick k."""
     when = f"diverged at t = {k * scene.dt_ns / 1e9:g} s (tick {k})"
     return f"{when}: {what}; a smaller dt, gain or delay may hold it"
-
-
-def standing_notes(scene: Scene) -> list[str]:
-    """The notes that hold for every run of a scene, in virtual time and live."""
-    if scene.has_waves and repeats(scene.played_as):
-        return ["playout holds waves in the gaps, which is active: E_link may fall below zero"]
-    return []
 
 
 def too_old(scene: Scene, end: str, plan: Plan | None, ran: int) -> list[str]:

@@ -126,6 +126,8 @@ def functions(scene: Scene) -> dict[str, Any]:
             found[f"Sums_{e}"] = sums_type(law, e, scene.dt_ns / 1e9)
         if own.rx_wave:
             found[f"Message_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "m"]
+        if structure.has.stored:
+            words[f"stored_{e}"] = f"{NAMES[e]}_stored"
         if device is not None and device.velocity is not None:
             found[f"estimate_{e}"] = device.velocity.step
     return found | {word: _end_of(law, name) for word, name in words.items()}

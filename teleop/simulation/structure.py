@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from teleop.errors import Refused
 from teleop.kind import wave
 from teleop.law import functions_of, messages, reads, start_at
+from teleop.law.offers import stores
 from teleop.scene.playout import integrates, repeats
 from teleop.scene.scene import Scene
-from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Stage, per_axis
+from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Shown, Stage, per_axis
 from teleop.stages.order import STAGES, Asked
 
 NAMES = {"m": "master", "s": "slave"}
@@ -24,6 +26,7 @@ class EndStructure(NamedTuple):
     tx_wave: str = ""
     rx_wave: str = ""
     rx_fields: tuple[str, ...] = ()
+    shows: tuple[str, ...] = ()  # fields of its law's state that are recorded
 
 
 class Structure(NamedTuple):
@@ -44,7 +47,8 @@ def structure_of(scene: Scene) -> Structure:
             slave=scene.slave is not None, hand=scene.hand is not None,
             link=scene.slave is not None and (scene.link is not None or late),
             repeats=repeats(scene.played_as), integral=scene.has_waves and integrates(scene.played_as),
-            energy=scene.energy, waves=scene.energy and scene.has_waves)
+            energy=scene.energy, waves=scene.energy and scene.has_waves,
+            stored=scene.energy and scene.slave is not None and stores(scene.law))
         slave = _end(scene, "s", has) if has.slave else EndStructure(EndHas(), ())
         kept = vars(scene)["_structure"] = Structure(scene.axes, has, _end(scene, "m", has), slave)
     return kept
@@ -76,7 +80,16 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         return EndStructure(has, stages, fields)
     forth, back = messages(scene.law, scene.dt_ns / 1e9)
     tx, rx = (forth, back) if e == "m" else (back, forth)
-    return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields)
+    return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, _shows(scene, e))
+
+
+def _shows(scene: Scene, e: str) -> tuple[str, ...]:
+    """The fields of the law's state at one end that it asks to be recorded."""
+    asked = getattr(scene.law, "shows", ())
+    if not asked:
+        return ()
+    state, _ = getattr(scene.law, f"{NAMES[e]}_start")(start_at(0.0, 0.0, 0.0, scene.dt_ns / 1e9))
+    return tuple([field for field in asked if field in getattr(state, "_fields", ())])
 
 
 def sums_type(law: Any, e: str, dt: float) -> Any:
@@ -113,6 +126,7 @@ def _end_of(name: str, structure: Structure) -> End:
     e = End(name, structure.axes, own.has)
     e.stages = tuple([stage(name, structure.axes) for stage in own.stages])
     e.fields, e.tx_wave, e.rx_wave, e.rx_fields = own.fields, own.tx_wave, own.rx_wave, own.rx_fields
+    e.shown = tuple([Shown(f"{a.suffix}_{field}", a, field) for field in own.shows for a in e.axes])
     e.cells = tuple([cell for column in end_columns(e) for cell in column.cells])
     e.memory = (
         *[(a, field) for a in e.axes for field in ("x", "v", "f")], *[(a, "z") for a in e.axes if own.has.inner],
@@ -127,7 +141,15 @@ def end_columns(e: End) -> list[Column]:
     after = [column for stage in e.stages if not stage.reading for column in stage.columns(e)]
     felt = [per_axis(SENSED[e.name], e.axes, "f_ext")] * e.has.felt
     x, v, f = [per_axis(f"{field}_{e.name}", e.axes, field) for field in ("x", "v", "f")]
-    return [x, v, *before, *felt, f, *after]
+    fields = dict.fromkeys([one.field for one in e.shown])
+    shown = [per_axis(f"{field}_{e.name}", tuple([one for one in e.shown if one.field == field]), "value")
+             for field in fields]
+    found = [x, v, *before, *felt, f, *after, *shown]
+    names = [column.name.removesuffix("@") for column in found]
+    if double := next((name for name in names if names.count(name) > 1), None):
+        raise Refused(f"the law shows {double.rpartition('_')[0]}, and {double} is a column of every record; give that "
+                      "field of its state another name")
+    return found
 
 
 def columns(scene: Scene, e: str, sensor: bool | None = None) -> list[str]:

@@ -41,6 +41,8 @@ def begin(run: Run, e: End, given: Any) -> None:
             a.s = e.begin(run.law, a.at)
         if e.has.dx:
             a.x_before = a.x_read
+    for one in e.shown:
+        one.value = zero(run)
     if e.has.newest:
         e.newest = -1
 
@@ -68,6 +70,8 @@ def tick(run: Run, e: End, k: int) -> None:
         stage.act(run, e, k)
     for a in e.axes:
         a.f = a.f_cmd
+    for one in e.shown:
+        one.value = getattr(one.a.s, one.field)
 
 
 def read_directly(e: End) -> None:

@@ -135,7 +135,7 @@ def _picked(make: Callable[[], NDArray[Any]], at: NDArray[np.int64]) -> NDArray[
 
 
 def _ledgers(sums: Columns) -> dict[str, Callable[[], NDArray[Any]]]:
-    """E_link and E_port from each end's own sums, so that both ways of running add in the same order.
+    """E_link, E_port and E_law from each end's own sums, so that both ways of running add in the same order.
 
     They are not added to `sums` itself: what held each other would keep all rows until the next garbage collection.
     """
@@ -157,7 +157,14 @@ def _ledgers(sums: Columns) -> dict[str, Callable[[], NDArray[Any]]]:
                 given -= sums["E_port_s"]
             return given
 
-    return {**({"E_link": link} if "E_in_fwd" in sums else {}), "E_port": port}
+    def law() -> NDArray[Any]:
+        with np.errstate(all="ignore"):
+            kept: NDArray[Any] = sums["E_law_m"]
+            kept += sums["E_law_s"]
+            return kept
+
+    return {**({"E_link": link} if "E_in_fwd" in sums else {}), "E_port": port,
+            **({"E_law": law} if "E_law_m" in sums else {})}
 
 
 class _Table:

@@ -10,8 +10,9 @@ from teleop.errors import Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
+from teleop.simulation.facts import law_notes, of_plans
 from teleop.simulation.notes import faded, unplayed
-from teleop.simulation.outcome import integration, over_tolerance, standing_notes, too_old, verdict
+from teleop.simulation.outcome import integration, over_tolerance, too_old, verdict
 from teleop.simulation.packets import counts_of, packet_counts
 from teleop.simulation.plan import LinkPlans, check_seed, link_plans, round_trip
 from teleop.simulation.prepared import Prepared, prepare
@@ -70,7 +71,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     # Of a run that ended early, only what was sent until then counts.
     packets = counts_of(plans, ran) if ran == scene.ticks else packet_counts(scene, seed, ran)
     reports = integration(scene, bodies, inner)
-    notes = standing_notes(scene)
+    notes = law_notes(scene, *of_plans(scene, plans, ran))
     if bodies.method:
         from teleop.simulation.integrators.named import told
 

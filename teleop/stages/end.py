@@ -19,7 +19,8 @@ class RunHas(NamedTuple):
     repeats: bool = False  # playout: the last message is played again in the gaps
     integral: bool = False  # playout: waves by what they have come to, which is sent along
     energy: bool = False  # the ledgers of the ports are kept,
-    waves: bool = False  # ... and that of the link, whose messages carry waves
+    waves: bool = False  # ... and that of the link, whose messages carry waves,
+    stored: bool = False  # ... and that of the law, which says how much it keeps
     compiled: bool = False  # written without branches, for compiled code
     lanes: bool = False  # eight scenes side by side
 
@@ -88,6 +89,16 @@ class Axis(Record):
         self.i = i
 
 
+class Shown(Record):
+    """A field of the law's state in one axis, which the law asks to be recorded."""
+
+    value: float
+
+    def __init__(self, suffix: str, a: Axis, field: str) -> None:
+        super().__init__(suffix)
+        self.a, self.field = a, field
+
+
 class End(Record):
     """The master's end or the slave's."""
 
@@ -97,6 +108,7 @@ class End(Record):
     stages: tuple[Stage, ...]
     cells: tuple[tuple[Record, str], ...]  # of a row of its record
     memory: tuple[tuple[Record, str], ...]  # what it keeps from tick to tick
+    shown: tuple[Shown, ...]  # of its law's state, what is recorded
     fields: tuple[str, ...]  # of its law's sums
     tx_wave: str  # the field of its messages that is a wave, "" if none is
     rx_wave: str
@@ -113,6 +125,7 @@ class End(Record):
     E_port: float  # the ledgers, J
     E_in: float
     E_out: float
+    E_law: float
 
     begin: Callable[..., Any]  # the functions of its law
     law: Callable[..., Any]

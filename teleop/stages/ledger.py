@@ -2,15 +2,17 @@
 
 `E_port` is the work that the held force did over the motion at the port. `E_in` is the energy that the end's waves
 bring into the link (forward from the master, backward from the slave), `E_out` what the waves that it plays take out.
+`E_law` is what the law says that its state at this end keeps (`teleop.law.offers`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import reduce
 from operator import add
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Run, Stage
+from teleop.stages.end import Column, End, Run, Stage, zero
 from teleop.stages.record import Record
 
 
@@ -82,3 +84,23 @@ class PortLedger(Stage):
                 e.E_port = e.E_port + a.f * a.dx
             if e.has.encoder:
                 own.x_was = a.x
+
+
+class LawLedger(Stage):
+    """The energy that the law keeps in its state, where it says how much. An end with sums has one for all its axes."""
+
+    name: ClassVar[str] = "law_ledger"
+
+    stored: Callable[..., Any]
+
+    def columns(self, e: End) -> tuple[Column, ...]:
+        return (Column(f"E_law_{e.name}", ((e, "E_law"),)),)
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        e.E_law = zero(run)
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        if e.has.sums:
+            e.E_law = self.stored(run.law, e.axes[0].s)
+        else:
+            e.E_law = reduce(add, [self.stored(run.law, a.s) for a in e.axes])

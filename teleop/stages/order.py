@@ -10,6 +10,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
+from teleop.law.offers import stores
 from teleop.stages.end import Stage
 
 
@@ -91,5 +92,8 @@ AFTER_LAW = (  # what its force goes through
           "sums the energy of a law's waves that go into the link and come out: E_in, E_out", "energy=True"),
     Place("port_ledger", "ledger:PortLedger", lambda end: end.scene.energy,
           "sums the work of the held force over the motion at the port: E_port", "energy=True"),
+    Place("law_ledger", "ledger:LawLedger",
+          lambda end: end.scene.energy and end.scene.slave is not None and stores(end.scene.law),
+          "asks the law what it keeps of energy: E_law", "energy=True"),
 )
 STAGES = (*BEFORE_LAW, *AFTER_LAW)

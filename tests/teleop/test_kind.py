@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from teleop import load_scene
-from teleop.kind import wave, waves
+from teleop.kind import kinds, wave, waves
 from teleop.scene.library import own_module
 from teleop.scene.own_law import file_law
 
@@ -135,6 +135,21 @@ def test_a_wave_is_found_with_and_without_annotations_as_text(first: str, name: 
 @pytest.mark.parametrize("name", ["Own", "Called", "Unknown", "Bare"])
 def test_what_is_only_called_wave_is_none(first: str, name: str, tmp_path: Path) -> None:
     assert wave(getattr(module(tmp_path, first + SAMPLES), name)) is None
+
+
+@pytest.mark.parametrize("first", ["", FUTURE])
+def test_what_declares_nothing_is_a_sample(first: str, tmp_path: Path) -> None:
+    own = module(tmp_path, f"""{first}
+from typing import NamedTuple
+from teleop import kind
+
+class All(NamedTuple):
+    u: kind.Wave
+    E: kind.Total
+    x: kind.Sample
+    v: float
+""")
+    assert kinds(own.All) == {"u": "wave", "E": "total", "x": "sample", "v": "sample"}
 
 
 @pytest.mark.parametrize("first", ["", FUTURE])

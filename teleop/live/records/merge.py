@@ -15,8 +15,8 @@ from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
 from teleop.simulation.ending import Ending, ending
+from teleop.simulation.facts import delay, law_notes
 from teleop.simulation.notes import faded, unplayed
-from teleop.simulation.outcome import standing_notes
 from teleop.simulation.packets import Packets, packet_counts
 from teleop.simulation.plan import round_trip
 from teleop.simulation.prepared import Prepared, prepare
@@ -99,6 +99,8 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     span = range(max(firsts), min(lasts) + 1)
     alone = max(max(firsts) - min(firsts), max(lasts) - min(lasts)) * scene.dt > ALONE
     apart = not stepped and (alone or met[0] != met[1] or any(_killed(end) for end in ends.values()))
+    delays = {e: None if record.played is None else delay(record.ticks, record.played, scene.dt_ns / 1e9)
+              for e, record in records.items()}
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(prepared := prepare(scene), records)
@@ -108,7 +110,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         trace.makers.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
     came = _verdict(ends, prepared, trace, records, stepped)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
-    notes = [*standing_notes(scene), *[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
+    notes = [*[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
     if apart or any(running.values()):
         packets = {}
         own = {NAMES[e]: _within(span, own[NAMES[e]], headers[e], records[e], late[e]) for e in ends}
@@ -117,6 +119,8 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
                      "of its own run are left out, and stand in its own folder")
     elif not any(running.values()):
         packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
+    lossy = any(each.lost > 0 for each in packets.values())
+    notes = [*law_notes(scene, delays["s"], delays["m"], lossy), *notes]
     run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
     extra = {**own, "channel": channel}
     if again:

@@ -57,6 +57,8 @@ class Figures(Recorder):
     E_link_min: float
     E_port: float
     E_port_min: float
+    E_law: float
+    E_law_min: float
     g_m_min: float
     g_s_min: float
     start: Any  # the first tick of the late windows
@@ -72,7 +74,8 @@ class Figures(Recorder):
     def __init__(self, axes: int, has: RunHas, measures: tuple[str, ...]) -> None:
         super().__init__()
         self.measures = measures
-        self.ledgers = ("E_link",) * has.waves + ("E_port",) * has.energy
+        self.ledgers = ("E_link",) * has.waves + ("E_port",) * has.energy + ("E_law",) * has.stored
+        self.least_of_ledgers = tuple([f"{name}_min" for name in self.ledgers])
         self.keeps = frozenset([kept(name) for name in measures])
         self.axes = tuple([Past(f"{i}") for i in range(axes)])
         self.places = tuple([Place(f"{e}{i}_place") for e in ("m", "s")[: 1 + has.slave] for i in range(axes)])
@@ -94,12 +97,10 @@ class Figures(Recorder):
         for name in ("f_m_max", "f_s_max", "f_h_max", "f_env_max"):
             if name in self.keeps:
                 setattr(self, name, 0.0)
-        if run.has.waves:
-            self.E_link = 0.0
-            self.E_link_min = inf
-        if run.has.energy:
-            self.E_port = 0.0
-            self.E_port_min = inf
+        for name in self.ledgers:
+            setattr(self, name, 0.0)
+        for name in self.least_of_ledgers:
+            setattr(self, name, inf)
         if run.m.has.watchdog:
             self.g_m_min = 1.0
             self.g_s_min = 1.0
@@ -130,6 +131,9 @@ class Figures(Recorder):
         if run.has.energy:
             self.E_port = run.m.E_port - run.s.E_port if run.has.slave else run.m.E_port
             self.E_port_min = least(self.E_port_min, self.E_port)
+        if run.has.stored:
+            self.E_law = run.m.E_law + run.s.E_law
+            self.E_law_min = least(self.E_law_min, self.E_law)
         if run.m.has.watchdog:
             self.g_m_min = least(self.g_m_min, run.m.g)
             self.g_s_min = least(self.g_s_min, run.s.g)
@@ -242,8 +246,8 @@ class Figures(Recorder):
             return root_mean(self.f_err_sq, self.n_f)
         if name == "f_err_max":
             return known(self.f_err_max, self.n_f)
-        if name in ("E_link_end", "E_port_end"):
-            return self.E_link if name == "E_link_end" else self.E_port
+        if name in ("E_link_end", "E_port_end", "E_law_end"):
+            return self.E_link if name == "E_link_end" else self.E_port if name == "E_port_end" else self.E_law
         return getattr(self, name)
 
 

@@ -82,7 +82,7 @@ def available(scene: Scene) -> frozenset[str]:
 
 @lru_cache(maxsize=256)
 def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
-    there = {"waves": has.waves, "energy": has.energy, "watchdog": watchdog}
+    there = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog}
     named = {name for name, what in KEPT.items() if there.get(what, True)}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
     return frozenset(named if has.slave else named - of_slave)

@@ -10,7 +10,8 @@ from teleop.simulation.rest import LATE
 KEPT = {  # metric -> what is kept for it along the run
     "x_err_rms": "x_err", "x_err_max": "x_err", "f_err_rms": "f_err", "f_err_max": "f_err", "f_m_max": "f_m_max",
     "f_s_max": "f_s_max", "f_h_max": "f_h_max", "f_env_max": "f_env_max", "E_link_min": "waves", "E_link_end": "waves",
-    "E_port_min": "energy", "E_port_end": "energy", "g_m_min": "watchdog", "g_s_min": "watchdog",
+    "E_port_min": "energy", "E_port_end": "energy", "E_law_min": "stored", "E_law_end": "stored",
+    "g_m_min": "watchdog", "g_s_min": "watchdog",
 }
 SWINGS = tuple([f"swing_{i}" for i in range(LATE)])  # of the late windows, see `teleop.simulation.rest`
 

@@ -16,7 +16,7 @@ from teleop.law import At
 from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.laws.virtual_wall import VirtualWall
 
-NOTHING: frozenset[str] = frozenset()
+NOTHING: dict[str, str] = {}
 
 
 @pytest.mark.parametrize("law", [
@@ -117,8 +117,8 @@ SLIPS = [
     ({"force": raises}, "raised OverflowError"),
     ({"force": counting()}, "differently the second time"),
     ({"force": hides}, "reads v where it cannot be seen"),
-    ({"claims": frozenset({"E_link"})}, "a one-port law has no link"),
-    ({"claims": frozenset({"E_prt"})}, "which is no ledger"),
+    ({"claims": {"E_link": "any link"}}, "a one-port law has no link"),
+    ({"claims": {"E_prt": "any link"}}, "which is no ledger"),
     ({"claims": None}, "claims is None"),
 ]
 
@@ -169,9 +169,9 @@ def test_a_knob_that_is_no_number_is_refused_as_in_any_law() -> None:
 
 
 def test_a_claim_of_its_port_is_tried_in_closed_loops() -> None:
-    check_law(spoilt(frozenset({"E_port"}), force=lambda s, at: (0.0, s)))
+    check_law(spoilt({"E_port": "any link"}, force=lambda s, at: (0.0, s)))
     with pytest.raises(Refused, match="claims E_port, which fell to -"):
-        check_law(spoilt(frozenset({"E_port"}), force=lambda s, at: (500.0 * at.x, s)))
+        check_law(spoilt({"E_port": "any link"}, force=lambda s, at: (500.0 * at.x, s)))
 
 
 def test_a_law_with_parts_of_two_ends_is_told_which_of_those_it_lacks() -> None:

@@ -21,7 +21,7 @@ class OtherWave:
 
     gain: float = 1.0
     deaf: float = 0.0
-    claims: ClassVar[frozenset[str]] = frozenset({"E_link"})
+    claims: ClassVar[dict[str, str]] = {"E_link": "any link"}
 
     def __post_init__(self) -> None:
         number("gain", self.gain)
@@ -63,7 +63,7 @@ def test_a_slave_that_uses_the_last_commanded_point_is_caught() -> None:
 
     @dataclass(frozen=True, kw_only=True)
     class Late:
-        claims: ClassVar[frozenset[str]] = frozenset({"E_link"})
+        claims: ClassVar[dict[str, str]] = {"E_link": "any link"}
         master_start = staticmethod(Wave().master_start)
         slave_start = staticmethod(Wave().slave_start)
         master = staticmethod(Wave().master)
@@ -82,7 +82,7 @@ def test_a_slave_that_uses_the_last_commanded_point_is_caught() -> None:
 class Boasting:
     """Direct reflection that claims what it cannot keep."""
 
-    claims: frozenset[str]
+    claims: dict[str, str]
     master_start = staticmethod(Direct().master_start)
     slave_start = staticmethod(Direct().slave_start)
     master = staticmethod(Direct().master)
@@ -91,12 +91,12 @@ class Boasting:
 
 def test_direct_reflection_cannot_claim_the_port() -> None:
     with pytest.raises(Refused, match=r"Boasting claims E_port, which fell to -\d.* J over RandomLink"):
-        try_claims(Boasting(claims=frozenset({"E_port"})))
+        try_claims(Boasting(claims={"E_port": "any link"}))
 
 
 def test_a_law_without_waves_cannot_claim_the_link() -> None:
     with pytest.raises(Refused, match=r"claims E_link, but its messages carry no waves; write `u: kind.Wave`"):
-        try_claims(Boasting(claims=frozenset({"E_link"})))
+        try_claims(Boasting(claims={"E_link": "any link"}))
 
 
 def test_a_law_that_claims_nothing_is_not_tried() -> None:

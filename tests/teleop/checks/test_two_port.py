@@ -20,7 +20,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 
-NOTHING: frozenset[str] = frozenset()
+NOTHING: dict[str, str] = {}
 
 
 @pytest.mark.parametrize("name", sorted(known_laws()))
@@ -182,7 +182,7 @@ def test_a_law_that_keeps_count_in_itself_is_caught() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Counter:
         n: float = 0.0
-        claims: ClassVar[frozenset[str]] = NOTHING
+        claims: ClassVar[dict[str, str]] = NOTHING
         master_start = staticmethod(Plain.master_start)
         slave_start = staticmethod(Plain.slave_start)
         slave = staticmethod(Plain.slave)
@@ -282,8 +282,10 @@ CLASSES = [
     (Fixed, "does not accept its own K=1.0"),
     (Child, "inherits from Exception"),
     (dataclass(frozen=True, kw_only=True)(Endless)(), "Endless has no master_start"),
-    (spoilt(claims={"E_link"}), r"claims is \{'E_link'\}; write claims: ClassVar"),
-    (spoilt(claims=frozenset({"E_lnk"})), "claims 'E_lnk', which is no ledger; did you mean E_link"),
+    (spoilt(claims=frozenset({"E_link"})), r"claims is frozenset\(\{'E_link'\}\); write claims: ClassVar"),
+    (spoilt(claims={"E_port": "good links"}), "claims E_port over 'good links', which is no condition"),
+    (spoilt(claims={"E_law": "any link"}), "claims E_law, but has no master_stored"),
+    (spoilt(claims={"E_lnk": "any link"}), "claims 'E_lnk', which is no ledger; did you mean E_link"),
 ]
 
 

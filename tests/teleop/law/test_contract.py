@@ -29,7 +29,7 @@ class Forth(NamedTuple):
     x: float
 
 class Back(NamedTuple):
-    f: float
+    q: float
 
 class S(NamedTuple):
     y: float
@@ -40,7 +40,7 @@ def helper(at):
 @dataclass({how})
 class Mine:
     K: float = 300.0
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {{}}
 
     def master_start(self, at):
         return S(0.0), Back(0.0)
@@ -64,34 +64,34 @@ Typed = tuple[str, str]
 AT_ONCE: dict[str, tuple[str, str]] = {  # the method, whose wrong line ends in "# here", and the sentence behind it
     "forgets the state": (f"""
     {MASTER}
-        f = rx.f
+        f = rx.q
         return f, Forth(at.x)  # here""", "returns 2 values; write return force, message, state"),
     "forgets the state in a branch": (f"""
     {MASTER}
         if at.x > 1e3:
             return 0.0, Forth(at.x)  # here
-        return rx.f, Forth(at.x), s""", "returns 2 values; write return force, message, state"),
+        return rx.q, Forth(at.x), s""", "returns 2 values; write return force, message, state"),
     "forgets to return": (f"""
     {MASTER}
-        rx.f, Forth(at.x), s  # here""", "returns nothing; write return force, message, state"),
+        rx.q, Forth(at.x), s  # here""", "returns nothing; write return force, message, state"),
     "returns one value too many": (f"""
     {MASTER}
-        return rx.f, Forth(at.x), s, s  # here""", "returns 4 values; write return force, message, state"),
+        return rx.q, Forth(at.x), s, s  # here""", "returns 4 values; write return force, message, state"),
     "returns a list": (f"""
     {MASTER}
-        return [rx.f, Forth(at.x), s]  # here""", "of type list; write return force, message, state"),
+        return [rx.q, Forth(at.x), s]  # here""", "of type list; write return force, message, state"),
     "returns another message": (f"""
     {MASTER}
-        return rx.f, rx, s  # here""", "returns a message of type Back, but slave_start one of type Forth; use"),
+        return rx.q, rx, s  # here""", "returns a message of type Back, but slave_start one of type Forth; use"),
     "returns a plain tuple as the message": (f"""
     {MASTER}
-        return rx.f, (at.x,), s  # here""", "returns the message (0.0,) of type tuple; make it a NamedTuple of floats"),
+        return rx.q, (at.x,), s  # here""", "returns the message (0.0,) of type tuple; make it a NamedTuple of floats"),
     "returns a list as the state": (f"""
     {MASTER}
-        return rx.f, Forth(at.x), [at.x]  # here""", "returns the state [0.0] of type list; make it a NamedTuple of"),
+        return rx.q, Forth(at.x), [at.x]  # here""", "returns the state [0.0] of type list; make it a NamedTuple of"),
     "returns another state": (f"""
     {MASTER}
-        return rx.f, Forth(at.x), ()  # here""", "returns a state of type tuple, but master_start one of type S; use"),
+        return rx.q, Forth(at.x), ()  # here""", "returns a state of type tuple, but master_start one of type S; use"),
     "misspells a field of At": (f"""
     {MASTER}
         return at.velocity, Forth(at.x), s  # here""",
@@ -100,14 +100,14 @@ AT_ONCE: dict[str, tuple[str, str]] = {  # the method, whose wrong line ends in 
     {MASTER}
         if at.x > 1e3:
             return at.frash, Forth(at.x), s  # here
-        return rx.f, Forth(at.x), s""",
+        return rx.q, Forth(at.x), s""",
         "reads at.frash, but an At has x, v, f, f_held, dx, fresh, age, dt, span, gain; did you mean fresh?"),
     "misspells a field of At in a function that it calls": (f"""
     {MASTER}
         return helper(at), Forth(at.x), s""", "raised AttributeError: 'At' object has no attribute 'depth'; an At has"),
     "misspells a field of the message": (f"""
     {MASTER}
-        return rx.force, Forth(at.x), s  # here""", "reads rx.force, but Back has f"),
+        return rx.force, Forth(at.x), s  # here""", "reads rx.force, but Back has q"),
     "misspells a field of the state": (f"""
     {MASTER}
         return s.x, Forth(at.x), s  # here""", "reads s.x, but S has y"),
@@ -119,17 +119,17 @@ AT_ONCE: dict[str, tuple[str, str]] = {  # the method, whose wrong line ends in 
         return "1.0", Forth(at.x), s  # here""", "returns the force '1.0' of type str; write it as a float"),
     "sends a text": (f"""
     {MASTER}
-        return rx.f, Forth("near"), s  # here""", "returns the message with x='near' of type str; write it as a float"),
+        return rx.q, Forth("near"), s  # here""", "returns the message with x='near' of type str; write it as a float"),
     "remembers nothing": (f"""
     {MASTER}
-        return rx.f, Forth(at.x), S(None)  # here""", "returns the state with y=None of type NoneType; write it as a"),
+        return rx.q, Forth(at.x), S(None)  # here""", "returns the state with y=None of type NoneType; write it as a"),
     "returns NaN": (f"""
     {MASTER}
-        return rx.f + float("nan"), Forth(at.x), s  # here""",
+        return rx.q + float("nan"), Forth(at.x), s  # here""",
         "returns the force nan for finite arguments; guard denominators with max(.., eps)"),
     "divides by zero": (f"""
     {MASTER}
-        return rx.f / at.v, Forth(at.x), s  # here""", "raised ZeroDivisionError: float division by zero; guard den"),
+        return rx.q / at.v, Forth(at.x), s  # here""", "raised ZeroDivisionError: float division by zero; guard den"),
     "takes no message": ("""
     def master(self, s, at):  # here
         return at.x, Forth(at.x), s""", "3 positional arguments but 4 were given; it is called as master(s, at, rx)"),
@@ -140,15 +140,15 @@ AT_ONCE: dict[str, tuple[str, str]] = {  # the method, whose wrong line ends in 
     {MASTER}
         if at.x > 1e3:
             self.K = 3.0  # here
-        return rx.f, Forth(at.x), s""", "changes the law, self.K; keep what it remembers in its state"),
+        return rx.q, Forth(at.x), s""", "changes the law, self.K; keep what it remembers in its state"),
     "adds to itself": (f"""
     {MASTER}
         self.K += at.dt  # here
-        return rx.f, Forth(at.x), s""", "changes the law, self.K; keep what it remembers in its state"),
+        return rx.q, Forth(at.x), s""", "changes the law, self.K; keep what it remembers in its state"),
     "changes itself behind its own back": (f"""
     {MASTER}
         object.__setattr__(self, "K", self.K + 1.0)
-        return rx.f, Forth(at.x), s  # here""", "changes the law, K=301.0; keep what it remembers in its state"),
+        return rx.q, Forth(at.x), s  # here""", "changes the law, K=301.0; keep what it remembers in its state"),
     "keeps count in its class": (f"""
     {MASTER}
         Mine.count = getattr(Mine, "count", 0.0) + 1.0
@@ -163,29 +163,29 @@ AT_ONCE: dict[str, tuple[str, str]] = {  # the method, whose wrong line ends in 
 LATER: dict[str, tuple[str, str]] = {  # mistakes in a line that runs only when the hand has moved a little
     "divides by zero": (f"""
     {MASTER}
-        return rx.f / (at.x <= 0.005), Forth(at.x), s  # here""", "raised ZeroDivisionError: float division"),
+        return rx.q / (at.x <= 0.005), Forth(at.x), s  # here""", "raised ZeroDivisionError: float division"),
     "names what there is not": (f"""
     {MASTER}
-        return (gone if at.x > 0.005 else rx.f), Forth(at.x), s  # here""", "raised NameError: name 'gone' is not def"),
+        return (gone if at.x > 0.005 else rx.q), Forth(at.x), s  # here""", "raised NameError: name 'gone' is not def"),
     "returns a text": (f"""
     {MASTER}
         if at.x > 0.005:
             return "much", Forth(at.x), s  # here
-        return rx.f, Forth(at.x), s""", "returns the force 'much' of type str; write it as a float"),
+        return rx.q, Forth(at.x), s""", "returns the force 'much' of type str; write it as a float"),
     "raises an error of its own": (f"""
     {MASTER}
         if at.x > 0.005:
             raise ValueError("too far")  # here
-        return rx.f, Forth(at.x), s""", "raised ValueError: too far; mend that line"),
+        return rx.q, Forth(at.x), s""", "raised ValueError: too far; mend that line"),
     "returns nothing": (f"""
     {MASTER}
         if at.x <= 0.005:  # here
-            return rx.f, Forth(at.x), s""", "returns nothing; write return force, message, state"),
+            return rx.q, Forth(at.x), s""", "returns nothing; write return force, message, state"),
     "returns another message": (f"""
     {MASTER}
         if at.x > 0.005:
-            return rx.f, S(at.x), s  # here
-        return rx.f, Forth(at.x), s""", "returns a message of type S, but slave_start one of type Forth; use one type"),
+            return rx.q, S(at.x), s  # here
+        return rx.q, Forth(at.x), s""", "returns a message of type S, but slave_start one of type Forth; use one type"),
 }
 
 
@@ -292,7 +292,7 @@ def test_a_dataclass_that_is_not_frozen_is_refused_with_the_line_of_its_class(fi
 def test_a_force_that_is_no_longer_finite_is_a_result_that_names_the_method(file: Any) -> None:
     file(f"""
     {MASTER}
-        return (rx.f if at.x < 0.005 else rx.f + 1e308 * 10.0), Forth(at.x), s""")
+        return (rx.q if at.x < 0.005 else rx.q + 1e308 * 10.0), Forth(at.x), s""")
     result = run(load_scene("mine.py"))
     assert result.status == "diverged"
     assert "f_m is not finite, as Mine.master returned; " in result.sentence
@@ -319,7 +319,7 @@ class S(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class Mine:
     K: float = 300.0
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {{}}
     def start(self, at):
         return S(at.x)
     def force(self, s, at):
@@ -369,7 +369,7 @@ def test_a_law_that_writes_down_its_calls_has_none_before_the_run(file: Any) -> 
 
     {MASTER}
         self.calls.append(at)
-        return rx.f, Forth(at.x), s""")
+        return rx.q, Forth(at.x), s""")
     law = law_of_file()
     law = replace(law, calls=[])
     run(load_scene("canonical", law=law, duration=0.05))

@@ -32,7 +32,7 @@ class Timed:
     """Position coupling that shows in its forces what it is told of time and gain."""
 
     K: float = 200.0
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[Meter, Place]:
         return Meter(at.x, 0.0, 0.0), Place(at.x)
@@ -119,7 +119,7 @@ def test_the_linear_steps_of_stability_have_the_tick_for_span() -> None:
 def test_a_law_that_divides_by_the_ticks_that_were_left_out_is_refused() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Rash:
-        claims: ClassVar[frozenset[str]] = frozenset()
+        claims: ClassVar[dict[str, str]] = {}
 
         def master_start(self, at: At) -> tuple[tuple[()], Place]:
             return (), Place(at.x)

@@ -315,7 +315,7 @@ class Spoilt:
     force: float = 0.0
     message: float = 0.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> Any:
         return Direct().master_start(at)
@@ -527,7 +527,7 @@ class Whole(NamedTuple):
 class Counting:
     """A law whose messages and forces are whole numbers, or numpy's, as a formula may give them."""
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Whole]:
         return (), Whole(0)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from teleop import kind
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
@@ -141,6 +142,23 @@ def test_a_constant_sample_comes_out_as_it_went_in(mine: int, theirs: int) -> No
     samples = played(box(mine, theirs), [2.0] * 60, theirs, [1] * 60)
     steady = samples[4 : 60 * theirs // mine - 4]
     assert steady == pytest.approx([2.0] * len(steady))
+
+
+def test_of_a_total_the_newest_is_played_and_no_mean() -> None:
+    """A sum of energy that is averaged would tell of less than what was put in, and fall behind."""
+
+    class Sent(NamedTuple):
+        x: kind.Sample
+        E: kind.Total
+
+    rates = Resampling(Sent, mine=4)
+    rates.begin(1)
+    inbox: Inbox[Heard] = Inbox(ZERO, 1_000_000)
+    for k in range(4):
+        inbox.put(k, k + 1, Heard((Sent(float(k), float(k)),), None))
+    got = rates.take(inbox, 0, 4)
+    assert got is not None
+    assert got[1].rx == (Sent(1.5, 3.0),)
 
 
 def test_a_slower_peer_that_falls_silent_is_not_played_on_and_on() -> None:

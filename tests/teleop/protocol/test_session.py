@@ -380,7 +380,7 @@ from teleop import Direct, MassDamper, Scene
 @dataclass(frozen=True, kw_only=True)
 class Mine:
     K: float = 10.0
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
     def master_start(self, at): return (), Direct().master_start(at)[1]
     def slave_start(self, at): return (), Direct().slave_start(at)[1]
     def master(self, s, at, rx): return 0.0, type(Direct().slave_start(at)[1])(at.x, at.v), s

@@ -37,7 +37,7 @@ class Back(NamedTuple):
 class PositionPosition:
     K: float = 100.0
     B: float = 4.0
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
     def master_start(self, at: At): return (), Back(at.x)
     def slave_start(self, at: At): return (), Forth(at.x)
     def master(self, s, at: At, rx: Back): return self.K * (at.x - rx.x) + self.B * at.v, Forth(at.x), s
@@ -50,7 +50,7 @@ from typing import ClassVar
 @dataclass(frozen=True, kw_only=True)
 class Spring:
     K: float
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
     def start(self, at): return ()
     def force(self, s, at): return self.K * at.x, s
 """

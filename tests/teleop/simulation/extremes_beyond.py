@@ -159,7 +159,7 @@ class Turned:
     """The mirror image of a one-port law: what it renders lies on the other side."""
 
     law: Any
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def start(self, at: At) -> Any:
         return self.law.start(At(-at.x, -at.v, at.f, at.f_held, at.dx, at.fresh, at.age, at.dt, at.span))

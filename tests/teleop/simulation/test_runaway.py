@@ -42,7 +42,7 @@ class Bond:
 
     K: float
     B: float
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def start(self, at: At) -> tuple[()]:
         return ()

@@ -42,7 +42,7 @@ from teleop.stages.watchdog import Watchdog, watchdog_step
 
 class Note(NamedTuple):
     x: float
-    f: float
+    f_e: float
 
 
 class Sums(NamedTuple):
@@ -61,7 +61,7 @@ class Curious:
     """A law that reads every field at both ends, couples the axes at both, and can write down what it is told."""
 
     told: dict[str, list[At]] | None = None
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[Note, Note]:
         return Note(at.x, at.f), Note(at.x, 0.0)
@@ -70,15 +70,15 @@ class Curious:
         return Note(at.x, at.f), Note(at.x, 0.0)
 
     def master_sums(self, s: Note, at: At, rx: Note) -> Sums:
-        return Sums(at.f_held * at.dx, at.f + rx.f)
+        return Sums(at.f_held * at.dx, at.f + rx.f_e)
 
     def slave_sums(self, s: Note, at: At, rx: Note) -> Sums:
-        return Sums(at.f_held * at.dx, rx.f)
+        return Sums(at.f_held * at.dx, rx.f_e)
 
     def master(self, s: Note, at: At, rx: Note, over: Sums) -> tuple[float, Note, Note]:
         if self.told is not None:
             self.told["m"].append(at)
-        f_m = 30.0 * (at.x - s.x) + 0.1 * rx.f - read_all(at, over)
+        f_m = 30.0 * (at.x - s.x) + 0.1 * rx.f_e - read_all(at, over)
         return f_m, Note(at.x, at.v), Note(0.9 * s.x + 0.1 * at.x, at.f)
 
     def slave(self, s: Note, at: At, rx: Note, over: Sums) -> tuple[float, Note, Note]:

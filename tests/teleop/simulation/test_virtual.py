@@ -141,7 +141,7 @@ class Breaks:
     """Direct, until the master's force is no number any more."""
 
     at: float
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return Direct().master_start(at)

@@ -164,7 +164,7 @@ class Nothing(NamedTuple):
 class Telling:
     """A law that commands the number of the tick, in N, at the slave."""
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Nothing]:
         return (), Nothing(0.0)

@@ -40,7 +40,7 @@ class Memory(NamedTuple):
 class Nosy:
     """A linear law that reads all there is to read, and remembers."""
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[Memory, Everything]:
         return Memory(at.x, 0.0), Everything(at.x, 0.0)

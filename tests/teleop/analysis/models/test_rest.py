@@ -28,7 +28,7 @@ class Pushing:
 
     g: float  # N s/m
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def start(self, at: Any) -> tuple[()]:
         return ()

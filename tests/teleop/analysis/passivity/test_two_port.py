@@ -43,7 +43,7 @@ class Motion(NamedTuple):
 
 
 class Force(NamedTuple):
-    f: float
+    f_e: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class PositionPosition:
     K: float = 400.0
     B: float = 4.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Motion]:
         return (), Motion(at.x, 0.0)
@@ -100,7 +100,7 @@ class FreeWave:
     b: float
     echo: float
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Force]:
         return (), Force(0.0)
@@ -109,10 +109,10 @@ class FreeWave:
 
     def master(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Force, tuple[()]]:
         root = sqrt(2.0 * self.b)
-        return self.b * at.v - root * rx.f, Force(root * at.v - rx.f), s
+        return self.b * at.v - root * rx.f_e, Force(root * at.v - rx.f_e), s
 
     def slave(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Force, tuple[()]]:
-        return 0.0, Force(self.echo * rx.f), s
+        return 0.0, Force(self.echo * rx.f_e), s
 
 
 def handles(law: Any, T: float = 0.0, **changes: Any) -> Scene:

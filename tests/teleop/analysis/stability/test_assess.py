@@ -42,7 +42,7 @@ class Motion(NamedTuple):
 
 
 class Force(NamedTuple):
-    f: float  # N
+    f_e: float  # N
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class PositionPosition:
     B: float = 8.0
     Bd: float = 0.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Motion]:
         return (), Motion(at.x, 0.0)
@@ -73,7 +73,7 @@ class VirtualWall:
 
     K: float
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Force]:
         return (), Force(0.0)
@@ -82,10 +82,10 @@ class VirtualWall:
         return (), Force(0.0)
 
     def master(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Force, tuple[()]]:
-        return rx.f, Force(at.x), s
+        return rx.f_e, Force(at.x), s
 
     def slave(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Force, tuple[()]]:
-        return 0.0, Force(self.K * rx.f), s
+        return 0.0, Force(self.K * rx.f_e), s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class Filtered:
     cut: float = 300.0  # 1/s
     share: float = 0.4  # of f_h, at the master
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> tuple[tuple[()], Force]:
         return (), Force(0.0)
@@ -106,10 +106,10 @@ class Filtered:
         return Force(0.0), Motion(at.x, 0.0)
 
     def master(self, s: tuple[()], at: At, rx: Force) -> tuple[float, Motion, tuple[()]]:
-        return rx.f - self.share * at.f, Motion(at.x, at.v), s
+        return rx.f_e - self.share * at.f, Motion(at.x, at.v), s
 
     def slave(self, s: Force, at: At, rx: Motion) -> tuple[float, Force, Force]:
-        after = Force(s.f - math.expm1(-self.cut * at.dt) * (at.f - s.f))
+        after = Force(s.f_e - math.expm1(-self.cut * at.dt) * (at.f - s.f_e))
         return self.K * (rx.x - at.x) + self.B * (rx.v - at.v), after, after
 
 

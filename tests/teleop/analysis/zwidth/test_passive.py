@@ -245,7 +245,7 @@ class Squared:
     K: float = 800.0
     B: float = 0.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def start(self, at: Any) -> tuple[()]:
         return ()

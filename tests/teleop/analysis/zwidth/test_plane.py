@@ -40,7 +40,7 @@ class Bonded:
     K: float = 800.0
     B: float = 0.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def start(self, at: At) -> tuple[()]:
         return ()
@@ -56,7 +56,7 @@ class Squared:
     K: float = 800.0
     B: float = 0.0
 
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def start(self, at: At) -> tuple[()]:
         return ()

@@ -123,7 +123,7 @@ class Word(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class Mine:
     K: float = 100.0
-    claims: ClassVar[frozenset] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
     def master_start(self, at): return (), Word(at.x)
     def slave_start(self, at): return (), Word(at.x)
     def master(self, s, at, rx): return self.K * (at.x - rx.x), Word(at.x), s

@@ -137,7 +137,7 @@ class Nothing(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Local:
-    claims: ClassVar[frozenset[str]] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
 
     def master_start(self, at: At) -> Any:
         return (), Nothing(at.x)
@@ -164,7 +164,7 @@ def push(x):
 
 @dataclass(frozen=True, kw_only=True)
 class Mine:
-    claims: ClassVar[frozenset] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
     def start(self, at): return ()
     def force(self, s, at): return push(at.x), s
 '''
@@ -233,7 +233,7 @@ def push(x):
 @dataclass(frozen=True, kw_only=True)
 class Mine:
     K: float = 100.0
-    claims: ClassVar[frozenset] = frozenset()
+    claims: ClassVar[dict[str, str]] = {}
     def master_start(self, at): return (), Word(at.x)
     def slave_start(self, at): return (), Word(at.x)
     def master(self, s, at, rx): return push(at.x - rx.x), Word(at.x), s

@@ -1,0 +1,115 @@
+"""What a law may offer beside its two ends: claims, the energy that it keeps, conditions, and what suits a scene.
+
+    claims = {"E_link": "any link"}        ledger -> the links over which the law keeps it from going below zero
+    master_stored(s), slave_stored(s)      J, what the state of an end keeps of energy
+    shows = ("H",)                         fields of its state that are recorded
+    conditions(facts) -> sentences         those of its conditions that these facts break
+    fitted(facts) -> law                   itself, with the parameters that follow from link and bodies
+    linear() -> law                        the linear law that an analysis takes in its place
+
+Ledgers. `E_link` is the energy of the waves under way. `E_port` is what law and link together have taken up at the
+two ends. `E_law` is what the law itself says that it keeps: the sum of both ends' `*_stored`. An end counts what it has
+sent less what it has seen arrive, so that the sum has what is under way. With several axes they are summed; an end with
+sums over the axes keeps one energy for all of them, the same in the state of each, and that of the first counts.
+
+With E_law(0), the energy that the law is given to begin with, the books are honest if
+
+    E_port(k) + E_law(0) - E_law(k) >= 0,
+
+for then it keeps no energy that did not come in by a port; and with E_law(k) >= 0 the ports never get more than
+E_law(0) out of it. Under a force that is held from tick to tick no law knows the work of the tick that is running, so
+the claim "E_law" is E_law(k) >= -(the greatest work of one tick so far).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+LEDGERS = ("E_link", "E_port", "E_law")
+CONDITIONS = {
+    "any link": "over every link, with waves played as zero in gaps or by their integral",
+    "zero in gaps": "over every link, with waves played as zero in gaps",
+    "constant delay": "over a constant delay without loss",
+}
+OFFERS = ("claims", "master_stored", "slave_stored", "shows", "conditions", "fitted", "linear")
+
+
+class Delay(NamedTuple):
+    """The age of the newest message that one direction of a link has played, at the ticks from the first one on, s."""
+
+    least: float
+    greatest: float  # gaps included, in which the newest message ages
+
+
+class Facts(NamedTuple):
+    """What a law's conditions depend on: the clock, the bodies and the link of a scene. SI units."""
+
+    dt: float
+    axes: int
+    mass_m: float  # of the master
+    damping_m: float
+    mass_s: float  # of the slave
+    damping_s: float
+    fwd: Delay | None  # None: no message was played
+    bwd: Delay | None
+    lossy: bool  # a packet was lost
+    playout: str  # zero, hold, integral, energy, scaled or fixed
+    left_out: bool  # ticks are left out
+
+
+def stores(law: Any) -> bool:
+    """True if the law says how much energy it keeps."""
+    return hasattr(law, "master_stored") and hasattr(law, "slave_stored")
+
+
+def claims_of(law: Any) -> Mapping[str, str]:
+    """The ledgers that a law keeps from going below zero, each with its condition."""
+    claims: Mapping[str, str] = getattr(law, "claims", {})
+    return claims
+
+
+def seed_energy(law: Any, dt: float = 1e-3, axes: int = 1) -> float:
+    """E_law(0), J: the energy that the law is given before its first tick. `dt` in s. 0.0 of a law that keeps none."""
+    from teleop.law import start_at
+
+    if not stores(law):
+        return 0.0
+    still = start_at(0.0, 0.0, 0.0, dt)
+    total = 0.0
+    for end in ("master", "slave"):
+        state, _ = getattr(law, f"{end}_start")(still)
+        each = float(getattr(law, f"{end}_stored")(state))
+        total += each if hasattr(law, f"{end}_sums") else each * axes
+    return total
+
+
+def broken(law: Any, facts: Facts) -> list[str]:
+    """Sentences on the conditions of a law that these facts break, those of its claims among them."""
+    own = getattr(law, "conditions", None)
+    return [*_claims_broken(law, facts), *(own(facts) if own is not None else ())]
+
+
+def _claims_broken(law: Any, facts: Facts) -> list[str]:
+    """The conditions of claims that the link or its playout breaks."""
+    from teleop.kind import waves
+    from teleop.law import messages
+
+    has_waves = all(map(waves, messages(law, facts.dt)))
+    varies = facts.lossy or any(way is not None and way.greatest > way.least + 0.5 * facts.dt
+                                for way in (facts.fwd, facts.bwd))
+    told = []
+    for ledger, condition in claims_of(law).items():
+        if has_waves and facts.playout in ("hold", "scaled"):
+            told.append("playout holds waves in the gaps, which is active: " + _may_fall(ledger))
+        elif condition == "zero in gaps" and facts.playout not in ("zero", "fixed"):
+            told.append(f"the law keeps {ledger} where waves are played as zero in gaps, and the playout is "
+                        f"{facts.playout}: {_may_fall(ledger)}; type --set playout=zero")
+        elif condition == "constant delay" and varies:
+            told.append(f"the law keeps {ledger} over a constant delay without loss, and this link varies: "
+                        f"{_may_fall(ledger)}; type --set playout=fixed:SECONDS, as long as the longest delay")
+    return told
+
+
+def _may_fall(ledger: str) -> str:
+    return f"{ledger} may fall below zero"

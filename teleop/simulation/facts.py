@@ -1,0 +1,60 @@
+"""Facts: what a law's conditions depend on, worked out of a scene and the messages that its run plays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from teleop.law.offers import Delay, Facts, broken
+from teleop.scene.playout import Playout
+from teleop.scene.scene import Scene
+from teleop.simulation.plan import LinkPlans, link_plans
+
+
+def facts_of(scene: Scene, seed: int = 0) -> Facts:
+    """The facts of a scene with two ends, as a run in virtual time with this seed has them. Raises `Refused`."""
+    return facts(scene, *of_plans(scene, link_plans(scene, seed), scene.ticks))
+
+
+def fitted(scene: Scene, seed: int = 0) -> Scene:
+    """The scene with its law fitted to its link and bodies, where the law knows how (`teleop.law.offers`).
+
+    The knobs of the scene keep what was typed, so the command that runs it is that of the law's own numbers.
+    """
+    own = getattr(scene.law, "fitted", None)
+    return scene if own is None or scene.slave is None else replace(scene, law=own(facts_of(scene, seed)))
+
+
+def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, Delay | None, bool]:
+    """Of the first `ran` ticks of a run in virtual time: the delay of each direction, and whether a packet was lost."""
+    import numpy as np
+
+    dt = scene.dt_ns / 1e9
+    delays = [Delay(dt, dt) if plan is None else delay(np.arange(ran), plan.played_at[:ran], dt) for plan in plans]
+    return delays[0], delays[1], any(plan is not None and plan.lost > 0 for plan in plans)
+
+
+def delay(ticks: Any, played: Any, dt: float) -> Delay | None:
+    """The delay of one direction. `played`: at each of these ticks the packet played, below zero for none."""
+    import numpy as np
+
+    at, newest = np.asarray(ticks, dtype=np.int64), np.maximum.accumulate(np.asarray(played, dtype=np.int64))
+    ages = (at - newest)[newest >= 0]
+    return Delay(float(ages.min()) * dt, float(ages.max()) * dt) if len(ages) else None
+
+
+def facts(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool) -> Facts:
+    """The facts of a scene whose link did this."""
+    master, slave = scene.master, scene.slave
+    assert slave is not None
+    return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, slave.mass, slave.damping, fwd, bwd, lossy,
+                 _word(scene.played_as), scene.leaves_out("m") is not None or scene.leaves_out("s") is not None)
+
+
+def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool) -> list[str]:
+    """The notes on conditions of the law that a run broke; none of a scene with one end."""
+    return [] if scene.slave is None else broken(scene.law, facts(scene, fwd, bwd, lossy))
+
+
+def _word(playout: Playout) -> str:
+    return type(playout).__name__.lower()

@@ -1,0 +1,209 @@
+"""What a law offers beside its ends: the energy that it keeps, its conditions, what is recorded of its state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import pytest
+
+from channel import Bernoulli, Delay
+from teleop import At, Fixed, Hold, Integral, Refused, Scene, Wave, Zero, load_scene, run
+from teleop.checks.trials import try_claims
+from teleop.law.offers import Delay as Ages
+from teleop.law.offers import Facts, broken, seed_energy
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.facts import facts_of, fitted
+from teleop.sweeps.kernels.kernel import available, figures, plain
+from teleop.sweeps.kernels.scalar import scalar
+from teleop.sweeps.kernels.vector import vector
+from tests.teleop.sweeps.kernels.test_kernel import inputs
+
+
+class Place(NamedTuple):
+    x: float
+
+
+class Bank(NamedTuple):
+    E: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dampers:
+    """A damper at each end, and the energy that it took up. The other end is of no interest to it."""
+
+    B: float = 0.5
+    seed: float = 0.01
+    wrong: float = 0.0  # share of the work that is told as B v^2 dt, which is no work of a force that is held
+    shows: ClassVar[tuple[str, ...]] = ("E",)
+    claims: ClassVar[dict[str, str]] = {"E_law": "any link"}
+
+    def master_start(self, at: At) -> Any:
+        return Bank(self.seed), Place(at.x)
+
+    def slave_start(self, at: At) -> Any:
+        return Bank(self.seed), Place(at.x)
+
+    def master(self, s: Bank, at: At, rx: Place) -> Any:
+        work = (1.0 - self.wrong) * at.f_held * at.dx + self.wrong * self.B * at.v * at.v * at.span
+        return self.B * at.v, Place(at.x), Bank(s.E + work)
+
+    def slave(self, s: Bank, at: At, rx: Place) -> Any:
+        return -self.B * at.v, Place(at.x), Bank(s.E - at.f_held * at.dx)
+
+    def master_stored(self, s: Bank) -> float:
+        return s.E
+
+    def slave_stored(self, s: Bank) -> float:
+        return s.E
+
+    def conditions(self, facts: Facts) -> tuple[str, ...]:
+        return (f"B is to be below {facts.mass_m:g}: --set law.B",) * (facts.mass_m < self.B)
+
+    def fitted(self, facts: Facts) -> Dampers:
+        return replace(self, B=min(self.B, 0.5 * facts.mass_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coupled(Dampers):
+    """The same with one energy for all axes."""
+
+    def master_sums(self, s: Bank, at: At, rx: Place) -> Place:
+        return Place(at.f_held * at.dx)
+
+    def master(self, s: Bank, at: At, rx: Place, over: Place) -> Any:  # type: ignore[override]
+        return self.B * at.v, Place(at.x), Bank(s.E + over.x)
+
+
+def scene(law: Any = None, **other: Any) -> Scene:
+    return replace(load_scene("canonical", law=Dampers() if law is None else law, duration=1.0), energy=True, **other)
+
+
+class TestEnergyThatALawKeeps:
+    @pytest.mark.parametrize("axes", [1, 3])
+    def test_it_is_the_sum_of_both_ends_and_all_axes(self, axes: int) -> None:
+        trace = run(scene(axes=axes)).trace
+        assert trace["E_law"] == pytest.approx(trace["E_port"] + 2 * axes * 0.01, abs=1e-15)
+        assert seed_energy(Dampers(), axes=axes) == 2 * axes * 0.01
+
+    def test_an_end_that_couples_its_axes_keeps_one_energy_for_all(self) -> None:
+        trace = run(scene(Coupled(), axes=3)).trace
+        assert trace["E_law"] == pytest.approx(trace["E_port"] + (1 + 3) * 0.01, abs=1e-15)
+        assert seed_energy(Coupled(), axes=3) == pytest.approx((1 + 3) * 0.01)
+
+    def test_it_is_a_figure_of_a_run_and_of_every_engine_to_the_bit(self) -> None:
+        scenes = [scene(Dampers(B=0.1 * i), duration=0.2) for i in range(8)]
+        measures = sorted(available(scenes[0]))
+        found = []
+        for engine in (plain, scalar, vector):
+            kernel = engine(scenes[0], exact_bodies(scenes[0]), measures)
+            found.append([each[2] for each in figures(kernel, [inputs(kernel, one, 1) for one in scenes])])
+        single = [run(one, seed=1).metrics for one in scenes]
+        for name in ("E_law_min", "E_law_end"):
+            assert [[row[name] for row in rows] for rows in found] == [[row[name] for row in single]] * 3
+
+    def test_a_law_without_stored_energy_has_no_such_column(self) -> None:
+        assert "E_law" not in run(scene(Wave())).trace
+        assert seed_energy(Wave()) == 0.0
+
+
+class TestTheClaim:
+    def test_honest_books_pass(self) -> None:
+        try_claims(Dampers())  # type: ignore[arg-type]
+        try_claims(Coupled())  # type: ignore[arg-type]
+
+    def test_a_work_that_no_held_force_does_is_caught(self) -> None:
+        with pytest.raises(Refused, match=r"claims E_law, but at tick \d+ it keeps .* J more than came in by"):
+            try_claims(Dampers(wrong=1.0))  # type: ignore[arg-type]
+
+    def test_energy_below_zero_by_more_than_a_tick_is_caught(self) -> None:
+        with pytest.raises(Refused, match=r"claims E_law, which fell to -.* J at tick \d+, below zero by more than"):
+            try_claims(Dampers(B=-2.0))  # type: ignore[arg-type]
+
+
+class TestShows:
+    @pytest.mark.parametrize("axes", [1, 3])
+    def test_a_field_of_the_state_is_a_column_of_each_end(self, axes: int) -> None:
+        trace = run(scene(axes=axes)).trace
+        total = trace["E_m"].reshape(len(trace["t"]), axes).sum(axis=1)
+        total = total + trace["E_s"].reshape(len(trace["t"]), axes).sum(axis=1)
+        assert total == pytest.approx(trace["E_law"], abs=1e-15)
+
+    def test_one_that_is_a_column_already_is_refused(self) -> None:
+        @dataclass(frozen=True, kw_only=True)
+        class Double(Dampers):
+            shows: ClassVar[tuple[str, ...]] = ("x",)
+
+            def master_start(self, at: At) -> Any:
+                return Place(at.x), Place(at.x)
+
+            def master(self, s: Any, at: At, rx: Place) -> Any:
+                return 0.0, Place(at.x), s
+
+            def master_stored(self, s: Any) -> float:
+                return 0.0
+
+        with pytest.raises(Refused, match="the law shows x, and x_m is a column of every record; give that field"):
+            run(scene(Double()))
+
+    def test_one_that_no_state_has_is_refused_with_the_nearest(self) -> None:
+        @dataclass(frozen=True, kw_only=True)
+        class Misspelt(Dampers):
+            shows: ClassVar[tuple[str, ...]] = ("e",)
+
+        with pytest.raises(Refused, match="shows 'e', which no state of its has"):
+            scene(Misspelt())
+
+
+class TestConditions:
+    def test_the_sentence_of_a_condition_is_a_note_of_the_run(self) -> None:
+        light = scene(Dampers(B=3.0))
+        assert any("B is to be below" in note for note in run(light).notes)
+        assert not any("B is to be below" in note for note in run(scene(Dampers(B=1e-3))).notes)
+
+    def test_a_law_is_fitted_to_the_bodies(self) -> None:
+        assert 0.5 * scene().master.mass == fitted(scene(Dampers(B=3.0))).law.B
+        assert fitted(scene(Wave())).law == Wave()
+
+    def test_delays_are_the_ages_of_what_is_played_gaps_included(self) -> None:
+        assert facts_of(scene(link=None)).fwd == Ages(0.001, 0.001)
+        steady = facts_of(scene(link=Delay(0.02)))
+        assert steady.fwd == pytest.approx(Ages(0.02, 0.02))
+        assert not steady.lossy
+        lossy = facts_of(scene(link=Delay(0.02) | Bernoulli(0.5)), seed=3)
+        assert lossy.lossy
+        assert lossy.bwd is not None
+        assert lossy.bwd.least == pytest.approx(0.02)
+        assert lossy.bwd.greatest >= 0.025
+
+    @pytest.mark.parametrize(("playout", "condition", "said"), [
+        (Hold(), "any link", "playout holds waves in the gaps, which is active: E_link may fall below zero"),
+        (Zero(), "any link", None), (Integral(), "any link", None), (Fixed(0.05), "zero in gaps", None),
+        (Integral(), "zero in gaps", "where waves are played as zero in gaps, and the playout is integral"),
+        (Zero(), "constant delay", "over a constant delay without loss, and this link varies"),
+    ])
+    def test_a_claim_whose_condition_the_link_breaks_is_told(self, playout: Any, condition: str, said: str | None
+                                                             ) -> None:
+        @dataclass(frozen=True, kw_only=True)
+        class Conditional(Wave):
+            claims: ClassVar[dict[str, str]] = {"E_link": condition}
+
+        facts = facts_of(scene(Conditional(), link=Delay(0.02) | Bernoulli(0.1), playout=playout))
+        told = broken(Conditional(), facts)
+        assert [said in one for one in told] == [True] if said else told == []
+
+
+def test_a_message_field_with_a_name_of_the_situation_is_refused() -> None:
+    """A field f in a message switched the force sensor on, which took an observer at every tick."""
+
+    class Force(NamedTuple):
+        f: float
+
+    @dataclass(frozen=True, kw_only=True)
+    class Costly(Dampers):
+        def master_start(self, at: At) -> Any:
+            return Bank(0.0), Force(0.0)
+
+    with pytest.raises(Refused, match="has a message with the field f, a name of At"):
+        scene(Costly())
+
