@@ -20,6 +20,7 @@ HOME = {
     "run": "teleop.terminal.run:command",
     "demo": "teleop.live.command:demo",
     "sweep": "teleop.sweeps.command:command",
+    "tune": "teleop.studies.tune.command:command",
     "matrix": "teleop.sweeps.matrix:command",
     "precision": "teleop.analysis.precision.command:command",
     "stability": "teleop.analysis.stability.command:command",
