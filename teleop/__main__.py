@@ -22,6 +22,7 @@ HOME = {
     "sweep": "teleop.sweeps.command:command",
     "tune": "teleop.studies.tune.command:command",
     "matrix": "teleop.sweeps.matrix:command",
+    "compare": "teleop.studies.compare.command:command",
     "precision": "teleop.analysis.precision.command:command",
     "stability": "teleop.analysis.stability.command:command",
     "passivity": "teleop.analysis.passivity.command:command",

@@ -61,7 +61,6 @@ class PFRA:
     B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
 
     claims: ClassVar[Mapping[str, str]] = {}
-    linear_at: ClassVar[Mapping[str, float]] = {"alpha": 1.0}
 
     def __post_init__(self) -> None:
         check_knobs(self)

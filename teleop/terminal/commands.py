@@ -31,6 +31,7 @@ examples:
   teleop tune wave --scene hard_wall --set delay=0.1 --budget 200
   teleop matrix
   teleop reproduce gil
+  teleop compare --laws wave,pfra --plot
   teleop list hard_wall
   teleop report runs/hard_wall-1 --plot --format pdf
   teleop replay runs/hard_wall-1 --set law.b=4
@@ -154,6 +155,18 @@ def _matrix(added: ArgumentParser) -> None:
     _json(added)
 
 
+def _compare(added: ArgumentParser) -> None:
+    added.add_argument("file", metavar="FILE", nargs="?",
+                       help="a comparison of your own, TOML; left out: the built-in scenarios/compare.toml")
+    added.add_argument("--laws", metavar="NAMES", help="compare these laws, names or FILE.py, joined by commas; left "
+                       "out: those of the file, the built-in one has every law with two ends")
+    added.add_argument("--workers", metavar="N", type=whole, help="rows run in N processes; left out: one a core")
+    added.add_argument("--out", metavar="DIR", help="the folder of the comparison, new or to be gone on with; default "
+                       "runs/FILE, without its ending")
+    _json(added)
+    _plot(added, "a figure for each question")
+
+
 def _precision(added: ArgumentParser) -> None:
     scene_options(added)
     _out(added, "SCENE-precision")
@@ -267,6 +280,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
              "number of rows.", _tune),
     "matrix": ("Run the delay-scenario test matrix: laws, scenes, delays and losses, each row against the status "
                "expected of it.", _matrix),
+    "compare": ("Compare laws over links, environments and seeds: one table, and with --plot a figure a question; the "
+                "same command goes on where it stopped.", _compare),
     "precision": ("Measure error against run time: the exact steps beside every other way to integrate.", _precision),
     "stability": ("Count the unstable roots of a linear scene's exact sampled loop, and find its margins.", _stability),
     "passivity": ("Two-port: hybrid matrix, Llewellyn's criterion, transparency; one port: is its sampled controller "
