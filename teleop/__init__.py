@@ -22,7 +22,13 @@ if TYPE_CHECKING:
     from teleop.law.offers import Facts, seed_energy
     from teleop.laws.around.names import around
     from teleop.laws.direct import Direct
+    from teleop.laws.four_channel import FourChannel
+    from teleop.laws.iss import ISS
+    from teleop.laws.model_mediated import ModelMediated
+    from teleop.laws.p_d import PDamped
+    from teleop.laws.pd_d import PDDamped
     from teleop.laws.pfra import PFRA
+    from teleop.laws.pp import PositionPosition
     from teleop.laws.virtual_coupling import VirtualCoupling
     from teleop.laws.virtual_wall import VirtualWall
     from teleop.laws.wave import Wave
@@ -54,13 +60,14 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 __all__ = [
-    "DISTRIBUTION", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError", "DeviceWatchdog",
-    "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment", "Facts", "Fixed", "Hand", "Hold",
-    "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "OnePortLaw", "PassivityController", "Plant",
-    "Playout", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table",
-    "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__",
-    "around", "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene",
-    "messages", "number", "run", "seed_energy", "sweep", "whole_number",
+    "DISTRIBUTION", "ISS", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError",
+    "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment", "Facts", "Fixed",
+    "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "ModelMediated",
+    "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition", "Reading",
+    "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table", "Vector",
+    "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "around",
+    "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages",
+    "number", "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -70,7 +77,13 @@ _HOMES = {  # the module of each name, under this package
     "law.offers": ("Facts", "seed_energy"),
     "laws.around.names": ("around",),
     "laws.direct": ("Direct",),
+    "laws.four_channel": ("FourChannel",),
+    "laws.iss": ("ISS",),
+    "laws.model_mediated": ("ModelMediated",),
+    "laws.p_d": ("PDamped",),
+    "laws.pd_d": ("PDDamped",),
     "laws.pfra": ("PFRA",),
+    "laws.pp": ("PositionPosition",),
     "laws.virtual_coupling": ("VirtualCoupling",),
     "laws.virtual_wall": ("VirtualWall",),
     "laws.wave": ("Wave",),

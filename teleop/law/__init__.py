@@ -87,7 +87,13 @@ class OnePortLaw(Protocol):
 
 BUILT_IN = {
     "direct": "teleop.laws.direct:Direct",
+    "four_channel": "teleop.laws.four_channel:FourChannel",
+    "iss": "teleop.laws.iss:ISS",
+    "model_mediated": "teleop.laws.model_mediated:ModelMediated",
+    "p_d": "teleop.laws.p_d:PDamped",
+    "pd_d": "teleop.laws.pd_d:PDDamped",
     "pfra": "teleop.laws.pfra:PFRA",
+    "pp": "teleop.laws.pp:PositionPosition",
     "virtual_coupling": "teleop.laws.virtual_coupling:VirtualCoupling",
     "virtual_wall": "teleop.laws.virtual_wall:VirtualWall",
     "wave": "teleop.laws.wave:Wave",
