@@ -5,7 +5,16 @@ from __future__ import annotations
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 
-from teleop.terminal.options import FORMATS, Parser, formats, realtime_option, scene_options, tick_options, whole
+from teleop.terminal.options import (
+    FORMATS,
+    Parser,
+    formats,
+    realtime_option,
+    scene_options,
+    seed_number,
+    tick_options,
+    whole,
+)
 
 EXAMPLES = """\
 examples:
@@ -19,8 +28,10 @@ examples:
   teleop passivity virtual_coupling --plot
   teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02 --plot
   teleop sweep soft_tissue --grid law=direct,wave delay=0:0.1:21 k_e=10:1e4:21:log --plot
+  teleop tune wave --scene hard_wall --set delay=0.1 --budget 200
   teleop matrix
   teleop reproduce gil
+  teleop compare --laws wave,pfra --plot
   teleop list hard_wall
   teleop report runs/hard_wall-1 --plot --format pdf
   teleop replay runs/hard_wall-1 --set law.b=4
@@ -110,12 +121,50 @@ def _sweep(added: ArgumentParser) -> None:
     _picture(added)
 
 
+def _set_and_link(added: ArgumentParser) -> None:
+    added.add_argument("--set", metavar="NAME=VALUE", action="append", default=[],
+                       help="a knob of the scene, or one of the law (law.K=500), which is then not turned; may be "
+                       "repeated")
+    added.add_argument("--seed", metavar="N", type=seed_number, default=0, help="keys the points of the search and the "
+                       "link's random draws; left out: 0")
+
+
+def _tune(added: ArgumentParser) -> None:
+    added.add_argument("law", metavar="LAW", help="a law's name (see `teleop list laws`), or a FILE.py with one")
+    added.add_argument("--scene", metavar="SCENE", required=True, help="a scene's name or the path of a .py file")
+    _set_and_link(added)
+    added.add_argument("--link", metavar="SPEC", help="another link in place of the scene's, as `teleop run` takes it")
+    added.add_argument("--budget", metavar="N", type=whole, default=300, help="most rows that are run; left out: 300")
+    added.add_argument("--objective", metavar="NAME", default="balanced", help="what is made least: balanced "
+                       "(tracking, drag, and what is missing of the steady force at wall and hand), tracking, force or "
+                       "drag; left out: balanced")
+    added.add_argument("--playouts", metavar="LIST", help="playouts that are tried too, joined by commas, for example "
+                       "integral,fixed:0.1:integral; left out: the scene's alone")
+    added.add_argument("--engine", metavar="NAME", help="plain, scalar or vector; left out: by the amount of work")
+    added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
+    _out(added, "LAW-tune")
+    _json(added)
+    _plot(added, "tune.png")
+
+
 def _matrix(added: ArgumentParser) -> None:
     added.add_argument("file", metavar="FILE", nargs="?",
                        help="a matrix of your own, TOML; left out: the built-in scenarios/matrix.toml")
     added.add_argument("--out", metavar="DIR", help="a folder that keeps the rows, a sweep for each block, and can be "
                        "gone on with; left out: none")
     _json(added)
+
+
+def _compare(added: ArgumentParser) -> None:
+    added.add_argument("file", metavar="FILE", nargs="?",
+                       help="a comparison of your own, TOML; left out: the built-in scenarios/compare.toml")
+    added.add_argument("--laws", metavar="NAMES", help="compare these laws, names or FILE.py, joined by commas; left "
+                       "out: those of the file, the built-in one has every law with two ends")
+    added.add_argument("--workers", metavar="N", type=whole, help="rows run in N processes; left out: one a core")
+    added.add_argument("--out", metavar="DIR", help="the folder of the comparison, new or to be gone on with; default "
+                       "runs/FILE, without its ending")
+    _json(added)
+    _plot(added, "a figure for each question")
 
 
 def _precision(added: ArgumentParser) -> None:
@@ -227,8 +276,12 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "run": ("Run a scene in virtual time: the same seed gives the same bits.", _run),
     "demo": ("Run a scene live, slave, channel and master as three processes.", _demo),
     "sweep": ("Run a scene over a grid of knobs and seeds; the same command goes on where it stopped.", _sweep),
+    "tune": ("Search the parameters of a law for a scene: a Latin hypercube, then a coordinate search, in a stated "
+             "number of rows.", _tune),
     "matrix": ("Run the delay-scenario test matrix: laws, scenes, delays and losses, each row against the status "
                "expected of it.", _matrix),
+    "compare": ("Compare laws over links, environments and seeds: one table, and with --plot a figure a question; the "
+                "same command goes on where it stopped.", _compare),
     "precision": ("Measure error against run time: the exact steps beside every other way to integrate.", _precision),
     "stability": ("Count the unstable roots of a linear scene's exact sampled loop, and find its margins.", _stability),
     "passivity": ("Two-port: hybrid matrix, Llewellyn's criterion, transparency; one port: is its sampled controller "

@@ -73,7 +73,7 @@ def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: b
     )
     if seed:
         parser.add_argument(
-            "--seed", metavar="N", type=_seed, default=0, help="keys every random draw of the link; left out: 0"
+            "--seed", metavar="N", type=seed_number, default=0, help="keys every random draw of the link; left out: 0"
         )
     parser.add_argument(
         "--link", metavar="SPEC",
@@ -177,7 +177,8 @@ def formats(text: str) -> tuple[str, ...]:
     return named
 
 
-def _seed(text: str) -> int:
+def seed_number(text: str) -> int:
+    """A seed, as argparse's `type`."""
     from teleop.simulation.plan import check_seed
 
     try:

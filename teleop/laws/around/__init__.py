@@ -8,5 +8,5 @@ law keep their names, those of the stage have its name before them (`law.deadban
 
     names       the stages by name, and how a text names them with their numbers
     compose     a stage and a law made into one class, as text
-    deadband    one stage, one file
+    deadband, guard   the stages, one file each
 """

@@ -52,7 +52,7 @@ class EndLines(NamedTuple):
     """
 
     state: Mapping[str, str] = {}  # the fields of its own in the state of this end, and what each starts as
-    sends: Mapping[str, str] = {}  # the fields of its own in the message that this end sends, and their kinds
+    sends: Mapping[str, tuple[str, str]] = {}  # those in the message that this end sends: kind, and what is known first
     sums: Mapping[str, str] = {}  # what it sums over the axes, each with its share of one axis
     before: tuple[str, ...] = ()
     after: tuple[str, ...] = ()
@@ -146,12 +146,10 @@ def _inner_end(law: Any, name: str) -> InnerEnd:
     s, heard = getattr(law, f"{name}_start")(still)
     sent = getattr(law, f"{ENDS[name]}_start")(still)[1]
     sums = getattr(law, f"{name}_sums", None)
-    return InnerEnd(name, getattr(s, "_fields", None), _kinds(type(sent)), _kinds(type(heard)),
+    return InnerEnd(name, getattr(s, "_fields", None), kind.kinds(type(sent)), kind.kinds(type(heard)),
                     None if sums is None else sums(s, still, heard)._fields)
 
 
-def _kinds(message: Any) -> dict[str, str]:
-    return {name: "wave" if name in kind.waves(message) else "sample" for name in message._fields}
 
 
 def _messages_of(law: Any) -> dict[str, Any]:
@@ -185,7 +183,7 @@ def _types(ends: Mapping[str, InnerEnd], lines: Mapping[str, EndLines], words: d
         state = {**dict.fromkeys(end.state or (), "float"), **dict.fromkeys(own.state, "float")}
         text += _named_tuple(f"State_{name}", state) if state else []
         if own.sends:
-            sends = {**end.sends, **own.sends}
+            sends = {**end.sends, **{field: of_kind for field, (of_kind, _) in own.sends.items()}}
             text += _named_tuple(f"Sent_{name}", {field: _KINDS[each] for field, each in sends.items()})
         else:  # the message is the law's own
             words[f"Sent_{name}"] = words[f"Inner_{name}_sent"]
@@ -244,7 +242,8 @@ def _end_text(end: InnerEnd, own: EndLines, other: InnerEnd, others: EndLines, l
     heard = f"Inner_{other.name}_sent({_of('rx', other.sends)})" if others.sends else "rx"
     starts = [*[f"own.{field}" for field in end.state or ()], *own.state.values()]
     state = f"State_{name}({', '.join(starts)})" if starts else "()"
-    first = f"Sent_{other.name}({_of('rx', other.sends, *['0.0'] * len(others.sends))})" if others.sends else "rx"
+    known = [first for _, first in others.sends.values()]
+    first = f"Sent_{other.name}({_of('rx', other.sends, *known)})" if known else "rx"
     text = [f"    def {name}_start(self, at):", f"        own, rx = inner_{name}_start(self, at)",
             f"        return {state}, {first}", ""]
     coupled = end.sums is not None or own.sums

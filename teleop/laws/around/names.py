@@ -17,8 +17,9 @@ from teleop.naming import PartKind, unreadable
 
 STAGES = {
     "deadband": "teleop.laws.around.deadband:Deadband",
+    "guard": "teleop.laws.around.guard:Guard",
 }
-EXAMPLES = {"deadband": "deadband(0.1, floor=1e-3)"}
+EXAMPLES = {"deadband": "deadband(0.1, floor=1e-3)", "guard": "guard(E0=0.05)"}
 KIND = PartKind(word="stage", group="teleop.stages_around", places=STAGES, examples=EXAMPLES)
 _FORM = "write for example law='deadband(0.1) | wave'"
 _CALL = re.compile(r"(?P<name>.*\.py(?::\w+)?|[^(]*?)\s*(?P<arguments>\(.*\))?", re.DOTALL)

@@ -1,0 +1,1 @@
+"""Advice: which law, with which gains, over a link that was recorded or described, against a wall."""

@@ -1,0 +1,117 @@
+"""The rows of a comparison, worked out and checked before any is run: knobs, seed, fitted parameters, the command.
+
+A case is a law over a link in an environment; it has a row for each seed, and a single one where the link has no dice:
+there every seed gives the same run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from shlex import quote
+from typing import Any
+
+from teleop.errors import Refused
+from teleop.law import is_built_in
+from teleop.law.offers import broken
+from teleop.scene.library import ROOT, own_file
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
+from teleop.simulation.facts import facts, of_plans
+from teleop.simulation.plan import LinkPlans, link_plans
+from teleop.studies.compare.file import Comparison, Part
+
+Tune = Callable[[str, Scene, Mapping[str, object]], Mapping[str, float]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Case:
+    """A law over a link in an environment, ready to be run by its texts alone."""
+
+    law: str
+    link: str
+    environment: str
+    scene: str  # its name or FILE.py
+    knobs: Mapping[str, object]  # as `load_scene` takes them
+    seeds: tuple[int, ...]
+    conditions: tuple[str, ...]  # of the law, those that this link and these bodies break, one sentence each
+    source: str  # a digest of the law's file, of one that is not built in; else empty
+
+    def command(self, seed: int) -> str:
+        """What to type to run one of its rows by itself."""
+        words = ["teleop", "run", self.scene]
+        for name, value in self.knobs.items():
+            words += ["--link", str(value)] if name == "link" else ["--set", f"{name}={_typed(value)}"]
+        return " ".join(map(quote, [*words, "--seed", str(seed)]))
+
+
+def cases_of(asked: Comparison, where: str, tune: Tune | None = None) -> list[Case]:
+    """Every case of a comparison, in the order law, environment, link.
+
+    `tune`: finds a law's parameters, by their names, for a scene (named by its text and knobs); None: each law has
+    those of the file, fitted. `where` names the file in sentences. Raises `Refused`, naming the tables, for a case that
+    makes no scene.
+    """
+    drawn: dict[tuple[str, str], tuple[LinkPlans, bool]] = {}
+    return [_case(asked, where, law, environment, link, drawn, tune)
+            for law in asked.laws for environment in asked.environments for link in asked.links]
+
+
+def _case(asked: Comparison, where: str, law: Part, environment: Part, link: Part,
+          drawn: dict[tuple[str, str], tuple[LinkPlans, bool]], tune: Tune | None) -> Case:
+    knobs = {**asked.knobs, **environment.knobs, **link.knobs, "law": law.text, **law.knobs, "link": link.text}
+    try:
+        scene = load_scene(environment.text, **knobs)
+    except Refused as refused:
+        raise Refused(f"{where}: {refused} (law {law.name!r}, link {link.name!r}, environment "
+                      f"{environment.name!r})") from None
+    if scene.slave is None:
+        raise Refused(f"{where}: environment {environment.name!r} has no slave, so no law with two ends; take another "
+                      "scene, for example scene = \"hard_wall\"")
+    key = environment.name, link.name
+    plans, dice = drawn.get(key) or drawn.setdefault(key, _drawn(scene, asked.seeds))
+    known = facts(scene, *of_plans(scene, plans, scene.ticks))
+    found: Any = scene.law
+    if tune is not None:
+        knobs |= {f"law.{name}": value for name, value in tune(environment.text, scene, knobs).items()}
+        found = load_scene(environment.text, **knobs).law
+    elif asked.fitted and hasattr(found, "fitted"):
+        fitted = found.fitted(known)
+        knobs |= _changed(found, fitted)
+        found = fitted
+    own = None if is_built_in(found) else own_file(type(found))
+    return Case(law=law.name, link=link.name, environment=environment.name, scene=environment.text, knobs=knobs,
+                seeds=asked.seeds if dice else asked.seeds[:1], conditions=tuple(broken(found, known)),
+                source="" if own is None else own.digest)
+
+
+def _drawn(scene: Scene, seeds: tuple[int, ...]) -> tuple[LinkPlans, bool]:
+    """What the first seed's link plays, and whether another seed plays anything else."""
+    plans = link_plans(scene, seeds[0])
+    return plans, any(_played(link_plans(scene, seed)) != _played(plans) for seed in seeds[1:])
+
+
+def _played(plans: LinkPlans) -> list[bytes]:
+    return [b"" if plan is None else plan.played_at.tobytes() for plan in plans]
+
+
+def _changed(law: Any, fitted: Any) -> dict[str, object]:
+    """The parameters in which a fitted law differs, as knobs."""
+    if not is_dataclass(law):
+        return {}
+    names = [field.name for field in fields(law) if field.init]
+    return {f"law.{name}": float(getattr(fitted, name)) for name in names
+            if getattr(fitted, name) != getattr(law, name)}
+
+
+def _typed(value: object) -> str:
+    """A knob's value as --set reads it back to the same bits."""
+    if isinstance(value, tuple):
+        return ",".join(map(_typed, value))
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def shown_path(path: Path | str) -> str:
+    """A path as it is told: that of a file of this package by its name."""
+    return Path(path).name if ROOT in Path(path).resolve().parents else str(path)

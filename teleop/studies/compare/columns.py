@@ -1,0 +1,47 @@
+"""The columns of a comparison: which figure of a row each shows, where it counts, and which way is better."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+LOW, ONE, NEITHER = "low", "one", ""  # the value that is best: the least, 1, or none
+FREE, TOUCHED, ANY = "free", "touched", "any"  # the environments whose rows count
+
+
+class Column(NamedTuple):
+    """One figure of the rows, told once for each law."""
+
+    key: str  # the figure, by its name in the rows
+    head: str  # over the column
+    unit: str  # as it is told
+    factor: float  # of the figure's own unit, to tell it
+    better: str  # LOW, ONE or NEITHER, which is not ranked
+    where: str
+    question: str  # that it answers, in rankings and over figures
+    meaning: str
+
+
+COLUMNS = (
+    Column("x_err_rms", "track", "mm", 1e3, LOW, ANY, "tracking error",
+           "slave against the master of one delay ago, rms"),
+    Column("f_err_rms", "force", "N", 1.0, LOW, ANY, "force error", "felt force against touched force, rms"),
+    Column("felt_drag", "drag", "N s/m", 1.0, LOW, FREE, "felt drag",
+           "drag that the stack adds to the master where nothing is touched"),
+    Column("felt_mass", "mass", "kg", 1.0, NEITHER, FREE, "felt mass",
+           "mass that it adds there; below zero where it feels like a spring"),
+    Column("wall_late", "wall", "%", 1e2, ONE, TOUCHED, "force on the wall",
+           "force on what is touched over the second half of the run, mean, in percent of a rigid rod's"),
+    Column("wall_peak", "peak", "%", 1e2, ONE, TOUCHED, "peak force on the wall",
+           "largest force on what is touched, in percent of a rigid rod's"),
+    Column("felt_share", "stiff", "%", 1e2, ONE, TOUCHED, "felt stiffness",
+           "stiffness felt at the end, where the hand rests in contact, in percent of the environment's"),
+    Column("jerk_rms", "jerk", "N/s", 1.0, LOW, ANY, "smoothness, rms", "rate of change of the reflected force, rms"),
+    Column("jerk_999", "jerk99.9", "N/s", 1.0, LOW, ANY, "smoothness, 99.9 %",
+           "the rate of change that one tick in a thousand exceeds"),
+    Column("drift_end", "drift", "mm", 1e3, LOW, FREE, "drift", "slave against master at the end, nothing touched"),
+    Column("energy_out", "out", "mJ", 1e3, LOW, ANY, "energy given out",
+           "most energy that law and link had given out at the ports beyond what they took up"),
+    Column("seed_energy", "seed", "mJ", 1e3, NEITHER, ANY, "seed energy", "energy that the law is given to begin with"),
+    Column("sent", "sent", "%", 1e2, NEITHER, ANY, "packets", "packets sent, in percent of the ticks"),
+)
+BY_KEY = {column.key: column for column in COLUMNS}

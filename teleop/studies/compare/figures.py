@@ -1,0 +1,193 @@
+"""The figures of a comparison, one for each question. Needs the extra `plot`.
+
+    status     over which links and in which environments does each law come to an end
+    tracking   does a law track because it is good, or because it holds the hand back
+    wall       how hard does the wall feel the hand, against that of a rigid rod
+    feel       what does the hand feel: stiffness in contact, mass and drag in free space
+    smooth     how rough is the reflected force
+    energy     what does the law give out, and how far do the ends drift apart
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite, isnan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.studies.compare.columns import BY_KEY, FREE, ONE, TOUCHED, Column
+from teleop.studies.compare.judge import BAD, LawVerdict, Row, case_values, endings
+from teleop.terminal.plotting import (
+    BLUE,
+    DARK,
+    FAILS,
+    GREY,
+    ORANGE,
+    PALE,
+    PNG,
+    SKY,
+    grid_lines,
+    literal,
+    new_figure,
+    save,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from teleop.studies.compare.file import Comparison
+
+LAW_HEIGHT = 0.27  # inches a law
+ACROSS = 3  # blocks of the status map
+STATUS = {"ok": (SKY, "ok"), **dict.fromkeys(BAD, (ORANGE, "limit cycle, unstable or unsettled")),
+          "diverged": (FAILS, "diverged"), "refused": (PALE, "refused")}
+PLACES = {FREE: "nothing touched", TOUCHED: "in contact"}
+LOG_FROM = 50.0  # greatest to least value, from which on an axis goes by decades
+
+
+class Question(NamedTuple):
+    """A figure of dots: its name, its title, and the columns that are its panels."""
+
+    name: str
+    title: str
+    keys: tuple[str, ...]
+
+
+DOTS = (
+    Question("wall", "Force on the wall against a rigid rod's (dashed)", ("wall_late", "wall_peak")),
+    Question("feel", "What the hand feels", ("felt_share", "felt_drag", "felt_mass")),
+    Question("smooth", "Roughness of the reflected force", ("jerk_rms", "jerk_999")),
+    Question("energy", "Energy given out, and drift", ("energy_out", "drift_end")),
+)
+
+
+def draw(rows: Sequence[Row], found: Sequence[LawVerdict], asked: Comparison, folder: Path,
+         formats: Sequence[str] = PNG) -> list[Path]:
+    """Draw every figure that the rows have something for into `folder`; returns the files."""
+    files = save(_status(rows, found, asked), folder / "status", formats)
+    scatter = _tracking(found)
+    if scatter is not None:
+        files += save(scatter, folder / "tracking", formats)
+    for question in DOTS:
+        figure = _dots(question, rows, found)
+        if figure is not None:
+            files += save(figure, folder / question.name, formats)
+    return files
+
+
+def _status(rows: Sequence[Row], found: Sequence[LawVerdict], asked: Comparison) -> Figure:
+    """A map: laws down, links across in each environment's block."""
+    from matplotlib.patches import Patch
+
+    laws, links = [one.law for one in found], [link.name for link in asked.links]
+    places = [each.name for each in asked.environments]
+    across = min(len(places), ACROSS)
+    down = -(-len(places) // across)
+    size = (max(6.0, 0.26 * (len(links) + 1) * across + 1.6), down * (0.26 * len(laws) + 1.5) + 0.8)
+    figure = new_figure(size, "How the runs ended (the worst of a case's seeds)")
+    every = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
+    for axes in every[len(places):]:
+        axes.set_visible(False)
+    ended = {law: endings(row for row in rows if row["law"] == law) for law in laws}
+    for axes, place in zip(every, places, strict=False):
+        for y, law in enumerate(laws):
+            for x, link in enumerate(links):
+                status = ended[law].get((place, link))
+                if status is not None:
+                    axes.add_patch(_square(x, y, STATUS[status][0]))
+        axes.set(xlim=(-0.5, len(links) - 0.5), ylim=(len(laws) - 0.5, -0.5), aspect="equal")
+        axes.set_xticks(range(len(links)), [literal(link) for link in links], rotation=90, fontsize=7)
+        axes.set_yticks(range(len(laws)), [literal(law) for law in laws], fontsize=8)
+        axes.set_title(literal(place), fontsize=9)
+        axes.tick_params(length=0)
+        for side in axes.spines.values():
+            side.set_visible(False)
+    there = {row["ended"] for row in rows}
+    shown = dict.fromkeys(STATUS[status] for status in STATUS if status in there)
+    figure.legend(handles=[Patch(color=colour, label=label) for colour, label in shown], loc="outside lower center",
+                  ncols=len(shown), frameon=False, fontsize=8)
+    return figure
+
+
+def _square(x: int, y: int, colour: str) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((x - 0.45, y - 0.45), 0.9, 0.9, color=colour, linewidth=0)
+
+
+def _tracking(found: Sequence[LawVerdict]) -> Figure | None:
+    """Tracking error against felt drag; the colour says how hard the wall is pressed, against that of a rigid rod."""
+    error, drag, wall = BY_KEY["x_err_rms"], BY_KEY["felt_drag"], BY_KEY["wall_late"]
+    told = [(one.law, *(drag.factor * one.figures["felt_drag"].value, error.factor * one.figures["x_err_rms"].value,
+                        wall.factor * one.figures["wall_late"].value)) for one in found]
+    sound = [each for each in told if isfinite(each[1]) and isfinite(each[2])]
+    if len(sound) < 2:
+        return None
+    figure = new_figure((9.5, 6.2), "Tracking against felt drag: a law at the right tracks because it holds the hand")
+    axes = figure.subplots()
+    colours = [min(max(press, 0.0), 200.0) if isfinite(press) else 0.0 for *_, press in sound]
+    dots = axes.scatter([x for _, x, _, _ in sound], [y for _, _, y, _ in sound], c=colours, cmap="RdYlBu_r", vmin=0.0,
+                        vmax=200.0, s=70, edgecolors=DARK, linewidths=0.6, zorder=3)
+    for law, x, y, press in sound:
+        side = f" ({press:.0f} %)" if isfinite(press) else ""
+        axes.annotate(literal(law) + side, (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
+    bar = figure.colorbar(dots, ax=axes)
+    bar.set_label("force on the wall, % of a rigid rod's", fontsize=9)
+    for name, column, values in (("x", drag, [x for _, x, _, _ in sound]), ("y", error, [y for _, _, y, _ in sound])):
+        _scale(axes, name, values)
+        getattr(axes, f"set_{name}label")(f"{column.question} ({column.unit}), median over the cases")
+    lost = [law for law, x, y, _ in told if not (isfinite(x) and isfinite(y))]
+    if lost:
+        axes.text(0.01, 0.01, literal(f"no value: {', '.join(lost)}"), transform=axes.transAxes, fontsize=8, color=DARK)
+    grid_lines(axes)
+    return figure
+
+
+def _dots(question: Question, rows: Sequence[Row], found: Sequence[LawVerdict]) -> Figure | None:
+    """A panel for each column: of each law a dot for each case, the median, and how many cases failed."""
+    panels = [BY_KEY[key] for key in question.keys
+              if any(not isnan(one.figures[key].value) for one in found)]
+    if not panels:
+        return None
+    laws = [one.law for one in found]
+    figure = new_figure((2.2 + 4.3 * len(panels), LAW_HEIGHT * len(laws) + 1.7), question.title)
+    for axes, column in zip(figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True):
+        _panel(axes, column, case_values(column, rows, laws), found)
+        axes.set_yticks(range(len(laws)), [literal(law) for law in laws], fontsize=8)
+        axes.set_ylim(len(laws) - 0.5, -0.5)
+    return figure
+
+
+def _panel(axes: Axes, column: Column, cases: Mapping[str, Sequence[float]], found: Sequence[LawVerdict]) -> None:
+    every: list[float] = []
+    for y, one in enumerate(found):
+        values = [column.factor * value for value in cases[one.law] if isfinite(value)]
+        failed = sum(value == float("inf") for value in cases[one.law])
+        every += values
+        axes.plot(values, [y] * len(values), "o", color=GREY, alpha=0.45, markersize=3, markeredgewidth=0, zorder=2)
+        middle = column.factor * one.figures[column.key].value
+        if isfinite(middle):
+            every.append(middle)
+            axes.plot([middle], [y], "D", color=BLUE, markersize=6, zorder=4)
+        if failed:
+            axes.annotate(f"{failed} failed", (1.0, y), xycoords=("axes fraction", "data"), xytext=(4, 0),
+                          textcoords="offset points", fontsize=7, color=FAILS, va="center")
+    if column.better == ONE:
+        axes.axvline(column.factor, color=DARK, linestyle="--", linewidth=1.0)
+    _scale(axes, "x", every)
+    where = f", {PLACES[column.where]}" if column.where in PLACES else ""
+    axes.set_xlabel(literal(f"{column.question} ({column.unit}){where}"), fontsize=9)
+    grid_lines(axes)
+
+
+def _scale(axes: Axes, name: str, values: Sequence[float]) -> None:
+    """Decades where the values ask for them; where some are zero or below, linear around zero."""
+    sizes = sorted(abs(value) for value in values if value != 0.0)
+    if not sizes or sizes[-1] < LOG_FROM * sizes[len(sizes) // 20]:
+        return
+    if min(values) > 0.0:
+        getattr(axes, f"set_{name}scale")("log")
+    else:
+        getattr(axes, f"set_{name}scale")("symlog", linthresh=max(sizes[len(sizes) // 4], sizes[-1] * 1e-4))

@@ -1,0 +1,186 @@
+"""From the rows of a comparison to what is said of each law: figures over all cases, and rankings with their ties.
+
+A *case* is one law over one link in one environment. Of each figure a law has one value a seed: the median over the
+cases in which the figure counts. A run that did not end `ok` counts as worse than any that did, so that a law cannot
+better its figures by failing where it is hard. What is told is the mean over the seeds, and the *spread* their range:
+two laws tie where their difference is no more than the greater of the two spreads, or than one percent.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf, isfinite, isnan, log, nan
+from statistics import fmean
+from typing import Any, NamedTuple
+
+from teleop.studies.compare.columns import ANY, COLUMNS, FREE, NEITHER, ONE, Column
+
+LEAST = 0.01  # a difference of at most this part of the value is none
+TINY = 1e-9
+UNSETTLED = "unsettled"  # a run that ended ok by its status, and swings or grows, see `teleop.studies.compare.work`
+BAD = (UNSETTLED, "limit cycle", "unstable")
+
+Row = Mapping[str, Any]
+
+
+class Told(NamedTuple):
+    """A figure of a law: the mean over the seeds of the median over the cases, and their range over the seeds."""
+
+    value: float  # in the figure's own unit; inf: half of its runs failed; nan: none has it
+    spread: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawVerdict:
+    """What is said of one law."""
+
+    law: str
+    cases: int  # with at least one row
+    ended: Mapping[str, int]  # how many cases ended how; one counts as the worst of its seeds
+    figures: Mapping[str, Told]  # by the column's key
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranking:
+    """The laws in the order of one column, the best first; those within one group tie."""
+
+    column: Column
+    groups: tuple[tuple[tuple[str, float], ...], ...]  # law and value
+    failed: tuple[str, ...]  # laws of whose runs, where the figure counts, half or more failed
+    spreads: Mapping[str, float] = field(default_factory=dict)
+
+
+def verdicts(rows: Sequence[Row], laws: Iterable[str]) -> list[LawVerdict]:
+    """One for each law that has rows, in the order of `laws`."""
+    free = free_environments(rows)
+    by_law: dict[str, list[Row]] = {law: [] for law in laws}
+    for row in rows:
+        by_law[row["law"]].append(row)
+    counting = {column.key: _environments(column, rows, free) for column in COLUMNS}
+    return [LawVerdict(law=law, cases=len(endings(own)), ended=Counter(endings(own).values()),
+                       figures={column.key: _told(column, own, counting[column.key]) for column in COLUMNS})
+            for law, own in by_law.items() if own]
+
+
+def endings(rows: Iterable[Row]) -> dict[tuple[str, str], str]:
+    """How each case of a law ended, by (environment, link): the worst of its seeds."""
+    order = ("ok", *BAD, "diverged", "refused")
+    found: dict[tuple[str, str], str] = {}
+    for row in rows:
+        case = row["environment"], row["link"]
+        found[case] = max(found.get(case, "ok"), row["ended"], key=order.index)
+    return found
+
+
+def free_environments(rows: Iterable[Row]) -> set[str]:
+    """The environments in which nothing is touched: no row has a force relative to a rigid rod's."""
+    every, touched = set[str](), set[str]()
+    for row in rows:
+        if row["ended"] == "ok":
+            every.add(row["environment"])
+            if "wall_late" in row:
+                touched.add(row["environment"])
+    return every - touched
+
+
+def _environments(column: Column, rows: Iterable[Row], free: set[str]) -> set[str]:
+    """The environments in which a column counts: those of its kind in which some law has the figure."""
+    has = {row["environment"] for row in rows if row["ended"] == "ok" and column.key in row}
+    if column.where == ANY or (column.where == FREE and not has & free):
+        return has
+    return has & free if column.where == FREE else has - free
+
+
+def _told(column: Column, rows: Iterable[Row], environments: set[str]) -> Told:
+    """A column of one law."""
+    by_seed: dict[int, dict[tuple[str, str], float]] = {}
+    once: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    for row in rows:
+        if row["environment"] in environments:
+            once.setdefault((row["environment"], row["link"]), []).append((row["seed"], value_of(column, row)))
+    seeds = sorted({seed for values in once.values() for seed, _ in values})
+    for seed in seeds:
+        for case, values in once.items():
+            # A link without dice has one row, which is that of every seed.
+            own = dict(values).get(seed, values[0][1] if len(values) == 1 else nan)
+            by_seed.setdefault(seed, {})[case] = own
+    medians = [_median(column, [value for value in each.values() if not isnan(value)]) for each in by_seed.values()]
+    medians = [value for value in medians if not isnan(value)]
+    if not medians:
+        return Told(nan, nan)
+    if not all(map(isfinite, medians)):
+        return Told(inf, nan)
+    return Told(fmean(medians), max(medians) - min(medians))
+
+
+def case_values(column: Column, rows: Sequence[Row], laws: Iterable[str]) -> dict[str, list[float]]:
+    """Of each law the values of a column, one a case: the mean over the seeds, inf where one failed."""
+    environments = _environments(column, rows, free_environments(rows))
+    found: dict[str, dict[tuple[str, str], list[float]]] = {law: {} for law in laws}
+    for row in rows:
+        value = value_of(column, row)
+        if row["environment"] in environments and row["law"] in found and not isnan(value):
+            found[row["law"]].setdefault((row["environment"], row["link"]), []).append(value)
+    return {law: [fmean(values) for values in cases.values()] for law, cases in found.items()}
+
+
+def value_of(column: Column, row: Row) -> float:
+    """The figure of one row: worse than any number if its run failed, NaN if it has none."""
+    if row["ended"] != "ok":
+        return nan if column.better == NEITHER else inf
+    value = float(row.get(column.key, nan))
+    return abs(value) if column.key == "felt_drag" else value
+
+
+def distance(column: Column, value: float) -> float:
+    """How far a value is from the best one: where that is 1 the logarithm's size, so that half is as far as double."""
+    return value if column.better != ONE else abs(log(max(value, TINY))) if isfinite(value) else inf
+
+
+def _median(column: Column, values: list[float]) -> float:
+    """The median by the distance from the best, of an even number of values the worse of two; NaN of none."""
+    ordered = sorted(values, key=lambda value: distance(column, value))
+    return ordered[len(ordered) // 2] if ordered else nan
+
+
+def ranking(column: Column, found: Sequence[LawVerdict]) -> Ranking:
+    """The laws in the order of a column.
+
+    A group begins with the best law that is left, and takes those that tie with it.
+    """
+    told = {one.law: one.figures[column.key] for one in found}
+    sound = {law: one for law, one in told.items() if isfinite(one.value)}
+    order = sorted(sound, key=lambda law: distance(column, sound[law].value))
+    groups: list[list[str]] = []
+    for law in order:
+        if groups and ties(column, sound[groups[-1][0]], sound[law]):
+            groups[-1].append(law)
+        else:
+            groups.append([law])
+    return Ranking(column=column, failed=tuple(law for law, one in told.items() if one.value == inf),
+                   groups=tuple(tuple((law, sound[law].value) for law in group) for group in groups),
+                   spreads={law: one.spread for law, one in sound.items()})
+
+
+def ties(column: Column, one: Told, other: Told) -> bool:
+    """True if two values are as far from the best, but for the greater spread or one percent of the greater value."""
+    apart = abs(distance(column, one.value) - distance(column, other.value))
+    if column.better == ONE:  # a difference of logarithms is a share of the value
+        return apart <= max(LEAST, *[each.spread / max(abs(each.value), TINY) for each in (one, other)])
+    return apart <= max(one.spread, other.spread, LEAST * max(abs(one.value), abs(other.value)))
+
+
+def rankings(found: Sequence[LawVerdict]) -> list[Ranking]:
+    """One for each column that has a better way and a value of at least two laws."""
+    made = [ranking(column, found) for column in COLUMNS if column.better != NEITHER]
+    return [one for one in made if sum(map(len, one.groups)) > 1]
+
+
+def held_back(found: Sequence[LawVerdict]) -> list[LawVerdict]:
+    """The laws whose low tracking error says little: they track better than the median law, and press less than half
+    as much as a rigid rod would."""
+    errors = sorted(one.figures["x_err_rms"].value for one in found if isfinite(one.figures["x_err_rms"].value))
+    return [one for one in found if errors and one.figures["x_err_rms"].value <= errors[len(errors) // 2]
+            and one.figures["wall_late"].value < 0.5]

@@ -1,0 +1,156 @@
+"""What a law is tuned for, and what it must keep: terms, objectives and constraints, all out of rows of a sweep.
+
+Each point, a set of parameters, is run in the scene as it is and, where the scene has a knob `k_e`, a second time with
+k_e = 0 (and d_e = 0): the same motion in free space, in which all that the hand feels is drag. Each term is 0 for the
+rigid rod of `teleop.studies.tune.rod` and about 1 for a law that does nothing:
+
+    tracking   x_err_rms over the rms motion of the rod; the root mean square of both, in the scene and in free space
+    drag       f_m_max in free space over the steady force of the rod (where the hand does not come to stand, over the
+               rms force; where nothing is touched, over the hand's stiffness times the rod's rms motion)
+    touch      |f_env_end - F|/F, with F the steady force of the rod on the environment
+    feel       |f_m_end - F|/F: what of that steady force reaches the hand
+    force      f_err_rms over the rod's rms force, where the hand does not come to stand against something
+
+The value of an objective is the root mean square of its terms, so a law cannot buy a small tracking error by keeping
+the hand off the wall, nor a light hand by letting it feel nothing.
+
+A point is feasible if every row of it has the status ok, has come to rest where the hand has (less than `REST` of
+swing is left), and keeps each ledger that the law claims above its bound: for E_link and E_port -1e-9 J; for E_law
+minus the greatest work of one tick, f_m_max and f_env_max times the fastest motion of the rod times dt, since no law
+knows the work of the tick that is running.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import inf, isfinite, sqrt
+from typing import Any, NamedTuple
+
+from teleop.scene.scene import Scene
+from teleop.simulation.metrics import UNITS
+from teleop.studies.tune.rod import Rod
+from teleop.terminal.units import si
+
+FREE = "free"  # the row of a point in free space
+SCENE = "scene"
+ROUNDING = 1e-9  # J
+REST = 1e-3  # m peak to peak: what jitter and loss may move at rest, as `teleop.simulation.rest` has it
+MEASURES = ("swing_end", "x_err_rms", "f_err_rms", "f_m_max", "f_env_max", "f_m_end", "f_env_end")
+LEDGERS = ("E_link", "E_port", "E_law")
+
+
+class Objective(NamedTuple):
+    """The terms that are looked at, and a sentence."""
+
+    terms: tuple[str, ...]
+    sentence: str
+
+
+OBJECTIVES = {
+    "balanced": Objective(("tracking", "drag", "touch", "feel", "force"),
+                          "tracking error, drag in free space, and what is missing of the steady force at the wall and "
+                          "at the hand, each relative to a rigid rod: their root mean square"),
+    "tracking": Objective(("tracking",), "tracking error relative to the motion of a rigid rod, whatever is felt"),
+    "force": Objective(("touch", "feel", "force"), "what is missing of a rigid rod's steady force at the wall and at "
+                       "the hand (of a hand that keeps moving: the force error), whatever the tracking"),
+    "drag": Objective(("drag",), "greatest force against the hand in free space, relative to a rigid rod's on the "
+                      "environment"),
+}
+
+
+class Score(NamedTuple):
+    """What a point came to. Feasible if `broken` is empty."""
+
+    value: float  # of the objective; inf where it has none
+    broken: str  # the constraint that is broken most, as a sentence
+    amount: float  # by which; 0.0 if feasible
+    terms: Mapping[str, float]
+    rows: Mapping[str, Mapping[str, Any]]  # the last row of the scene and of free space
+
+    @property
+    def order(self) -> tuple[float, float]:
+        """What points are sorted by: feasible ones first, by value; the others by how much they break."""
+        return (self.amount, self.value)
+
+
+def measures_of(law: Any) -> tuple[str, ...]:
+    """The metrics that rows of a law need."""
+    ledgers = [f"{ledger}_min" for ledger in LEDGERS if ledger in getattr(law, "claims", ())]
+    return tuple([name for name in (*MEASURES, *ledgers) if name in UNITS])
+
+
+def score(objective: Objective, rods: Mapping[str, Rod], scene: Scene, rows: Sequence[tuple[str, Mapping[str, Any]]]
+          ) -> Score:
+    """The score of a point by its rows, each with its task: a term is the root mean square over tasks and seeds.
+
+    `rods`: of each task, `SCENE` and `FREE`.
+    """
+    found: dict[str, list[float]] = {}
+    worst, why = 0.0, ""
+    for task, row in rows:
+        amount, sentence = _broken(row, scene, rods[task], task)
+        if amount > worst:
+            worst, why = amount, sentence
+        for name, value in _terms(task, row, rods).items():
+            found.setdefault(name, []).append(value)
+    terms = {name: root_mean_square(values) for name, values in found.items()}
+    wanted = [terms[name] for name in objective.terms if name in terms]
+    value = root_mean_square(wanted) if wanted else inf
+    if worst == 0.0 and not isfinite(value):
+        worst, why = 1.0, "a figure of the run is not finite"
+    return Score(value, why, worst, terms, dict(rows))
+
+
+def root_mean_square(values: Sequence[float]) -> float:
+    """The root of the mean of the squares."""
+    return sqrt(sum([each * each for each in values]) / len(values))
+
+
+def _terms(task: str, row: Mapping[str, Any], rods: Mapping[str, Rod]) -> dict[str, float]:
+    """The terms that a row has; a figure that it lacks is not finite."""
+    rod = rods[SCENE]
+    if row["status"] == "refused":
+        return {}
+
+    def figure(name: str) -> float:
+        return float(row.get(name, inf))
+
+    if task == FREE:
+        return {"drag": figure("f_m_max") / rod.scale, "tracking": figure("x_err_rms") / rods[FREE].moved}
+    told = {"tracking": figure("x_err_rms") / rod.moved}
+    if rod.steady is not None:
+        told |= {"touch": abs(figure("f_env_end") - rod.steady) / rod.steady,
+                 "feel": abs(figure("f_m_end") - rod.steady) / rod.steady}
+    elif rod.pressed > 0.0:
+        told["force"] = figure("f_err_rms") / rod.scale
+    else:
+        told["drag"] = figure("f_m_max") / rod.scale  # nothing is touched: the scene is free space
+    return told
+
+
+def _broken(row: Mapping[str, Any], scene: Scene, rod: Rod, task: str) -> tuple[float, str]:
+    """By how much a row breaks a constraint, 0.0 if it keeps them all; and a sentence. The sooner it ends, the more."""
+    where = " in free space" if task == FREE else ""
+    status = row["status"]
+    if status == "refused":
+        return 4.0, f"refused: {row.get('sentence', '')}"
+    if status == "diverged":
+        return 3.0 - row["ticks"] / max(1, scene.ticks), f"diverged at {row['ticks'] * scene.dt:.3g} s{where}"
+    if status != "ok":
+        return 1.5, f"{status}{where}"
+    left = row.get("swing_end", 0.0)
+    if not left <= REST:
+        return 1.4 + min(0.1, left), f"a swing of {si(left, 'm')} is left at the end{where}"
+    for ledger in LEDGERS:
+        least = row.get(f"{ledger}_min")
+        if least is not None and ledger in scene.law.claims and not least >= -_allowed(ledger, row, scene, rod):
+            return 1.0 + min(0.3, abs(least)), f"the claim is broken: {ledger} falls to {si(least, 'J')}{where}"
+    return 0.0, ""
+
+
+def _allowed(ledger: str, row: Mapping[str, Any], scene: Scene, rod: Rod) -> float:
+    """J below zero that a ledger may be."""
+    if ledger != "E_law":
+        return ROUNDING
+    force = float(row.get("f_m_max", 0.0)) + float(row.get("f_s_max", row.get("f_env_max", 0.0)))
+    return ROUNDING + force * rod.fastest * scene.dt

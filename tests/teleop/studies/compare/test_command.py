@@ -1,0 +1,153 @@
+"""`teleop compare`: the rows, the table, the files, and going on after an interrupt."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import teleop.studies.compare.work as work_module
+from teleop.__main__ import main
+from teleop.scene.loading import load_scene
+from teleop.simulation.virtual import run
+from teleop.studies.compare.work import Job, how_it_ended, work
+
+SMALL = """
+seeds = 2
+set = {x_limit = 0.3}
+[[link]]
+name = "loss"
+link = "delay(0.01) | bernoulli(0.3)"
+[[link]]
+name = "10 ms"
+link = "delay(0.01)"
+[[environment]]
+name = "tissue"
+scene = "soft_tissue"
+set = {duration = 0.4}
+[[environment]]
+name = "free"
+scene = "free_motion"
+set = {duration = 0.4}
+"""
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("small.toml").write_text(SMALL)
+    return tmp_path
+
+
+def compare(*more: str) -> int:
+    return main(["compare", "small.toml", "--laws", "wave,direct", "--workers", "1", *more])
+
+
+def rows_of(folder: str) -> list[dict[str, str]]:
+    with (Path(folder) / "rows.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_command_beside_a_row_runs_that_row_to_the_bit(small: Path) -> None:
+    assert compare() == 0
+    rows = rows_of("runs/small")
+    assert len(rows) == 2 * 2 * 3
+    row = next(one for one in rows if one["law"] == "wave" and one["link"] == "loss" and one["seed"] == "1")
+    assert main([*shlex.split(row["command"])[1:], "--out", "again"]) == 0
+    metrics = json.loads((small / "again" / "summary.json").read_text())["metrics"]
+    told = {name.split(" ")[0]: value for name, value in row.items()}
+    assert {name: repr(one["value"]) for name, one in metrics.items()} == {name: told[name] for name in metrics}
+
+
+@pytest.mark.usefixtures("small")
+def test_the_table_has_a_line_for_each_law_and_fits_the_terminal(
+        capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    compare()
+    wide = capsys.readouterr().out
+    assert max(map(len, wide.splitlines()[:6])) <= 120
+    assert [line.split()[0] for line in wide.splitlines()[4:6]] == ["wave", "direct"]
+    assert "tracking error" in wide
+    monkeypatch.setattr("teleop.studies.compare.command._width", lambda: 60)
+    compare()  # every row is there already
+    narrow = capsys.readouterr().out
+    assert max(map(len, narrow.split("best first")[0].splitlines()[1:])) <= 60
+    assert narrow.count("\nlaw ") == 2  # the table in two parts
+
+
+def test_json_is_one_document_with_every_figure_of_each_law(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    compare("--json")
+    told = json.loads(capsys.readouterr().out)
+    assert told == {**json.loads((small / "runs/small/summary.json").read_text()), "path": "runs/small"}
+    assert [law["law"] for law in told["laws"]] == ["wave", "direct"]
+    assert told["laws"][0]["figures"]["x_err_rms"]["value"] > 0.0
+    assert told["laws"][0]["ended"] == {"ok": 4}
+
+
+@pytest.mark.usefixtures("small")
+def test_an_interrupt_leaves_what_it_has_and_the_same_command_goes_on(
+        monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    ran: list[Any] = []
+
+    def once(job: Job) -> list[dict[str, Any]]:
+        if ran:
+            raise KeyboardInterrupt
+        ran.append(job)
+        return work(job)
+
+    monkeypatch.setattr(work_module, "work", once)
+    assert compare() == 130
+    assert "interrupted: the same command goes on" in capsys.readouterr().out
+    assert len(rows_of("runs/small")) == 3  # wave in tissue
+    monkeypatch.setattr(work_module, "work", work)
+    assert compare() == 0
+    resumed = rows_of("runs/small")
+    assert compare("--out", "whole") == 0
+    assert resumed == rows_of("whole")
+
+
+@pytest.mark.usefixtures("small")
+def test_another_comparison_is_not_mixed_into_the_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    compare()
+    Path("small.toml").write_text(SMALL.replace("0.3)", "0.2)"))
+    capsys.readouterr()
+    assert compare() == 2
+    assert "holds another" in capsys.readouterr().err
+
+
+def test_what_is_refused_writes_nothing(small: Path) -> None:
+    Path("small.toml").write_text(SMALL.replace("soft_tissue", "soft_tisue"))
+    assert compare() == 2
+    assert not (small / "runs").exists()
+
+
+@pytest.mark.usefixtures("small")
+def test_a_law_of_the_users_own_stands_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    example = Path(__file__).parents[4] / "scenarios" / "examples" / "law.py"
+    Path("law_mine.py").write_text(example.read_text())
+    assert main(["compare", "small.toml", "--laws", "law_mine.py", "--workers", "1"]) == 0
+    assert "\nlaw_mine " in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("small")
+def test_figures_are_drawn_one_a_question() -> None:
+    pytest.importorskip("matplotlib")
+    assert compare("--plot", "--format", "svg") == 0
+    drawn = {path.stem for path in Path("runs/small").glob("*.svg")}
+    assert {"status", "wall"} <= drawn
+
+
+def test_a_swing_that_stays_at_the_wall_is_not_ok_though_the_time_was_too_short_for_a_verdict() -> None:
+    result = run(load_scene("hard_wall", law="direct", link="delay(0.05)", timeout=None, duration=3.5))
+    assert result.status == "ok"
+    assert how_it_ended(result)[0] == "unsettled"
+    assert how_it_ended(run(load_scene("hard_wall", link="delay(0.05)", duration=3.5))) == ("ok", "")
+
+
+def test_a_motion_that_law_and_link_feed_is_not_ok() -> None:
+    result = run(load_scene("soft_tissue", law="direct", link="delay(0.1)", duration=4.0))
+    assert result.status == "ok"
+    assert how_it_ended(result)[0] == "unsettled"

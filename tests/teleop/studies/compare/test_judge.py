@@ -1,0 +1,78 @@
+"""What is said of laws: failing is never better than working, and what is within the spread is a tie."""
+
+from __future__ import annotations
+
+from math import inf, isnan
+from typing import Any
+
+import pytest
+
+from teleop.studies.compare.columns import BY_KEY
+from teleop.studies.compare.judge import endings, held_back, ranking, rankings, verdicts
+
+
+def row(law: str, link: str, seed: int, ended: str = "ok", place: str = "wall", **figures: float) -> dict[str, Any]:
+    return {"law": law, "link": link, "environment": place, "seed": seed, "ended": ended, **figures}
+
+
+def test_a_law_that_fails_where_it_is_hard_is_not_the_better_for_it() -> None:
+    rows = [row("frail", "near", 0, x_err_rms=0.001), row("frail", "far", 0, "diverged", x_err_rms=0.0),
+            row("frail", "lost", 0, "unsettled", x_err_rms=0.0),
+            *[row("firm", link, 0, x_err_rms=0.005) for link in ("near", "far", "lost")]]
+    found = verdicts(rows, ["frail", "firm"])
+    assert [one.figures["x_err_rms"].value for one in found] == [inf, 0.005]
+    ranked = ranking(BY_KEY["x_err_rms"], found)
+    assert ranked.groups == ((("firm", 0.005),),)
+    assert ranked.failed == ("frail",)
+
+
+def test_laws_closer_than_their_spread_over_seeds_tie() -> None:
+    def law(name: str, *values: float) -> list[dict[str, Any]]:
+        return [row(name, "loss", seed, x_err_rms=value) for seed, value in enumerate(values)]
+
+    rows = [*law("a", 0.0100, 0.0104), *law("b", 0.0104, 0.0106), *law("c", 0.0110, 0.0111)]
+    groups = ranking(BY_KEY["x_err_rms"], verdicts(rows, ["c", "b", "a"])).groups
+    assert [[name for name, _ in group] for group in groups] == [["a", "b"], ["c"]]
+
+
+def test_without_dice_one_percent_is_no_difference() -> None:
+    rows = [row("a", "delay", 0, jerk_rms=100.0), row("b", "delay", 0, jerk_rms=100.9),
+            row("c", "delay", 0, jerk_rms=102.0)]
+    groups = ranking(BY_KEY["jerk_rms"], verdicts(rows, ["a", "b", "c"])).groups
+    assert [len(group) for group in groups] == [2, 1]
+
+
+def test_half_the_force_of_the_rod_is_as_far_from_it_as_double() -> None:
+    rows = [row(name, "delay", 0, wall_late=value) for name, value in (("off", 0.5), ("hard", 2.0), ("near", 1.1))]
+    groups = ranking(BY_KEY["wall_late"], verdicts(rows, ["off", "hard", "near"])).groups
+    assert [[name for name, _ in group] for group in groups] == [["near"], ["off", "hard"]]
+
+
+def test_a_row_without_dice_counts_for_every_seed() -> None:
+    rows = [row("a", "delay", 0, x_err_rms=0.001), *[row("a", "loss", seed, x_err_rms=0.002 + 0.001 * seed)
+                                                    for seed in range(3)]]
+    told = verdicts(rows, ["a"])[0].figures["x_err_rms"]
+    assert told.value == pytest.approx(0.003)  # of two cases the worse one is the median
+    assert told.spread == pytest.approx(0.002)
+
+
+def test_drag_counts_where_nothing_is_touched_and_force_where_something_is() -> None:
+    rows = [row("a", "delay", 0, place="free", felt_drag=1.0, x_err_rms=0.001),
+            row("a", "delay", 0, felt_drag=9.0, wall_late=0.9, x_err_rms=0.003)]
+    figures = verdicts(rows, ["a"])[0].figures
+    assert figures["felt_drag"].value == 1.0
+    assert figures["wall_late"].value == 0.9
+    assert isnan(figures["felt_share"].value)
+
+
+def test_a_case_ends_as_the_worst_of_its_seeds() -> None:
+    rows = [row("a", "loss", 0), row("a", "loss", 1, "limit cycle"), row("a", "loss", 2, "unsettled")]
+    assert endings(rows) == {("wall", "loss"): "limit cycle"}
+
+
+def test_a_law_that_tracks_because_the_wall_is_hardly_touched_is_named() -> None:
+    rows = [row("drag", "delay", 0, x_err_rms=0.001, wall_late=0.2), row("good", "delay", 0, x_err_rms=0.002,
+            wall_late=0.9), row("slow", "delay", 0, x_err_rms=0.01, wall_late=0.1)]
+    found = verdicts(rows, ["drag", "good", "slow"])
+    assert [one.law for one in held_back(found)] == ["drag"]
+    assert {one.column.key for one in rankings(found)} == {"x_err_rms", "wall_late"}

@@ -1,0 +1,44 @@
+"""`teleop tune`, as it is typed."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from teleop.__main__ import main
+
+TYPED = ["tune", "wave", "--scene", "hard_wall", "--set", "k_e=2000", "--set", "duration=2.5", "--budget", "12",
+         "--workers", "1"]
+
+
+def test_it_leaves_its_points_its_front_and_the_command_that_runs_the_best(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*TYPED, "--out", str(tmp_path / "t"), "--plot"]) == 0
+    told = capsys.readouterr().out
+    document = json.loads((tmp_path / "t/summary.json").read_text())
+    assert document["status"] == "done"
+    assert document["rows"] == 12
+    assert "run it: teleop run hard_wall --set law=wave" in told
+    assert document["run"][:3] == ["teleop", "run", "hard_wall"]
+    with (tmp_path / "t/points.csv").open() as file:
+        points = list(csv.DictReader(file))
+    assert len(points) == document["points"] == 6
+    assert min(float(point["value"]) for point in points if not point["broken"]) == document["value"]
+    assert (tmp_path / "t/tune.png").stat().st_size > 10_000
+    assert main([*document["run"][1:], "--out", str(tmp_path / "r"), "--json"]) == 0
+    ran = json.loads((tmp_path / "r/summary.json").read_text())
+    assert ran["metrics"]["x_err_rms"]["value"] == document["figures"]["scene"]["x_err_rms"]
+
+
+@pytest.mark.parametrize(("more", "why"), [
+    (["--budget", "0"], "at least 1"), (["--set", "law.q=3"], "has no knob 'q'"), (["--objective", "x"], "objective"),
+    (["--engine", "fast"], "there is no engine"),
+])
+def test_a_wrong_request_is_one_sentence_and_leaves_nothing(
+        more: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*TYPED, "--out", str(tmp_path / "t"), *more]) == 2
+    assert why in capsys.readouterr().err
+    assert not (tmp_path / "t").exists()

@@ -1,0 +1,87 @@
+"""The search: deterministic, within its budget, never worse than what it tried, and run again by what it prints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from teleop import load_scene, run
+from teleop.errors import Refused
+from teleop.studies.tune.search import Tuned, tune_law
+
+SHORT: dict[str, Any] = {"k_e": 2000.0, "duration": 2.5}
+
+
+def tuned(law: str = "wave", budget: int = 16, **others: Any) -> Tuned:
+    return tune_law("hard_wall", law, budget, **{"fixed": dict(SHORT), "workers": 1, **others})
+
+
+@pytest.fixture(scope="module")
+def found() -> Tuned:
+    return tuned()
+
+
+def test_the_best_is_the_least_of_all_that_was_tried(found: Tuned) -> None:
+    assert found.feasible
+    assert found.default is not None
+    assert found.score.value == min(each.value for _, each in found.tried if not each.broken) < found.default.value
+
+
+def test_the_budget_is_the_number_of_rows(found: Tuned) -> None:
+    assert found.rows == 2 * len(found.tried) == found.budget == 16
+
+
+def test_the_same_search_gives_the_same_bits_with_any_number_of_threads(found: Tuned) -> None:
+    again = tuned(workers=2)
+    assert again == found
+
+
+def test_another_seed_tries_other_points(found: Tuned) -> None:
+    other = tuned(seed=1)
+    assert other.tried[0][0] == found.tried[0][0] == {"law.b": 2.0, "law.K": 500.0, "law.B": 20.0}
+    assert other.tried[1][0] == found.tried[1][0] == {"law.b": 20.0, "law.K": 1000.0, "law.B": 20.0}  # the scene's
+    assert other.tried[2][0] != found.tried[2][0]
+
+
+def test_the_settings_that_are_printed_run_the_row_that_was_judged(found: Tuned) -> None:
+    result = run(load_scene("hard_wall", **found.settings))
+    row = found.score.rows["scene"]
+    assert {name: result.metrics[name] for name in ("x_err_rms", "f_m_end", "f_env_end", "E_link_min")} == {
+        name: row[name] for name in ("x_err_rms", "f_m_end", "f_env_end", "E_link_min")}
+
+
+def test_no_point_of_the_front_is_beaten_in_both(found: Tuned) -> None:
+    front = [each.terms for _, each in found.front()]
+    for one in front:
+        assert not any(other["tracking"] < one["tracking"] and other["drag"] < one["drag"]
+                       for _, each in found.tried if not each.broken for other in [each.terms])
+
+
+def test_a_link_that_draws_is_checked_with_other_seeds() -> None:
+    got = tuned(budget=36, fixed={**SHORT, "link": "delay(0.02) | bernoulli(0.05)"}, playouts=["integral", "zero"])
+    assert got.rows <= 36
+    assert got.best["playout"] in ("integral", "zero")
+    assert got.rows > 2 * len(got.tried)  # the seeds of the check come on top
+
+
+def test_nothing_feasible_says_what_comes_nearest() -> None:
+    got = tuned(budget=8, fixed={**SHORT, "x_limit": 0.01})  # the hand reaches farther
+    assert not got.feasible
+    assert "diverged" in got.score.broken
+    assert got.score.order == min(each.order for _, each in got.tried)
+    assert got.front() == []
+
+
+@pytest.mark.parametrize(("arguments", "why"), [
+    ({"law": "wavee"}, "did you mean wave"),
+    ({"budget": 1}, "less than the 2 rows"),
+    ({"objective": "fast"}, "there is no objective 'fast'"),
+    ({"fixed": {"law": "pfra"}}, "leave one of them out"),
+    ({"fixed": {"law.q": 1.0}}, "has no knob 'q'"),
+    ({"law": "virtual_wall"}, "one-port law"),
+    ({"fixed": {"link": "delay(1"}}, "delay"),
+])
+def test_what_cannot_be_searched_is_refused_in_a_sentence(arguments: dict[str, Any], why: str) -> None:
+    with pytest.raises(Refused, match=why):
+        tuned(**arguments)
