@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
+from teleop.simulation.metrics import found_at_rest
 from teleop.simulation.rest import WINDOWS, pitch, places, swings, trend
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ class Ending(NamedTuple):
 
     status: str  # ok, limit cycle, unstable or diverged
     sentence: str
-    swing_end: float | None = None  # m, where nothing moves the scene any more
+    at_rest: Mapping[str, float] = {}  # metrics of a scene that nothing moves any more
     notes: tuple[str, ...] = ()
 
 
@@ -34,21 +35,22 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
     """
     scene, still = prepared.scene, prepared.still
     if still is None:
-        return Ending("ok", sentence, None, tuple(growth(prepared, trace)))
+        return Ending("ok", sentence, {}, tuple(growth(prepared, trace)))
     swung = swings(motion := places(trace), still.window)
     status = still.status(swung, trip)
+    at_rest = {"swing_end": swung[-1], **found_at_rest(scene, trace, still, status)}
     since = f"{sentence}; nothing has moved the scene since t = {still.since * scene.dt_ns / 1e9:g} s, and"
     if still.undecided(swung, trip):
         enough = (still.since + WINDOWS * still.least(trip)) * scene.dt_ns / 1e9
         sentence = (f"{since} {still.left(swung, trip):.3g} m of swing are left, but that was too short a time "
                     f"for a verdict; type --set duration={enough:g}")
-        return Ending(status, sentence, swung[-1], tuple(growth(prepared, trace)))
+        return Ending(status, sentence, at_rest, tuple(growth(prepared, trace)))
     if status != "ok":
         does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} m before)"
-        hertz = pitch(motion, still.window, scene.dt)
+        hertz = at_rest.get("swing_frequency") or pitch(motion, still.window, scene.dt)
         sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} m peak to peak; to see what becomes of it: "
                     f"teleop stability {typed(scene, '--time')}")
-    return Ending(status, sentence, swung[-1])
+    return Ending(status, sentence, at_rest)
 
 
 def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:

@@ -7,6 +7,8 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.scene import Scene
+from teleop.simulation.felt import AT_REST, END, SUMS, TINY, figures, frame_of, resting, sums_of, turns_of
+from teleop.simulation.rest import Still
 from teleop.simulation.trace import blocks
 
 if TYPE_CHECKING:
@@ -15,6 +17,10 @@ if TYPE_CHECKING:
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
 STANDS = "a hand that comes to stand"
+FREE = "a slave that is moved before it touches anything"
+FELT = FREE + ", and a force that is felt then"
+PRESSES = "a hand that comes to stand, and a slave that keeps touching something with a place"
+SWINGS = "a limit cycle, or one that grows"
 PLAYED = "a link and a law of waves, played by their integral or energy"
 PORTS, WAVES, STAMPS = "energy=True", "energy=True and a law of waves", "energy=True, a law of waves and a link"
 STORED = "energy=True and a law that says what energy it keeps"
@@ -61,12 +67,26 @@ METRICS = {
     "g_m_min": Metric("1", "smallest gain the master's watchdog came to", WATCHDOG),
     "g_s_min": Metric("1", "smallest gain the slave's watchdog came to", WATCHDOG),
     "swing_end": Metric("m", "swing that is left at the end, peak to peak", STANDS),
+    "swing_frequency": Metric("Hz", "its frequency: that at which the master turns", SWINGS),
+    "felt_mass": Metric("kg", "mass that the stack adds to the master in free space: f_m fitted to acceleration and "
+                        "velocity until the slave touches something", FREE),
+    "felt_drag": Metric("N s/m", "drag that it adds, by the same fit", FREE),
+    "felt_fit": Metric("1", "share of the variance of f_m that the fit explains", FELT),
+    "felt_stiffness": Metric("N/m", "force against the hand by the way of the master beyond the place of what the "
+                             "slave touches, means over the last 0.1 s", PRESSES),
+    "felt_share": Metric("1", "felt stiffness against that of the environment, as the slave presses it", PRESSES),
+    "drift_end": Metric("m", "slave against master at the end, mean over the last 0.1 s; of a slave that presses this "
+                        "holds what its coupling gives way", TWO_ENDS),
+    "jerk_rms": Metric("N/s", "rate of change of the force against the hand from tick to tick, rms"),
+    "jerk_999": Metric("N/s", "its value that at most one tick in a thousand exceeds"),
+    "energy_out": Metric("J", "most energy that law and link have given out at the ports beyond what they took up",
+                         PORTS),
 }
 UNITS = {name: metric.unit for name, metric in METRICS.items()}
 
 
-TINY = 1e-300
-END = 0.1  # s, before the end: a force that jumps from tick to tick, under loss, is told by its mean
+_COLUMNS = {"free": ("f_m", "v_m", "v_s", "f_env"), "touch": ("f_env",), "jerk": ("f_m",), "ranks": ("f_m",),
+            **{name: (name,) for name in ("f_m", "f_env", "x_m", "x_s")}}  # that sums are of
 _ERRORS = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}  # mine, theirs, what played theirs
 
 
@@ -101,11 +121,13 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
             out |= _worst(name, _error(scene, trace, name))
     forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
     out |= {f"{name}_max": _greatest(trace[name]) for name in forces}
-    out |= {f"{name}_end": _at_end(trace, name, dt) for name in ("f_m", "f_env") if name in trace}
+    out |= _summed(scene, trace, dt)
     for ledger in ("E_link", "E_port", "E_law"):
         if ledger in trace:
             energy = trace[ledger]
             out |= {f"{ledger}_min": float(energy.min()), f"{ledger}_end": float(energy[-1])}
+    if "E_port_min" in out:
+        out["energy_out"] = given_out(out["E_port_min"])
     for way, e in (("fwd", "s"), ("bwd", "m")):
         if {f"E_in_{way}", f"E_out_{way}", f"seq_{e}"} <= trace.keys():
             out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
@@ -217,13 +239,32 @@ def _last(trace: Mapping[str, Any], dt: float) -> int:
     return min(int(np.searchsorted(t, t[-1] - END + 0.5 * dt)), len(t) - 1)
 
 
-def _at_end(trace: Mapping[str, Any], name: str, dt: float) -> float:
-    """The magnitude of a column's mean over the rows of the last `END`."""
-    import numpy as np
+def given_out(least: float) -> float:
+    """The most energy that was given out, of the least that was taken up, J."""
+    return 0.0 if least >= 0.0 else -least
 
+
+def _summed(scene: Scene, trace: Mapping[str, Any], dt: float) -> dict[str, float]:
+    """The figures of `SUMS`, except those of `AT_REST`."""
+    there = [name for name in SUMS if name not in AT_REST and all(
+        column in trace for group in SUMS[name] for column in _COLUMNS[group])]
+    groups = {group for name in there for group in SUMS[name]}
     first = _last(trace, dt)
-    with np.errstate(all="ignore"):  # the last rows of a run that diverged
-        return float(magnitude(trace[name][first:].mean(axis=0, keepdims=True))[0])
+    frame = frame_of(scene)._replace(axes=trace["f_m"][:1].size) if "f_m" in trace else frame_of(scene)
+    sums = sums_of(frame, trace, tuple(groups), first, magnitude)
+    return figures(there, sums, frame, len(trace["t"]), len(trace["t"]) - first)
+
+
+def found_at_rest(scene: Scene, trace: Mapping[str, Any], still: Still, status: str) -> dict[str, float]:
+    """The figures of `AT_REST` of a run that came to its end with this status, where nothing moves it any more."""
+    frame = frame_of(scene)
+    sums = {} if status == "ok" else turns_of(trace, still.window)
+    asked = ["swing_frequency"]
+    if scene.slave is not None and {"f_m", "f_env", "x_m", "x_s"} <= trace.keys():
+        groups = SUMS["felt_share"]
+        sums |= sums_of(frame, trace, groups, _last(trace, frame.dt), magnitude)
+        asked += ["felt_stiffness", "felt_share"]
+    return resting(asked, sums, frame, status)
 
 
 def magnitude(column: NDArray[Any]) -> NDArray[Any]:

@@ -179,6 +179,15 @@ def swings(columns: Iterable[NDArray[np.float64]], window: int, count: int = LAT
     return told
 
 
+def risen(place: NDArray[np.float64]) -> tuple[float, float]:
+    """The largest rise and the largest fall (m) of one coordinate in a window."""
+    import numpy as np
+
+    with np.errstate(over="ignore"):  # places may be as far apart as no float is
+        return (float((place - np.minimum.accumulate(place)).max()),
+                float((np.maximum.accumulate(place) - place).max()))
+
+
 def places(trace: Any) -> list[NDArray[np.float64]]:
     """The places of the ends in a trace, by tick."""
     return [trace[name] for name in ("x_m", "x_s") if name in trace]

@@ -73,13 +73,13 @@ class Result:
     def make(
         cls, scene: Scene, *, seed: int, mode: str, status: str, sentence: str, ticks: int, run_time: float | None,
         trace: Mapping[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
-        extra: Mapping[str, object] | None = None, swing_end: float | None = None,
+        extra: Mapping[str, object] | None = None, at_rest: Mapping[str, float] | None = None,
     ) -> Result:
         """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite.
 
-        `swing_end`: the metric of that name (m), of a run that nothing moves any more at its end.
+        `at_rest`: the metrics of a run that nothing moves any more at its end.
         """
-        every = worked_out(scene, trace) | ({} if swing_end is None else {"swing_end": swing_end})
+        every = worked_out(scene, trace) | dict(at_rest or {})
         lost = ", ".join(sorted(every.keys() - finite(every).keys()))
         notes = [*notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
         return cls(

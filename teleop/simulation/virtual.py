@@ -86,4 +86,4 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     return Result.make(
         scene, seed=seed, mode="virtual", status=came.status, sentence=came.sentence, ticks=ran,
         run_time=None if took is None else took / 1e9, trace=trace, packets={} if scene.slave is None else packets,
-        notes=notes, extra=reports, swing_end=came.swing_end)
+        notes=notes, extra=reports, at_rest=came.at_rest)

@@ -147,7 +147,7 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
             _refuse(ready.row, refused)
             continue
         rows.append(ready)
-        given.append(Inputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still))
+        given.append(Inputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still, ready.frame))
     if not rows:
         return kernel
     try:

@@ -19,12 +19,14 @@ from teleop.errors import Refused, nearest
 from teleop.law import functions_of
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
+from teleop.simulation.felt import MOST_RANKS, ranks
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.sweeps.kernels.digest import constants
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, LinkSchedule, NotCompiled, figures, names_of, plain, tree_of
 from teleop.sweeps.kernels.leaves import Leaves, leaves
 from teleop.sweeps.kernels.measures import KEPT as KEPT_ALONG
+from teleop.sweeps.kernels.measures import layout
 from teleop.sweeps.shared import path_of
 
 if TYPE_CHECKING:
@@ -71,6 +73,8 @@ def choose(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measur
 def needs_record(measures: Sequence[Measure], scene: Scene) -> bool:
     """True if one of these metrics needs the whole record of a run, so that no kernel gives it."""
     recorded, stamped = _kinds(tuple(measures))
+    if "jerk_999" in measures and ranks(scene.ticks) > MOST_RANKS:
+        return True
     return recorded or (stamped and scene.energy and scene.has_waves)
 
 
@@ -96,8 +100,8 @@ def kernel_of(prepared: Prepared, measures: tuple[str, ...], engine: str, stamp:
             engine, why = "plain", str(reason)
     velocities = [type(device.velocity) for device in (scene.device_m, scene.device_s) if device is not None]
     # What the text depends on, and the functions that it names.
-    key = (engine, why, measures, prepared.structure, functions_of(scene.law), stamp, *velocities,
-           flat and flat.shape, *bodies.functions().values())
+    key = (engine, why, measures, layout(measures, scene.ticks).ranks, prepared.structure, functions_of(scene.law),
+           stamp, *velocities, flat and flat.shape, *bodies.functions().values())
     kernel = _KERNELS.get(key)
     if kernel is None:
         with _MAKING:

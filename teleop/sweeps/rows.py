@@ -20,6 +20,7 @@ from teleop.scene.library import OwnFile, own_file, scene_function
 from teleop.scene.loading import SceneMaker
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
+from teleop.simulation.felt import AT_REST, OF_SLAVE, Frame, frame_of
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.rest import Still, least_swing, still
 from teleop.simulation.structure import structure_of
@@ -47,6 +48,7 @@ class Ready(NamedTuple):
     path: Any  # of its hand
     schedules: Schedules
     still: Still | None
+    frame: Frame
 
 
 class Group:
@@ -107,7 +109,7 @@ class RowMaker:
             key = schedules_key(scene, seed)
             schedules = made.drawn[seed] = self._schedules.get(key) or self._schedules.setdefault(
                 key, Schedules(key, scene, seed))
-        made.group.rows.append(Ready(row, made.tree, made.flat, made.path, schedules, made.still))
+        made.group.rows.append(Ready(row, made.tree, made.flat, made.path, schedules, made.still, made.frame))
         return None
 
     def _check(self, thing: type | Callable[..., Any]) -> None:
@@ -130,15 +132,18 @@ class RowMaker:
         prepared = prepare(scene)
         bodies, there = prepared.bodies, available(scene)
         wanted = tuple([one for one in self._measures if isinstance(one, str) and one in there])
-        rest = still(scene, path_of(scene, compiled=self._engine != "plain"))
-        kernel, flat = kernel_of(prepared, (*wanted, *SWINGS) if rest else wanted, self._engine,
-                                 self._stamps.of(prepared))
+        rest, frame = still(scene, path_of(scene, compiled=self._engine != "plain")), frame_of(scene)
+        if rest:
+            wanted = (*wanted, *[str(one) for one in self._measures if one in AT_REST and (
+                scene.slave is not None or one not in OF_SLAVE)], *SWINGS)
+        kernel, flat = kernel_of(prepared, wanted, self._engine, self._stamps.of(prepared))
         tree = None if flat else tree_of(scene, bodies, compiled=False)
         path = path_of(scene, compiled=flat is not None)
-        return KnownScene(prepared, Made(self._group(kernel, scene.ticks, flat, rest), tree, flat, path, {}, rest))
+        group = self._group(kernel, scene.ticks, flat, rest, frame)
+        return KnownScene(prepared, Made(group, tree, flat, path, {}, rest, frame))
 
-    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None) -> Group:
-        key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest and (rest.since, rest.window)
+    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None, frame: Frame) -> Group:
+        key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest and (rest.since, rest.window), frame.last
         group = self._groups.get(key)
         if group is None:
             group = self._groups[key] = Group(kernel, ticks)
@@ -152,6 +157,7 @@ class RowMaker:
         made = _with_link_of(scene, known.made) if "link" in changed else known.made
         bodies = known.prepared.bodies
         if "environment" in changed:
+            made = made._replace(frame=frame_of(scene))
             slaves = slave_plants(scene)
             if not known.has_functions_of(scene, slaves):
                 return None
@@ -173,7 +179,7 @@ class RowMaker:
         if made.flat is None:
             if self._engine != "plain" and "law" in changed:  # it may be this law's numbers that are not compiled
                 return None
-            group = self._group(made.group.kernel, made.group.ticks, None, rest)
+            group = self._group(made.group.kernel, made.group.ticks, None, rest, made.frame)
             return made._replace(group=group, tree=tree_of(scene, own.bodies, compiled=False), path=path, still=rest)
         try:
             flat = leaves(tree_of(scene, own.bodies))
@@ -181,7 +187,7 @@ class RowMaker:
             return None
         if flat.shape != made.flat.shape:
             return None
-        group = self._group(made.group.kernel, made.group.ticks, flat, rest)
+        group = self._group(made.group.kernel, made.group.ticks, flat, rest, made.frame)
         return made._replace(group=group, flat=flat, path=path, still=rest)
 
 
@@ -200,6 +206,7 @@ class Made(NamedTuple):
     path: Any
     drawn: dict[int, Schedules]  # of its link, by the seed
     still: Still | None  # how its end is looked at
+    frame: Frame
 
 
 class KnownScene:

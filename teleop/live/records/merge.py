@@ -129,7 +129,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
               *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
     return Result.make(
         scene, seed=ours["seed"], mode=ours["mode"], status=came.status, sentence=came.sentence, ticks=len(trace["t"]),
-        run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra, swing_end=came.swing_end)
+        run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra, at_rest=came.at_rest)
 
 
 def needs_recovery(folder: Path) -> bool:

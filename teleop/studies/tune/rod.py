@@ -8,7 +8,7 @@ from typing import NamedTuple
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples
-from teleop.simulation.metrics import END
+from teleop.simulation.felt import END
 from teleop.simulation.rest import still
 from teleop.studies.rod import rod_motion
 

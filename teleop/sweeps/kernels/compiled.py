@@ -31,7 +31,7 @@ from teleop.storage.files import replacing
 from teleop.sweeps.kernels.bytecode import unlike_python
 from teleop.sweeps.kernels.cache_folder import made_private, open_to_others, tell_once
 from teleop.sweeps.kernels.digest import constants, digest, named_in, sources
-from teleop.sweeps.kernels.kernel import NotCompiled, functions_of_kernel, kernel_lines, tree_of
+from teleop.sweeps.kernels.kernel import NotCompiled, functions_of_kernel, gives, kernel_lines, tree_of
 from teleop.sweeps.kernels.leaves import expression, leaves
 
 TEXT = '''"""Generated: the {engine} kernel of one structure of scene. Delete it whenever you like."""
@@ -52,7 +52,7 @@ loop = jit_at(LOOP, LINES, globals())  # the number of each line in the file of 
 {kernels}'''
 KERNEL = '''
 @njit(cache=True, error_model="numpy", nogil=True)
-def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, start, window, out):
+def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, start, window, last, out):
     for t in range(tiles):
         base = t * {reals}
         given, law, dt, x_limit, start_m, start_s, held = {tree}
@@ -127,7 +127,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     tree = expression(flat.shape, own.REAL, class_name)
     axes = range(scene.axes if scene.hand is not None else 0)
     words = {
-        "row": (len(measures) + 2) * width, "width": width,
+        "row": (len(gives(scene, measures)) + 2) * width, "width": width,
         "one_path": f"({''.join(f'paths[(t * {len(axes)} + {i}) * {width}], ' for i in axes)})",
         "own_paths": f"({''.join(f'each(paths, t * {len(axes)} + {i}), ' for i in axes)})",
     }

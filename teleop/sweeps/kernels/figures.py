@@ -13,7 +13,8 @@ from typing import Any
 from teleop.stages.end import Axis, End, Recorder, Run, RunHas, zero
 from teleop.stages.lanes import ago, came, received, ring, sent, tell, where, whole
 from teleop.stages.record import Record
-from teleop.sweeps.kernels.measures import kept, known, least, most, root_mean, sound
+from teleop.sweeps.kernels.measures import Layout, kept, known, least, most, root_mean, sound
+from teleop.sweeps.kernels.sums import Sums
 
 
 class Past(Record):
@@ -35,10 +36,8 @@ class Place(Record):
 
 
 class Figures(Recorder):
-    """The figures of these names, and whether all is finite at the end."""
+    """The figures and sums of a layout, and whether all is finite at the end."""
 
-    measures: tuple[str, ...]
-    keeps: frozenset[str]
     axes: tuple[Past, ...]
     magnitude: Callable[..., Any]
     lag_x: Any  # ticks by which the master's place is compared
@@ -71,14 +70,19 @@ class Figures(Recorder):
     swing_4: float
     out: Any
 
-    def __init__(self, axes: int, has: RunHas, measures: tuple[str, ...]) -> None:
+    def __init__(self, axes: int, has: RunHas, wanted: Layout) -> None:
         super().__init__()
-        self.measures = measures
+        self.measures = wanted.along
         self.ledgers = ("E_link",) * has.waves + ("E_port",) * has.energy + ("E_law",) * has.stored
         self.least_of_ledgers = tuple([f"{name}_min" for name in self.ledgers])
-        self.keeps = frozenset([kept(name) for name in measures])
+        self.keeps = frozenset([each for name in wanted.along for each in kept(name)])
+        if "turns" in wanted.groups:
+            self.keeps |= {"rest"}
         self.axes = tuple([Past(f"{i}") for i in range(axes)])
         self.places = tuple([Place(f"{e}{i}_place") for e in ("m", "s")[: 1 + has.slave] for i in range(axes)])
+        self.groups = frozenset(wanted.groups)
+        self.sums = Sums(axes, wanted.groups, wanted.ranks)
+        self.cells = tuple([cell for group in wanted.groups for cell in self.sums.cells(group, self.places)])
 
     def begin(self, run: Run, asked: Any, size: int) -> None:
         """Before the first tick."""
@@ -105,11 +109,12 @@ class Figures(Recorder):
             self.g_m_min = 1.0
             self.g_s_min = 1.0
         if "rest" in self.keeps:
-            self.start = self.next = asked[-2]
-            self.window = asked[-1]
+            self.start = self.next = asked[-3]
+            self.window = asked[-2]
             self.swing_0 = self.swing_1 = self.swing_2 = self.swing_3 = zero(run)
             for place in self.places:
                 place.low = place.high = place.rise = place.fall = zero(run)
+        self.sums.begin(run, asked)
 
     def step(self, run: Run, k: int) -> None:
         """After both ends' tick k."""
@@ -139,6 +144,22 @@ class Figures(Recorder):
             self.g_s_min = least(self.g_s_min, run.s.g)
         if "rest" in self.keeps:
             self.look(run, k)
+        if len(self.groups) > 0:
+            self.add(run, k)
+
+    def add(self, run: Run, k: int) -> None:
+        """The sums of this tick."""
+        if "free" in self.groups:
+            self.sums.feel(run, k)
+        if "jerk" in self.groups:
+            self.sums.smooth(run, self.magnitude(*[a.f - own.f_was for a, own in zip(
+                run.m.axes, self.sums.axes, strict=True)]), k)
+        if "free" in self.groups or "jerk" in self.groups:
+            self.sums.keep(run)
+        if len(self.sums.at_end) > 0:
+            self.sums.end(run, k)
+        if "turns" in self.groups:
+            self.sums.turn(run, k, self.start, self.window)
 
     def track_x(self, run: Run, k: int) -> None:
         """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
@@ -231,8 +252,9 @@ class Figures(Recorder):
         return ticks if complete else -ticks, self.all(run)
 
     def all(self, run: Run) -> tuple[Any, ...]:
-        """The figures in order, and 1.0 if all is finite."""
-        return (*[self.figure(run, name) for name in self.measures], sound((
+        """The figures in order, the sums, and 1.0 if all is finite."""
+        return (*[self.figure(run, name) for name in self.measures],
+                *[getattr(record, field) for record, field in self.cells], sound((
             *[getattr(a, field) for e in run.ends for field in ("x", "v", "f") for a in e.axes],
             *[getattr(self, name) for name in self.ledgers])))
 

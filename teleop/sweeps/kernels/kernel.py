@@ -17,7 +17,10 @@ from teleop.law import law_name
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
+from teleop.simulation.felt import AT_END, AT_REST, OF_SLAVE, Frame, frame_of, resting
+from teleop.simulation.felt import figures as summed
 from teleop.simulation.given import numbers_of, record
+from teleop.simulation.metrics import given_out
 from teleop.simulation.plan import median_age
 from teleop.simulation.rest import Still
 from teleop.simulation.source import Lines, functions, lines
@@ -26,7 +29,7 @@ from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
 from teleop.sweeps.kernels.figures import Figures
 from teleop.sweeps.kernels.leaves import Leaves
-from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES, SWINGS, kept
+from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES, SWINGS, kept, layout
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Plan
@@ -49,25 +52,32 @@ class Inputs(NamedTuple):
     schedule: LinkSchedule
     path: Any  # of the hand: lists for plain Python, arrays for compiled code
     still: Still | None = None  # how its end is looked at; the kernel then gives `SWINGS`
+    frame: Frame | None = None  # what of its scene the sums go by; left out, as of the scene that the kernel is made of
 
     @property
-    def windows(self) -> tuple[int, int]:
-        """The first tick of the late windows, and the ticks of each; past the end where there are none."""
-        return (self.ticks, 1) if self.still is None else (self.still.first(self.ticks), self.still.window)
+    def windows(self) -> tuple[int, int, int]:
+        """The first tick of the late windows, the ticks of each, and the first tick of the last `END`.
+
+        Past the end where there are none.
+        """
+        last = self.ticks if self.frame is None else self.ticks - self.frame.last
+        return (self.ticks, 1, last) if self.still is None else (self.still.first(self.ticks), self.still.window, last)
 
 
 class KernelOutput(NamedTuple):
     """The output of a kernel for one row."""
 
     ran: int  # ticks; below zero if it left the bounds in the last of them
-    figures: tuple[float, ...]  # the measures, and 1.0 if all is finite
+    figures: tuple[float, ...]  # what the kernel gives, and 1.0 if all is finite
 
 
 class Kernel(NamedTuple):
     """A loop made for one structure of scene."""
 
     engine: str
-    measures: tuple[str, ...]  # the figures that it gives, in order
+    measures: tuple[str, ...]  # the figures that are asked of it
+    gives: tuple[str, ...]  # the figures and sums that it gives, in order
+    frame: Frame  # of the scene that it is made of
     run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[KernelOutput]]  # of rows and their lags
     width: int = 1  # rows that it runs at once
     why: str = ""  # it runs them, where another engine was asked for
@@ -83,19 +93,25 @@ def available(scene: Scene) -> frozenset[str]:
 @lru_cache(maxsize=256)
 def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
     there = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog}
-    named = {name for name, what in KEPT.items() if there.get(what, True)}
+    named = {name for name, what in KEPT.items() if name not in AT_REST and all(there.get(each, True) for each in what)}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
-    return frozenset(named if has.slave else named - of_slave)
+    return frozenset(named if has.slave else named - of_slave - OF_SLAVE)
 
 
 def kernel_lines(scene: Scene, measures: Sequence[str], *, compiled: bool = False, lanes: bool = False) -> Lines:
     """The lines of a scene's loop that work out `measures` as they go, and at the end whether all is finite."""
     structure = structure_of(scene)
     has = structure.has._replace(compiled=compiled, lanes=lanes)
-    kinds = {kept(name) for name in measures}
+    kinds = {each for name in measures for each in kept(name)}
     m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kinds & felt))) for own, felt in (
-        (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max"}))]
-    return lines(Structure(structure.axes, has, m, s), loop, Figures, (structure.axes, has, tuple(measures)))
+        (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max", "free", "f_env", "touch"}))]
+    return lines(Structure(structure.axes, has, m, s), loop, Figures,
+                 (structure.axes, has, layout(measures, scene.ticks)))
+
+
+def gives(scene: Scene, measures: Sequence[str]) -> tuple[str, ...]:
+    """The figures and sums that a kernel gives for these measures, in order."""
+    return layout(measures, scene.ticks).names(scene.axes)
 
 
 def functions_of_kernel(scene: Scene, bodies: Bodies) -> dict[str, Any]:
@@ -122,7 +138,7 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
                 row.path, held, (*lag, *row.windows))))
         return outputs
 
-    return Kernel("plain", tuple(measures), run)
+    return Kernel("plain", tuple(measures), gives(scene, measures), frame_of(scene), run)
 
 
 def has_packets(plan: Plan | None) -> bool:
@@ -178,23 +194,32 @@ def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict
     Where the kernel gives the swings of the late windows, the status is that of `Still`, and of a run that came to its
     end `swing_end` is a figure.
     """
+    rows = [row if row.frame is not None else row._replace(frame=kernel.frame) for row in rows]
     lags = [row.schedule.lags for row in rows]
     outputs = kernel.run(rows, lags)
     # The lag of a run that ended early is that of the messages which came until then.
     own = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
-    again = [i for i, lag in own.items() if lag != lags[i]]
-    if again:
+    if any(group in AT_END for name in kernel.measures for group in kept(name)):  # and its last ticks are others
+        for i, lag in own.items():
+            if outputs[i].ran != -rows[i].ticks:
+                outputs[i], = kernel.run([rows[i]._replace(ticks=-outputs[i].ran)], [lag])
+    elif again := [i for i, lag in own.items() if lag != lags[i]]:
         anew = kernel.run([rows[i] for i in again], [own[i] for i in again])
         for i, output in zip(again, anew, strict=True):
             outputs[i] = output
     found = []
     for row, output in zip(rows, outputs, strict=True):
         status = "ok" if output.ran >= 0 and output.figures[-1] == 1.0 else "diverged"
-        named = dict(zip(kernel.measures, output.figures[:-1], strict=True))
-        if row.still is not None:
-            swings = [named.pop(name) for name in SWINGS]
-            if status == "ok":
-                status, named["swing_end"] = row.still.status(swings, sum(row.schedule.lags)), swings[-1]
+        given = dict(zip(kernel.gives, output.figures[:-1], strict=True))
+        named = {name: given[name] for name in kernel.measures if name in given and name not in SWINGS}
+        if "energy_out" in kernel.measures:
+            named["energy_out"] = given_out(given["E_port_min"])
+        ran, frame = abs(output.ran), row.frame or kernel.frame
+        named |= summed(kernel.measures, given, frame, ran, min(frame.last, ran))
+        if row.still is not None and status == "ok":
+            swings = [given[name] for name in SWINGS]
+            status, named["swing_end"] = row.still.status(swings, sum(row.schedule.lags)), swings[-1]
+            named |= resting(kernel.measures, given, frame, status)
         known = {name: float(value) for name, value in named.items() if isfinite(value)}
         found.append((status, abs(output.ran), known))
     return found

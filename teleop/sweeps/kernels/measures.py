@@ -2,23 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite, sqrt
+from typing import NamedTuple
 
-from teleop.simulation.metrics import TINY
+from teleop.simulation.felt import SUMS, TINY, names, ranks
 from teleop.simulation.rest import LATE
 
-KEPT = {  # metric -> what is kept for it along the run
+ALONG = {  # metric that is itself kept along the run -> what else is with it
     "x_err_rms": "x_err", "x_err_max": "x_err", "f_err_rms": "f_err", "f_err_max": "f_err", "f_m_max": "f_m_max",
     "f_s_max": "f_s_max", "f_h_max": "f_h_max", "f_env_max": "f_env_max", "E_link_min": "waves", "E_link_end": "waves",
     "E_port_min": "energy", "E_port_end": "energy", "E_law_min": "stored", "E_law_end": "stored",
     "g_m_min": "watchdog", "g_s_min": "watchdog",
 }
+KEPT = {**{name: (what,) for name, what in ALONG.items()}, **SUMS, "energy_out": ("energy",)}  # what is kept for each
 SWINGS = tuple([f"swing_{i}" for i in range(LATE)])  # of the late windows, see `teleop.simulation.rest`
 
 
-def kept(name: str) -> str:
+def kept(name: str) -> tuple[str, ...]:
     """What is kept along the run for a figure."""
-    return "rest" if name in SWINGS else KEPT[name]
+    return ("rest",) if name in SWINGS else KEPT[name]
+
+
+class Layout(NamedTuple):
+    """What a kernel keeps along its run: figures by themselves, groups of sums, and the largest steps of the force."""
+
+    along: tuple[str, ...]
+    groups: tuple[str, ...]
+    ranks: int
+
+    def names(self, axes: int) -> tuple[str, ...]:
+        """All that it gives, in order."""
+        return (*self.along, *[name for group in self.groups for name in names(group, axes, self.ranks)])
+
+
+def layout(measures: Sequence[str], ticks: int) -> Layout:
+    """What is kept for these figures of a run of so many ticks."""
+    along = [name for name in measures if name in ALONG or name in SWINGS]
+    if "energy_out" in measures and "E_port_min" not in along:
+        along.append("E_port_min")
+    groups = dict.fromkeys([group for name in measures if name in SUMS for group in SUMS[name]])
+    return Layout(tuple(along), tuple(groups), ranks(ticks) if "ranks" in groups else 0)
 
 
 def most(top: float, size: float) -> float:

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
+from teleop.simulation.felt import frame_of
 from teleop.simulation.structure import structure_of
 from teleop.sweeps.kernels.calls import Tile, called
 from teleop.sweeps.kernels.compiled import cause, module
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, NotVectorised, tree_of
+from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, NotVectorised, gives, tree_of
 from teleop.sweeps.kernels.lane_parts import lane_end, lane_part
 from teleop.sweeps.kernels.lanes import WIDTH
 from teleop.sweeps.kernels.lanewise import came, chosen, load, runs, some, spread, where, whole, within
@@ -30,11 +31,11 @@ CALLS = {
     "alike": """\
         loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[t * 2 * {width}], plays[(2 * t + 1) * {width}],
              sizes[t], {one_path}, held, (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}],
-             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window))""",
+             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window, last))""",
     "apart": """\
         loop(given, law, dt, ticks, x_limit, start_m, start_s, each(plays, 2 * t), each(plays, 2 * t + 1),
              sizes[t], {own_paths}, held, (each(lags, 2 * t), each(lags, 2 * t + 1),
-             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window))""",
+             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window, last))""",
 }
 SOURCES = tuple(f"teleop.sweeps.kernels.{name}"
                 for name in ("lanes", "lanewise", "rings", "lane_parts", "bytecode", "vector"))
@@ -58,6 +59,7 @@ def vector(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool 
     if leaves(tree_of(scene, bodies)).arrays:
         raise NotVectorised("a part with a list among its numbers runs one scene at a time")
     kernels = module(scene, bodies, measures, "vector", keep=keep)
+    given = gives(scene, measures)
 
     def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         tiles: dict[str, list[tuple[int, Tile]]] = {"alike": [], "apart": []}
@@ -71,11 +73,11 @@ def vector(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool 
         for name, several in tiles.items():
             if several:
                 try:
-                    told = called(getattr(kernels, name), [tile for _, tile in several], len(measures))
+                    told = called(getattr(kernels, name), [tile for _, tile in several], len(given))
                 except NumbaError as error:  # compiled at the first call of its name
                     raise NotVectorised(f"rows of schedules of their own have no lanes: {cause(error)}") from error
                 for (first, _), ones in zip(several, told, strict=True):
                     found |= enumerate(ones, first)
         return [found[i] for i in range(len(rows))]
 
-    return Kernel("vector", tuple(measures), run, WIDTH)
+    return Kernel("vector", tuple(measures), given, frame_of(scene), run, WIDTH)
