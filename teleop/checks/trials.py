@@ -17,6 +17,7 @@ from teleop.law import At, Law, messages, start_at
 from teleop.law.offers import claims_of, seed_energy
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant
+from teleop.scene.parts import Reference
 from teleop.scene.playout import Fixed, Hold, Integral, Playout, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
@@ -185,25 +186,26 @@ class Tones:
 
 @dataclass(frozen=True, kw_only=True)
 class Swing:
-    """A grip that follows `Tones`."""
+    """A grip that follows a reference."""
 
     mass: float
     k: float
     d: float
-    reference: Tones
+    reference: Reference
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """A wall that fills x > at."""
+    """A wall that fills x > at, or with side=-1.0 x < at."""
 
     k: float
     d: float
     at: float
+    side: float = 1.0
 
     def plant(self, body: MassDamper, dt: float) -> Plant:
         """`body` beside this wall."""
-        return wall(body, dt, k=self.k, d=self.d, at=self.at, side=1.0)
+        return wall(body, dt, k=self.k, d=self.d, at=self.at, side=self.side)
 
 
 @dataclass(frozen=True, kw_only=True)

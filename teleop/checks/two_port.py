@@ -10,6 +10,8 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from math import inf, isfinite, nan
 from typing import Any, NamedTuple
 
+from teleop.checks.conformance import try_conformance
+from teleop.checks.engines import try_engines
 from teleop.checks.probing import (
     REACHES,
     TICKS,
@@ -32,14 +34,17 @@ TWO_PORT = ("master_start", "master", "slave_start", "slave")
 ONE_PORT = ("start", "force")
 
 
-def check_law(law: Any) -> None:
+def check_law(law: Any, *, compiled: bool = True) -> None:
     """Raise `Refused` with one sentence for the first thing in which `law` is not a law; else return.
 
     Tried are: the class and its knobs; the contract that every scene holds its law to (`teleop.law.contract`); types
     and shapes of all answers, tick after tick; purity; finite answers to finite inputs, and no exception for any input;
-    that an end reads no field of `At` but those that `reads` sees; and the claims (see `teleop.checks.trials`): that an
-    end draws no more from the waves than they brought, and that in closed loops with random masses, walls and links no
-    ledger that the law claims goes below zero. A one-port law (`start`, `force`) is tried in the same spirit, see
+    that an end reads no field of `At` but those that `reads` sees; signs, starts, messages and what its conditions
+    tell to type (`teleop.checks.conformance`); the claims (`teleop.checks.trials`): that an end draws no more from
+    the waves than they brought, that in closed loops with random masses, walls and links no ledger that the law claims
+    goes below zero, and that the energy that it keeps came in by its ports; and that every engine of a sweep gives the
+    figures of a single run to the bit (`teleop.checks.engines`). `compiled=False` leaves out the compiled engines,
+    which take some seconds. A one-port law (`start`, `force`) is tried in the same spirit, see
     `teleop.checks.one_port`.
     """
     if is_one_port(law):
@@ -54,7 +59,9 @@ def check_law(law: Any) -> None:
     check_contract(law)
     for name in ENDS:
         _probe(LawEnd.of(law, name))
+    try_conformance(law)
     try_claims(law)
+    try_engines(law, compiled=compiled)
 
 
 def is_one_port(law: Any) -> bool:

@@ -1,0 +1,164 @@
+"""What every law with two ends keeps to, whatever it claims: its signs, its start, its messages, its conditions.
+
+The scene of these trials is soft and slow: a hand of 100 N/m and 10 N s/m reaches 30 mm into a wall of 300 N/m, without
+a link, so a message takes one tick.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from teleop.checks.trials import Block, Swing, spread
+from teleop.errors import Refused
+from teleop.law import start_at
+from teleop.law.contract import Method, in_bits
+from teleop.law.offers import Delay, Facts
+from teleop.physics.plant import MassDamper
+from teleop.protocol.packet import Kind, Packet, decode, encode
+from teleop.scene.playout import Zero
+from teleop.scene.scene import Scene
+from teleop.simulation.virtual import run
+
+REACH, RISE, LASTS = 0.03, 0.5, 2.0  # m, s, s
+AGAINST = 0.01  # of the way, or of the force, that is taken for a sign
+DT = 1e-3  # s
+CURE = re.compile(r"--set law\.(\w+)=(\S+?)(?=[\s,;:)]|$)")
+NEAR = 0.02  # of a value that is told to be the least: so much beyond it the condition is broken again
+
+
+def try_conformance(law: Any) -> None:
+    """Raise `Refused` with one sentence for the first of these that `law` does not keep to."""
+    _try_start(law)
+    _try_messages(law)
+    _try_signs(law)
+    _try_conditions(law)
+
+
+def _try_start(law: Any) -> None:
+    """An end that is at rest, wherever it starts, commands no force before it has heard anything of the other one."""
+    name = type(law).__name__
+    for x in (0.0, 0.3, -2.0):
+        still = start_at(x, 0.0, 0.0, DT)
+        for end in ("master", "slave"):
+            s, rx = getattr(law, f"{end}_start")(still)
+            for _ in range(3):
+                given = (s, still, rx)
+                sums = getattr(law, f"{end}_sums", None)
+                force, _, s = getattr(law, end)(*given, *([sums(*given)] if sums else []))
+                if not abs(force) <= 1e-9:
+                    raise Refused(f"{name}.{end} begins at rest at {x:g} m with {force:.3g} N before any message has "
+                                  f"come: the device would jump; return from {name}.{end}_start the message of a peer "
+                                  "that stands where this end does")
+
+
+def _try_messages(law: Any) -> None:
+    """A message comes out of a packet as it went in, to the bit."""
+    still = start_at(0.1, 0.0, 0.0, DT)
+    for start, kind in (("slave_start", Kind.FORTH), ("master_start", Kind.BACK)):
+        message = Method(law, start).call(still)[1]
+        dice = spread(start)
+        sent = type(message)(*[1e3 * (next(dice) - 0.5) for _ in message])
+        packet = Packet(kind=kind, session=1, seq=7, sent_ns=1, echo=None, payload=tuple(sent), E_in=None)
+        got = decode(encode(packet), len(sent))
+        if not isinstance(got, Packet) or in_bits(type(message)(*got.payload)) != in_bits(sent):  # type: ignore[misc]
+            raise Refused(f"{type(law).__name__} sends {type(message).__name__}, which a packet does not carry as it "
+                          "is; use fewer fields, each a float")
+
+
+def _try_signs(law: Any) -> None:
+    """A slave goes the way its master goes, and a hand that presses feels a force against it, or none."""
+    name = type(law).__name__
+    for side in (1.0, -1.0):
+        trace = run(_reach(law, side, touch=False)).trace
+        x_m, x_s = side * trace["x_m"], side * trace["x_s"]
+        moved = abs(x_s) > AGAINST * REACH
+        k = int(moved.argmax())  # a law with gains beyond reason may diverge, which is no matter of its signs
+        if moved.any() and x_s[k] < 0.0 < x_m[k] and abs(x_m[:k + 1]).max() < 2.0 * REACH:
+            raise Refused(f"{name} moves its slave by {1e3 * side * x_s[k]:.3g} mm while the master goes by "
+                          f"{1e3 * side * x_m[k]:.3g} mm, against it; turn the sign of f_s, the force of the stack on "
+                          "the slave")
+        pressed = run(_reach(law, side, touch=True))
+        last = len(pressed.trace["t"]) // 10
+        force, wall = (side * float(pressed.trace[column][-last:].mean()) for column in ("f_m", "f_env"))
+        if wall > 0.0 and force < -AGAINST * wall:
+            raise Refused(f"{name} pulls the hand into the wall with {-force:.3g} N while the slave presses it with "
+                          f"{wall:.3g} N; turn the sign of f_m, the force of the stack against the hand")
+
+
+def _try_conditions(law: Any) -> None:
+    """A sentence on a condition that names a knob's least sufficient value is right: with it the condition holds."""
+    conditions, name = getattr(law, "conditions", None), type(law).__name__
+    if conditions is None:
+        return
+    for facts in _facts(spread(name)):
+        for sentence in conditions(facts):
+            if not isinstance(sentence, str) or not sentence:
+                raise Refused(f"{name}.conditions returns {sentence!r}; return sentences, one for each condition that "
+                              "is broken")
+            found = CURE.search(sentence)
+            if found is not None and found[1] in {knob.name for knob in fields(law)}:
+                _try_cure(law, facts, sentence, *found.groups())
+
+
+def _try_cure(law: Any, facts: Facts, sentence: str, knob: str, text: str) -> None:
+    """The value that a sentence says to type ends the sentence, and one that is a little less does not."""
+    name, now, value = type(law).__name__, float(getattr(law, knob)), float(text)
+    about = CURE.sub("", sentence).split(";")[0].split(":")[0]
+
+    def is_broken(at: float) -> bool:
+        """Does the law with this value break that condition still."""
+        try:
+            told = replace(law, **{knob: at}).conditions(facts)
+        except Refused:  # out of the knob's own domain
+            return True
+        return any(_words(CURE.sub("", each).split(";")[0].split(":")[0]) == _words(about) for each in told)
+
+    if is_broken(value):
+        raise Refused(f"{name}.conditions says {sentence!r}, and with {knob}={text} that condition is broken still; "
+                      "name a value that is enough")
+    side = 1.0 if value > now else -1.0
+    less = value - side * NEAR * abs(value)
+    if side * (less - now) > 0.0 and not is_broken(less):
+        raise Refused(f"{name}.conditions says {sentence!r}, and less than {knob}={text} is enough; name the least "
+                      "value that is")
+
+
+def _words(text: str) -> str:
+    """A sentence without its numbers."""
+    return re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", text)
+
+
+def _facts(dice: Iterator[float]) -> Iterator[Facts]:
+    """Facts of links and bodies at random."""
+    for i in range(20):
+        least = [0.2 * next(dice) ** 2 + DT for _ in range(2)]
+        more = [0.0 if i % 2 else 0.1 * next(dice) for _ in range(2)]
+        fwd, bwd = [Delay(low, low + extra) for low, extra in zip(least, more, strict=True)]
+        yield Facts(
+            dt=DT, axes=1 if i % 3 else 3, fwd=fwd, bwd=bwd, lossy=i % 2 == 0, left_out=i % 5 == 4,
+            mass_m=2.0 * next(dice) + 0.01, damping_m=2.0 * next(dice), mass_s=5.0 * next(dice) + 0.01,
+            damping_s=2.0 * next(dice), playout=("zero", "integral", "hold", "fixed")[i % 4])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ramp:
+    """A way of `reach` m within `RISE`, straight, and rest."""
+
+    reach: float
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+        """Positions (m) per axis."""
+        along = [self.reach * min(k * dt_ns / 1e9 / RISE, 1.0) for k in range(count)]
+        return tuple(along if i == 0 else [0.0] * count for i in range(axes))
+
+
+def _reach(law: Any, side: float, *, touch: bool) -> Scene:
+    """The scene of this file, into a wall at a third of the way or past it."""
+    hand: Any = Swing(mass=0.0, k=100.0, d=10.0, reference=Ramp(reach=side * REACH))
+    wall = Block(k=300.0, d=5.0, at=REACH / 3.0 if side > 0.0 else -REACH / 3.0, side=side)
+    return Scene(law=law, master=MassDamper(mass=0.2, damping=1.0), slave=MassDamper(mass=0.2, damping=1.0), hand=hand,
+                 environment=wall if touch else None, playout=Zero(), observer=200.0, duration=LASTS, x_limit=10.0)
+

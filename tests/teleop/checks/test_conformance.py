@@ -1,0 +1,91 @@
+"""What every law keeps to, whatever it claims: each way not to has one sentence, and the right laws have none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import pytest
+
+from teleop import At, Direct, Facts, Refused, Wave
+from teleop.checks import engines
+from teleop.checks.conformance import try_conformance
+from teleop.checks.engines import try_engines
+from teleop.errors import number
+
+
+class Place(NamedTuple):
+    x: float
+
+
+class Force(NamedTuple):
+    f_env: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mine:
+    """Direct reflection with signs, a start, and a condition to get wrong."""
+
+    K: float = 200.0
+    B: float = 10.0
+    B_m: float = 1.0
+    sign_m: float = 1.0
+    sign_s: float = 1.0
+    start: float = 1.0
+    named: float = 1.0  # of the least sufficient damping, what the sentence tells to type
+    claims: ClassVar[dict[str, str]] = {}
+
+    def __post_init__(self) -> None:
+        number("B_m", self.B_m, low=0.0)
+
+    def master_start(self, at: At) -> Any:
+        return (), Force(0.0)
+
+    def slave_start(self, at: At) -> Any:
+        return (), Place(self.start * at.x)
+
+    def master(self, s: Any, at: At, rx: Any) -> Any:
+        return self.sign_m * rx.f_env + self.B_m * at.v, Place(at.x), s
+
+    def slave(self, s: Any, at: At, rx: Any) -> Any:
+        return self.sign_s * (self.K * (rx.x - at.x) - self.B * at.v), Force(at.f), s
+
+    def conditions(self, facts: Facts) -> tuple[str, ...]:
+        least = 100.0 * facts.dt * facts.mass_m + 1.0
+        said = f"the master's damping is to be {least:.6g} N s/m, and B_m is {self.B_m:g}: type --set law.B_m="
+        return (f"{said}{self.named * least:.9g}",) if self.B_m < least * (1.0 - 1e-6) else ()
+
+
+@pytest.mark.parametrize("law", [Mine(), Direct(), Wave()])
+def test_a_law_that_is_in_order_passes(law: Any) -> None:
+    try_conformance(law)
+
+
+@pytest.mark.parametrize(("law", "sentence"), [
+    (Mine(sign_m=-1.0), r"pulls the hand into the wall with .* N while the slave presses it with .* N; turn"),
+    (Mine(sign_s=-1.0), r"moves its slave by -.* mm while the master goes by .* mm, against it; turn the sign of f_s"),
+    (Mine(start=0.0), r"Mine.slave begins at rest at 0.3 m with -60 N before any message has come"),
+    (Mine(named=0.5), r"with B_m=.* that condition is broken still; name a value that is enough"),
+    (Mine(named=1.5), r"less than B_m=.* is enough; name the least value that is"),
+])
+def test_what_is_wrong_is_told_in_a_sentence(law: Any, sentence: str) -> None:
+    with pytest.raises(Refused, match=sentence):
+        try_conformance(law)
+
+
+class TestEngines:
+    @pytest.mark.parametrize("compiled", [False, True])
+    def test_every_engine_has_the_bits_of_a_single_run(self, compiled: bool) -> None:
+        try_engines(Direct(), compiled=compiled)
+
+    def test_a_figure_that_is_off_by_a_bit_is_caught(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        own = engines.run
+
+        def off(scene: Any) -> Any:
+            result = own(scene)
+            more = {**result.metrics, "f_m_max": result.metrics["f_m_max"] * (1.0 + 2.0 ** -52)}
+            return replace(result, metrics=more)
+
+        monkeypatch.setattr(engines, "run", off)
+        with pytest.raises(Refused, match=r"Direct gives f_m_max = .* by the engine plain, and .* in a single run"):
+            try_engines(Direct(), compiled=False)
