@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from teleop.laws.virtual_coupling import VirtualCoupling
     from teleop.laws.virtual_wall import VirtualWall
     from teleop.laws.wave import Wave
+    from teleop.laws.wave_filter import WaveFilter
+    from teleop.laws.wave_matched import WaveMatched
+    from teleop.laws.wave_position import WavePosition
+    from teleop.laws.wave_scaled import WaveScaled
     from teleop.live.devices.heartbeat import DeviceWatchdog
     from teleop.live.end import end_main
     from teleop.live.records.merge import load_result
@@ -65,9 +69,10 @@ __all__ = [
     "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "ModelMediated",
     "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition", "Reading",
     "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table", "Vector",
-    "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "Zero", "__version__", "around",
-    "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages",
-    "number", "run", "seed_energy", "sweep", "whole_number",
+    "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
+    "WavePosition", "WaveScaled", "Zero", "__version__", "around", "check_knobs", "check_law", "end_main", "facts_of",
+    "find_law", "fitted", "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep",
+    "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -87,6 +92,10 @@ _HOMES = {  # the module of each name, under this package
     "laws.virtual_coupling": ("VirtualCoupling",),
     "laws.virtual_wall": ("VirtualWall",),
     "laws.wave": ("Wave",),
+    "laws.wave_filter": ("WaveFilter",),
+    "laws.wave_matched": ("WaveMatched",),
+    "laws.wave_position": ("WavePosition",),
+    "laws.wave_scaled": ("WaveScaled",),
     "live.devices.heartbeat": ("DeviceWatchdog",),
     "live.end": ("end_main",),
     "physics.implicit": ("Resistance",),

@@ -97,6 +97,10 @@ BUILT_IN = {
     "virtual_coupling": "teleop.laws.virtual_coupling:VirtualCoupling",
     "virtual_wall": "teleop.laws.virtual_wall:VirtualWall",
     "wave": "teleop.laws.wave:Wave",
+    "wave_filter": "teleop.laws.wave_filter:WaveFilter",
+    "wave_matched": "teleop.laws.wave_matched:WaveMatched",
+    "wave_position": "teleop.laws.wave_position:WavePosition",
+    "wave_scaled": "teleop.laws.wave_scaled:WaveScaled",
 }
 
 
