@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from teleop.laws.pd_d import PDDamped
     from teleop.laws.pfra import PFRA
     from teleop.laws.pp import PositionPosition
+    from teleop.laws.pspm import PSPM
+    from teleop.laws.tdpa import TDPA
+    from teleop.laws.two_layer import TwoLayer
     from teleop.laws.virtual_coupling import VirtualCoupling
     from teleop.laws.virtual_wall import VirtualWall
     from teleop.laws.wave import Wave
@@ -64,12 +67,12 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 __all__ = [
-    "DISTRIBUTION", "ISS", "PFRA", "At", "BackwardDifference", "BestFit", "Cap", "Device", "DeviceError",
-    "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment", "Facts", "Fixed",
-    "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "ModelMediated",
-    "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition", "Reading",
-    "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table", "Vector",
-    "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
+    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Device",
+    "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment",
+    "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper",
+    "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition",
+    "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table", "TwoLayer",
+    "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
     "WavePosition", "WaveScaled", "Zero", "__version__", "around", "check_knobs", "check_law", "end_main", "facts_of",
     "find_law", "fitted", "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep",
     "whole_number",
@@ -89,6 +92,9 @@ _HOMES = {  # the module of each name, under this package
     "laws.pd_d": ("PDDamped",),
     "laws.pfra": ("PFRA",),
     "laws.pp": ("PositionPosition",),
+    "laws.pspm": ("PSPM",),
+    "laws.tdpa": ("TDPA",),
+    "laws.two_layer": ("TwoLayer",),
     "laws.virtual_coupling": ("VirtualCoupling",),
     "laws.virtual_wall": ("VirtualWall",),
     "laws.wave": ("Wave",),

@@ -16,6 +16,7 @@ from slave.__main__ import main as slave
 from teleop import check_law, load_scene, run, sweep
 from teleop.__main__ import main as teleop
 from teleop.errors import Refused
+from teleop.law import BUILT_IN
 from teleop.law.contract import check_contract, in_bits, refusal
 from teleop.laws.wave import Wave
 from teleop.scene.library import scene_function
@@ -376,7 +377,7 @@ def test_a_law_that_writes_down_its_calls_has_none_before_the_run(file: Any) -> 
     assert len(law.calls) == 50
 
 
-@pytest.mark.parametrize("name", ["direct", "pfra", "virtual_coupling", "virtual_wall", "wave"])
+@pytest.mark.parametrize("name", sorted(BUILT_IN))
 def test_the_laws_of_the_stack_keep_the_contract(name: str) -> None:
     from teleop import find_law
 

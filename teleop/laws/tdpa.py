@@ -1,0 +1,180 @@
+"""Time-domain passivity over a delay: an end gives out no more energy than it has heard that the other took in.
+
+Source: J.-H. Ryu, J. Artigas and C. Preusche, "A passive bilateral control scheme for a teleoperator with
+time-varying communication delay", Mechatronics 20(7), 2010 (the two-port observers and controllers); J. Artigas,
+J.-H. Ryu and C. Preusche, "Position drift compensation in time domain passivity based teleoperation", IEEE/RSJ IROS
+2010.
+
+The master sends its motion; the slave tracks a commanded point x_d with a spring-damper and sends its force, times
+the watchdog's gain. Each end sends E, the energy that it has ever taken in, and keeps G, what is left of the other
+end's. With w the work done on it over the last tick:
+
+    G -= (-w)+        G = min(G, store, and E0 at the slave)        G += E_rx - seen
+    paid = min((-G)+, w+)        G += paid        E += w+ - paid
+
+What comes in pays this end's debt first; what is left of it is told. `store` bounds what stays unspent from one tick
+to the next: 0 is the power-based observer, which lends nothing of the past. E0 is the slave's from the start: nothing
+moves without, since no energy comes before a force, and no force before the slave has moved.
+
+Slave (admittance): its port is (f_s, v_d). f_s = f_0 + z v_d with f_0 = K (x_d - x) - B v, z = B + K dt, so it asks
+for f_s v_d dt, and f_s changes with v_d. That is at most G in the ball
+
+    z v_d^2 + f_0 v_d <= G/dt        |v_d - m| <= R, m = -f_0/(2 z), R^2 = |m|^2 + G/(z dt)
+
+into which the command v_rx + drift (x_rx - x_d) is taken towards m (between two roots in one axis, one share over
+all). Booked is the greater of the work that was asked for and that of the held force, both over v_d dt. A slave that
+lets go, with the watchdog's gain g: x_d is taken back to the slave, x_d -= (1 - g) (x_d - x), and g scales the
+command. So no coupling that was stretched for nothing is paid out where the slave takes hold again.
+
+Master (impedance): a reflected force that pushes, <f, v> < 0, is scaled by min(1, G+/(dt |<f, v>|)). What was
+overspent is taken back by a damper min(-G/(dt max(v^2, v_min^2)), alpha_max), for as long as it takes. w = f_held dx.
+
+Books. Each G + E - seen grows by the work w, less what `store` drops. Summed, with under way the E that is not yet
+seen,
+
+    E_law = G_m + G_s + under way        E_port = E_law - E0 + dropped + C
+
+where C is what the coupling took between v_d dt and the slave's dx. Its spring, taken at the end of a tick, gives
+nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for B >= K dt/2 well below
+1/dt.
+
+What is below zero. The slave knows f_s and v_d before it spends: G_s < 0 only by what a held force does more than the
+one asked for. The master does not know the motion d that its force is held over: it spends f v dt and pays -f d, so
+G_m >= -|f| |d - v dt| from G_m >= 0. Until that is taken back no force pushes.
+
+Claims: E_law >= 0 less one tick's surprise, over any link; E_port >= -E0 with it. E_law(0) = E0 is the seed energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import sqrt
+from typing import Annotated, ClassVar, NamedTuple
+
+from teleop import kind
+from teleop.knob import Knob, check_knobs
+from teleop.law import At
+from teleop.law.offers import Facts
+
+TINY = 1e-300  # in place of nothing below a fraction
+
+
+class Forth(NamedTuple):
+    x: float  # the master's position, m
+    v: float  # the master's velocity, m/s
+    E: kind.Total  # energy that the master has taken in, J
+
+
+class Back(NamedTuple):
+    f_s: float  # the slave's force, N
+    E: kind.Total  # energy that the slave has taken in, J
+
+
+class Master(NamedTuple):
+    G: float  # energy that may be given out, J; the same in each axis, as the others are
+    E: float  # energy taken in, J
+    seen: float  # the other end's E so far, J
+
+
+class Slave(NamedTuple):
+    G: float
+    E: float
+    seen: float
+    x_d: float  # commanded point, m
+    v_d: float  # its velocity, m/s
+    f_d: float  # the force that was asked for, N
+
+
+class MasterSums(NamedTuple):
+    w: float  # work done on the master over the last tick, J
+    fv: float  # power that the reflected force would take out, less than 0 where it pushes, W
+    vv: float  # the square of the velocity, m^2/s^2
+
+
+class SlaveSums(NamedTuple):
+    asked: float  # work of the force that was asked for, over the last tick, J
+    held: float  # of the force that was held, J
+    ff: float  # the square of f_0, of 2 z m, N^2
+    cc: float  # that of f_0 + 2 z c, the command's way to m times 2 z, N^2
+
+
+@dataclass(frozen=True, kw_only=True)
+class TDPA:
+    """Position-force control with passivity observers and controllers at both ends, and drift compensation."""
+
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", above=0.0)] = 20.0
+    drift: Annotated[float, Knob("1/s", "rate at which the commanded point goes to the master", low=0.0)] = 10.0
+    E0: Annotated[float, Knob("J", "energy of the slave at the start", low=0.0)] = 0.05
+    alpha_max: Annotated[float, Knob("N s/m", "most damping that takes back what was overspent", low=0.0)] = 50.0
+    v_min: Annotated[float, Knob("m/s", "speed below which that damping grows no more", above=0.0)] = 1e-3
+    store: Annotated[float, Knob("J", "most energy that stays unspent (0: the power-based variant)", low=0.0)] = 1.0
+
+    claims: ClassVar[Mapping[str, str]] = {"E_law": "any link"}
+    shows: ClassVar[tuple[str, ...]] = ("G",)
+
+    def __post_init__(self) -> None:
+        check_knobs(self)
+
+    def conditions(self, facts: Facts) -> tuple[str, ...]:
+        least, most = 0.5 * self.K * facts.dt, 2.0 * facts.mass_m / facts.dt
+        coupling = (f"the coupling gives out no more than its commanded point puts in where B >= K dt/2, which "
+                    f"B = {self.B:g} N s/m is not; --set law.B={least:.6g} is the least")
+        damper = (f"the master's damper takes energy where alpha_max <= 2 m/dt, which alpha_max = {self.alpha_max:g} "
+                  f"N s/m is not; --set law.alpha_max={most:.4g} is the most")
+        return (*([coupling] if least > self.B else []), *([damper] if self.alpha_max > most else []))
+
+    def master_start(self, at: At) -> tuple[Master, Back]:
+        return Master(0.0, 0.0, 0.0), Back(0.0, 0.0)
+
+    def slave_start(self, at: At) -> tuple[Slave, Forth]:
+        return Slave(self.E0, 0.0, 0.0, at.x, 0.0, 0.0), Forth(at.x, 0.0, 0.0)  # until the first message: stay
+
+    def master_stored(self, s: Master) -> float:
+        return s.G + (s.E - s.seen)
+
+    def slave_stored(self, s: Slave) -> float:
+        return s.G + (s.E - s.seen)
+
+    def master_sums(self, s: Master, at: At, rx: Back) -> MasterSums:
+        return MasterSums(at.f_held * at.dx, rx.f_s * at.v, at.v * at.v)
+
+    def master(self, s: Master, at: At, rx: Back, over: MasterSums) -> tuple[float, Forth, Master]:
+        G, E = observed(s.G, s.E, rx.E - s.seen, over.w, self.store)
+        dt = at.dt
+        missing = 1.0 - min(max(G, 0.0) / max(-dt * over.fv, TINY), 1.0)
+        takes = min(max(-G, 0.0) / (dt * max(over.vv, self.v_min * self.v_min)), self.alpha_max)
+        f_m = rx.f_s - missing * (over.fv < 0.0) * rx.f_s + takes * at.v
+        return f_m, Forth(at.x, at.v, E), Master(G, E, rx.E)
+
+    def slave_sums(self, s: Slave, at: At, rx: Forth) -> SlaveSums:
+        dt, step, along = at.dt, at.dt * s.v_d, at.dx * (1.0 - at.dt / at.span)
+        _, f_0, c = commanded(self.K, self.B, self.drift, s.x_d + along, at.x, at.v, rx.x, rx.v, at.gain)
+        off = f_0 + 2.0 * (self.B + self.K * dt) * c
+        done = at.f_held * along
+        return SlaveSums(s.f_d * step + done, at.f_held * step + done, f_0 * f_0, off * off)
+
+    def slave(self, s: Slave, at: At, rx: Forth, over: SlaveSums) -> tuple[float, Back, Slave]:
+        G, E = observed(s.G, s.E, rx.E - s.seen, -max(over.asked, over.held), self.store + self.E0)
+        dt, z = at.dt, self.B + self.K * at.dt
+        x_d = s.x_d + at.dx * (1.0 - dt / at.span)
+        x_d, f_0, c = commanded(self.K, self.B, self.drift, x_d, at.x, at.v, rx.x, rx.v, at.gain)
+        beyond = 1.0 - sqrt(min(max(over.ff * dt + 4.0 * z * G, 0.0) / max(over.cc * dt, TINY), 1.0))
+        v_d = c - beyond * (c + 0.5 * f_0 / z)
+        f_s = f_0 + z * v_d
+        return f_s, Back(at.gain * f_s, E), Slave(G, E, rx.E, x_d + dt * v_d, v_d, f_s)
+
+
+def observed(G: float, E: float, came: float, w: float, most: float) -> tuple[float, float]:
+    """What may be given out and what was taken in (J), after the work w and with what came of the other end's."""
+    G = min(G - max(-w, 0.0), most) + came
+    paid = min(max(-G, 0.0), max(w, 0.0))
+    return G + paid, E + (max(w, 0.0) - paid)
+
+
+def commanded(K: float, B: float, drift: float, x_d: float, x: float, v: float, x_rx: float, v_rx: float,
+              gain: float) -> tuple[float, float, float]:
+    """The commanded point (m), the force where it stays (N), and the velocity that is asked of it (m/s)."""
+    x_d = x_d - (1.0 - gain) * (x_d - x)
+    return x_d, K * (x_d - x) - B * v, gain * (v_rx + drift * (x_rx - x_d))

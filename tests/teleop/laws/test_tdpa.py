@@ -1,0 +1,171 @@
+"""Time-domain passivity: what each end may give out, step by step, and the figures of the law book."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from channel.delay import Delay
+from channel.gilbert_elliott import GilbertElliott
+from teleop.errors import Refused
+from teleop.law import At
+from teleop.laws.tdpa import TDPA, Back, Forth, Master, MasterSums, Slave, SlaveSums
+from teleop.scene.loading import load_scene
+from teleop.simulation.virtual import run
+from teleop.stages.watchdog import Watchdog
+from tests.teleop.laws.printed import assert_printed, printed, tracking_mm
+
+DT = 1e-3
+speed = st.floats(-1.0, 1.0).map(lambda value: round(value, 9))
+place = st.floats(-0.1, 0.1).map(lambda value: round(value, 9))
+
+
+def at(x: float = 0.0, v: float = 0.0, f_held: float = 0.0, dx: float = 0.0, gain: float = 1.0) -> At:
+    return At(x, v, float("nan"), f_held, dx, True, 0.0, DT, DT, gain)
+
+
+def slave(law: TDPA, s: Slave, here: At, rx: Forth) -> tuple[float, Back, Slave]:
+    return law.slave(s, here, rx, law.slave_sums(s, here, rx))
+
+
+def master(law: TDPA, s: Master, here: At, rx: Back) -> tuple[float, Forth, Master]:
+    return law.master(s, here, rx, law.master_sums(s, here, rx))
+
+
+@pytest.mark.parametrize(("scene", "wanted"), [
+    ("free_motion", ("0.00291242", "2.65465", "0.00300096")), ("canonical", ("0.0457398", "8.71231", "0.0162988")),
+])
+def test_two_seconds_over_50_ms(scene: str, wanted: tuple[str, ...]) -> None:
+    assert_printed(TDPA(), scene, 0.05, *wanted)
+
+
+@pytest.mark.parametrize(("scene", "wanted"), [("canonical", "46.6"), ("soft_tissue", "21.7"), ("free_motion", "2.6")])
+def test_tracking_of_ten_seconds_over_50_ms(scene: str, wanted: str) -> None:
+    assert printed(tracking_mm(TDPA(), scene)[0], wanted) == wanted
+
+
+def test_tracking_against_a_hard_wall_is_within_what_chattering_changes() -> None:
+    """Printed is 8.0 mm; from 0.5 s on G stays about 0, and the last bit decides whether a tick is paid for."""
+    assert tracking_mm(TDPA(), "hard_wall")[0] == pytest.approx(8.0, abs=0.2)
+
+
+def test_one_step_of_the_slave() -> None:
+    f_s, back, after = slave(TDPA(), Slave(0.0, 0.0, 0.0, 0.01, 0.0, 0.0), at(0.0, 0.1), Forth(0.05, 0.2, 1e-4))
+    assert (f"{after.v_d:.7f}", f"{f_s:.5f}") == ("0.0279826", "3.57364")
+    assert f_s * after.v_d * DT == pytest.approx(1e-4, rel=1e-12)  # all that may be given out
+    assert back == Back(f_s, 0.0)
+
+
+@pytest.mark.parametrize(("G", "wanted"), [(1e-4, "2.00000"), (-1e-4, "-2.00000")])
+def test_one_step_of_the_master_that_is_pushed(G: float, wanted: str) -> None:
+    f_m, _, _ = master(TDPA(), Master(G, 0.0, 0.0), at(v=-0.05), Back(4.0, 0.0))
+    assert f"{f_m:.5f}" == wanted
+
+
+@given(G=st.floats(-1e-3, 1e-2), x_d=place, x=place, v=speed, x_rx=place, v_rx=speed)
+def test_in_one_axis_the_command_is_clipped_between_two_roots(
+    G: float, x_d: float, x: float, v: float, x_rx: float, v_rx: float
+) -> None:
+    """The roots of z v^2 + f_0 v = G/dt, by numpy; where there are none the least that the slave can ask for."""
+    law = TDPA()
+    f_s, _, after = slave(law, Slave(G, 0.0, 0.0, x_d, 0.0, 0.0), at(x, v), Forth(x_rx, v_rx, 0.0))
+    z, f_0 = law.B + law.K * DT, law.K * (x_d - x) - law.B * v
+    low, high = sorted(np.roots([z, f_0, -G / DT]).real)
+    wanted = np.clip(v_rx + law.drift * (x_rx - x_d), low, high)
+    assert after.v_d == pytest.approx(wanted, rel=1e-6, abs=1e-6)  # two equal roots have half the digits
+    assert f_s == pytest.approx(law.K * (after.x_d - x) + law.B * (after.v_d - v), abs=1e-9)
+    least = -DT * f_0 * f_0 / (4.0 * z)
+    assert f_s * after.v_d * DT <= max(G, least) + 1e-12 * (1.0 + f_0 * f_0)
+
+
+@given(G=st.floats(0.0, 1e-2), axes=st.lists(st.tuples(place, place, speed, place, speed), min_size=3, max_size=3))
+def test_three_axes_ask_for_no_more_than_there_is(
+    G: float, axes: list[tuple[float, float, float, float, float]]
+) -> None:
+    law = TDPA()
+    given_to = [(Slave(G, 0.0, 0.0, x_d, 0.0, 0.0), at(x, v), Forth(x_rx, v_rx, 0.0)) for x_d, x, v, x_rx, v_rx in axes]
+    over = SlaveSums(*np.sum([law.slave_sums(*each) for each in given_to], axis=0).tolist())
+    asked = [(f_s, after.v_d) for f_s, _, after in (law.slave(*each, over) for each in given_to)]
+    size = sum(f * f for f, _ in asked)
+    assert DT * sum(f * v for f, v in asked) <= G + 1e-12 * (1.0 + size)
+
+
+@given(G=st.floats(-1e-3, 1e-3), forces=st.lists(st.tuples(st.floats(-9.0, 9.0), speed), min_size=3, max_size=3))
+def test_a_master_is_pushed_by_no_more_than_there_is(G: float, forces: list[tuple[float, float]]) -> None:
+    law = TDPA(alpha_max=0.0)
+    given_to = [(Master(G, 0.0, 0.0), at(v=v), Back(f, 0.0)) for f, v in forces]
+    over = MasterSums(*np.sum([law.master_sums(*each) for each in given_to], axis=0).tolist())
+    power = sum(law.master(*each, over)[0] * each[1].v for each in given_to)
+    assert -DT * power <= max(G, 0.0) + 1e-12
+    if sum(f * v for f, v in forces) >= 0.0:
+        assert [law.master(*each, over)[0] for each in given_to] == [f for f, _ in forces]  # resisting is free
+
+
+def test_what_comes_in_pays_the_debt_first_and_the_rest_is_told() -> None:
+    """w = 5 mJ on an end that owes 2 mJ: 3 mJ are told. The debt's part is spent, so the other end may not have it."""
+    _, forth, after = master(TDPA(), Master(-2e-3, 1e-3, 0.0), at(f_held=5.0, dx=1e-3), Back(0.0, 0.0))
+    assert (pytest.approx(0.0, abs=1e-18), pytest.approx(4e-3)) == (after.G, forth.E)
+    _, forth, after = master(TDPA(), Master(2e-3, 1e-3, 0.0), at(f_held=-5.0, dx=1e-3), Back(0.0, 1e-3))
+    assert (pytest.approx(-2e-3), 1e-3) == (after.G, forth.E)
+
+
+def test_the_power_based_variant_lends_nothing_of_the_past() -> None:
+    for store, wanted in ((1.0, 3e-3), (0.0, 1e-3), (1e-3, 2e-3)):
+        _, _, after = master(TDPA(store=store), Master(2e-3, 0.0, 4e-3), at(), Back(0.0, 5e-3))
+        assert pytest.approx(wanted) == after.G
+    _, _, kept = slave(TDPA(store=0.0), Slave(0.05, 0.0, 0.0, 0.0, 0.0, 0.0), at(), Forth(0.0, 0.0, 0.0))
+    assert kept.G == 0.05  # E0 stays, or nothing would ever move
+    full, power = (run(load_scene("canonical", law=law, duration=2.0)).trace for law in (TDPA(), TDPA(store=0.0)))
+    assert np.abs(power["x_s"]).max() > 0.01
+    assert not np.array_equal(full["x_s"], power["x_s"])
+
+
+def test_the_greater_of_the_asked_and_the_held_force_is_booked() -> None:
+    s = Slave(0.01, 0.0, 0.0, 0.0, 0.1, 4.0)
+    for f_held, work in ((4.0, 4e-4), (1.0, 4e-4), (6.0, 6e-4)):
+        _, _, after = slave(TDPA(), s, at(f_held=f_held), Forth(0.0, 0.0, 0.0))
+        assert pytest.approx(0.01 - work) == after.G
+
+
+def test_a_slave_that_lets_go_brings_its_commanded_point_along_and_spends_nothing() -> None:
+    s = Slave(0.05, 0.0, 0.0, 0.03, 0.0, 0.0)
+    f_s, back, after = slave(TDPA(), s, at(0.01, gain=0.0), Forth(0.2, 0.5, 0.0))
+    assert (after.x_d, after.v_d, f_s, back.f_s) == pytest.approx((0.01, 0.0, 0.0, 0.0), abs=1e-12)
+    assert after.G == 0.05
+
+
+def test_a_watchdog_that_lets_go_and_takes_hold_again_gives_out_no_more_than_the_seed() -> None:
+    """By the held force alone, and its commanded point left where it was, 226 mJ were given out."""
+    scene = replace(load_scene("soft_tissue", law=TDPA(), duration=4.0), watchdog=Watchdog(timeout=0.03),
+                    link=Delay(0.005) | GilbertElliott(0.01, 0.01))
+    assert run(scene, seed=1).trace["E_port"].min() >= -TDPA().E0
+
+
+def test_an_end_that_overspent_is_damped_until_it_is_paid_and_no_faster_than_alpha_max() -> None:
+    law = TDPA()
+    f_m, _, _ = master(law, Master(-1.0, 0.0, 0.0), at(v=0.2), Back(0.0, 0.0))
+    assert f_m == pytest.approx(law.alpha_max * 0.2)
+    f_m, _, _ = master(law, Master(-1e-6, 0.0, 0.0), at(v=0.2), Back(0.0, 0.0))
+    assert f_m * 0.2 * DT == pytest.approx(1e-6)
+    f_m, _, _ = master(law, Master(-1e-9, 0.0, 0.0), at(v=1e-5), Back(0.0, 0.0))
+    assert f_m == pytest.approx(1e-9 / (DT * law.v_min**2) * 1e-5)
+
+
+def test_least_energy_that_a_slave_can_ask_for() -> None:
+    """Below every root G is out of reach, and the slave takes back as fast as it can: v = -f_0/(2 z)."""
+    law = TDPA()
+    f_s, _, after = slave(law, Slave(-1.0, 0.0, 0.0, 0.01, 0.0, 0.0), at(), Forth(0.01, 0.0, 0.0))
+    assert after.v_d == pytest.approx(-5.0 / (2.0 * 20.5))
+    assert f_s == pytest.approx(2.5)
+    assert sqrt(-f_s * after.v_d * 4.0 * 20.5) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(("knob", "value"), [("B", 0.0), ("E0", -0.1), ("v_min", 0.0), ("store", float("nan"))])
+def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
+    with pytest.raises(Refused, match=knob):
+        TDPA(**{knob: value})
