@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from channel.delay import Delay
-from teleop import Refused, Scene, Watchdog, check_law, load_scene, run
+from teleop import Refused, Scene, Watchdog, load_scene, run
 from teleop.analysis.models.continuous import continuous
 from teleop.analysis.stability.assess import critical, is_stable
 from teleop.law import At, start_at
@@ -29,10 +29,6 @@ def masses(law: Any, M: float, T: float = 0.05) -> Scene:
     """Two free masses, and the law over a link."""
     body = MassDamper(mass=M)
     return Scene(law=law.linear(), master=body, slave=body, link=Delay(T), duration=0.5)
-
-
-def test_it_keeps_the_contract() -> None:
-    check_law(PDamped())
 
 
 def test_each_end_is_drawn_to_where_the_other_was_and_damped_where_it_is() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from teleop import Refused, check_law
+from teleop import Refused
 from teleop.analysis.models.continuous import continuous
 from teleop.law.offers import Delay
 from teleop.laws import p_d
@@ -14,10 +14,6 @@ from tests.teleop.law.test_injection import CONSTANT
 from tests.teleop.laws.test_p_d import at, masses
 
 SLACK = Coupling(0.0)
-
-
-def test_it_keeps_the_contract() -> None:
-    check_law(PDDamped())
 
 
 def test_each_end_is_drawn_to_the_others_motion_and_damped_where_it_is() -> None:

@@ -7,7 +7,7 @@ import pytest
 from channel.delay import Delay
 from master.hand import Grip, Rest
 from slave.tissue import Tissue
-from teleop import Refused, Scene, check_law
+from teleop import Refused, Scene
 from teleop.analysis.models.continuous import continuous
 from teleop.analysis.passivity.judge import two_ports
 from teleop.analysis.stability.assess import stability
@@ -19,10 +19,6 @@ from tests.teleop.laws.test_p_d import at
 
 SLACK = Coupling(0.0)
 HANDLE = MassDamper(mass=0.04, damping=0.8)
-
-
-def test_it_keeps_the_contract() -> None:
-    check_law(PositionPosition())
 
 
 def test_each_end_is_drawn_to_the_others_motion() -> None:
