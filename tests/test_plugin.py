@@ -1,0 +1,120 @@
+"""A law in a package of its own, built and put on the path: it is in every command without a line changed."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop import check_law, find_law, load_result, load_scene, run, sweep
+from teleop.__main__ import main
+from teleop.scene.library import ROOT
+
+PLUGIN = Path(__file__).parent / "plugin"
+GAINS = {"law.K": 400.0, "law.kf": 0.8}
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the plug-in as an installer leaves it: the package, and its metadata with the entry point."""
+    folder = tmp_path_factory.mktemp("plugin")
+    shutil.copytree(PLUGIN, folder / "sources", ignore=shutil.ignore_patterns("__pycache__"))
+    program = "from hatchling.build import build_wheel; print(build_wheel('.'))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=folder / "sources", capture_output=True, text=True,
+                          check=True)
+    with zipfile.ZipFile(folder / "sources" / done.stdout.split()[-1]) as wheel:
+        wheel.extractall(folder / "site")
+    return folder / "site"
+
+
+@pytest.fixture
+def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.syspath_prepend(str(site))
+    return site
+
+
+@pytest.mark.usefixtures("installed")
+class TestALawOfAPlugIn:
+    def test_keeps_the_contract_of_laws(self) -> None:
+        check_law(find_law("springs")())
+
+    def test_is_listed_without_being_imported_and_shows_its_knobs(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["list"]) == 0
+        listed = [line.split() for line in capsys.readouterr().out.splitlines()]
+        assert any(words[:1] == ["springs"] and words[-1] == "laws_of_springs:Springs" for words in listed)
+        assert main(["list", "springs"]) == 0
+        told = capsys.readouterr().out
+        assert "Reflection of the slave's force" in told
+        assert "N/m, stiffness of the spring, >= 0" in told
+
+    def test_runs_with_the_bits_of_the_built_in_law_whose_equations_it_has(self) -> None:
+        mine, built_in = (run(load_scene("soft_tissue", law=law, duration=0.2, **GAINS)).trace
+                          for law in ("springs", "direct"))
+        assert mine.keys() == built_in.keys()
+        for name in mine:
+            np.testing.assert_array_equal(mine[name], built_in[name], err_msg=name)
+
+    @pytest.mark.parametrize("engine", ["plain", "vector"])
+    def test_is_a_value_of_a_sweeps_axis(self, engine: str) -> None:
+        fixed = {"duration": 0.2, **GAINS}
+        rows = sweep("soft_tissue", {"law": ["springs"], "k_e": [100.0, 1000.0]}, engine=engine, fixed=fixed)
+        assert [row["law"] for row in rows] == ["springs", "springs"]
+        built_in = sweep("soft_tissue", {"law": ["direct"], "k_e": [100.0, 1000.0]}, engine="plain", fixed=fixed)
+        for mine, theirs in zip(rows, built_in, strict=True):
+            assert {**mine, "law": "direct"} == theirs
+
+    def test_cost_a_look_through_all_installed_packages_in_every_row_of_a_sweep(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        looked: list[str] = []
+        real = importlib.metadata.entry_points
+
+        def counted(**group: Any) -> Any:
+            looked.extend(group.values())
+            return real(**group)
+
+        monkeypatch.setattr(importlib.metadata, "entry_points", counted)
+        sweep("soft_tissue", {"law": ["springs"], "k_e": [100.0 + i for i in range(20)]}, engine="plain",
+              fixed={"duration": 0.01})
+        assert looked.count("teleop.laws") == 1
+
+    def test_is_judged_by_the_analyses(self, capsys: pytest.CaptureFixture[str]) -> None:
+        said = []
+        for law in ("springs", "direct"):
+            assert main(["stability", "soft_tissue", "--set", f"law={law}", "--set", "delay=0.005", "--json"]) == 0
+            found = json.loads(capsys.readouterr().out)
+            said.append((found["verdict"], found["gain_margin"], found["critical_round_trip"]))
+        assert said[0] == said[1]
+
+
+@pytest.mark.live
+def test_a_law_of_a_plug_in_runs_live_as_in_virtual_time(
+    site: Path, installed: Path, tmp_path: Path  # noqa: ARG001 - the one is on the path of this process
+) -> None:
+    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    path = os.pathsep.join([str(ROOT), str(site)])
+    knobs = ["--set", "law=springs", "--set", "duration=0.3", "--set", "delay=0.01"]
+    done = subprocess.run([sys.executable, "-m", "teleop", "demo", "hard_wall", *knobs, "--lockstep", "--out", "live"],
+                          cwd=tmp_path, env={**own, "PYTHONPATH": path}, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    live = load_result(tmp_path / "live").trace
+    virtual = run(load_scene("hard_wall", law="springs", duration=0.3, delay=0.01)).trace
+    for name in ("x_m", "f_m", "x_s", "f_s"):
+        np.testing.assert_array_equal(live[name], virtual[name], err_msg=name)
+
+
+def test_without_the_package_its_law_is_unknown(site: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "teleop", "list", "springs"], cwd=ROOT, capture_output=True, text=True,
+                          check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert str(site) not in sys.path
+    assert done.returncode == 2
+    assert "'springs'" in done.stderr
