@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from teleop.errors import DeviceError, Refused, number, whole_number
     from teleop.knob import Knob, check_knobs
     from teleop.law import At, Law, OnePortLaw, find_law, messages
+    from teleop.law.analysis_offers import Coupling
     from teleop.law.offers import Facts, seed_energy
     from teleop.laws.around.names import around
     from teleop.laws.direct import Direct
@@ -67,21 +68,22 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 __all__ = [
-    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Device",
-    "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment",
-    "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper",
-    "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition",
-    "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table", "TwoLayer",
-    "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
-    "WavePosition", "WaveScaled", "Zero", "__version__", "around", "check_knobs", "check_law", "end_main", "facts_of",
-    "find_law", "fitted", "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep",
-    "whole_number",
+    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
+    "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy",
+    "Environment", "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass",
+    "MassDamper", "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout",
+    "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene",
+    "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave",
+    "WaveFilter", "WaveMatched", "WavePosition", "WaveScaled", "Zero", "__version__", "around", "check_knobs",
+    "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages", "number",
+    "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
     "errors": ("DeviceError", "Refused", "number", "whole_number"),
     "knob": ("Knob", "check_knobs"),
     "law": ("At", "Law", "OnePortLaw", "find_law", "messages"),
+    "law.analysis_offers": ("Coupling",),
     "law.offers": ("Facts", "seed_energy"),
     "laws.around.names": ("around",),
     "laws.direct": ("Direct",),

@@ -19,7 +19,8 @@ A one-port law, for a scene without a slave, has one end and no messages:
     start(at) -> state                     force(state, at) -> f_m, state
 
 Each field of a message is of a kind, a wave, a total or a sample (`teleop.kind`). What else a law may offer is in
-`teleop.law.offers`, the ledgers that it claims to keep among it.
+`teleop.law.offers`, the ledgers that it claims to keep among it, and what it may tell the analyses of itself in
+`teleop.law.analysis_offers`.
 
 Only those fields of `At` are computed that the lines of an end name; the others are NaN, so that a field read
 in a way that `reads` cannot see shows in the force at once. `teleop.law.contract` checks a law when a scene

@@ -94,6 +94,7 @@ class PFRA:
     rest_gain: Annotated[float, Knob("N s/m", "gain from the master's speed to the rest that is felt", low=0.0)] = 0.0
 
     claims: ClassVar[Mapping[str, str]] = {}
+    linear_at: ClassVar[Mapping[str, float]] = {"alpha": 1.0}
 
     def __post_init__(self) -> None:
         check_knobs(self)

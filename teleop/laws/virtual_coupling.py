@@ -53,13 +53,18 @@ Claims: nothing of the ledgers; E_port contains the hold's leak.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop.errors import Refused
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
+from teleop.law.analysis_offers import Coupling
 
+INTEGRATORS = {  # (theta_f, theta_x)
+    "explicit": (0.0, 0.0), "semi-implicit": (0.0, 1.0), "trapezoid": (0.5, 0.5), "backward": (1.0, 1.0),
+}
+UNSTABLE, ANTICIPATES = "unstable by itself", "anticipates (a pole outside the unit circle)"
 TINY = 1e-300  # under a denominator that may be zero
 
 
@@ -118,6 +123,21 @@ class VirtualCoupling:
         f_m = K * (x - y) + B * (v - u)
         return f_m, Tool(y, u, f_m - f_w - self.damping * u)
 
+    def coupling(self, dt: float) -> Coupling:
+        """The impedances of coupling and tool in contact (`teleop.law.analysis_offers`), and other integrators."""
+        away = replace(self, k_e=0.0, d_e=0.0)
+        others = {}
+        for name, (theta_f, theta_x) in INTEGRATORS.items():
+            try:
+                others[name] = replace(self, theta_f=theta_f, theta_x=theta_x)
+            except Refused:  # a tool without a mass has no explicit step
+                continue
+        return Coupling(
+            C=lambda z: coupling_impedance(self, z, dt), E=lambda z: tool_impedance(self, z, dt) + 0.0 * z,
+            free=lambda z: rendered_impedance(away, z, dt), flaw=tool_flaw(self, dt), series=self.theta_x == 1.0,
+            keeps=self.theta_x == 1.0 and self.theta_f >= 0.5, others=others,
+        )
+
 
 def tool_impedance(law: VirtualCoupling, z: complex, dt: float) -> complex:
     """E(z) = F_m/U (N s/m), the tool in contact as the coupling feels it: force of tick k over velocity of tick k.
@@ -134,11 +154,40 @@ def tool_impedance(law: VirtualCoupling, z: complex, dt: float) -> complex:
     So E is positive real for any tool iff both weights are at least 1/2. The circle alone does not say it: for
     theta_f < 1/2 the mass has a pole outside, at z = -(1 - theta_f)/theta_f (at infinity for theta_f = 0), so no
     E + alpha is positive real, whatever Re is on the circle; and where E has a zero outside, the tool on its wall
-    swings up by itself, semi-implicit Euler without damping at k_e dt^2 > 4 m (`passivity.coupling.tool_lack`). For
-    the tool in free space give the law with k_e = 0 and d_e = 0.
+    swings up by itself, semi-implicit Euler without damping at k_e dt^2 > 4 m (`tool_flaw`). For the tool in free
+    space give the law with k_e = 0 and d_e = 0.
     """
     inertia = law.mass * (z - 1.0) / (dt * (law.theta_f * z + 1.0 - law.theta_f)) if law.mass > 0.0 else 0.0
     return inertia + law.damping + law.d_e + law.k_e * _summed(law.theta_x, z, dt)
+
+
+def tool_flaw(law: VirtualCoupling, dt: float) -> str:
+    """Why no damper makes the tool in contact passive: E(z) has a zero or a pole outside the unit circle; or empty.
+
+    With h = theta - 1/2, c = b + d_e and k = k_e
+
+        E = N(z)/(dt Q(z) (z - 1)),    N = m (z - 1)^2 + c dt Q (z - 1) + k dt^2 Q (theta_x z + 1 - theta_x).
+
+    - N = 0 is the tool left to itself on its wall. By Jury's criterion its roots are inside or on the circle iff
+
+          c + k dt (theta_f + theta_x - 1) >= 0   and   m + c dt h_f + k dt^2 h_f h_x >= 0,
+
+      for semi-implicit Euler without damping k dt^2 <= 4 m. Outside, the tool swings up when a force drives it, and a
+      coupling does: "unstable by itself". So does a tool without a mass at theta_f < 1/2, whose Q is in N.
+    - Q = 0 at z = -(1 - theta_f)/theta_f, outside for theta_f < 1/2 and at infinity for theta_f = 0. That pole is the
+      mass's, a force that knows the velocity to come. Near it Re E is as negative as one likes, which no damper makes
+      good: "anticipates". What is rendered may need no more damping than there is all the same.
+
+    Else E is analytic outside, where Re E is then nowhere less than on the circle. (For theta_f >= 1/2 and
+    theta_x < 1/2 an E with zeros outside lacks a finite alpha for a prescribed motion; it is not told, since with
+    theta_x < 1 coupling and tool are no series connection.)
+    """
+    c, k, h_f, h_x = law.damping + law.d_e, law.k_e * dt, law.theta_f - 0.5, law.theta_x - 0.5
+    lost, swing = (c, k * (h_f + h_x)), (law.mass / dt, c * h_f, k * h_f * h_x)
+    bare = law.mass == 0.0 and law.theta_f < 0.5
+    if bare or any(sum(terms) < -1e-12 * sum(map(abs, terms)) for terms in (lost, swing)):
+        return UNSTABLE
+    return ANTICIPATES if law.theta_f < 0.5 and law.mass > 0.0 else ""
 
 
 def coupling_impedance(law: VirtualCoupling, z: complex, dt: float) -> complex:

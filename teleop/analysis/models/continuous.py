@@ -18,7 +18,15 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.curve import imaginary_axis
-from teleop.analysis.models.linear import StateSpace, about_rest, like, matrix, not_linear, refuse_nonlinear_parts
+from teleop.analysis.models.linear import (
+    StateSpace,
+    about_rest,
+    like,
+    matrix,
+    not_linear,
+    refuse_nonlinear_parts,
+    with_linear_law,
+)
 from teleop.analysis.models.loop import Crossing, Loop, open_poles
 from teleop.errors import Refused
 from teleop.law import At, law_name, reads, start_at
@@ -49,7 +57,7 @@ def continuous(scene: Scene) -> Continuous:
     TDS stability analysis", IEE Proc. D 134(2), 1987). Of several axes the worst. Raises `Refused` if the scene is
     not linear or has no continuous limit.
     """
-    scene = about_rest(scene)
+    scene = about_rest(with_linear_law(scene))
     refuse_nonlinear_parts(scene)
     axes = [replace(scene, axes=1, environment=one, start_m=0.0, start_s=0.0) for one in _distinct(scene)]
     margins = [_margin(axis) for axis in axes]

@@ -2,7 +2,7 @@
 
 The device of damping delta = b renders, through the coupling C(z), the environment E(z); all impedances are force per
 backward-difference velocity (see `sampled`). The environment lacks passivity by alpha_e, the least alpha for which
-E + alpha is positive real (there may be none: `tool_lack`); gamma is the least of Re C on the unit circle, K T/2 + B
+E + alpha is positive real (there may be none: `lack_behind`); gamma is the least of Re C on the unit circle, K T/2 + B
 for a spring-damper. Then
 
     alpha_e < delta                              without a coupling,
@@ -48,12 +48,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from teleop.analysis.models.peak import Reals
-    from teleop.laws.virtual_coupling import VirtualCoupling
+    from teleop.law.analysis_offers import Coupling
 
 ROUNDING = 1e-9  # of |E|: a lossless element's real part is no better known
-
-
-UNSTABLE, ANTICIPATES = "unstable by itself", "anticipates (a pole outside the unit circle)"
 
 
 class Lack(NamedTuple):
@@ -64,47 +61,22 @@ class Lack(NamedTuple):
     why: str = ""  # why none does
 
 
-def tool_lack(law: VirtualCoupling, T: float) -> Lack:
-    """alpha_e of the simulated tool in contact, of which `virtual_coupling.tool_impedance` has the impedance E(z).
+def lack_behind(coupling: Coupling, T: float) -> Lack:
+    """alpha_e of what is behind a coupling, as the law offers it: inf with the reason where no damper makes it passive.
 
-    inf where E has a zero or a pole outside the unit circle. With h = theta - 1/2, c = b + d_e and k = k_e
-
-        E = N(z)/(dt Q(z) (z - 1)),    N = m (z - 1)^2 + c dt Q (z - 1) + k dt^2 Q (theta_x z + 1 - theta_x).
-
-    - N = 0 is the tool left to itself on its wall. By Jury's criterion its roots are inside or on the circle iff
-
-          c + k dt (theta_f + theta_x - 1) >= 0   and   m + c dt h_f + k dt^2 h_f h_x >= 0,
-
-      for semi-implicit Euler without damping k dt^2 <= 4 m. Outside, the tool swings up when a force drives it, and a
-      coupling does: "unstable by itself". So does a tool without a mass at theta_f < 1/2, whose Q is in N.
-    - Q = 0 at z = -(1 - theta_f)/theta_f, outside for theta_f < 1/2 and at infinity for theta_f = 0. That pole is the
-      mass's, a force that knows the velocity to come. Near it Re E is as negative as one likes, which no damper makes
-      good: "anticipates". What is rendered may need no more damping than there is all the same; the conditions of this
-      module do not say it, `sampled.needed_damping` does.
-
-    Else E is analytic outside, where Re E is then nowhere less than on the circle, and `lack` is alpha_e. (For theta_f
-    >= 1/2 and theta_x < 1/2 an E with zeros outside lacks a finite alpha for a prescribed motion; it is not told, since
-    with theta_x < 1 coupling and tool are no series connection that the conditions would hold for.)
+    `Coupling.flaw` is that reason: a zero or a pole of E outside the unit circle, which the circle alone does not show.
     """
-    from teleop.laws.virtual_coupling import tool_impedance
-
     T = number("T", T, above=0.0)
-    c, k, h_f, h_x = law.damping + law.d_e, law.k_e * T, law.theta_f - 0.5, law.theta_x - 0.5
-    lost, swing = (c, k * (h_f + h_x)), (law.mass / T, c * h_f, k * h_f * h_x)
-    bare = law.mass == 0.0 and law.theta_f < 0.5
-    if bare or any(sum(terms) < -1e-12 * sum(map(abs, terms)) for terms in (lost, swing)):
-        return Lack(float("inf"), 0.0, UNSTABLE)
-    if law.theta_f < 0.5 and law.mass > 0.0:
-        return Lack(float("inf"), 0.0, ANTICIPATES)
-    return lack(lambda z: tool_impedance(law, z, T) + 0.0 * z, T)
+    return Lack(float("inf"), 0.0, coupling.flaw) if coupling.flaw else lack(coupling.E, T)
 
 
 def lack(E: Impedance, T: float) -> Lack:
     """The negative of the least Re E(e^(j th)), or 0.
 
     That is the lack of passivity of an E without poles outside the unit circle, at infinity included, which is not
-    asked here (`tool_lack` does); those on it (a spring's, and the trapezoid mass's at z = -1) must have residues of
-    the sign that lossless elements have. What is below 1e-9 of |E| is rounding and counts as none.
+    asked here (a law that offers a coupling says it, `lack_behind`); those on it (a spring, and the trapezoid mass at
+    z = -1) must have residues of the sign that lossless elements have. What is below 1e-9 of |E| is rounding and counts
+    as none.
     """
     import numpy as np
 

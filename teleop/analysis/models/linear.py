@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law import law_name
+from teleop.law.analysis_offers import linear_hint, linear_law
 from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
@@ -65,7 +66,7 @@ class LinearScene(NamedTuple):
 
 def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
     """The matrices of a linear scene, at least one tick each way. Refused if something in it is not linear."""
-    scene = about_rest(scene)
+    scene = about_rest(with_linear_law(scene))
     refuse_nonlinear_parts(scene)
     for name in ("device_m", "device_s"):
         if (device := getattr(scene, name)) is not None and device.every > 1:
@@ -73,6 +74,12 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
                           f"{INSTEAD}, or {without(scene, 'set every=1', every='1')}")
     forth, back = link_ticks(scene, seed)
     return LinearScene(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
+
+
+def with_linear_law(scene: Scene) -> Scene:
+    """The scene with the linear law that its law offers in its place; as it is if the law offers none."""
+    own = linear_law(scene.law)
+    return scene if own is None else replace(scene, law=own)
 
 
 def about_rest(scene: Scene) -> Scene:
@@ -297,7 +304,7 @@ def not_linear(scene: Scene, e: str) -> Refused:
         return Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
                        f"eigenvalues; {INSTEAD}, or {linear_estimator(scene)}")
     name = law_name(scene.law)
-    hint = ", or write --set law.alpha=1" if name == "pfra" else ""
+    hint = linear_hint(scene.law, ", or write ")
     where = "where it is in contact" if scene.slave is None else f"at the {NAMES[e]}"
     return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
 

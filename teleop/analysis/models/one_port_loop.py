@@ -22,6 +22,7 @@ from teleop.analysis.models.linear import (
     is_linear,
     not_linear,
     refuse_nonlinear_parts,
+    with_linear_law,
 )
 from teleop.errors import Refused
 from teleop.law import law_name
@@ -68,8 +69,8 @@ class OnePort(NamedTuple):
 
 def one_port(scene: Scene) -> OnePort:
     """The loop of a scene without a slave, in one axis. Refused if it is not linear in contact."""
+    scene = one_axis(with_linear_law(scene))
     refuse_nonlinear_parts(scene)
-    scene = one_axis(scene)
     estimator = scene.device_m and scene.device_m.velocity
     if estimator is not None and not is_linear(estimator, scene.dt_ns / 1e9):
         raise not_linear(scene, "m")  # near rest it may look so
@@ -119,7 +120,7 @@ def opened(scene: Scene) -> LinearScene | None:
     from teleop.stages.device import Device
     from teleop.stages.force_cap import Cap
 
-    scene = one_axis(scene)
+    scene = one_axis(with_linear_law(scene))
     device = scene.device_m or Device()
     if device.every > 1:
         return None
@@ -225,7 +226,7 @@ def _gain_margin(scene: Scene) -> float | None:
     from teleop.stages.force_cap import Cap
 
     whole = one_port(scene)
-    dead = _ticks(replace(one_axis(scene), cap=Cap(f_max=0.0)), len(whole.ticks))
+    dead = _ticks(replace(one_axis(with_linear_law(scene)), cap=Cap(f_max=0.0)), len(whole.ticks))
     own = unstable_roots(whole) > 0
 
     def changed(step: float) -> bool:

@@ -1,8 +1,8 @@
 """Passivity of a scene without a slave: whether its device dissipates the energy that its sampled controller generates.
 
 The controller is read off the scene's own tick in contact (`teleop.analysis.models.one_port_loop`): law and velocity
-estimator. Of a virtual coupling on a backward difference the impedances of coupling and tool are known in closed form
-as well.
+estimator. Of a law that offers its coupling (`teleop.law.analysis_offers`), on a backward difference, the impedances
+of the coupling and of what is behind it are known in closed form as well.
 
 The damping needed is that of the linear controller alone; what encoder, friction, a cap, a passivity controller and the
 motor's shunt make of it is in the verdict (`teleop.analysis.passivity.verdict`), or said to be left out of it.
@@ -18,17 +18,13 @@ from teleop.analysis.models import coupling, sampled
 from teleop.analysis.passivity.surroundings import linear_parts
 from teleop.analysis.passivity.verdict import Verdict, verdict
 from teleop.errors import Refused
+from teleop.law.analysis_offers import coupling_of
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
     from teleop.analysis.models.coupling import Lack
     from teleop.analysis.models.peak import Reals
     from teleop.analysis.models.sampled import Impedance, Needed
-    from teleop.laws.virtual_coupling import VirtualCoupling
-
-INTEGRATORS = {  # (theta_f, theta_x)
-    "explicit": (0.0, 0.0), "semi-implicit": (0.0, 1.0), "trapezoid": (0.5, 0.5), "backward": (1.0, 1.0),
-}
 
 
 class Behind(NamedTuple):
@@ -60,7 +56,7 @@ class RenderedImpedance:
     needed: Needed
     stiffness: float  # N/m, rendered at rest
     quantised: float | None  # N/m, the most that an encoder and friction allow; None: no encoder, or no spring alone
-    behind: Behind | None  # if the law is a virtual coupling
+    behind: Behind | None  # if the law offers a coupling
     verdict: Verdict
 
     @property
@@ -126,41 +122,21 @@ def _controller(scene: Scene, T: float) -> Impedance:
     return sampled.of_state_space(found, T)
 
 
-def _closed_form(law: Any, device: Any) -> bool:
-    from teleop.laws.virtual_coupling import VirtualCoupling
+def _behind(scene: Scene, device: Any, T: float) -> Behind | None:
     from teleop.stages.velocity.backward_difference import BackwardDifference
 
-    return isinstance(law, VirtualCoupling) and isinstance(device.velocity, BackwardDifference)
-
-
-def _behind(scene: Scene, device: Any, T: float) -> Behind | None:
-    from teleop.laws.virtual_coupling import coupling_impedance, tool_impedance
-
-    law = scene.law
-    if not _closed_form(law, device):
+    offered = coupling_of(scene.law, T) if isinstance(device.velocity, BackwardDifference) else None
+    if offered is None:
         return None
-
-    def tool(own: VirtualCoupling) -> Impedance:
-        return lambda z: tool_impedance(own, z, T) + 0.0 * z
-
-    def C(z: Any) -> Any:
-        return coupling_impedance(law, z, T)
-
-    delta, gamma = scene.master.damping, coupling.least_real(C, T)
-    exact = device.every == 1 and law.theta_x == 1.0  # the derivation's own conditions
-    by, lacks = {}, {}
-    for name, (theta_f, theta_x) in INTEGRATORS.items():
-        try:
-            own = replace(law, theta_f=theta_f, theta_x=theta_x)
-        except Refused:  # a tool without a mass has no explicit step
-            continue
-        by[name], lacks[name] = tool(own), coupling.tool_lack(own, T)
-    E = tool(law)
+    C, E, delta = offered.C, offered.E, scene.master.damping
+    gamma, lacks = coupling.least_real(C, T), coupling.lack_behind(offered, T)
+    exact = device.every == 1 and offered.series  # the derivation's own conditions
+    others = {name: own for name, law in offered.others.items() if (own := coupling_of(law, T)) is not None}
     return Behind(
-        C=C, E=E, alpha=coupling.tool_lack(law, T), gamma=gamma, miller=coupling.alpha_miller(delta, gamma),
+        C=C, E=E, alpha=lacks, gamma=gamma, miller=coupling.alpha_miller(delta, gamma),
         most=coupling.alpha_max(delta, C, T, d=device.delay) if exact else None, conditions=exact,
         passive_needs=coupling.needed_damping(C, 0.0, T, d=device.delay).damping,
         alone=sampled.needed_damping(E, T, d=device.delay, every=device.every).damping,
-        stiffness=coupling.stiffness(E, T), by=by,
-        integrators=lacks,
+        stiffness=coupling.stiffness(E, T), by={name: own.E for name, own in others.items()},
+        integrators={name: coupling.lack_behind(own, T) for name, own in others.items()},
     )

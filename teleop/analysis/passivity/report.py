@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_ports
 from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
+from teleop.law.analysis_offers import instead
 from teleop.terminal.answer import finite, scene_head, titled
 from teleop.terminal.ranges import typed_range
 from teleop.terminal.table import facts
@@ -78,6 +79,8 @@ def _span(typed: str | None) -> tuple[float, float | None]:
 def table(answer: PassivityAnswer) -> str:
     """The answer in a few lines."""
     rows = [("scene", titled(answer.scene))]
+    if words := instead(answer.scene.law):
+        rows.append(("law", words))
     if answer.one is not None:
         rows += _one(answer.one)
     if answer.two is not None:
@@ -170,7 +173,8 @@ def _llewellyn(judged: Judged) -> str:
 def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON document: SI units; what has no bound or is not known is null."""
     told = scene_head(answer.scene, "passivity", sentence=answer.sentence, seed=answer.seed, command=command)
-    told |= {"units": UNITS, "range": [answer.low, answer.high], "left_out": list(answer.left_out)}
+    told |= {"units": UNITS, "range": [answer.low, answer.high], "left_out": list(answer.left_out),
+             "linear_law": instead(answer.scene.law) or None}
     if answer.one is not None:
         told |= {"ports": 1, "passive": answer.one.passive, **_one_numbers(answer.one)}
     if answer.two is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.models.linear import link_ticks
+from teleop.analysis.models.linear import link_ticks, with_linear_law
 from teleop.errors import Refused
 from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed
 from teleop.scene.scene import Scene
@@ -18,7 +18,11 @@ AROUND, SLOW = 0.5e-3, 1e-6  # m, m/s: where it must be linear
 
 
 def linear_parts(scene: Scene) -> tuple[Scene, list[str]]:
-    """The scene without what is not linear but beside the law, and the names of what was left out."""
+    """The scene without what is not linear but beside the law, and the names of what was left out.
+
+    A law that is not linear is replaced by the one that it offers, which is not left out.
+    """
+    scene = with_linear_law(scene)
     left = [name for name in ("cap", "watchdog", "passivity") if getattr(scene, name) is not None]
     changes: dict[str, Any] = dict.fromkeys(left)
     for name in ("device_m", "device_s"):

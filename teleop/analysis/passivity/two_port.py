@@ -37,6 +37,7 @@ from teleop.analysis.passivity.assembly import READINGS, Driven, Readings, assem
 from teleop.analysis.passivity.surroundings import delays, linear_parts, ticks
 from teleop.errors import Refused
 from teleop.law import At, law_name, start_at
+from teleop.law.analysis_offers import linear_hint
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -191,9 +192,10 @@ def _law_matrix(scene: Scene, e: str, dt: float, age: float) -> tuple[Matrix, in
 
     found = matrix(respond, states + READINGS + len(message))
     if found is None:
-        hint = "set law.alpha=1, or " if law_name(law) == "pfra" else ""
-        raise Refused(f"law {law_name(law)} is not linear at the {name}, so it has no hybrid matrix; {hint}run it with "
-                      "teleop run and energy in the scene, which sums what its ports take and give")
+        hint = linear_hint(law, "write ")
+        raise Refused(f"law {law_name(law)} is not linear at the {name}, so it has no hybrid matrix; {hint}"
+                      f"{', or ' * bool(hint)}run it with teleop run and energy in the scene, which sums what its "
+                      "ports take and give")
     return found, states
 
 

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.analysis.models import sampled
 from teleop.analysis.models.peak import highest
 from teleop.errors import Refused
-from teleop.laws.virtual_coupling import VirtualCoupling
+from teleop.law.analysis_offers import coupling_of
 from teleop.stages.device import Device
 from teleop.terminal.units import si
 
@@ -61,7 +61,7 @@ class Verdict(NamedTuple):
 def verdict(scene: Scene, E: Impedance, needed: Needed) -> Verdict:
     """Judge a scene without a slave, given its linear controller E(z) and the damping that it needs."""
     T, device = scene.dt_ns / 1e9, scene.device_m or Device()
-    spring, asked = is_spring(E, T) and not isinstance(scene.law, VirtualCoupling), _asked(scene)
+    spring, asked = is_spring(E, T) and coupling_of(scene.law, T) is None, _asked(scene)
     (damped, shunt), stepped = _damped(scene, E, needed, device), _stepped(scene, device, asked, spring)
     passive = None if stepped is None else damped is True and stepped
     if not damped:
@@ -90,7 +90,7 @@ def _asked(scene: Scene) -> float | None:
     from teleop.analysis.models.law_parts import law_parts, norms
 
     device: Any = scene.device_m
-    if device is None or device.encoder is None or isinstance(scene.law, VirtualCoupling):
+    if device is None or device.encoder is None or coupling_of(scene.law, scene.dt_ns / 1e9) is not None:
         return None
     try:
         law: Any = check(scene).law

@@ -20,6 +20,7 @@ from teleop.analysis.stability.assess import (
     stability,
 )
 from teleop.errors import Refused, number_of, plural
+from teleop.law.analysis_offers import instead
 from teleop.terminal.answer import scene_head, titled
 from teleop.terminal.ranges import typed_number, typed_range
 from teleop.terminal.table import facts
@@ -73,6 +74,11 @@ class StabilityAnswer(NamedTuple):
     in_time: bool = False
     places: tuple[float, ...] = ()  # values of the knob over its range, those of the critical value among them
     cut_short: bool = False  # were the margins over the knob interrupted
+
+    @property
+    def stands_in(self) -> str:
+        """The linear law that was judged in the place of the scene's own, in words; empty if none was."""
+        return "" if self.in_time else instead(self.scene.law)
 
     @property
     def finished(self) -> bool:
@@ -221,7 +227,7 @@ def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, A
     found = answer.found
     told = scene_head(answer.scene, "stability", sentence=answer.sentence, seed=answer.seed, command=command,
                       status="done" if answer.finished else "interrupted")
-    told |= {"units": UNITS, "verdict": found.verdict}
+    told |= {"units": UNITS, "verdict": found.verdict, "linear_law": answer.stands_in or None}
     if isinstance(found, Stability):
         root = found.mode
         told |= {
@@ -245,6 +251,8 @@ def table(answer: StabilityAnswer) -> str:
     """The answer in a few lines."""
     found, limit, edge = answer.found, answer.limit, answer.edge
     rows = [("scene", titled(answer.scene)), ("verdict", answer.sentence)]
+    if answer.stands_in:
+        rows.append(("law", answer.stands_in))
     rows += _roots(found) if isinstance(found, Stability) else []
     if limit is not None:
         rows.append(("continuous", _without_clock(limit)))

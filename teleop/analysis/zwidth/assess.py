@@ -19,6 +19,7 @@ from teleop.analysis.zwidth.measured import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.passive import Region, passive_region
 from teleop.analysis.zwidth.plane import ALL, Boundary, LoopFamily, Span, boundary, loop, rows
 from teleop.errors import Refused
+from teleop.law.analysis_offers import instead
 from teleop.terminal.ranges import typed_range
 
 if TYPE_CHECKING:
@@ -196,6 +197,8 @@ def _loop(scene: Scene, *, hand: bool) -> tuple[LoopFamily | None, str]:
 def _notes(scene: Scene) -> list[str]:
     gone = left_out(scene)
     notes = [f"the stable region is that of the scene without {', '.join(gone)}"] if gone else []
+    if words := instead(scene.law):
+        notes.append(f"{words}, but in what was measured")
     if scene.cap is not None:
         notes.append("the force cap is in what was measured and in nothing else")
     return notes

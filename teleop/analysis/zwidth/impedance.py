@@ -17,13 +17,13 @@ is the mean gap of the curves in decades.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import log10, pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from teleop.analysis.models.law_parts import law_parts
 from teleop.analysis.zwidth.passive import Region
 from teleop.analysis.zwidth.polygon import Point
+from teleop.law.analysis_offers import coupling_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,20 +72,16 @@ def curves(scene: Scene, region: Region) -> Curves:
 
 
 def device(scene: Scene, frequency: Reals) -> Reals:
-    """|Z| (N s/m) of the device with nothing rendered; behind a virtual coupling its tool is there, in free space."""
+    """|Z| (N s/m) of the device with nothing rendered; behind a coupling what it simulates is there, in free space."""
     import numpy as np
-
-    from teleop.laws.virtual_coupling import VirtualCoupling, rendered_impedance
 
     s = 2j * pi * frequency
     found = scene.master.mass * s + scene.master.damping
     if scene.electrical is not None:
         found = found + scene.electrical.b * s / (s + 2.0 * pi * scene.electrical.cutoff)
-    if isinstance(scene.law, VirtualCoupling):
-        T = scene.dt_ns / 1e9
-        free: Any = replace(scene.law, k_e=0.0, d_e=0.0)
-        z = np.exp(s * T)
-        found = found + np.array([rendered_impedance(free, complex(each), T) for each in z])
+    T = scene.dt_ns / 1e9
+    if (offered := coupling_of(scene.law, T)) is not None:
+        found = found + np.array([offered.free(complex(each)) for each in np.exp(s * T)])
     size: Reals = np.abs(found)
     return size
 
@@ -107,11 +103,9 @@ def velocity_filter(scene: Scene, frequency: Reals) -> Points:
     """F: the velocity that the law is given over the backward difference."""
     import numpy as np
 
-    from teleop.laws.virtual_coupling import VirtualCoupling
-
-    if isinstance(scene.law, VirtualCoupling):  # of which no other estimator has a passive region
-        return np.ones(len(frequency), dtype=np.complex128)
     T = scene.dt_ns / 1e9
+    if coupling_of(scene.law, T) is not None:  # of which no other estimator has a passive region
+        return np.ones(len(frequency), dtype=np.complex128)
     z = np.exp(2j * pi * T * frequency)
     found: Points = law_parts(scene).responses(z)[1] * T / (1.0 - 1.0 / z)
     return found

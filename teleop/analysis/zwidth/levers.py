@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.errors import Refused
+from teleop.law import find_law
+from teleop.law.analysis_offers import coupling_of
 from teleop.stages.device import Device
 from teleop.stages.encoder import Encoder
 
@@ -82,14 +84,11 @@ def _filter(scene: Scene) -> Lever:
 
 
 def _coupling(scene: Scene) -> Lever:
-    from teleop.laws.virtual_coupling import VirtualCoupling
-    from teleop.laws.virtual_wall import VirtualWall
-
     law: Any = scene.law
-    at = float(getattr(law, "at", 0.0))
-    if isinstance(law, VirtualCoupling):
-        return Lever("no coupling", "the wall felt directly", replace(scene, law=VirtualWall(K=law.K, B=law.B, at=at)))
-    coupled = replace(scene, law=VirtualCoupling(K=law.K, B=law.B, at=at))
+    own = {"K": law.K, "B": law.B, "at": float(getattr(law, "at", 0.0))}
+    if coupling_of(law, scene.dt_ns / 1e9) is not None:
+        return Lever("no coupling", "the wall felt directly", replace(scene, law=find_law("virtual_wall")(**own)))
+    coupled: Any = replace(scene, law=find_law("virtual_coupling")(**own))
     corners = passive_region(coupled).corners
     K, B = max(corners) if corners else (law.K, law.B)
     tool = f"to a tool of {coupled.law.mass * 1e3:g} g"

@@ -43,17 +43,18 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models import coupling, sampled
-from teleop.analysis.models.gains import scales
+from teleop.analysis.models.gains import scales, with_gains
 from teleop.analysis.models.law_parts import effective_damping, law_parts, norms
 from teleop.analysis.models.peak import grid, highest
 from teleop.analysis.zwidth.polygon import CLOSE, Gauge, Point, clip, polygon
 from teleop.errors import Refused
-from teleop.laws.virtual_coupling import VirtualCoupling
+from teleop.law.analysis_offers import coupling_of
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from teleop.law.analysis_offers import Coupling
     from teleop.scene.scene import Scene
 
     Reals = NDArray[np.float64]
@@ -102,7 +103,7 @@ def _region(scene: Scene) -> Region:
     if encoder and not friction:
         return Region((), "an encoder without Coulomb friction leaves no passive stiffness or damping: in one step of "
                           "it nothing takes up what the reading's error makes")
-    if encoder and isinstance(scene.law, VirtualCoupling):
+    if encoder and coupling_of(scene.law, scene.dt_ns / 1e9) is not None:
         raise Refused("what a tool behind a virtual coupling makes of an encoder's error has no known bound; leave the "
                       "encoder out")
     slow = scene.device_m is not None and scene.device_m.every > 1
@@ -155,8 +156,8 @@ def _needed(scene: Scene, T: float, d: int, every: int, own: Reals) -> Curve:
     """The damping needed for (K, B) over th."""
     import numpy as np
 
-    if isinstance(scene.law, VirtualCoupling):
-        return _coupled(scene, T, d, every)
+    if (offered := coupling_of(scene.law, T)) is not None:
+        return _coupled(scene, offered, d, every)
     parts = law_parts(scene)
 
     def halves(th: Reals) -> tuple[Reals, Reals]:
@@ -195,22 +196,31 @@ def _needed(scene: Scene, T: float, d: int, every: int, own: Reals) -> Curve:
     return slow
 
 
-def _coupled(scene: Scene, T: float, d: int, every: int) -> Curve:
-    """The same for the spring-damper of a virtual coupling, in front of the worst passive environment."""
+def _coupled(scene: Scene, offered: Coupling, d: int, every: int) -> Curve:
+    """The same for the coupling that the law offers, in front of the worst passive environment."""
     import numpy as np
 
     from teleop.stages.velocity.backward_difference import BackwardDifference
 
-    law: Any = scene.law
     velocity = scene.device_m and scene.device_m.velocity
-    if every > 1 or not isinstance(velocity, BackwardDifference) or law.theta_x != 1.0 or law.theta_f < 0.5:
-        raise Refused("behind a virtual coupling the condition is known for a force renewed at every tick, the "
-                      "backward difference, theta_x=1 and theta_f of at least 0.5; set these")
+    if every > 1 or not isinstance(velocity, BackwardDifference) or not (offered.series and offered.keeps):
+        raise Refused("behind a coupling the condition is known for a force renewed at every tick, the backward "
+                      "difference, coupling and environment in series, and an integrator that keeps the environment "
+                      f"passive{_integrators(offered)}")
 
     def curve(K: float, B: float) -> Callable[[Reals], Reals]:
-        C = sampled.spring_damper(K, B, T)
         if K == B == 0.0:
             return np.zeros_like
+        own = coupling_of(with_gains(scene, K, B).law, scene.dt_ns / 1e9)
+        assert own is not None
+        C = own.C
         return lambda th: coupling.damping_curve(C, 0.0, th, d=d)
 
     return curve
+
+
+def _integrators(offered: Coupling) -> str:
+    """The integrators of the same law that will do, for a refusal."""
+    known = [f"{name} Euler" if name == "backward" else name for name, law in offered.others.items()
+             if (own := coupling_of(law, 1e-3)) is not None and own.series and own.keeps]
+    return f"; take {' or '.join(known)}" if known else ""

@@ -12,23 +12,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.analysis.models.coupling import (
-    ANTICIPATES,
-    UNSTABLE,
     alpha_max,
     alpha_miller,
     damping_curve,
     gap,
     lack,
+    lack_behind,
     least_real,
     needed_damping,
     rendered,
     stiffness,
-    tool_lack,
 )
 from teleop.analysis.models.sampled import needed_damping as needed_alone
 from teleop.analysis.models.sampled import spring_damper
 from teleop.law import At
-from teleop.laws.virtual_coupling import Tool, VirtualCoupling, coupling_impedance, tool_impedance
+from teleop.laws.virtual_coupling import (
+    ANTICIPATES,
+    UNSTABLE,
+    Tool,
+    VirtualCoupling,
+    coupling_impedance,
+    tool_impedance,
+)
 from teleop.physics.plant import linear
 from tests.teleop.analysis.models.closed_forms import alpha_max_spring_damper, wall_damping
 
@@ -148,7 +153,7 @@ class TestToolLack:
         if abs(size - 1.0) < 0.02:
             return
         grown = left_alone(law)
-        assert (tool_lack(law, T).why == UNSTABLE) == (grown > 100.0)
+        assert (lack_behind(law.coupling(T), T).why == UNSTABLE) == (grown > 100.0)
         assert (size > 1.0) == (grown > 100.0)
 
     @pytest.mark.parametrize(("own", "why", "root"), [
@@ -164,7 +169,7 @@ class TestToolLack:
     ])
     def test_known_tools(self, own: dict[str, float], why: str, root: float) -> None:
         law = VirtualCoupling(**own)
-        found = tool_lack(law, T)
+        found = lack_behind(law.coupling(T), T)
         assert found.why == why
         assert found.alpha == (inf if why else 0.0)
         if abs(root) > 1.2:
@@ -173,7 +178,7 @@ class TestToolLack:
     @settings(max_examples=100)
     @given(law=tools)
     def test_with_a_finite_alpha_it_is_positive_real_all_over_the_outside(self, law: VirtualCoupling) -> None:
-        found = tool_lack(law, T)
+        found = lack_behind(law.coupling(T), T)
         r, th = np.meshgrid(np.r_[1.0 + np.geomspace(1e-6, 1.0, 25), 3.0, 10.0, 1e3], np.linspace(0.0, pi, 181))
         E = tool_impedance(law, r * np.exp(1j * th), T)
         if not found.why:
@@ -182,7 +187,7 @@ class TestToolLack:
     @settings(max_examples=100)
     @given(law=tools.filter(lambda law: law.theta_f < 0.5), alpha=st.floats(0.0, 1e4))
     def test_where_it_anticipates_no_damper_does_it(self, law: VirtualCoupling, alpha: float) -> None:
-        assert tool_lack(law, T).alpha == inf
+        assert lack_behind(law.coupling(T), T).alpha == inf
         near = -1e9 if law.theta_f == 0.0 else -(1 - law.theta_f) / law.theta_f
         by = [tool_impedance(law, z, T).real for z in (near * (1 - 1e-9), near * (1 + 1e-9))]
         assert min(by) < -alpha
