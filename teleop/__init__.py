@@ -68,15 +68,15 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 __all__ = [
-    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
-    "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy",
-    "Environment", "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass",
-    "MassDamper", "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout",
-    "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene",
-    "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave",
-    "WaveFilter", "WaveMatched", "WavePosition", "WaveScaled", "Zero", "__version__", "around", "check_knobs",
-    "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages", "number",
-    "run", "seed_energy", "sweep", "whole_number",
+    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling", "Device",
+    "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment",
+    "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper",
+    "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition",
+    "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table", "TwoLayer",
+    "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
+    "WavePosition", "WaveScaled", "Zero", "__version__", "around", "check_knobs", "check_law", "end_main", "facts_of",
+    "find_law", "fitted", "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep",
+    "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
