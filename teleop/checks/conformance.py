@@ -13,6 +13,7 @@ from typing import Any
 
 from teleop.checks.trials import Block, Swing, spread
 from teleop.errors import Refused
+from teleop.kind import totals
 from teleop.law import start_at
 from teleop.law.contract import Method, in_bits
 from teleop.law.offers import Delay, Facts
@@ -33,6 +34,7 @@ def try_conformance(law: Any) -> None:
     """Raise `Refused` with one sentence for the first of these that `law` does not keep to."""
     _try_start(law)
     _try_messages(law)
+    _try_totals(law)
     _try_signs(law)
     _try_conditions(law)
 
@@ -66,6 +68,34 @@ def _try_messages(law: Any) -> None:
         if not isinstance(got, Packet) or in_bits(type(message)(*got.payload)) != in_bits(sent):  # type: ignore[misc]
             raise Refused(f"{type(law).__name__} sends {type(message).__name__}, which a packet does not carry as it "
                           "is; use fewer fields, each a float")
+
+
+def _try_totals(law: Any) -> None:
+    """An end that couples its axes tells the same total in each of them: over a network it is sent once."""
+    name, axes, started = type(law).__name__, 3, start_at(0.0, 0.0, 0.0, DT)
+    for end, other in (("master", "slave"), ("slave", "master")):
+        s, heard = getattr(law, f"{end}_start")(started)
+        told = totals(type(getattr(law, f"{other}_start")(started)[1]))
+        if not told or not hasattr(law, f"{end}_sums"):
+            continue
+        dice, states, force = spread(f"{name}.{end}"), [s] * axes, [0.0] * axes
+        came = dict.fromkeys(totals(type(heard)), 0.0)
+        for _ in range(200):
+            came = {field: energy + 1e-3 * next(dice) for field, energy in came.items()}
+            fresh, given = next(dice) < 0.7, []
+            for i in range(axes):
+                x, v, touch = (0.02 * (next(dice) - 0.5), 2.0 * next(dice) - 1.0, 4.0 * next(dice) - 2.0)
+                at = started._replace(x=x, v=v, f=touch, f_held=force[i], dx=v * DT, fresh=fresh, age=DT)
+                rx = type(heard)(*[came.get(field, 0.02 * (next(dice) - 0.5)) for field in heard._fields])
+                given.append((states[i], at, rx))
+            parts = [getattr(law, f"{end}_sums")(*each) for each in given]
+            over = type(parts[0])(*[sum(column) for column in zip(*parts, strict=True)])
+            answers = [getattr(law, end)(*each, over) for each in given]
+            force, states = [answer[0] for answer in answers], [answer[2] for answer in answers]
+            for field in told:
+                if len({getattr(answer[1], field) for answer in answers}) > 1:
+                    raise Refused(f"{name}.{end} couples its axes and tells another {field} in each; keep one energy "
+                                  f"for all axes, out of its sums, or write kind.Sample for {field}")
 
 
 def _try_signs(law: Any) -> None:

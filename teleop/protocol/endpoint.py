@@ -22,6 +22,7 @@ from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import Guard
 from teleop.protocol.held_force import HeldForce
 from teleop.protocol.inbox import Inbox
+from teleop.protocol.layout import Layout
 from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.packet import (
     DATA,
@@ -154,16 +155,18 @@ class Endpoint:
         law: Any = scene.law
         self._axes = range(scene.axes)
         forth, back = message_types(law, dt)
-        self._rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
+        rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
+        own, other = ("master", "slave") if e == "m" else ("slave", "master")
+        self._rx = Layout(rx_type, scene.axes, couples=hasattr(law, f"{other}_sums"))
+        self._tx = Layout(tx_type, scene.axes, couples=hasattr(law, f"{own}_sums"))
         self.hears, self._sends = (Kind.BACK, Kind.FORTH) if e == "m" else (Kind.FORTH, Kind.BACK)
-        self._rx_width, tx_width = len(self._rx_type._fields), len(tx_type._fields)
         self._integral = structure_of(scene).has.integral
         along = (1 + 2 * scene.axes) * self._integral  # T, and U and E of each axis, behind the law's messages
-        self._width = self._rx_width * scene.axes + along
-        most = max(self._rx_width, tx_width) * scene.axes + along
+        self._width = self._rx.width + along
+        most = max(self._rx.width, self._tx.width) + along
         self._size = check_size(scene.wire_size, most, energy=scene.energy and not self._integral)
         self._newest_wins = not self.stepped and not isinstance(scene.played_as, Fixed)
-        self._rates = Resampling(self._rx_type, mine=self.every)
+        self._rates = Resampling(rx_type, mine=self.every)
         self._sums = Sums(scene.dt_ns / 1e9, scene.axes)
         self._dt, self._dt_ns = dt, scene.dt_ns
 
@@ -374,18 +377,14 @@ class Endpoint:
         return tuple(out)
 
     def _heard(self, packet: Packet) -> Heard:
-        n, kind, payload = self._rx_width, self._rx_type, packet.payload
-        assert type(payload) is tuple
-        if len(self._axes) == 1:  # the same without the loops
-            alone = (_new(kind, payload[:n]),)
-            if not self._integral:
-                return Heard(alone, packet.E_in)
-            U, E, T = payload[n:]
-            return Heard(alone, E, (Integrals(T, U, E),))
-        rx = tuple([kind(*payload[i * n : i * n + n]) for i in self._axes])
+        payload: Any = packet.payload
+        rx, at = self._rx.messages(payload), self._rx.width
         if not self._integral:
             return Heard(rx, packet.E_in)
-        at, T = n * len(self._axes), payload[-1]
+        if len(rx) == 1:  # the same without the loop
+            U, E, T = payload[at:]
+            return Heard(rx, E, (Integrals(T, U, E),))
+        T = payload[-1]
         waves = tuple([Integrals(T, payload[at + 2 * i], payload[at + 2 * i + 1]) for i in self._axes])
         return Heard(rx, sum(each.E for each in waves), waves)
 
@@ -403,8 +402,7 @@ class Endpoint:
     def _datagram(
         self, k: int, now: int, tx: tuple[Any, ...], sent: tuple[Integrals, ...] | None, row: tuple[float, ...]
     ) -> bytes | None:
-        # Floats alone: a law may give an int or one of numpy's, which the peer would take for a malformed packet.
-        payload = tuple(map(float, tx[0] if len(tx) == 1 else [number for message in tx for number in message]))
+        payload = self._tx.flat(tx)
         if sent is not None:
             payload += (*[number for _, U, E in sent for number in (U, E)], sent[0].T)
         session = self.session

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import pytest
 
-from teleop import At, Direct, Facts, Refused, Wave
+from teleop import At, Direct, Facts, Refused, Wave, kind
 from teleop.checks import engines
 from teleop.checks.conformance import try_conformance
 from teleop.checks.engines import try_engines
@@ -71,6 +71,45 @@ def test_a_law_that_is_in_order_passes(law: Any) -> None:
 def test_what_is_wrong_is_told_in_a_sentence(law: Any, sentence: str) -> None:
     with pytest.raises(Refused, match=sentence):
         try_conformance(law)
+
+
+class Account(NamedTuple):
+    x: kind.Sample
+    E: kind.Total
+
+
+class Work(NamedTuple):
+    E: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coupled:
+    """A spring between the ends that tells of the work of all axes, or of that of each."""
+
+    shared: float = 1.0
+    claims: ClassVar[dict[str, str]] = {}
+
+    def master_start(self, at: At) -> Any:
+        return Work(0.0), Account(at.x, 0.0)
+
+    def slave_start(self, at: At) -> Any:
+        return Work(0.0), Account(at.x, 0.0)
+
+    def master_sums(self, s: Work, at: At, rx: Any) -> Work:
+        return Work(at.f_held * at.dx)
+
+    def master(self, s: Work, at: At, rx: Any, over: Work) -> Any:
+        E = s.E + self.shared * over.E + (1.0 - self.shared) * at.f_held * at.dx
+        return 50.0 * (at.x - rx.x) + at.v, Account(at.x, E), Work(E)
+
+    def slave(self, s: Work, at: At, rx: Any) -> Any:
+        return 50.0 * (rx.x - at.x) - at.v, Account(at.x, s.E), Work(s.E - at.f_held * at.dx)
+
+
+def test_a_total_of_coupled_axes_is_one() -> None:
+    try_conformance(Coupled())
+    with pytest.raises(Refused, match=r"Coupled.master couples its axes and tells another E in each; keep one energy"):
+        try_conformance(Coupled(shared=0.0))
 
 
 class TestEngines:
