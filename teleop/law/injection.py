@@ -23,6 +23,7 @@ Delay that varies, K_d = 0. x_s(t) - x_s(t - T(t)) is the integral of v_s over T
 so the energy that the delay makes is at most that of the greatest delay, and the condition holds with the greatest
 ages, those of loss and gaps among them, as long as the newest position is held. For K_d > 0 there is no such
 bound: a velocity that is held or played twice has more energy than was sent. It takes a constant delay.
+Ticks that are left out hold a force for longer, which is not counted here.
 
 A condition on the sum of squares, 4 B_m B_s >= K^2 (T1^2 + T2^2), is in circulation; it is too weak by sqrt(2).
 """
@@ -91,7 +92,7 @@ def conditions(name: str, facts: Facts, K: float, K_d: float, B: float, cure: st
         longest = max(facts.fwd.greatest, facts.bwd.greatest)
         told.append(f"{name} with a damper K_d = {K_d:g} N s/m over the link is passive for a constant delay without "
                     f"loss alone, and what is played here is {_ages(facts)} s old{', some of it lost' * facts.lossy}: "
-                    f"K_d = 0 is the most that is; type --set law=p_d --set law.K={K:g} --set law.B="
+                    f"take K_d = 0, that is --set law=p_d --set law.K={K:g} --set law.B="
                     f"{_upwards(needed(facts, K, 0.0) or 0.0):g}, or without loss --set playout=fixed:{longest:g}")
     elif least > B * (1.0 + 1e-12):
         own_m, own_s = (0.0 if isnan(own) else own for own in (facts.damping_m, facts.damping_s))

@@ -60,7 +60,7 @@ class PositionPosition:
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
         cure = f"--set law=pd_d --set law.K={self.K:g} --set law.K_d={self.B:g} --set law.B={{:g}}"
-        return injection.conditions("position-position", facts, self.K, self.B, 0.0, cure)
+        return injection.conditions("position-position, its B as K_d,", facts, self.K, self.B, 0.0, cure)
 
     def linear(self) -> PositionPosition:
         return replace(self, rejoin=AT_ONCE)
