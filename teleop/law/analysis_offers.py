@@ -65,7 +65,13 @@ def linear_law(law: Any) -> Any | None:
 def instead(law: Any) -> str:
     """The linear law that stands for `law`, in words for a report; empty if none does."""
     own = linear_law(law)
-    return "" if own is None else f"{law_name(law)} is not linear: {described(own)} stands in its place"
+    if own is None:
+        return ""
+    if type(own) is type(law):
+        changed = [each.name for each in fields(own) if getattr(own, each.name) != getattr(law, each.name)]
+        with_these = ", ".join(f"{name}={getattr(own, name):g}" for name in changed)
+        return f"{law_name(law)} is taken with {with_these}, as it is linear" if changed else ""
+    return f"{law_name(law)} is not linear: {described(own)} stands in its place"
 
 
 def linear_hint(law: Any, lead: str) -> str:

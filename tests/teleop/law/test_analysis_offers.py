@@ -20,6 +20,7 @@ from teleop.analysis.zwidth.impedance import curves
 from teleop.analysis.zwidth.levers import levers
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.law.analysis_offers import coupling_of, described, instead, linear_law
+from teleop.laws.p_d import PDamped
 from tests.teleop.conftest import Answer
 
 Typed = Callable[..., Answer]
@@ -234,6 +235,11 @@ class TestALinearLawInItsPlace:
         assert stability(mine) == stability(scene)
         assert one_port(mine).needed == one_port(scene).needed
         assert instead(mine.law).startswith("Hardening is not linear: virtual_wall(K=400")
+
+    def test_a_law_that_offers_itself_with_another_parameter_is_said_to_be_taken_with_it(self) -> None:
+        law = PDamped(K=80.0, B=3.0)
+        assert instead(law) == "p_d is taken with rejoin=1e+12, as it is linear"
+        assert instead(law.linear()) == ""
 
     def test_a_law_without_the_offer_stands_for_itself(self) -> None:
         assert linear_law(VirtualCoupling()) is None
