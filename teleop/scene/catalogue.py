@@ -30,6 +30,7 @@ class Named(NamedTuple):
     meaning: str
     knobs: Mapping[str, Declared]
     how: str
+    made: Any = None  # the class of a law
 
 
 def names() -> dict[str, dict[str, str]]:
@@ -109,7 +110,7 @@ def _scene(name: str) -> Named:
 
 
 def _law(name: str, law: Any) -> Named:
-    return Named("law", name, _line(law), knobs_of_fields(law), f"--set law={name} --set law.NAME=VALUE")
+    return Named("law", name, _line(law), knobs_of_fields(law), f"--set law={name} --set law.NAME=VALUE", law)
 
 
 def _effects() -> Mapping[str, str]:

@@ -83,6 +83,12 @@ def _kind_of(kind: str) -> tuple[Rows, list[str]]:
     return _rows(names()[kind]), ["`teleop list NAME` shows the knobs of one of them."]
 
 
+def _laws() -> tuple[Rows, list[str]]:
+    from teleop.terminal.law_lines import law_rows
+
+    return law_rows(names()["laws"])
+
+
 def _metrics() -> tuple[Rows, list[str]]:
     from teleop.simulation.metrics import METRICS
 
@@ -122,7 +128,8 @@ def _bodies() -> tuple[Rows, list[str]]:
 
 
 TABLES: dict[str, Callable[[], tuple[Rows, list[str]]]] = {
-    **{kind: partial(_kind_of, kind) for kind in ("scenes", "laws", "around", "effects", "estimators")},
+    "scenes": partial(_kind_of, "scenes"), "laws": _laws,
+    **{kind: partial(_kind_of, kind) for kind in ("around", "effects", "estimators")},
     "metrics": _metrics, "playout": _playouts, "stages": _stages, "bodies": _bodies,
 }
 
@@ -132,6 +139,11 @@ def _told(found: Named) -> str:
     lines = [f"{found.kind} {found.name}" + (f": {found.meaning}" if found.meaning else "")]
     if found.knobs:
         lines += [_aligned(_knob_rows(found.knobs)), f"  set with: {found.how}"]
+    if found.kind == "law":
+        from teleop.terminal.law_lines import law_words
+
+        words, _ = law_words(found.made)
+        lines += ["", "what it sends, claims and keeps", *words] if words else []
     if found.kind == "scene":
         own = {name: one for name, one in WIDE.items() if name not in found.knobs}
         lines += ["", "knobs of every scene, beside --seed N, which keys every random draw of the link",
@@ -142,6 +154,10 @@ def _told(found: Named) -> str:
 def _document(found: Named) -> dict[str, Any]:
     told = {"kind": found.kind, "name": found.name, "meaning": found.meaning, "set_with": found.how,
             "knobs": [_knob(name, one) for name, one in found.knobs.items()]}
+    if found.kind == "law":
+        from teleop.terminal.law_lines import law_words
+
+        told |= law_words(found.made)[1]
     if found.kind == "scene":
         told["of_every_scene"] = [_knob(name, one) for name, one in WIDE.items() if name not in found.knobs]
     return told
