@@ -21,6 +21,7 @@ HOME = {
     "demo": "teleop.live.command:demo",
     "sweep": "teleop.sweeps.command:command",
     "tune": "teleop.studies.tune.command:command",
+    "advise": "teleop.studies.advise.command:command",
     "matrix": "teleop.sweeps.matrix:command",
     "compare": "teleop.studies.compare.command:command",
     "precision": "teleop.analysis.precision.command:command",

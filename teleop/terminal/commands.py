@@ -29,6 +29,7 @@ examples:
   teleop zwidth virtual_wall --set step=1e-5 --set friction=0.02 --plot
   teleop sweep soft_tissue --grid law=direct,wave delay=0:0.1:21 k_e=10:1e4:21:log --plot
   teleop tune wave --scene hard_wall --set delay=0.1 --budget 200
+  teleop advise --link 'delay(0.06) | uniform(0.04) | bernoulli(0.03)' --wall 2000
   teleop matrix
   teleop reproduce gil
   teleop compare --laws wave,pfra --plot
@@ -138,6 +139,8 @@ def _tune(added: ArgumentParser) -> None:
     added.add_argument("--objective", metavar="NAME", default="balanced", help="what is made least: balanced "
                        "(tracking, drag, and what is missing of the steady force at wall and hand), tracking, force or "
                        "drag; left out: balanced")
+    added.add_argument("--margin", metavar="M", type=float, default=1.0, help="the constraints are to be kept too "
+                       "where the environment is M times as stiff (knob k_e); left out: 1")
     added.add_argument("--playouts", metavar="LIST", help="playouts that are tried too, joined by commas, for example "
                        "integral,fixed:0.1:integral; left out: the scene's alone")
     added.add_argument("--engine", metavar="NAME", help="plain, scalar or vector; left out: by the amount of work")
@@ -145,6 +148,26 @@ def _tune(added: ArgumentParser) -> None:
     _out(added, "LAW-tune")
     _json(added)
     _plot(added, "tune.png")
+
+
+def _advise(added: ArgumentParser) -> None:
+    added.add_argument("--ping", metavar="FILE", help="the link as `ping -D -i 0.02 HOST > FILE` has recorded it")
+    added.add_argument("--link", metavar="SPEC", help="or the link as `teleop run` takes it; recordings are links too: "
+                       "mahimahi('up') ; mahimahi('down'), recorded('runs/hard_wall-1')")
+    added.add_argument("--wall", metavar="K_E", type=float, help="stiffness of the wall in N/m; left out: the scene's")
+    added.add_argument("--scene", metavar="SCENE", default="hard_wall", help="what is done over the link; left out: "
+                       "hard_wall, a reach into a wall that is pressed then")
+    _set_and_link(added)
+    added.add_argument("--budget", metavar="N", type=whole, help="most rows of the search, shared by the laws; left "
+                       "out: 300 for each law, 60 without the extra `batch`")
+    added.add_argument("--laws", metavar="LIST", help="laws that are tried, joined by commas; left out: all with two "
+                       "ends")
+    added.add_argument("--objective", metavar="NAME", default="balanced", help="as `teleop tune` has it; left out: "
+                       "balanced")
+    added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
+    _out(added, "advise")
+    _json(added)
+    _plot(added, "advise.png")
 
 
 def _matrix(added: ArgumentParser) -> None:
@@ -278,6 +301,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "sweep": ("Run a scene over a grid of knobs and seeds; the same command goes on where it stopped.", _sweep),
     "tune": ("Search the parameters of a law for a scene: a Latin hypercube, then a coordinate search, in a stated "
              "number of rows.", _tune),
+    "advise": ("Advise a law and its gains for a link and a wall: every law with two ends is tuned, and what speaks "
+               "against the others is said.", _advise),
     "matrix": ("Run the delay-scenario test matrix: laws, scenes, delays and losses, each row against the status "
                "expected of it.", _matrix),
     "compare": ("Compare laws over links, environments and seeds: one table, and with --plot a figure a question; the "

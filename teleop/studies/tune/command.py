@@ -23,7 +23,8 @@ def command(args: Namespace) -> Answer:
     with shown_on(None if args.json else sys.stderr, args.seconds, args.budget) as show, \
             new_folder(args.out, f"{stem}-tune") as new:
         tuned = tune_law(args.scene, args.law, args.budget, args.seed, fixed=knobs_from(args), playouts=playouts,
-                         objective=args.objective, tell=show, workers=args.workers, engine=args.engine)
+                         objective=args.objective, margin=args.margin, tell=show, workers=args.workers,
+                         engine=args.engine)
         names = tuned.names
         write_points(new.inside / "points.csv", names, tuned.tried)
         write_points(new.inside / "front.csv", names, tuned.front())

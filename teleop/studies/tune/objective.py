@@ -14,6 +14,9 @@ rigid rod of `teleop.studies.tune.rod` and about 1 for a law that does nothing:
 The value of an objective is the root mean square of its terms, so a law cannot buy a small tracking error by keeping
 the hand off the wall, nor a light hand by letting it feel nothing.
 
+With a margin m above 1 each point is run a third time, in the scene with m k_e (and m d_e): that row has to keep the
+constraints and has no term.
+
 A point is feasible if every row of it has the status ok, has come to rest where the hand has (less than `REST` of
 swing is left), and keeps each ledger that the law claims above its bound: for E_link and E_port -1e-9 J; for E_law
 minus the greatest work of one tick, f_m_max and f_env_max times the fastest motion of the rod times dt, since no law
@@ -26,17 +29,19 @@ from collections.abc import Mapping, Sequence
 from math import inf, isfinite, sqrt
 from typing import Any, NamedTuple
 
+from teleop.errors import Refused, nearest
+from teleop.law.offers import LEDGERS, claims_of
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.studies.tune.rod import Rod
 from teleop.terminal.units import si
 
-FREE = "free"  # the row of a point in free space
-SCENE = "scene"
+SCENE, FREE, STIFF = "scene", "free", "stiff"  # the rows of a point: as it is, in free space, m times as stiff
+WHERE = {SCENE: "", FREE: " in free space", STIFF: " against the stiffer environment of the margin"}
 ROUNDING = 1e-9  # J
 REST = 1e-3  # m peak to peak: what jitter and loss may move at rest, as `teleop.simulation.rest` has it
-MEASURES = ("swing_end", "x_err_rms", "f_err_rms", "f_m_max", "f_env_max", "f_m_end", "f_env_end")
-LEDGERS = ("E_link", "E_port", "E_law")
+MEASURES = ("swing_end", "x_err_rms", "f_err_rms", "f_m_max", "f_env_max", "f_m_end", "f_env_end",
+            "felt_stiffness", "felt_mass", "felt_drag")
 
 
 class Objective(NamedTuple):
@@ -58,6 +63,13 @@ OBJECTIVES = {
 }
 
 
+def objective_named(name: str) -> Objective:
+    """The objective of that name. Raises `Refused` with the nearest one."""
+    if name not in OBJECTIVES:
+        raise Refused(f"there is no objective {name!r}; {nearest(name, OBJECTIVES)}")
+    return OBJECTIVES[name]
+
+
 class Score(NamedTuple):
     """What a point came to. Feasible if `broken` is empty."""
 
@@ -65,7 +77,8 @@ class Score(NamedTuple):
     broken: str  # the constraint that is broken most, as a sentence
     amount: float  # by which; 0.0 if feasible
     terms: Mapping[str, float]
-    rows: Mapping[str, Mapping[str, Any]]  # the last row of the scene and of free space
+    figures: Mapping[str, Mapping[str, float]]  # of each task the metrics, means over the seeds
+    values: tuple[float, ...] = ()  # of the objective, seed by seed
 
     @property
     def order(self) -> tuple[float, float]:
@@ -75,7 +88,7 @@ class Score(NamedTuple):
 
 def measures_of(law: Any) -> tuple[str, ...]:
     """The metrics that rows of a law need."""
-    ledgers = [f"{ledger}_min" for ledger in LEDGERS if ledger in getattr(law, "claims", ())]
+    ledgers = [f"{ledger}_min" for ledger in LEDGERS if ledger in claims_of(law)]
     return tuple([name for name in (*MEASURES, *ledgers) if name in UNITS])
 
 
@@ -83,7 +96,7 @@ def score(objective: Objective, rods: Mapping[str, Rod], scene: Scene, rows: Seq
           ) -> Score:
     """The score of a point by its rows, each with its task: a term is the root mean square over tasks and seeds.
 
-    `rods`: of each task, `SCENE` and `FREE`.
+    `rods`: of each task.
     """
     found: dict[str, list[float]] = {}
     worst, why = 0.0, ""
@@ -98,7 +111,23 @@ def score(objective: Objective, rods: Mapping[str, Rod], scene: Scene, rows: Seq
     value = root_mean_square(wanted) if wanted else inf
     if worst == 0.0 and not isfinite(value):
         worst, why = 1.0, "a figure of the run is not finite"
-    return Score(value, why, worst, terms, dict(rows))
+    return Score(value, why, worst, terms, {task: _means([row for other, row in rows if other == task])
+                                           for task, _ in rows})
+
+
+def _means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """The mean of each metric over the rows that have it."""
+    found = {name: [float(row[name]) for row in rows if name in row] for name in UNITS}
+    return {name: sum(values) / len(values) for name, values in found.items() if values}
+
+
+def over_seeds(objective: Objective, rods: Mapping[str, Rod], scene: Scene,
+               rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Score:
+    """As `score`, with the value of each seed by itself."""
+    seeds = dict.fromkeys(row["seed"] for _, row in rows)
+    each = [score(objective, rods, scene, [(task, row) for task, row in rows if row["seed"] == seed]).value
+            for seed in seeds]
+    return score(objective, rods, scene, rows)._replace(values=tuple(each))
 
 
 def root_mean_square(values: Sequence[float]) -> float:
@@ -109,7 +138,7 @@ def root_mean_square(values: Sequence[float]) -> float:
 def _terms(task: str, row: Mapping[str, Any], rods: Mapping[str, Rod]) -> dict[str, float]:
     """The terms that a row has; a figure that it lacks is not finite."""
     rod = rods[SCENE]
-    if row["status"] == "refused":
+    if row["status"] == "refused" or task == STIFF:
         return {}
 
     def figure(name: str) -> float:
@@ -130,7 +159,7 @@ def _terms(task: str, row: Mapping[str, Any], rods: Mapping[str, Rod]) -> dict[s
 
 def _broken(row: Mapping[str, Any], scene: Scene, rod: Rod, task: str) -> tuple[float, str]:
     """By how much a row breaks a constraint, 0.0 if it keeps them all; and a sentence. The sooner it ends, the more."""
-    where = " in free space" if task == FREE else ""
+    where = WHERE[task]
     status = row["status"]
     if status == "refused":
         return 4.0, f"refused: {row.get('sentence', '')}"
@@ -143,7 +172,7 @@ def _broken(row: Mapping[str, Any], scene: Scene, rod: Rod, task: str) -> tuple[
         return 1.4 + min(0.1, left), f"a swing of {si(left, 'm')} is left at the end{where}"
     for ledger in LEDGERS:
         least = row.get(f"{ledger}_min")
-        if least is not None and ledger in scene.law.claims and not least >= -_allowed(ledger, row, scene, rod):
+        if least is not None and ledger in claims_of(scene.law) and not least >= -_allowed(ledger, row, scene, rod):
             return 1.0 + min(0.3, abs(least)), f"the claim is broken: {ledger} falls to {si(least, 'J')}{where}"
     return 0.0, ""
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from math import log
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, enumerated, nearest
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law import law_name
+from teleop.law.offers import seed_energy, stores
 from teleop.sweeps.grid import Range
 
 FACTOR = 30.0  # on either side of the default, where a knob has no bound
@@ -27,7 +29,8 @@ def ranges_of(law: Any, fixed: Collection[str] = ()) -> Ranges:
     A knob whose value is above 0 goes by equal ratios, from 1/30 of its value, or its lower bound, to 30 times that, or
     its upper bound. One with a lower bound of 0, or below, and an upper one goes evenly from one to the other, if its
     value is a tenth of that range or more, or the lower bound itself. One whose value is 0 and that has no upper bound
-    goes evenly from 0 to the greatest value among the law's knobs of its unit, and stays if there is none. Raises
+    goes evenly from 0 to the greatest value among the law's knobs of its unit, and stays if there is none. So does one
+    that the law's seed energy, E_law(0), depends on: what is given out unpaid is not for tuning. Raises
     `Refused` for a law that has no number to turn, and for a name in `fixed` that it has not.
     """
     knobs = {name: each for name, each in knobs_of_fields(type(law)).items() if each.kind is float}
@@ -42,6 +45,9 @@ def ranges_of(law: Any, fixed: Collection[str] = ()) -> Ranges:
         if f"law.{name}" in fixed:
             stay[name] = "as set"
             continue
+        if _seeds_energy(law, name):
+            stay[name] = f"{values[name]:g}: the energy that the law may give out unpaid depends on it"
+            continue
         span = _range(each, values[name], [values[other] for other, one in knobs.items()
                                            if other != name and one.knob.unit == each.knob.unit != ""])
         if span is None:
@@ -53,6 +59,16 @@ def ranges_of(law: Any, fixed: Collection[str] = ()) -> Ranges:
         raise Refused(f"law {law_name(law)} has nothing to tune ({why}); run it as it is: teleop run SCENE "
                       f"--set law={law_name(law)}")
     return Ranges(turned, stay)
+
+
+def _seeds_energy(law: Any, name: str) -> bool:
+    """True if the energy that the law begins with depends on this number: more of it is no better law."""
+    value = getattr(law, name)
+    try:
+        return stores(law) and any(seed_energy(replace(law, **{name: other})) != seed_energy(law)
+                                   for other in (0.5 * value, value + 1e-3))
+    except Refused:  # that is out of bounds
+        return False
 
 
 def _range(each: Declared, value: float, alike: list[float]) -> Range | None:

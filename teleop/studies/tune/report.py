@@ -35,6 +35,8 @@ def text(tuned: Tuned) -> str:
                   f"{number_of(tuned.rows, 'row')} of {tuned.budget}, {number_of(len(tuned.tried), 'point')}, "
                   f"seed {tuned.seed}, engine {tuned.engine}"),
         ("objective", f"{tuned.objective}: {goal.sentence}"),
+        *[("margin", f"the constraints are kept too where the environment is {tuned.margin:g} times as stiff")
+          ] * (tuned.margin > 1.0),
     ]
     if tuned.feasible:
         own = "" if tuned.default is None else f" ({_value(tuned.default)} with the law's own parameters)"
@@ -71,10 +73,8 @@ def at_edge(tuned: Tuned) -> list[str]:
 
 
 def figure(found: Score, task: str, metric: str) -> float | None:
-    """A figure of the point's last row of a task; of a scene without contact, its own row is that of free space."""
-    row = found.rows.get(task) or found.rows.get(SCENE, {})
-    value = row.get(metric)
-    return None if value is None else float(value)
+    """A figure of a task, mean over the seeds; of a scene without contact, its own is that of free space."""
+    return (found.figures.get(task) or found.figures.get(SCENE, {})).get(metric)
 
 
 def _figures(tuned: Tuned) -> str:
@@ -102,7 +102,8 @@ def document(tuned: Tuned, typed: Sequence[str]) -> dict[str, Any]:
         **head(status="done" if tuned.feasible else "infeasible", sentence=sentence, scene=tuned.scene, mode="tune",
                parameters=tuned.settings, seed=tuned.seed, command=typed, dt=None),
         "law": tuned.law, "objective": tuned.objective, "says": OBJECTIVES[tuned.objective].sentence,
-        "budget": tuned.budget, "rows": tuned.rows, "points": len(tuned.tried), "engine": tuned.engine,
+        "margin": tuned.margin, "budget": tuned.budget, "rows": tuned.rows, "points": len(tuned.tried),
+        "engine": tuned.engine,
         "best": dict(tuned.best), **_document_of(tuned.score),
         "own": None if tuned.default is None else _document_of(tuned.default),
         "ranges": {name: [span.low, span.high] for name, span in tuned.ranges.turned.items()},
@@ -116,8 +117,9 @@ def document(tuned: Tuned, typed: Sequence[str]) -> dict[str, Any]:
 def _document_of(found: Score) -> dict[str, Any]:
     return {"value": finite(found.value), "broken": found.broken,
             "terms": {name: finite(value) for name, value in found.terms.items()},
-            "figures": {task: {name: finite(value) for name, value in row.items() if name in UNITS}
-                        for task, row in found.rows.items()}}
+            "values": [finite(value) for value in found.values],
+            "figures": {task: {name: finite(value) for name, value in row.items()}
+                        for task, row in found.figures.items()}}
 
 
 def write_points(path: Path, names: Sequence[str], points: Iterable[tuple[Mapping[str, Any], Score]]) -> None:

@@ -1,7 +1,8 @@
 """The search for a law's parameters: a Latin hypercube, then a coordinate search, with a stated number of rows.
 
-1. The first points are the law's own parameters, those that the scene gives this law, and those of a Latin hypercube
-   (McKay, Beckman & Conover 1979), until half of the rows are spent.
+1. The first points are the law's own parameters, those that it fits to link and bodies where it offers that, those that
+   the scene gives this law, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until half of the rows are
+   spent.
 2. From the best point a coordinate search (compass search: Kolda, Lewis & Torczon, SIAM Review 45, 2003): all points
    one step up and down in each parameter, at once; the best of them is the next place if it is better, and one more
    step is tried along the way that led there; if none is, the step is halved. Steps are parts of each parameter's
@@ -20,13 +21,24 @@ from dataclasses import dataclass
 from math import inf
 from typing import Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, number
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
-from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Objective, Score, measures_of, score
+from teleop.simulation.facts import fitted
+from teleop.studies.tune.objective import (
+    FREE,
+    OBJECTIVES,
+    SCENE,
+    STIFF,
+    Score,
+    measures_of,
+    objective_named,
+    over_seeds,
+    score,
+)
 from teleop.studies.tune.ranges import Ranges, at, part, ranges_of
 from teleop.studies.tune.rod import Rod, rod
 from teleop.sweeps.engine import choose
@@ -57,10 +69,19 @@ class Tuned:
     default: Score | None = None  # of the law's own parameters
     tried: tuple[tuple[Mapping[str, Any], Score], ...] = ()  # every point, in the order in which they were run
     rod: Rod
+    margin: float
     budget: int
     rows: int  # that were run
     seed: int
     engine: str
+    measures: tuple[str, ...]  # the metrics of each row
+    tasks: Mapping[str, Mapping[str, Any]]  # the rows of a point, with the knobs that each sets
+    rods: Mapping[str, Rod]
+
+    @property
+    def knobs(self) -> dict[str, Any]:
+        """The knobs of the best point, as `load_scene` takes them: law, link and playout among them."""
+        return {**self.fixed, "law": self.law, **self.best}
 
     @property
     def feasible(self) -> bool:
@@ -94,30 +115,50 @@ class Tuned:
 
 def tune_law(
     scene: str, law: str, budget: int, seed: int = 0, *, fixed: Mapping[str, object] | None = None,
-    objective: str = "balanced", playouts: Sequence[str] = (), tell: Tell | None = None, workers: int | None = None,
-    engine: str | None = None,
+    objective: str = "balanced", margin: float = 1.0, playouts: Sequence[str] = (), tell: Tell | None = None,
+    workers: int | None = None, engine: str | None = None,
 ) -> Tuned:
     """Search the parameters of `law` (as `--set law=` takes it) in `scene`, in at most `budget` rows of a sweep.
 
     `fixed`: knobs of the scene that are set, the link among them; a knob of the law that is set is not turned.
-    `playouts`: texts that the playout may be, tried as a further parameter; left out, the scene's. `seed`: keys the
-    hypercube, and is the first seed of the link. `tell` is told of rows done. The search is by seed; the check runs
-    seed + 1, seed + 2, ... Raises `Refused`.
+    `margin`: by which factor the environment may be stiffer (knob k_e) with all constraints still kept; 1: none is
+    asked for. `playouts`: texts that the playout may be, tried as a further parameter; left out, the scene's. `seed`:
+    keys the hypercube, and is the first seed of the link. `tell` is told of rows done. The search is by seed; the check
+    runs seed + 1, seed + 2, ... Raises `Refused`.
     """
-    return _Search(scene, law, budget, seed, dict(fixed or {}), objective, tuple(playouts), tell, workers, engine).run()
+    return _Search(scene, law, budget, seed, dict(fixed or {}), objective, margin, tuple(playouts), tell, workers,
+                   engine).run()
+
+
+def judged(tuned: Tuned, changes: Sequence[Mapping[str, Any]], *, tasks: Sequence[str] = (SCENE, FREE),
+           workers: int | None = None) -> tuple[list[Score], int]:
+    """The scores of the best point with knobs changed besides, the same ones in each; and how many rows that took.
+
+    With the first seed of the search. Few rows, so they run by `plain`.
+    """
+    turned = tuple(changes[0])
+    run = [task for task in tasks if task in tuned.tasks]
+    of_task = tuple(name for name in tuned.tasks[SCENE] if name not in turned)
+    rows = [(*change.values(), *(tuned.tasks[task][name] for name in of_task)) for change in changes for task in run]
+    fixed = {key: value for key, value in tuned.knobs.items() if key not in (*turned, *of_task)}
+    plan = plan_sweep(tuned.scene, grid({(*turned, *of_task): rows}, [tuned.seed]), metrics=list(tuned.measures),
+                      fixed=fixed, engine="plain")
+    table = [*carry_out(plan, workers=workers)]
+    scene = load_scene(tuned.scene, **tuned.knobs)
+    return [score(OBJECTIVES[tuned.objective], tuned.rods, scene, [*zip(run, table[i:i + len(run)], strict=True)])
+            for i in range(0, len(table), len(run))], len(table)
 
 
 class _Search:
     """One search: what is turned, how points become rows, and the rows that are left."""
 
     def __init__(self, scene: str, law: str, budget: int, seed: int, fixed: dict[str, object], objective: str,
-                 playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None) -> None:
-        if objective not in OBJECTIVES:
-            raise Refused(f"there is no objective {objective!r}; {nearest(objective, OBJECTIVES)}")
+                 margin: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None
+                 ) -> None:
         if "law" in fixed:
             raise Refused(f"law={fixed['law']} is set beside the law that is tuned, {law}; leave one of them out")
         self.name, self.law, self.budget, self.seed, self.tell = scene, law, budget, seed, tell
-        self.goal: Objective = OBJECTIVES[objective]
+        self.goal = objective_named(objective)
         self.objective = objective
         known = knobs_of(scene_function(scene))
         if "energy" in known and "energy" not in fixed:
@@ -133,15 +174,23 @@ class _Search:
         self.soft = {knob: value for knob, value in SOFT.items() if knob in known} if "k_e" in known else {}
         if self.rod.pressed == 0.0:
             self.soft = {}
-        self.tasks = (SCENE, FREE) if self.soft else (SCENE,)
+        self.margin = number("margin", margin, low=1.0)
+        if margin > 1.0 and not self.soft:
+            raise Refused(f"a margin of {margin:g} is that of the environment's stiffness, and scene {scene} has no "
+                          "knob k_e that sets one it touches; leave --margin out")
+        own: dict[str, Any] = {knob: self.scene.knobs[knob] for knob in self.soft}
+        self.tasks: dict[str, dict[str, Any]] = {SCENE: own}  # with the knobs that they set
         self.rods = {SCENE: self.rod}
         if self.soft:
+            self.tasks[FREE] = self.soft
             self.rods[FREE] = rod(load_scene(scene, **{**fixed, "law": law, **self.soft}))
-        self.hard = {knob: self.scene.knobs[knob] for knob in self.soft}
+        if margin > 1.0:
+            self.tasks[STIFF] = {knob: margin * value for knob, value in own.items()}
+            self.rods[STIFF] = self.rod
         self.measures = measures_of(self.scene.law)
         if budget < len(self.tasks):
             raise Refused(f"a budget of {budget} is less than the {len(self.tasks)} rows that one point of the search "
-                          f"takes (in the scene, and in free space); write for example --budget 200")
+                          f"takes ({', '.join(self.tasks)}); write for example --budget 200")
         self.engine = engine or choose(None, self.scene, max(budget, 16), self.measures)[0]
         self.engine = "scalar" if self.engine == "vector" and engine is None else self.engine
         self.workers = workers
@@ -152,7 +201,7 @@ class _Search:
         each = len(self.tasks)
         random = (self.scene.link is not None and varies(self.scene.link)) or any(
             self.scene.leaves_out(e) is not None for e in ("m", "s"))
-        checks = min(CHECKED * SEEDS * each, self.budget // 4 // each * each) if random else 0
+        checks = min(CHECKED * SEEDS * each, self.budget // 3 // each * each) if random else 0
         self.left = (self.budget - checks) // each  # points
         own, *others = dict.fromkeys(map(self._of_law, self._laws()))
         self._try([own, *others, *self._drawn(max(1, int(LATIN * self.left)) - 1 - len(others))])
@@ -165,13 +214,15 @@ class _Search:
                      ranges=self.ranges, best=self._values(best), score=found,
                      default=self.scores[own],
                      tried=tuple([(self._values(point), each) for point, each in self.scores.items()]), rod=self.rod,
-                     budget=self.budget, rows=self.rows, seed=self.seed, engine=self.engine)
+                     margin=self.margin, budget=self.budget, rows=self.rows, seed=self.seed, engine=self.engine,
+                     measures=self.measures, tasks=self.tasks, rods=self.rods)
 
     def _laws(self) -> list[Any]:
-        """The law as it is, and as the scene has it, if that is of its kind."""
+        """The law as it is, as it fits itself to link and bodies, and as the scene has it, if that is of its kind."""
         by_scene = load_scene(self.name, **{key: value for key, value in self.fixed.items()
                                             if not key.startswith("law.")}).law
-        return [self.scene.law, *[each for each in [by_scene] if type(each) is type(self.scene.law)]]
+        fitting = fitted(self.scene, self.seed).law
+        return [self.scene.law, fitting, *[each for each in [by_scene] if type(each) is type(self.scene.law)]]
 
     def _of_law(self, law: Any) -> Point:
         return self._place({name: getattr(law, name.removeprefix("law.")) for name in self.ranges.turned})
@@ -206,8 +257,7 @@ class _Search:
         if not points:
             return []
         names = (*self.names, *self.soft)
-        rows = [(*point, *(self.hard if task == SCENE else self.soft).values())
-                for point in points for task in self.tasks]
+        rows = [(*point, *knobs.values()) for point in points for knobs in self.tasks.values()]
         axes: Grid = grid({names: rows}, seeds)
         fixed = {**{key: value for key, value in self.fixed.items() if key not in self.soft}, "law": self.law}
         plan = plan_sweep(self.name, axes, metrics=list(self.measures), fixed=fixed, engine=self.engine)
@@ -216,9 +266,9 @@ class _Search:
         show = None if tell is None else lambda done, _: tell(before + done, self.law)
         found = [*carry_out(plan, workers=self.workers, show=show)]
         self.rows += len(found)
-        per = len(self.tasks) * len(seeds)
-        return [score(self.goal, self.rods, self.scene, [
-            (self.tasks[i // len(seeds)], row) for i, row in enumerate(found[n * per:(n + 1) * per])])
+        tasks, per = [*self.tasks], len(self.tasks) * len(seeds)
+        return [over_seeds(self.goal, self.rods, self.scene, [
+            (tasks[i // len(seeds)], row) for i, row in enumerate(found[n * per:(n + 1) * per])])
             for n in range(len(points))]
 
     def _refine(self) -> None:

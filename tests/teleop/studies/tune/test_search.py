@@ -46,7 +46,7 @@ def test_another_seed_tries_other_points(found: Tuned) -> None:
 
 def test_the_settings_that_are_printed_run_the_row_that_was_judged(found: Tuned) -> None:
     result = run(load_scene("hard_wall", **found.settings))
-    row = found.score.rows["scene"]
+    row = found.score.figures["scene"]
     assert {name: result.metrics[name] for name in ("x_err_rms", "f_m_end", "f_env_end", "E_link_min")} == {
         name: row[name] for name in ("x_err_rms", "f_m_end", "f_env_end", "E_link_min")}
 

@@ -1,0 +1,72 @@
+"""What `teleop advise` does."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from importlib.util import find_spec
+
+from teleop.errors import Refused
+from teleop.scene.knobs import check_text, knobs_of
+from teleop.scene.library import scene_function
+from teleop.storage.folder import new_folder
+from teleop.storage.strict_json import write_document
+from teleop.studies.advise.advice import advise, two_port_laws
+from teleop.studies.advise.report import document, text, write_laws
+from teleop.terminal.answer import Answer
+from teleop.terminal.options import knobs_from
+from teleop.terminal.plotting import asked_formats
+from teleop.terminal.progress import shown_on
+
+ROWS, PLAIN_ROWS = 300, 60  # of each law where none are asked for: compiled, and without the extra `batch`
+
+
+def command(args: Namespace) -> Answer:
+    """Advise a law, and leave summary.json, laws.csv and a plot in a new folder. Raises `Refused`."""
+    formats = asked_formats(args)
+    began = args.seconds()
+    laws = two_port_laws() if args.laws is None else [one.strip() for one in args.laws.split(",") if one.strip()]
+    if not laws:
+        raise Refused("--laws names none; write for example --laws wave,pfra, or leave it out for all")
+    for law in laws:
+        check_text("law", law, {})
+    knobs = _knobs(args)
+    compiled = find_spec("numba") is not None
+    each = max(1, args.budget // len(laws)) if args.budget is not None else ROWS if compiled else PLAIN_ROWS
+    with shown_on(None if args.json else sys.stderr, args.seconds, each * len(laws)) as show, \
+            new_folder(args.out, "advise") as new:
+        found = advise(args.scene, each, fixed=knobs, laws=laws, objective=args.objective, seed=args.seed, tell=show,
+                       workers=args.workers)
+        seconds = args.seconds() - began
+        told = document(found, args.typed, seconds)
+        page = text(found, seconds)
+        plots = []
+        if formats:
+            from teleop.studies.advise.plot import draw
+
+            plots = draw(found, new.inside / "advise", formats)
+        write_laws(new.inside / "laws.csv", found)
+        (new.inside / "advice.txt").write_text(page + "\n")
+        write_document(new.inside / "summary.json", told)
+    return Answer(page, told).kept_in(new.path).with_plots(new.path, plots)
+
+
+def _knobs(args: Namespace) -> dict[str, object]:
+    """The knobs that are set, with the link and the wall among them. Raises `Refused`."""
+    knobs: dict[str, object] = dict(knobs_from(args))
+    if args.ping is not None and args.link is not None:
+        raise Refused("--ping and --link both give the link; leave one of them out")
+    if args.ping is not None:
+        quote = '"' if "'" in args.ping else "'"
+        knobs["link"] = f"ping_log({quote}{args.ping}{quote})"
+    if "link" not in knobs:
+        raise Refused("no link is given; write --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)', or --ping FILE "
+                      "with what `ping -D -i 0.02 HOST > FILE` has recorded")
+    if args.wall is not None:
+        if "k_e" not in knobs_of(scene_function(args.scene)):
+            raise Refused(f"scene {args.scene} has no knob k_e for --wall to set; leave it out, or take another scene, "
+                          "for example hard_wall or soft_tissue")
+        if "k_e" in knobs:
+            raise Refused("--wall and --set k_e both give the stiffness of the wall; leave one of them out")
+        knobs["k_e"] = args.wall
+    return knobs

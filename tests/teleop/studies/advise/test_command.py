@@ -1,0 +1,63 @@
+"""`teleop advise`, as it is typed."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from teleop.__main__ import main
+
+LINK = ["--link", "delay(0.03) | bernoulli(0.03)"]
+QUICK = ["--set", "duration=3", "--laws", "wave,direct", "--budget", "24", "--workers", "1"]
+LOG = "".join(f"[170000000{i // 10}.{i % 10}00000] 64 bytes from 192.0.2.1: icmp_seq={i} ttl=57 "
+              f"time={60 + i % 3}.0 ms\n" for i in range(1, 60) if i % 20)
+
+
+def test_a_ping_log_and_a_wall_are_answered_in_a_page_and_a_figure(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "ping.txt"
+    log.write_text(LOG)
+    assert main(["advise", "--ping", str(log), "--wall", "2000", *QUICK, "--out", str(tmp_path / "a"), "--plot"]) == 0
+    told = capsys.readouterr().out
+    assert "30.5 ms median" in told
+    assert (tmp_path / "a/advice.txt").read_text() in told
+    document = json.loads((tmp_path / "a/summary.json").read_text())
+    assert document["rows"] >= 24
+    assert {one["law"] for one in document["laws"]} == {"wave", "direct"}
+    with (tmp_path / "a/laws.csv").open() as file:
+        assert [row["law"] for row in csv.DictReader(file)] == [one["law"] for one in document["laws"]]
+    assert (tmp_path / "a/advise.png").stat().st_size > 10_000
+    assert f"ping_log('{log}')" in " ".join(document["run"])
+
+
+@pytest.mark.parametrize(("typed", "why"), [
+    (["--wall", "2000"], "no link is given"),
+    ([*LINK, "--ping", "p.txt"], "leave one of them out"),
+    (["--ping", "no-such-file.txt"], "no-such-file.txt cannot be read"),
+    ([*LINK, "--scene", "free_motion", "--wall", "5"], "has no knob k_e"),
+    ([*LINK, "--wall", "5", "--set", "k_e=5"], "both give the stiffness"),
+    ([*LINK, "--laws", "wavee"], "did you mean wave"),
+    ([*LINK, "--laws", ","], "names none"),
+    ([*LINK, "--wall", "-5"], "k_e must be at least 0"),
+    ([*LINK, "--budget", "0"], "at least 1"),
+    ([*LINK, "--objective", "x"], "objective"),
+    (["--link", "dely(0.1)"], "did you mean delay"),
+])
+def test_a_wrong_request_is_one_sentence_and_leaves_nothing(
+        typed: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["advise", "--out", str(tmp_path / "a"), *typed]) == 2
+    told = capsys.readouterr().err
+    assert why in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_log_with_text_in_it_is_refused_with_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "ping.txt"
+    log.write_text(LOG.replace("icmp_seq=7 ", "icmp_seq "))
+    assert main(["advise", "--ping", str(log), *QUICK, "--out", str(tmp_path / "a")]) == 2
+    assert "ping.txt, line 7: " in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()
