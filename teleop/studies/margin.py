@@ -1,0 +1,169 @@
+"""How far a scene's gains are from instability: the gain margin and the delay margin of its linear loop.
+
+    margin(load_scene("hard_wall", law="direct"))                        # Margin(gain=..., delay=...)
+    sweep("hard_wall", {"law.K": [100.0, 1000.0]}, metrics=[gain_margin, delay_margin])
+
+They are those of `teleop.analysis.stability`, exact for a linear scene over a constant delay. What is not linear in a
+scene, and changes nothing about small motion, is left out, and each thing that is taken for another is named in
+`assumed`:
+
+- a law that is not linear: the linear law that it offers (`linear`, see `teleop.law.analysis_offers`);
+- a wall: bonded to it, and free of it. The lesser of the two margins counts, as the slave is in and out;
+- a link that varies: a constant delay each way, the median age of the messages that a run plays, with the queue that a
+  playout keeps; ticks that are left out and forces that are renewed every few ticks: run at every tick;
+- force caps, encoders, Coulomb friction, a passivity controller: left out.
+
+A loop of waves that resonates at every delay has a gain margin near 1 although it is passive: it is its damping that
+keeps it stable, and no gain is to spare. A margin is no proof either: chattering at a wall and what jitter makes are
+not in it, for which there is `status`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf, nan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.stability.assess import stability
+from teleop.errors import Refused
+from teleop.law import find_law
+from teleop.physics.plant import MassDamper, Plant, spring_damper
+from teleop.scene.knobs import knobs_of
+from teleop.scene.library import import_bundled, scene_function
+from teleop.scene.loading import load_scene
+from teleop.scene.playout import Integral, Scaled, Zero, gaps_of
+from teleop.scene.scene import Scene
+from teleop.simulation.plan import link_plans, median_age
+
+if TYPE_CHECKING:
+    from teleop.simulation.result import Result
+
+
+class Margin(NamedTuple):
+    """The margins of a scene. Where it has none that can be told, both are NaN and `why` says why."""
+
+    gain: float  # factor on the loop's gain that makes it unstable, below 1 that makes it stable; inf: none does
+    delay: float  # s that may be added to the round trip, below 0 what is to be taken away; inf: any
+    where: str = ""  # of the lesser gain margin: "in contact" or "free"; empty where there is no such difference
+    assumed: tuple[str, ...] = ()
+    why: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bond:
+    """A wall that is never left: a spring (N/m) and a damper (N s/m)."""
+
+    k: float
+    d: float
+
+    def plant(self, body: MassDamper, dt: float) -> Plant:
+        """Exact step of a body bonded to it."""
+        return spring_damper(body, dt, k=self.k, d=self.d, at=0.0)
+
+
+def margin(scene: Scene, *, seed: int = 0) -> Margin:
+    """The margins of a scene with two ends, or of a device that renders by itself. `seed`: of its link."""
+    own, assumed = linearised(scene, seed)
+    found: list[tuple[float, float, str]] = []
+    why = ""
+    for where, each in _modes(own):
+        try:
+            told = stability(each, seed=seed)
+        except Refused as refused:
+            why = f"{where}: {refused}" if where else str(refused)
+            continue
+        delay = inf if told.delay_margin is None else told.delay_margin * told.dt
+        gain = told.gain_margin
+        if gain is None:
+            gain = 0.0 if told.verdict == "unstable" else inf
+        found.append((gain, delay, where))
+    if why:
+        return Margin(nan, nan, "", assumed, why)
+    worst = min(found)
+    return Margin(worst[0], min(each[1] for each in found), worst[2], assumed)
+
+
+def gain_margin(result: Result) -> float:
+    """The gain margin of the scene of a run, as a metric of a sweep; NaN where it has none that can be told."""
+    return margin(_scene_of(result), seed=result.seed or 0).gain
+
+
+def delay_margin(result: Result) -> float:
+    """The delay margin (s) of the scene of a run, as a metric of a sweep; NaN where it has none that can be told."""
+    return margin(_scene_of(result), seed=result.seed or 0).delay
+
+
+def _scene_of(result: Result) -> Scene:
+    """The scene that a run of an installed scene and law was made from."""
+    own = knobs_of(scene_function(result.scene))
+    # What JSON cannot hold is there as its text, which says no more than that it is as the scene has it by itself.
+    knobs: dict[str, Any] = {name: value for name, value in result.parameters.items()
+                             if name not in own or value != str(own[name].default)}
+    law = knobs.pop("law")
+    if "file" in law:
+        raise Refused(f"the law of this run is in {law['file']}; give margin() its scene")
+    numbers = {name: value for name, value in law.items() if name != "name"}
+    return load_scene(result.scene, **knobs, law=find_law(law["name"])(**numbers))
+
+
+def linearised(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
+    """The scene without what is not linear and changes nothing about small motion, and what was taken for another."""
+    own, assumed = scene, []
+    for name in ("device_m", "device_s"):
+        device = getattr(own, name)
+        if device is None:
+            continue
+        if device.every > 1:
+            assumed.append(f"{name} renews its force at every tick")
+        own = replace(own, **{name: replace(device, encoder=None, every=1)})
+    own = replace(own, cap=None, passivity=None, master=replace(own.master, friction=0.0))
+    if own.slave is None:
+        return own, tuple(assumed)
+    own = replace(own, slave=replace(own.slave, friction=0.0))
+    ages = _median_ages(scene, seed)
+    if ages is not None:
+        seconds = [ticks * scene.dt_ns / 1e9 for ticks in ages]
+        fwd, bwd = seconds
+        assumed.append(f"the link delays by {fwd:g} s and {bwd:g} s, its median ages")
+        gaps = gaps_of(scene.played_as)
+        playout = gaps if isinstance(gaps, Scaled) else Zero()
+        link = import_bundled("channel.link").parse_link(f"delay({fwd!r}) ; delay({bwd!r})")
+        own = replace(own, link=link, playout=playout, left_out_m=None, left_out_s=None)
+    return own, tuple(assumed)
+
+
+def _median_ages(scene: Scene, seed: int) -> Sequence[int] | None:
+    """The ticks that a message takes each way, at least one; None where each takes the same anyway."""
+    from teleop.analysis.models.linear import link_ticks
+
+    queue = scene.wave_playout.target if isinstance(scene.wave_playout, Integral) else 0.0
+    left_out = scene.leaves_out("m") is not None or scene.leaves_out("s") is not None
+    if not left_out and queue == 0.0:
+        try:
+            link_ticks(scene, seed)
+        except Refused:
+            pass
+        else:
+            return None
+    more = round(queue * 1e9 / scene.dt_ns)
+    return [more + max(1, 1 if plan is None else median_age(plan.played_at)) for plan in link_plans(scene, seed)]
+
+
+def _modes(scene: Scene) -> list[tuple[str, Scene]]:
+    """The scene in contact with its walls and free of them; itself where it has none."""
+    still: list[Any] = [getattr(each, "environment", each) for each in scene.environments]
+    if scene.slave is None or not any(_is_wall(each) for each in still):
+        return [("", scene)]
+    bonded = [Bond(k=each.k, d=each.d) if _is_wall(each) else each for each in still]
+    free = [None if _is_wall(each) else each for each in still]
+    return [("in contact", replace(scene, environment=tuple(bonded))),
+            ("free", replace(scene, environment=tuple(free)))]
+
+
+def _is_wall(environment: Any) -> bool:
+    """True of a spring and damper that fills one side, with some stiffness or damping."""
+    known = all(hasattr(environment, name) for name in ("k", "d", "side"))
+    return known and (environment.k > 0.0 or environment.d > 0.0)
+
+
