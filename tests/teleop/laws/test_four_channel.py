@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from channel.delay import Delay
-from teleop import Refused, Scene, check_law
+from teleop import Refused, Scene, check_law, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port
 from teleop.law import At
 from teleop.law.offers import Delay as Age
@@ -83,6 +84,15 @@ def test_between_equal_ends_it_is_passive_without_delay_and_active_with_any() ->
     for T in (0.5e-3, 0.005, 0.05, 0.5):
         assert ports(law, T, f, SLAVE, SLAVE).eta.min() < 0.99
         assert ports(law, T, f).eta.min() < 0.99
+
+
+@pytest.mark.parametrize(("C6", "bounded"), [(1.2, True), (1.3, False)])
+def test_a_sensor_that_feels_the_hands_mass_makes_a_loop_of_its_share(C6: float, bounded: bool) -> None:
+    """C6 m_h/(M_m + m_h) is 0.96 and 1.04 with 0.4 kg of hand at 0.1 kg of master; the force turns at each tick."""
+    scene = load_scene("free_motion", law=FourChannel(C6=C6), delay=0.0)
+    got = run(replace(scene, observer=None, duration=0.5)).trace["f_m"]
+    assert (abs(got).max() < 10.0) == bounded
+    assert bounded or got[-1] * got[-2] < 0.0
 
 
 def test_it_says_that_it_is_active_with_delay() -> None:
