@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.metadata
 import json
 import os
@@ -45,7 +46,7 @@ def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.usefixtures("installed")
 class TestALawOfAPlugIn:
     def test_keeps_the_contract_of_laws(self) -> None:
-        check_law(find_law("springs")())
+        check_law(find_law("springs")(), compiled=False)  # the sweeps below compile it
 
     def test_is_listed_without_being_imported_and_shows_its_knobs(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["list"]) == 0
@@ -86,6 +87,20 @@ class TestALawOfAPlugIn:
         sweep("soft_tissue", {"law": ["springs"], "k_e": [100.0 + i for i in range(20)]}, engine="plain",
               fixed={"duration": 0.01})
         assert looked.count("teleop.laws") == 1
+
+    def test_stands_in_a_comparison_beside_the_built_in_ones(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        Path("two.toml").write_text('seeds = 1\n[[link]]\nname = "10 ms"\nlink = "delay(0.01)"\n[[environment]]\n'
+                                    'name = "tissue"\nscene = "soft_tissue"\nset = {duration = 0.3}\n')
+        assert main(["compare", "two.toml", "--laws", "springs,direct", "--workers", "1"]) == 0
+        assert "springs" in capsys.readouterr().out
+        with (tmp_path / "runs" / "two" / "rows.csv").open() as file:
+            mine, built_in = csv.DictReader(file)
+        assert (mine["law"], built_in["law"]) == ("springs", "direct")
+        for name in ("status", "x_err_rms (m)", "f_m_max (N)", "E_port_min (J)", "sent (1)"):
+            assert mine[name] == built_in[name]
 
     def test_is_judged_by_the_analyses(self, capsys: pytest.CaptureFixture[str]) -> None:
         said = []

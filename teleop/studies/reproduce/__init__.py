@@ -12,7 +12,8 @@ from teleop.studies.reproduce.publication import Finding, Publication
 
 PUBLICATIONS = (
     "colgate_schenkel", "diolaiti", "abbott_okamura", "gil", "encoder_wall", "hannaford_ryu", "gillespie_cutkosky",
-    "choi_tan",
+    "choi_tan", "two_handles", "niemeyer_slotine", "damping_injection", "polushin",
+    "franken",
 )
 
 __all__ = ["PUBLICATIONS", "Finding", "Publication", "find_publication"]

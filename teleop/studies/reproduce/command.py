@@ -69,7 +69,7 @@ def table(came: Came) -> str:
     for one, findings in came.values():
         lines = [("what", "label", "published", "here", "tolerance", "unit"), *map(_cells, findings)]
         remarks = [f"  {finding.what}: {finding.remark}" for finding in findings
-                   if finding.remark and finding.label != REPRODUCED]
+                   if finding.remark and (finding.label != REPRODUCED or finding.value is None)]
         blocks.append("\n".join([f"{one.name}: {one.about}", f"  {one.source}", columns(lines, left=(0, 1)), *remarks]))
     every = [finding for _, findings in came.values() for finding in findings]
     return "\n\n".join([*blocks, verdict(every)])
@@ -99,5 +99,5 @@ def shown(finding: Finding) -> str:
         return "-"
     if isinstance(finding.found, str):
         return finding.found
-    asked = 0 if not finding.within or finding.within >= 1.0 else -floor(log10(finding.within))
+    asked = 0 if not finding.within or finding.within >= 1.0 else min(-floor(log10(finding.within)), 6)
     return f"{finding.found:.{max(len(finding.printed.partition('.')[2]) + 1, asked)}f}"
