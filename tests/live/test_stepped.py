@@ -20,6 +20,7 @@ from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid
 from slave.tissue import Tissue
 from slave.wall import Wall
+from teleop.law import find_law, known_laws
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
@@ -149,6 +150,18 @@ def test_the_stepped_run_is_the_virtual_run(name: str, pair: Callable[..., Any])
     equal(live, virtual)
     assert live.packets == virtual.packets
     assert name == "one tick" or max(np.abs(virtual.trace["f_m"]).ravel()) > 0.01
+
+
+TWO_PORT = [name for name in known_laws() if hasattr(find_law(name), "master")]
+
+
+@pytest.mark.parametrize("axes", [1, 3])
+@pytest.mark.parametrize("name", TWO_PORT)
+def test_the_stepped_run_of_every_law_is_its_virtual_run(name: str, axes: int, pair: Callable[..., Any]) -> None:
+    law, rough = find_law(name)(), parse_link(ROUGH)
+    short: Any = {"link": rough, "duration": 0.1, "watchdog": Watchdog(timeout=0.02, ramp=0.02)}
+    of = scene(law=law, **short) if axes == 1 else in_three_axes(law, **short)
+    equal(stepped(pair, of), run(of, seed=SEED))
 
 
 @pytest.mark.parametrize("name", ["wave, rough, zero", "pfra, three axes", "wave, no link", "one tick"])
