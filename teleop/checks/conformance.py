@@ -24,7 +24,8 @@ from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 
 REACH, RISE, LASTS = 0.03, 0.5, 2.0  # m, s, s
-AGAINST = 0.01  # of the way, or of the force, that is taken for a sign
+AGAINST = 0.01  # of the force on the wall, at which a force has a sign
+SET_OUT = 1e-7  # m, at which a slave has set out
 DT = 1e-3  # s
 CURE = re.compile(r"--set law\.(\w+)=(\S+?)(?=[\s,;:)]|$)")
 NEAR = 0.02  # of a value that is told to be the least: so much beyond it the condition is broken again
@@ -104,11 +105,10 @@ def _try_signs(law: Any) -> None:
     for side in (1.0, -1.0):
         trace = run(_reach(law, side, touch=False)).trace
         x_m, x_s = side * trace["x_m"], side * trace["x_s"]
-        moved = abs(x_s) > AGAINST * REACH
-        k = int(moved.argmax())  # a law with gains beyond reason may diverge, which is no matter of its signs
-        if moved.any() and x_s[k] < 0.0 < x_m[k] and abs(x_m[:k + 1]).max() < 2.0 * REACH:
-            raise Refused(f"{name} moves its slave by {1e3 * side * x_s[k]:.3g} mm while the master goes by "
-                          f"{1e3 * side * x_m[k]:.3g} mm, against it; turn the sign of f_s, the force of the stack on "
+        k = int((abs(x_s) > SET_OUT).argmax())  # with gains beyond reason it may turn later, and diverge
+        if x_s[k] < -SET_OUT and x_m[k] > 0.0:
+            raise Refused(f"{name} sets its slave going by {1e6 * side * x_s[k]:.3g} um while the master goes by "
+                          f"{1e6 * side * x_m[k]:.3g} um, against it; turn the sign of f_s, the force of the stack on "
                           "the slave")
         pressed = run(_reach(law, side, touch=True))
         last = len(pressed.trace["t"]) // 10

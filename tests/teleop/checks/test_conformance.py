@@ -63,7 +63,7 @@ def test_a_law_that_is_in_order_passes(law: Any) -> None:
 
 @pytest.mark.parametrize(("law", "sentence"), [
     (Mine(sign_m=-1.0), r"pulls the hand into the wall with .* N while the slave presses it with .* N; turn"),
-    (Mine(sign_s=-1.0), r"moves its slave by -.* mm while the master goes by .* mm, against it; turn the sign of f_s"),
+    (Mine(sign_s=-1.0), r"sets its slave going by -.* um while the master goes by .* um, against it; turn the sign"),
     (Mine(start=0.0), r"Mine.slave begins at rest at 0.3 m with -60 N before any message has come"),
     (Mine(named=0.5), r"with B_m=.* that condition is broken still; name a value that is enough"),
     (Mine(named=1.5), r"less than B_m=.* is enough; name the least value that is"),
@@ -128,3 +128,8 @@ class TestEngines:
         monkeypatch.setattr(engines, "run", off)
         with pytest.raises(Refused, match=r"Direct gives f_m_max = .* by the engine plain, and .* in a single run"):
             try_engines(Direct(), compiled=False)
+
+
+def test_a_law_that_diverges_by_its_gains_is_not_told_to_turn_a_sign() -> None:
+    """The first excursion of a slave that goes out of bounds said nothing of its signs."""
+    try_conformance(Mine(K=1e6, B=0.0))
