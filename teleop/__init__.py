@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from teleop.laws.wave_filter import WaveFilter
     from teleop.laws.wave_matched import WaveMatched
     from teleop.laws.wave_position import WavePosition
+    from teleop.laws.wave_prediction import WavePrediction
     from teleop.laws.wave_scaled import WaveScaled
     from teleop.live.devices.heartbeat import DeviceWatchdog
     from teleop.live.end import end_main
@@ -71,12 +72,12 @@ __all__ = [
     "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling", "Device",
     "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment",
     "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper",
-    "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition",
-    "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene", "Table", "TwoLayer",
-    "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
-    "WavePosition", "WaveScaled", "Zero", "__version__", "around", "check_knobs", "check_law", "end_main", "facts_of",
-    "find_law", "fitted", "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep",
-    "whole_number",
+    "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout",
+    "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene",
+    "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave",
+    "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__", "around",
+    "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages",
+    "number", "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -104,6 +105,7 @@ _HOMES = {  # the module of each name, under this package
     "laws.wave_matched": ("WaveMatched",),
     "laws.wave_position": ("WavePosition",),
     "laws.wave_scaled": ("WaveScaled",),
+    "laws.wave_prediction": ("WavePrediction",),
     "live.devices.heartbeat": ("DeviceWatchdog",),
     "live.end": ("end_main",),
     "physics.implicit": ("Resistance",),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import sin
+from math import inf, sin
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop import kind
@@ -109,6 +109,7 @@ def _waves_balance(law: Any, name: str) -> None:
         dice = spread(name)
         _one_end_balances(law, name, motion, dice, ("master", 1.0, back, w, u))
         _one_end_balances(law, name, motion, dice, ("slave", -1.0, forth, u, w))
+    _loop_balances(law, name, (forth, u), (back, w))
 
 
 MOTIONS = ("any", "still", "still, with gaps", "yielding")  # what a device does that an end holds a force against
@@ -147,6 +148,40 @@ def _one_end_balances(law: Any, name: str, motion: str, dice: Iterator[float],
             raise Refused(f"{name} claims E_link, but by tick {k} its {end} gave its port {-stored:.3g} J "
                           "more than the waves brought; put zero for a wave that is not fresh, solve "
                           "force and velocity together, or leave E_link out of its claims")
+
+
+def _loop_balances(law: Any, name: str, fwd: tuple[type[Any], str], bwd: tuple[type[Any], str]) -> None:
+    """The same of both ends at once, 40 ms apart: the answers to its own waves tell an end more than any waves do.
+
+    The master is swung, and the slave is a mass of 0.5 kg in free space.
+    """
+    dt, lag = 1e-3, 40
+    ends = {"master": 1.0, "slave": -1.0}
+    states, sent, f, v, x, stored, through = {}, {}, {}, {}, {}, {}, {}
+    for end in ends:
+        states[end], held = getattr(law, f"{end}_start")(start_at(0.0, 0.0, 0.0, dt))
+        sent[end] = [held] * lag  # what this end receives
+        f[end] = v[end] = x[end] = stored[end] = through[end] = 0.0
+    for k in range(600):
+        v["slave"] = max(-1.0, min(v["slave"] + dt / 0.5 * (f["slave"] - v["slave"]), 1.0))
+        v["master"] = 0.2 * sin(0.02 * k) + 0.1 * sin(0.0523 * k)
+        told = {}
+        for end, sign in ends.items():
+            (_, came), (_, went) = (bwd, fwd) if end == "master" else (fwd, bwd)
+            x[end] += dt * v[end]
+            at = At(x[end], v[end], 0.0, f[end], dt * v[end], k >= lag, lag * dt if k >= lag else inf, dt, dt)
+            rx, sums = sent[end][k], getattr(law, f"{end}_sums", None)
+            s, tick = states[end], getattr(law, end)
+            f[end], told[end], states[end] = tick(s, at, rx, *([sums(s, at, rx)] if sums else []))
+            r, q, work = getattr(rx, came) * at.fresh, getattr(told[end], went), f[end] * v[end]
+            stored[end] += dt * (sign * work + 0.5 * (r * r - q * q))
+            through[end] += dt * (abs(work) + 0.5 * (r * r + q * q))
+            if not stored[end] >= -1e-9 - 1e-6 * through[end]:
+                raise Refused(f"{name} claims E_link, but by tick {k} of a swing in free space its {end} gave its port "
+                              f"{-stored[end]:.3g} J more than the waves brought; play no more energy than came, or "
+                              "leave E_link out of its claims")
+        sent["slave"].append(told["master"])
+        sent["master"].append(told["slave"])
 
 
 def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:

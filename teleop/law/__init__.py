@@ -104,6 +104,7 @@ BUILT_IN = {
     "wave_filter": "teleop.laws.wave_filter:WaveFilter",
     "wave_matched": "teleop.laws.wave_matched:WaveMatched",
     "wave_position": "teleop.laws.wave_position:WavePosition",
+    "wave_prediction": "teleop.laws.wave_prediction:WavePrediction",
     "wave_scaled": "teleop.laws.wave_scaled:WaveScaled",
 }
 

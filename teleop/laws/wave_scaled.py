@@ -39,11 +39,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 from teleop import kind
 from teleop.knob import Knob, check_knobs
-from teleop.law import At
+from teleop.law import At, find_law
 
 
 class Forth(NamedTuple):
@@ -106,6 +106,10 @@ class WaveScaled:
         f_s = K * (x_d - x) + B * (v_d - v)
         w = u - 2.0 / root * (g * f_s + (1.0 - g) * b * v_d)
         return f_s, Back(w), Slave(now.g2, now.S, u, now.r, x_d, v_d)
+
+    def linear(self) -> Any:
+        """The wave law, which it is over a constant delay: scales are for links that vary."""
+        return find_law("wave")(b=self.b, K=self.K, B=self.B)
 
 
 def scaled(g2: float, S: float, p: float, r: float, newest: float, fresh: bool, age: float,

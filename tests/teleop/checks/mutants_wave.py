@@ -15,6 +15,7 @@ from teleop.laws.wave import Wave
 from teleop.laws.wave_filter import WaveFilter, low_pass
 from teleop.laws.wave_matched import WaveMatched
 from teleop.laws.wave_position import WavePosition
+from teleop.laws.wave_prediction import WavePrediction
 from teleop.laws.wave_scaled import WaveScaled
 
 STATES = ("master_start", "slave_start", "master", "slave")
@@ -234,4 +235,41 @@ SCALED = {
     "the force is of the bare wave": wrong(WaveScaled(tau=0.2), "BareForce", master=scaled_wave_unscaled_force),
     "a wave counts again while it is held": wrong(WaveScaled(tau=1.0), "CountsGaps", master=counts_gaps),
     "a half of what is played is paid": wrong(WaveScaled(tau=1.0), "PaysHalf", master=pays_half),
+}
+
+
+# Predicted
+
+
+def unregulated(self: WavePrediction, s: Any, at: At, rx: Any) -> Any:
+    """The prediction as it is, however little came."""
+    return WavePrediction.master(self, s._replace(S=1e9), seen(at), rx)
+
+
+def seeded(self: WavePrediction, at: At) -> Any:
+    """A regulator that is given 20 mJ to begin with, which no claim of E_link allows."""
+    s, held = WavePrediction.master_start(self, at)
+    return s._replace(S=0.02), held
+
+
+def pays_half_of_guesses(self: WavePrediction, s: Any, at: At, rx: Any) -> Any:
+    """p^2 dt/2 taken off as p^2 dt/4."""
+    f, sent, after = WavePrediction.master(self, s, seen(at), rx)
+    return f, sent, after._replace(S=after.S + 0.25 * at.dt * after.p * after.p)
+
+
+def spends_what_it_sent(self: WavePrediction, s: Any, at: At, rx: Any) -> Any:
+    """The energy of the master's own wave booked as if it had come back: it is the slave's to spend too."""
+    f, sent, after = WavePrediction.master(self, s, seen(at), rx)
+    return f, sent, after._replace(S=after.S + 0.5 * at.dt * sent.u * sent.u)
+
+
+PREDICTION = {
+    "no regulator": wrong(WavePrediction(), "Unregulated", master=unregulated),
+    "a regulator that begins with energy": wrong(WavePrediction(), "Seeded", master_start=seeded),
+    "a half of what is played is paid": wrong(WavePrediction(), "PaysHalfOfGuesses", master=pays_half_of_guesses),
+    "what was sent is spent": wrong(WavePrediction(), "SpendsTwice", master=spends_what_it_sent),
+    "a wave counts again in gaps": wrong(WavePrediction(), "CountsAgain", master=deaf(WavePrediction, "master")),
+    "the slave's answer is too large": wrong(
+        WavePrediction(), "LouderAnswer", slave=changed(WavePrediction, "slave", went=times(1.05))),
 }

@@ -10,27 +10,38 @@ from teleop import Refused, check_law
 from teleop.laws.wave import Wave
 from teleop.laws.wave_filter import WaveFilter
 from teleop.laws.wave_matched import WaveMatched
+from teleop.laws.wave_prediction import WavePrediction
 from teleop.laws.wave_scaled import WaveScaled
-from tests.teleop.checks.mutants_wave import FILTER, MATCHED, POSITION, SCALED, WAVE, seen, wrong
+from tests.teleop.checks.mutants_wave import (
+    FILTER,
+    MATCHED,
+    POSITION,
+    PREDICTION,
+    SCALED,
+    WAVE,
+    seen,
+    wrong,
+)
 
-FAMILIES = {"wave": WAVE, "filter": FILTER, "matched": MATCHED, "position": POSITION, "scaled": SCALED}
+FAMILIES = {"wave": WAVE, "filter": FILTER, "matched": MATCHED, "position": POSITION, "scaled": SCALED,
+            "prediction": PREDICTION}
 MUTANTS = [(f"{family}: {slip}", law) for family, laws in FAMILIES.items() for slip, law in laws.items()]
 
 
 @pytest.mark.parametrize("law", [law for _, law in MUTANTS], ids=[name for name, _ in MUTANTS])
 def test_it_is_refused(law: Any) -> None:
     with pytest.raises(Refused, match=r"claims E_(link|port), |turn the sign of f_"):
-        check_law(law)
+        check_law(law, compiled=False)
 
 
-@pytest.mark.parametrize("law", [Wave(), WaveFilter(), WaveMatched(), WaveScaled()])
+@pytest.mark.parametrize("law", [Wave(), WaveFilter(), WaveMatched(), WavePrediction(), WaveScaled()])
 def test_the_law_that_a_mutant_is_made_of_passes_in_the_same_clothes(law: Any) -> None:
     own = type(law).master
 
     def master(self: Any, s: Any, at: Any, rx: Any) -> Any:
         return own(self, s, seen(at), rx)
 
-    check_law(wrong(law, "Right", master=master))
+    check_law(wrong(law, "Right", master=master), compiled=False)
 
 
 def test_each_energy_law_has_four_at_least() -> None:
