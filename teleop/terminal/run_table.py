@@ -58,6 +58,16 @@ def _force(result: Result) -> Iterator[str]:
         yield ", ".join(said) + ", mean over the last 0.1 s"
 
 
+def _felt(result: Result) -> Iterator[str]:
+    """What the hand feels of a free slave, beside the master itself, and of what the slave presses."""
+    got = result.metrics
+    if "felt_fit" in got and result.ticks * result.dt >= _LEAST_MOTION:
+        yield (f"in free space {got['felt_mass']:.3g} kg and {got['felt_drag']:.3g} N s/m beside the master's own, "
+               f"which explain {got['felt_fit']:.0%} of the force")
+    if "felt_share" in got:
+        yield f"a stiffness of {si(got['felt_stiffness'], 'N/m')}, {100.0 * got['felt_share']:.3g} % of what is touched"
+
+
 def _energy(key: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
         # A run that diverges may end with a sum that is not finite, and then has no metric of its end.
@@ -178,6 +188,7 @@ def _live_ends(result: Result) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield end, own
 
 
+_LEAST_MOTION = 1.0  # s: of a shorter run mass and drag are those of its first transients
 _LEAST_QUEUE = 1e-9  # s: what is less is rounding
 _MOST_EVENTS = 5  # shown of each end
 
@@ -185,6 +196,7 @@ _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("tracking error", _error("x_err", "m")),
     ("force error", _error("f_err", "N")),
     ("force at the end", _force),
+    ("felt", _felt),
     ("delay seen", _delay),
     ("queue", _queue),
     ("packets", _packets),

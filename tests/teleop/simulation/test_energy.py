@@ -139,6 +139,6 @@ def test_a_law_without_waves_has_the_ports_ledger_alone() -> None:
 
 def test_the_canonical_scene_keeps_its_claim() -> None:
     scene = load_scene("canonical")
-    assert scene.law.claims == {"E_link"}
+    assert scene.law.claims == {"E_link": "any link"}
     got = run(replace(scene, energy=True)).metrics
     assert got["E_link_min"] >= 0.0

@@ -11,6 +11,7 @@ import pytest
 from teleop.laws.direct import Direct
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.simulation.felt import frame_of
 from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
@@ -25,6 +26,7 @@ from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.kernels import figures as running
 from teleop.sweeps.kernels.figures import Figures
 from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, functions_of_kernel, plain, tree_of
+from teleop.sweeps.kernels.measures import layout
 
 SCENES = {
     "waves": lambda: replace(load_scene("canonical"), energy=True),
@@ -90,7 +92,7 @@ def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(
     ready = [prepare(scene) for scene in scenes]
     measures = tuple(sorted(available(first)))
     rows = [Inputs(tree_of(scene, own.bodies, compiled=False), None, scene.ticks, LinkSchedule.of(link_plans(scene, 0)),
-                   own.reference) for scene, own in zip(scenes, ready, strict=True)]
+                   own.reference, None, frame_of(scene)) for scene, own in zip(scenes, ready, strict=True)]
     lags = [row.schedule.lags for row in rows]
     alone = plain(first, ready[0].bodies, measures).run(rows, lags)
     for name in ("most", "least", "root_mean", "known", "sound"):  # they branch
@@ -100,13 +102,13 @@ def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(
     has: RunHas = structure.has._replace(compiled=True, lanes=True)
     felt = structure.s._replace(has=structure.s.has._replace(felt=True))
     master = structure.m._replace(has=structure.m.has._replace(felt=True))
-    run = run_of(structure._replace(has=has, s=felt, m=master), Figures(first.axes, has, measures))
+    run = run_of(structure._replace(has=has, s=felt, m=master), Figures(first.axes, has, layout(measures, first.ticks)))
     bind(run, {**functions_of_kernel(first, ready[0].bodies)})
     given, law, dt, x_limit, start_m, start_s, held = side_by_side([row.tree for row in rows])
     out: list[Any] = [None] * WIDTH
     bwd, fwd = water.plans[1], water.plans[0]
     loop(run, given, law, dt, first.ticks, x_limit, start_m, start_s, bwd and bwd.play, fwd and fwd.play,
-         64, ready[0].reference, held, (*water.lags, out, spread(0.0)))
+         64, ready[0].reference, held, (*water.lags, out, spread(0.0), *rows[0].windows))
     assert [(ran, tuple(map(repr, told))) for ran, told in out] == [
         (each.ran, tuple(map(repr, each.figures))) for each in alone]
     assert {ran < 0 for ran, _ in out} == {True, False}

@@ -159,7 +159,7 @@ WRONG = {
     "something else": ("[tool]\nx = 1", ["'tool'", "[[block]]"]),
     "one table": ('[block]\nscene = "local"', ["[[block]]"]),
     "unknown scene": (BLOCK.replace("soft_tissue", "soft_tisue"), ["soft_tisue", "did you mean soft_tissue?"]),
-    "unknown law": (BLOCK.replace('"wave"', '"wave", "wavee"'), ["wavee", "did you mean wave?"]),
+    "unknown law": (BLOCK.replace('"wave"', '"wave", "wavee"'), ["wavee", "did you mean wave"]),
     "a law that does not fit": (BLOCK.replace('"wave"', '"virtual_wall"'), ["virtual_wall", "one-port"]),
     "unknown key": (BLOCK + "delay = 0.1", ["'delay'", "did you mean delays?"]),
     "a knob beside the keys": (BLOCK + "k_e = 1.0", ["'k_e'", "set = {...}"]),

@@ -61,6 +61,14 @@ class TestTable:
         assert "queue" not in rows(steady)  # all that came was played at once
         assert "queue" not in rows(wave)
 
+    def test_says_what_is_felt_in_free_space_and_of_what_is_pressed(self) -> None:
+        result = run(load_scene("hard_wall", duration=5.0))
+        got = result.metrics
+        free, pressed = rows(result)["felt"]
+        assert free.startswith(f"in free space {got['felt_mass']:.3g} kg and {got['felt_drag']:.3g} N s/m beside ")
+        share = f"{100 * got['felt_share']:.3g} % of what is touched"
+        assert pressed == f"a stiffness of {got['felt_stiffness']:.0f} N/m, {share}"
+
     def test_leaves_out_what_the_scene_does_not_have(self) -> None:
         told = rows(run(load_scene("canonical", duration=0.1, link=None, energy=False)))
         assert set(told) == {"run", "status", "tracking error", "force error", "force at the end"}
