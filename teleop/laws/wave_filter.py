@@ -2,9 +2,8 @@
 
 Sends a wave each way. Claims E_link over any link; no seed energy.
 
-Source: N. A. Tanner and G. Niemeyer, "High-frequency acceleration feedback in wave variable telerobotics", IEEE/ASME
-Trans. Mechatronics 11(2), 2006, and G. Niemeyer and J.-J. Slotine, "Telemanipulation with time delays", Int. J.
-Robotics Research 23(9), 2004, filter waves; the sampled form is derived here. The waves, their two ends and the slave
+Source: G. Niemeyer and J.-J. Slotine, "Telemanipulation with time delays", Int. J. Robotics Research 23(9), 2004, on
+filters in the waves' path; the sampled form and its energy are derived here. The waves, their two ends and the slave
 that lets go are those of `teleop.laws.wave`. In place of the received wave r both ends use
 
     y' = l (r - y),   F(s) = 1/(1 + s/l),   l = 2 pi f_c;   backward Euler: y = (y' + l dt r)/(1 + l dt)

@@ -20,12 +20,13 @@ and each of the last two is at most K_p T |v_m| |v_s| in the mean. So the two-po
 
     4 B_m B_s >= K_p^2 (T1 + T2)^2,
 
-for a varying delay with the greatest age of the positions that are used. Sampled, with each force held for dt, the
-same sums over dx in place of v dt have V's own second difference beside them, -K_p (dx_m - dx_s)^2/2, and ask for
+for a varying delay with the greatest age of the positions that are used. Sampled, with each force held for dt, the same
+sums over dx in place of v dt have V's own second difference beside them, -K_p (dx_m - dx_s)^2/2, and ask for
 
     (2 B_m - K_p dt) (2 B_s - K_p dt) >= K_p^2 (T1 + T2 + dt)^2,   equal ends: B_m >= K_p (T + dt),
 
-up to the change of velocity within a tick, as with any damper that is held.
+up to the change of velocity within a tick, as with any damper that is held; `teleop.law.injection` comes to the same by
+frequencies. `conditions` names the least B_p, `fitted` raises B_p to it.
 
 Claims: nothing. The springs and dampers stand beside the waves, so an end may give its port more than its waves
 brought; what is passive is the two-port with the dampings of both devices, and only where the condition holds. A slave
@@ -37,12 +38,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import ceil, floor, isnan, log10, sqrt
+from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop import kind
 from teleop.knob import Knob, check_knobs
-from teleop.law import At
+from teleop.law import At, injection
 from teleop.law.offers import Facts
 
 
@@ -101,35 +102,8 @@ class WavePosition:
         return f_c + (self.K_p * (rx.x - x) - self.B_p * v), Back(w, x), Slave(x_d, v_d)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
-        """The damping that the springs ask for, where there is less."""
-        least = least_damping(self.K_p, facts)
-        if self.B_p >= least:
-            return ()
-        return ("the two-port is passive where (2 B_m - K_p dt)(2 B_s - K_p dt) >= K_p^2 (T1 + T2 + dt)^2, B_m and B_s "
-                f"with the bodies' own damping; with law.B_p={self.B_p:g} that is not known: --set "
-                f"law.B_p={ceil_digits(least)} is the least that is enough",)
+        return injection.conditions(
+            "the spring K = K_p between the positions", facts, self.K_p, 0.0, self.B_p, "--set law.B_p={:g}")
 
     def fitted(self, facts: Facts) -> WavePosition:
-        """The same with the least damping that is enough for these facts."""
-        return replace(self, B_p=float(ceil_digits(least_damping(self.K_p, facts))))
-
-
-def least_damping(K_p: float, facts: Facts) -> float:
-    """The least B_p, N s/m, with which the condition holds; 0 over a link that brings nothing, whose springs rest."""
-    if facts.fwd is None or facts.bwd is None:
-        return 0.0
-    b_m, b_s = (0.0 if isnan(b) else b for b in (facts.damping_m, facts.damping_s))
-    reach = K_p * (facts.fwd.greatest + facts.bwd.greatest + facts.dt)
-    return max(0.0, (sqrt((b_m - b_s) * (b_m - b_s) + reach * reach) - b_m - b_s + K_p * facts.dt) / 2.0)
-
-
-def ceil_digits(value: float) -> str:
-    """A number in four digits, rounded up, so that it is enough.
-
-    >>> ceil_digits(1.00001), ceil_digits(0.0)
-    ('1.001', '0')
-    """
-    if value <= 0.0:
-        return "0"
-    step = 10.0 ** (floor(log10(value)) - 3)
-    return f"{ceil(value / step) * step:.4g}"
+        return replace(self, B_p=max(self.B_p, injection.needed(facts, self.K_p, 0.0) or 0.0))

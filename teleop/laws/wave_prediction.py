@@ -9,29 +9,27 @@ Smith predictor of the returning wave, a regulator of its energy, a correction o
 here are derived here. The waves and the slave are those of `teleop.laws.wave`.
 
 Prediction. The master keeps a model of the slave, a mass and a damping behind the law's own coupling, and sends with
-each wave u the wave `guess` with which the model answers it; the slave sends the guess back with its answer w, so the
-link is the memory of the round trip. What the master wants to play is what came and the change of the guess since
-then,
+each wave u the wave `guess` with which the model answers it; the slave sends the guess back with its answer w: the
+link is the memory of the round trip. The master wants to play what came and the change of the guess since then,
 
     q = w + h (guess - heard) + (D + h L)/tau,   h = lead max(0, 1 - <(w - heard)^2>/<w^2>),
 
-<.> means within tau. So h is the share of the waves that the model explains, about 1 in free space with the right
-mass, 0 where something is touched: there it is the wave law. D is the integral of what came less what was played, L
-that of the guesses that are under way, and D + h L what was held back, which is made up for within tau as energy lets
-it. L is forgotten within FORGET, and with it what loss and a wrong model leave in it: in the end D comes to nothing,
-and with it the drift.
+<.> the mean within tau. h is the share of the waves that the model explains: about 1 in free space with the right
+mass, 0 where something is touched, and there it is the wave law. D is the integral of what came less what was played,
+L that of the guesses under way, so D + h L is what was held back. L is forgotten within FORGET, and with it what loss
+and a wrong model leave in it: in the end D comes to nothing, and with it the drift.
 
-Regulator. p = q limited to p^2 <= 2 S/dt, S += dt (w^2 - p^2)/2: dt p^2/2 <= S at each tick, so no more is played than
-came, whatever the model says. Nothing can be played before something came. So of a motion that begins the first round
-trip is felt as the damper b; S has then what the waves under way are ahead by, and a motion that stays as large is
-played in full. A steady wave leaves nothing over: what a contact took is not made up for until the force changes.
+Regulator. p = q limited to p^2 <= 2 S/dt, S += dt (w^2 - p^2)/2: so no more is played than came, whatever the model
+says. Of a motion that begins the first round trip is felt as the damper b; S has then what the waves under way are
+ahead by, and a motion that stays as large is played in full. A steady wave leaves nothing over to make up for what was
+held back.
 
-What it is worth, measured against `wave` with the same gains, 10 s, 50 ms each way (200 ms), a model of the right
-mass: `free_motion` 1.82 mm of tracking error for 7.26 (2.69 for 44.1), at 0.5 Hz a felt mass of 0.50 kg for 0.65 (0.47
-for 0.90) and a drag of 1.04 N s/m for 1.34 (1.06 for 5.06), where the slave has 0.5 kg and 1 N s/m. In contact it
-brings nothing: `hard_wall` 3.49 N for 3.51, `soft_tissue` 26.5 mm for 26.4. Where contact comes and goes, `canonical`,
-29.0 mm for 31.8 and 3.1 N of force error for 4.1 (at 200 ms 85 mm for 48). Of a wrong model, damping 3 for 1, next to
-nothing is left of it, 7.2 mm for 7.3.
+What it is worth, against `wave` with the same gains, 10 s, 50 ms each way (200 ms), the slave's 0.5 kg and 1 N s/m
+known: `free_motion` 1.82 mm of tracking error for 7.26 (2.69 for 44.1), at 0.5 Hz a felt mass of 0.50 kg for 0.65
+(0.47 for 0.90) and a drag of 1.04 N s/m for 1.34 (1.06 for 5.06). In contact it brings nothing: `hard_wall` 3.49 N for
+3.51. Where contact comes and goes, `canonical`, 29.0 mm for 31.8 and 3.1 N of force error for 4.1 (85 mm for 48). Of a
+model with a damping of 3 next to nothing is left, 7.2 mm for 7.3. `fitted` takes the slave's own mass and damping, and
+for tau the greatest age of a wave: at 200 ms `hard_wall` has then 2.5 N at most, with tau = 0.05 4.2, with `wave` 3.1.
 
 Claims: E_link >= 0 over every link with the playouts of `teleop.laws.wave`. Ticks that are left out: S and D have what
 was played for the gap and what came for it; the model stands still.
@@ -40,13 +38,14 @@ was played for the gap and what came for it; the model stands still.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import sqrt
+from dataclasses import dataclass, replace
+from math import isnan, sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
+from teleop.law.offers import Facts
 
 TINY = 1e-300  # W, in place of no wave under a fraction
 FORGET = 5.0  # s
@@ -140,3 +139,20 @@ class WavePrediction:
         x_d = x_d + dt * v_d
         f_s = K * (x_d - x) + B * (v_d - v)
         return f_s, Back(root * v_d - u, rx.guess), Slave(x_d, v_d)
+
+    def conditions(self, facts: Facts) -> tuple[str, ...]:
+        """The slave's own mass and damping, where the model's differ from them by more than a fifth."""
+        wanted = self.fitted(facts)
+        pairs = (self.mass, wanted.mass), (self.damping, wanted.damping)
+        if all(abs(model - own) <= own / 5.0 for model, own in pairs):
+            return ()
+        return (f"the prediction is worth little of a slave that is not the model: it has {self.mass:g} kg and "
+                f"{self.damping:g} N s/m, the slave {wanted.mass:g} kg and {wanted.damping:g} N s/m; --set "
+                f"law.mass={wanted.mass:g} --set law.damping={wanted.damping:g}",)
+
+    def fitted(self, facts: Facts) -> WavePrediction:
+        """The same with the slave's mass and damping, and a time that goes with the link's."""
+        ages = [way.greatest for way in (facts.fwd, facts.bwd) if way is not None]
+        return replace(self, mass=self.mass if isnan(facts.mass_s) else facts.mass_s,
+                       damping=self.damping if isnan(facts.damping_s) else facts.damping_s,
+                       tau=max([*ages, 0.01]) if ages else self.tau)

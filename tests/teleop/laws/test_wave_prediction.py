@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import At, Integral, Wave, Zero, load_scene, run
+from teleop.law.offers import Delay, Facts
 from teleop.laws.wave_prediction import Back, Forth, Master, Slave, WavePrediction
 
 NAN = float("nan")
@@ -116,3 +117,24 @@ def test_the_slave_returns_the_guess_that_came_and_the_wave_laws_answer() -> Non
 def test_it_starts_at_rest_with_nothing_to_spend() -> None:
     s, held = WavePrediction().master_start(at(0.0))
     assert (s, held) == (Master(*[0.0] * len(Master._fields)), Back(0.0, 0.0))
+
+
+def facts(mass: float, damping: float, T: float = 0.08) -> Facts:
+    return Facts(1e-3, 1, 0.1, 0.5, mass, damping, Delay(T, T), Delay(0.01, 0.01), False, "zero", False)
+
+
+def test_fitted_to_a_slave_it_models_that_slave_and_takes_its_time_from_the_link() -> None:
+    law = WavePrediction(b=3.0).fitted(facts(2.0, 4.0))
+    assert (law.mass, law.damping, law.tau, law.b) == (2.0, 4.0, 0.08, 3.0)
+    unknown = WavePrediction().fitted(facts(NAN, NAN)._replace(fwd=None, bwd=None))
+    assert unknown == WavePrediction()
+
+
+@pytest.mark.parametrize(("mass", "damping", "told"), [
+    (0.5, 1.0, False), (0.55, 1.1, False), (1.0, 1.0, True), (0.5, 3.0, True), (0.5, 0.0, True), (NAN, NAN, False)])
+def test_a_run_says_where_the_model_is_of_another_slave(mass: float, damping: float, told: bool) -> None:
+    of = facts(mass, damping)
+    notes = WavePrediction().conditions(of)
+    assert bool(notes) is told
+    assert not told or f"--set law.mass={mass:g} --set law.damping={damping:g}" in notes[0]
+    assert WavePrediction().fitted(of).conditions(of) == ()
