@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import KW_ONLY, dataclass, field
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -12,15 +13,18 @@ from channel import recording
 from channel.effect import LONGEST, Effect
 from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
-from teleop.errors import Refused, number
+from teleop.errors import Refused, number, number_of
 from teleop.knob import Knob
 
 _STAMP = re.compile(r"\[(\d{1,12})\.(\d{1,9})\] (.*)")
 _SEQ = re.compile(r"icmp_seq=(\d{1,5})\b")
 _RTT = re.compile(r" time=(\d{1,8}(?:\.\d+)?) ms\b")
+_AROUND = re.compile(r"PING |---|\d+ packets transmitted|rtt |round-trip |pipe \d|ping: |[0-9.]+%|\^C")  # of ping's own
+_CLOCK = re.compile(r"time of day goes back", re.IGNORECASE)
 _LOST = -1
 _PAUSE = 1e9  # ns between probes where a single reply does not tell: ping's own default
 _MOST = 10_000_000  # probes
+SLACK, GRACE = 5.0, 1e9  # times the interval, ns: probes come late where a computer is busy
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +36,8 @@ class PingLog(Effect):
     heading and summary. The log's clock starts at its first probe; `start` s of it are skipped at the
     session's start, and it begins again one probe interval after its last probe. Record with
     `ping -D -i 0.01 HOST > FILE`.
-    Refused: a file that is missing, no text, empty, cut off in a line, out of order, or without time stamps.
+    Refused: a file that is missing, no text, empty, cut off in a line, out of order, or without time stamps; with lines
+    that ping does not write; and one whose clock was set, or that stood still, while ping ran: see `_steady`.
     """
 
     path: Annotated[str, Knob("", "file that `ping -D` wrote")]
@@ -70,12 +75,12 @@ def probes(path: str, lines: list[str]) -> tuple[Ints, Ints, int]:
     A probe was sent its round trip before the reply's stamp; lost ones lie between their neighbours.
     """
     answered: dict[int, tuple[int, int]] = {}  # number -> sent, round trip
+    found: dict[int, int] = {}  # number -> line
     newest = first = None
     last_stamp = 0
     for line, text in enumerate(lines, 1):
         if not text.startswith("["):
-            if _SEQ.search(text):
-                recording.broken(path, line, "this line has no time stamp; record again with ping -D")
+            _check_around(path, line, text)
             continue
         stamp, seq, rtt = _line(path, line, text)
         if stamp < last_stamp:
@@ -90,12 +95,46 @@ def probes(path: str, lines: list[str]) -> tuple[Ints, Ints, int]:
             continue
         if seq not in answered:
             answered[seq] = (stamp - rtt, rtt)
+            found[seq] = line
         elif "(DUP!)" not in text:
             recording.broken(path, line, f"probe {seq} is answered again, without (DUP!): these are two logs "
                              "in one file; cut them apart")
     if first is None or newest is None or not answered:
         raise Refused(f"{path} holds no reply of a ping -D log; record one: ping -D -i 0.01 HOST > {path}")
+    _steady(path, answered, found)
     return _evenly(path, first, newest, answered)
+
+
+def _check_around(path: str, line: int, text: str) -> None:
+    """Refuse a line without a time stamp that is none of those that ping writes around its replies."""
+    if _CLOCK.search(text):
+        recording.broken(path, line, "ping says that the clock was set back; cut the log here, or record again")
+    if _SEQ.search(text):
+        recording.broken(path, line, "this line has no time stamp; record again with ping -D")
+    if text.strip() and not _AROUND.match(text.strip()):
+        recording.broken(path, line, f"{text.strip()[:60]!r} is no line of a ping -D log; delete it")
+
+
+def _steady(path: str, answered: dict[int, tuple[int, int]], found: dict[int, int]) -> None:
+    """Refuse a log whose probes were not sent about evenly.
+
+    Ping sends one probe after another at its interval, whatever becomes of them. So between two replies the time and
+    the number of probes go together: much more time than that many intervals, and the clock was set forward, or the
+    computer slept; much less, or the time of the later probe before that of the earlier, and it was set back, or lines
+    of another log follow. The interval is the median of all that are there, `SLACK` times it are allowed, and `GRACE`.
+    """
+    numbers = sorted(answered)
+    steps = [(answered[b][0] - answered[a][0]) / (b - a) for a, b in pairwise(numbers)]
+    if not steps:
+        return
+    interval = sorted(steps)[len(steps) // 2]
+    for a, b in pairwise(numbers):
+        took, even = answered[b][0] - answered[a][0], (b - a) * interval
+        if took > SLACK * even + GRACE or took < even / SLACK - GRACE:
+            recording.broken(
+                path, found[b], f"probe {b} was sent {took / 1e9:.3g} s after probe {a}, and "
+                f"{number_of(b - a, 'interval')} of this log's probes take {even / 1e9:.3g} s: the clock was set, the "
+                "recording stood still, or this is another log; cut it here, or record again")
 
 
 def _line(path: str, line: int, text: str) -> tuple[int, int, int | None]:

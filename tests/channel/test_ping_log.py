@@ -81,8 +81,51 @@ def test_one_reply_is_a_constant_delay(tmp_path: Path) -> None:
     assert time_ns.tolist() == [k * MS + 5 * MS for k in range(3000)]
 
 
+def probes_at(*seconds: float) -> str:
+    """Replies to probes 0, 1, 2, ... sent at these times, 20 ms later."""
+    stamps = [f"{1_700_000_000.0 + each + 0.02:.6f}" for each in seconds]
+    return "".join(f"[{stamp}] 64 bytes from 192.0.2.1: icmp_seq={i} ttl=57 time=20.0 ms\n"
+                   for i, stamp in enumerate(stamps))
+
+
+EVEN = [0.1 * i for i in range(40)]
+
+
+def test_a_busy_computer_sends_a_little_late_and_that_is_no_step(tmp_path: Path) -> None:
+    late = [t + (0.7 if i == 20 else 0.0) for i, t in enumerate(EVEN)]
+    late[21:28] = [late[20] + 0.001 * i for i in range(1, 8)]  # ping makes up for what it missed
+    PingLog(written(tmp_path, probes_at(*late)))
+
+
+def test_an_outage_is_loss_and_no_gap(tmp_path: Path) -> None:
+    lines = probes_at(*[0.1 * i for i in range(200)]).splitlines(keepends=True)
+    log = PingLog(written(tmp_path, "".join([*lines[:20], *lines[180:]])))
+    assert len(log.carry(None, np.arange(20_000), np.arange(20_000) * MS, 100)[0]) == pytest.approx(4000, abs=100)
+
+
+@pytest.mark.parametrize(("times", "sentence"), [
+    ([*EVEN[:20], *(t + 3600.0 for t in EVEN[20:])],
+     r"line 21: probe 20 was sent 3.6e\+03 s after probe 19, and 1 interval .* take 0.1 s: the clock was set, the rec"),
+    ([*EVEN[:20], *(t + 2.5 for t in EVEN[20:])], "line 21: probe 20 was sent 2.6 s after probe 19"),
+])
+def test_a_clock_that_was_set_and_a_recording_that_stood_still(
+        tmp_path: Path, times: list[float], sentence: str) -> None:
+    with pytest.raises(Refused, match=sentence):
+        PingLog(written(tmp_path, probes_at(*times)))
+
+
+def test_numbers_that_jump_in_no_time_are_another_log(tmp_path: Path) -> None:
+    lines = probes_at(*EVEN).splitlines(keepends=True)
+    later = [line.replace(f"icmp_seq={i} ", f"icmp_seq={i + 100} ") for i, line in enumerate(lines)]
+    with pytest.raises(Refused, match=r"line 21: probe 120 was sent 0.1 s after probe 19, and 101 intervals"):
+        PingLog(written(tmp_path, "".join([*lines[:20], *later[20:]])))
+
+
 @pytest.mark.parametrize(("text", "sentence"), [
     ("", "is empty"),
+    (LOG + "see you tomorrow\n", r"line 14: 'see you tomorrow' is no line of a ping -D log; delete it"),
+    (LOG.replace("PING", "Warning: time of day goes back (-3000us), taking countermeasures.\nPING"),
+     "line 1: ping says that the clock was set back"),
     ("PING example.org\n\n--- example.org ping statistics ---\n", "holds no reply.*ping -D -i 0.01 HOST"),
     ("[1700000000.1] no answer yet for icmp_seq=1\n", "holds no reply"),
     ("64 bytes from 192.0.2.1: icmp_seq=1 ttl=57 time=10.0 ms\n", "line 1: this line has no time stamp; .*ping -D"),

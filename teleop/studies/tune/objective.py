@@ -19,8 +19,8 @@ constraints and has no term.
 
 A point is feasible if every row of it has the status ok, has come to rest where the hand has (less than `REST` of
 swing is left), and keeps each ledger that the law claims above its bound: for E_link and E_port -1e-9 J; for E_law
-minus the greatest work of one tick, f_m_max and f_env_max times the fastest motion of the rod times dt, since no law
-knows the work of the tick that is running.
+minus the greatest work of one tick, f_m_max and f_env_max times dt times `FASTER` times the fastest motion of the rod
+(an end that bounces is faster), since no law knows the work of the tick that is running.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from teleop.terminal.units import si
 SCENE, FREE, STIFF = "scene", "free", "stiff"  # the rows of a point: as it is, in free space, m times as stiff
 WHERE = {SCENE: "", FREE: " in free space", STIFF: " against the stiffer environment of the margin"}
 ROUNDING = 1e-9  # J
+FASTER = 5.0
 REST = 1e-3  # m peak to peak: what jitter and loss may move at rest, as `teleop.simulation.rest` has it
 MEASURES = ("swing_end", "x_err_rms", "f_err_rms", "f_m_max", "f_env_max", "f_m_end", "f_env_end",
             "felt_stiffness", "felt_mass", "felt_drag")
@@ -182,4 +183,4 @@ def _allowed(ledger: str, row: Mapping[str, Any], scene: Scene, rod: Rod) -> flo
     if ledger != "E_law":
         return ROUNDING
     force = float(row.get("f_m_max", 0.0)) + float(row.get("f_s_max", row.get("f_env_max", 0.0)))
-    return ROUNDING + force * rod.fastest * scene.dt
+    return ROUNDING + force * FASTER * rod.fastest * scene.dt

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from csv import writer
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from teleop.errors import number_of
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head
 from teleop.storage.files import replacing_text
+from teleop.studies.margin import Margin
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score
 from teleop.studies.tune.search import Tuned
 from teleop.terminal.answer import finite
@@ -44,6 +46,8 @@ def text(tuned: Tuned) -> str:
     else:
         rows.append(("result", "no point keeps the constraints"))
         rows.append(("nearest", f"{_settings(tuned)}: {tuned.score.broken}"))
+    if tuned.linear is not None:
+        rows.append(("linear", linear_text(tuned.linear)))
     stay = [f"{name} {why}" for name, why in tuned.ranges.stay.items()]
     rows += [("not turned", "; ".join(stay))] * bool(stay)
     edge = at_edge(tuned)
@@ -55,6 +59,16 @@ def text(tuned: Tuned) -> str:
         told.append(f"front of tracking error against drag: {number_of(len(front), 'point')}, in front.csv")
     told.append(f"run it: {shlex.join(tuned.command())}")
     return "\n".join(told)
+
+
+def linear_text(told: Margin) -> str:
+    """The margins of the linear loop in words."""
+    if told.why:
+        return f"no margins: {told.why}"
+    where = f" {told.where}" if told.where else ""
+    delay = "any further delay" if told.delay == inf else f"{si(told.delay, 's')} of further round trip"
+    given = f"; {', '.join(told.assumed)}" if told.assumed else ""
+    return f"gain margin {told.gain:.3g}{where}, and {delay}{given}"
 
 
 def _value(found: Score) -> str:
@@ -107,6 +121,8 @@ def document(tuned: Tuned, typed: Sequence[str]) -> dict[str, Any]:
         "best": dict(tuned.best), **_document_of(tuned.score),
         "own": None if tuned.default is None else _document_of(tuned.default),
         "ranges": {name: [span.low, span.high] for name, span in tuned.ranges.turned.items()},
+        "linear": None if tuned.linear is None else {
+            **tuned.linear._asdict(), "gain": finite(tuned.linear.gain), "delay": finite(tuned.linear.delay)},
         "not_turned": dict(tuned.ranges.stay), "at_edge": at_edge(tuned),
         "rod": tuned.rod._asdict(),
         "front": [{**values, **_document_of(found)} for values, found in tuned.front()],

@@ -7,7 +7,11 @@
    one step up and down in each parameter, at once; the best of them is the next place if it is better, and one more
    step is tried along the way that led there; if none is, the step is halved. Steps are parts of each parameter's
    range, by equal ratios where the range goes by those. Below the least step it begins again at the next best point.
-3. Where the link draws random numbers, the best few points are run with other seeds, and the one with the best mean is
+3. The linear loop of the best point (`teleop.studies.margin`) has to be stable with as many times its gain as the
+   margin that is asked for, where it can be worked out; of a law that claims to keep energy with its own gain: waves
+   that resonate have no gain to spare, and need none. If it is not, the next best point is looked at that is more than
+   `APART` of a range away from all that were, `LOOKS` at most.
+4. Where the link draws random numbers, the best few points are run with other seeds, and the one with the best mean is
    the result, if each of its rows keeps the constraints.
 
 All rows go through the sweep engine, and none depends on what else is run, on the engine or on the number of threads:
@@ -22,12 +26,14 @@ from math import inf
 from typing import Any
 
 from teleop.errors import Refused, number
+from teleop.law.offers import claims_of
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
 from teleop.simulation.facts import fitted
+from teleop.studies.margin import Margin, margin, stands
 from teleop.studies.tune.objective import (
     FREE,
     OBJECTIVES,
@@ -46,6 +52,7 @@ from teleop.sweeps.grid import Grid, Range, grid, sampled
 from teleop.sweeps.runner import carry_out, plan_sweep
 
 LATIN = 0.5  # of the rows that points are searched with
+LOOKS, APART = 16, 0.05  # points whose loop is looked at, and the part of a range between them
 STEP, LEAST = 0.15, 0.01  # of a range: the first step and the least
 CHECKED, SEEDS = 4, 4  # points that are run again, and with how many other seeds
 SOFT = {"k_e": 0.0, "d_e": 0.0}  # knobs of a scene that leave free space of its environment
@@ -75,6 +82,7 @@ class Tuned:
     seed: int
     engine: str
     measures: tuple[str, ...]  # the metrics of each row
+    linear: Margin | None = None  # of the best point; None: nothing is feasible
     tasks: Mapping[str, Mapping[str, Any]]  # the rows of a point, with the knobs that each sets
     rods: Mapping[str, Rod]
 
@@ -153,7 +161,7 @@ class _Search:
     """One search: what is turned, how points become rows, and the rows that are left."""
 
     def __init__(self, scene: str, law: str, budget: int, seed: int, fixed: dict[str, object], objective: str,
-                 margin: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None
+                 wanted: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None
                  ) -> None:
         if "law" in fixed:
             raise Refused(f"law={fixed['law']} is set beside the law that is tuned, {law}; leave one of them out")
@@ -174,9 +182,9 @@ class _Search:
         self.soft = {knob: value for knob, value in SOFT.items() if knob in known} if "k_e" in known else {}
         if self.rod.pressed == 0.0:
             self.soft = {}
-        self.margin = number("margin", margin, low=1.0)
-        if margin > 1.0 and not self.soft:
-            raise Refused(f"a margin of {margin:g} is that of the environment's stiffness, and scene {scene} has no "
+        self.margin = number("margin", wanted, low=1.0)
+        if wanted > 1.0 and not self.soft:
+            raise Refused(f"a margin of {wanted:g} is that of the environment's stiffness, and scene {scene} has no "
                           "knob k_e that sets one it touches; leave --margin out")
         own: dict[str, Any] = {knob: self.scene.knobs[knob] for knob in self.soft}
         self.tasks: dict[str, dict[str, Any]] = {SCENE: own}  # with the knobs that they set
@@ -184,8 +192,8 @@ class _Search:
         if self.soft:
             self.tasks[FREE] = self.soft
             self.rods[FREE] = rod(load_scene(scene, **{**fixed, "law": law, **self.soft}))
-        if margin > 1.0:
-            self.tasks[STIFF] = {knob: margin * value for knob, value in own.items()}
+        if wanted > 1.0:
+            self.tasks[STIFF] = {knob: wanted * value for knob, value in own.items()}
             self.rods[STIFF] = self.rod
         self.measures = measures_of(self.scene.law)
         if budget < len(self.tasks):
@@ -207,15 +215,18 @@ class _Search:
         self._try([own, *others, *self._drawn(max(1, int(LATIN * self.left)) - 1 - len(others))])
         self._refine()
         ranked = sorted(self.scores, key=lambda point: self.scores[point].order)
-        best, found = ranked[0], self.scores[ranked[0]]
-        if checks >= each * SEEDS and not found.broken:
-            best, found = self._checked([p for p in ranked if not self.scores[p].broken][:CHECKED], checks)
+        enough = self._with_margin([point for point in ranked if not self.scores[point].broken])
+        best = enough[0] if enough else min(self.scores, key=lambda point: self.scores[point].order)
+        found = self.scores[best]
+        if checks >= each * SEEDS and enough:
+            best, found = self._checked(enough, checks)
         return Tuned(law=self.law, scene=self.name, fixed=self.fixed, objective=self.objective, names=self.names,
                      ranges=self.ranges, best=self._values(best), score=found,
                      default=self.scores[own],
                      tried=tuple([(self._values(point), each) for point, each in self.scores.items()]), rod=self.rod,
                      margin=self.margin, budget=self.budget, rows=self.rows, seed=self.seed, engine=self.engine,
-                     measures=self.measures, tasks=self.tasks, rods=self.rods)
+                     measures=self.measures, tasks=self.tasks, rods=self.rods,
+                     linear=None if found.broken else margin(self._scene(best), seed=self.seed))
 
     def _laws(self) -> list[Any]:
         """The law as it is, as it fits itself to link and bodies, and as the scene has it, if that is of its kind."""
@@ -309,6 +320,39 @@ class _Search:
             else:
                 values.append(new)
         return tuple(values)
+
+    def _with_margin(self, ranked: Sequence[Point]) -> list[Point]:
+        """The first of these points whose loop stands the margin, and those near it; the others are marked."""
+        gain = 1.0 if claims_of(self.scene.law) else self.margin
+        looked: list[Point] = []
+        for i, point in enumerate(ranked):
+            if any(self._near(point, other) for other in looked):
+                continue
+            told = stands(self._scene(point), gain, seed=self.seed)
+            if told is None or told[0]:
+                return [point, *[other for other in ranked[i + 1:] if self._near(point, other) and self._stands(
+                    other, gain)][:CHECKED - 1]]
+            self.scores[point] = self.scores[point]._replace(broken=told[1], amount=0.5)
+            looked.append(point)
+            if len(looked) == LOOKS:
+                break
+        for point in ranked:  # none of them is known to stand it
+            if point not in looked:
+                why = "the linear loop of the points near it does not stand the margin"
+                self.scores[point] = self.scores[point]._replace(broken=why, amount=0.6)
+        return []
+
+    def _stands(self, point: Point, gain: float) -> bool:
+        told = stands(self._scene(point), gain, seed=self.seed)
+        return told is None or told[0]
+
+    def _near(self, point: Point, other: Point) -> bool:
+        """True if no parameter of two points differs by more than `APART` of its range."""
+        return all(abs(part(span, a) - part(span, b)) <= APART for span, a, b in zip(
+            self.spans.values(), point, other, strict=True) if isinstance(span, Range))
+
+    def _scene(self, point: Point) -> Scene:
+        return load_scene(self.name, **{**self.fixed, "law": self.law, **self._values(point)})
 
     def _checked(self, points: Sequence[Point], rows: int) -> tuple[Point, Score]:
         """The best of these points over seeds that the search has not seen; and its score."""

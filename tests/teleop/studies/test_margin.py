@@ -12,7 +12,7 @@ from master import Grip, Rest
 from slave import HuntCrossley, Tissue, Wall
 from teleop import Direct, MassDamper, PositionPosition, Scene, load_scene, run, sweep
 from teleop.analysis.stability.assess import is_stable
-from teleop.studies.margin import delay_margin, gain_margin, margin
+from teleop.studies.margin import delay_margin, gain_margin, margin, stands
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)
 
@@ -40,6 +40,17 @@ def test_the_gain_margin_is_the_factor_on_the_force_that_is_fed_back() -> None:
         assert is_stable(handles(law, Tissue(k=400.0, d=0.0), link=Delay(0.002))) == stable
     assert found.gain > 1.0
     assert found.where == "in contact"
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.95, 1.05, 1.6])
+def test_a_loop_stands_what_its_margin_says(factor: float) -> None:
+    scene = load_scene("hard_wall", law=Direct(K=100.0, B=20.0, kf=0.05), delay=0.03)
+    told = margin(scene)
+    assert 1.0 < told.gain < 1e3
+    stood = stands(scene, factor * told.gain)
+    assert stood is not None
+    assert stood[0] == (factor < 1.0)
+    assert ("times its gain is unstable" in stood[1]) == (factor > 1.0)
 
 
 def test_small_motion_is_judged_without_caps_encoders_and_friction() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from teleop import load_scene, run
 from teleop.errors import Refused
+from teleop.studies.margin import margin
 from teleop.studies.tune.search import Tuned, tune_law
 
 SHORT: dict[str, Any] = {"k_e": 2000.0, "duration": 2.5}
@@ -63,6 +64,19 @@ def test_a_link_that_draws_is_checked_with_other_seeds() -> None:
     assert got.rows <= 36
     assert got.best["playout"] in ("integral", "zero")
     assert got.rows > 2 * len(got.tried)  # the seeds of the check come on top
+
+
+def test_a_law_without_claims_has_the_margin_that_is_asked_for_in_its_linear_loop_too() -> None:
+    """Direct reflection over 30 ms each way, in contact and free."""
+    fixed = {**SHORT, "delay": 0.03}
+    found, careless = (tuned("direct", budget=45, fixed=dict(fixed), margin=wanted) for wanted in (4.0, 1.0))
+    assert found.feasible
+    assert found.linear is not None
+    assert found.linear.gain >= 4.0 == found.margin
+    assert found.linear == margin(load_scene("hard_wall", **found.knobs))
+    assert careless.linear is not None
+    assert 1.0 <= careless.linear.gain < 4.0  # so the margin is what made the difference
+    assert careless.score.value < found.score.value
 
 
 def test_nothing_feasible_says_what_comes_nearest() -> None:
