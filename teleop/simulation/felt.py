@@ -223,11 +223,10 @@ def turning(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
 # From a trace to the sums
 
 
-def in_order(values: NDArray[Any]) -> float:
-    """The sum from the first tick to the last, as a sweep adds it as it goes."""
+def in_order(values: NDArray[Any], total: float = 0.0) -> float:
+    """`total` and the values, added from the first tick to the last, as a sweep adds them as it goes."""
     import numpy as np
 
-    total = 0.0
     with np.errstate(all="ignore"):
         for block in blocks(len(values)):
             total = np.add.accumulate(np.concatenate([[total], values[block]]))[-1]
@@ -237,58 +236,65 @@ def in_order(values: NDArray[Any]) -> float:
 def sums_of(frame: Frame, trace: Mapping[str, Any], groups: Sequence[str], first: int, size: Any) -> dict[str, float]:
     """The sums of these groups of a trace, those of a group that it is not enough for left out.
 
-    `first`: the first row of the last `END`; `size`: the magnitude over the axes of each row.
+    `first`: the first row of the last `END`; `size`: the magnitude over the axes of each row. Of the columns no more
+    than two are held at a time: half an hour of a live run is 15 MB each.
     """
     import numpy as np
 
     found: dict[str, float] = {}
     t, axes = trace["t"], frame.axes
     follows = np.diff(t) < 1.5 * frame.dt  # live, ticks may be missing
-    several = {"free": ("f_m", "v_m", "v_s", "f_env"), "touch": ("f_env",), "jerk": ("f_m",)}
-    wanted = {name for group in groups for name in several.get(group, (group,)) if name in trace}
-    columns = {name: column.reshape(len(t), axes) for name in wanted if (column := trace[name]).size == len(t) * axes}
     with np.errstate(all="ignore"):  # the last rows of a run that diverged
-        if "free" in groups and columns.keys() >= {*several["free"]}:
-            found |= _free_sums(columns, follows)
+        if "free" in groups and all(name in trace for name in ("f_m", "v_m", "v_s", "f_env")):
+            found |= _free_sums(trace, axes, follows)
         for group in AT_END:
-            column = "f_env" if group == "touch" else group
-            if group in groups and column in columns:
-                late = columns[column][first:]
+            name = "f_env" if group == "touch" else group
+            if group in groups and name in trace and (column := trace[name]).size == len(t) * axes:
+                late = column[first:].reshape(-1, axes)
                 late = np.where(np.abs(late) > 0.0, 1.0, 0.0) if group == "touch" else late
                 found |= zip(names(group, axes, 0), map(in_order, late.T), strict=True)
-        if "jerk" in groups and "f_m" in columns and len(t) > 1:
-            steps = size(np.diff(trace["f_m"], axis=0))[follows]
+        if "jerk" in groups and "f_m" in trace and len(t) > 1:
+            force = trace["f_m"]
+            steps = np.concatenate([size(np.diff(force[block.start:block.stop + 1], axis=0))
+                                    for block in blocks(len(t) - 1)])[follows]
             found["jerk_sq"] = in_order(steps * steps)
             if isfinite(found["jerk_sq"]) and len(steps):
                 rank = ranks(len(steps) + 1)
-                found[f"rank_{rank - 1}"] = float(np.partition(steps, len(steps) - rank)[len(steps) - rank])
+                steps.partition(len(steps) - rank)
+                found[f"rank_{rank - 1}"] = float(steps[len(steps) - rank])
             found["steps"] = float(len(steps))
     return found
 
 
-def _free_sums(columns: Mapping[str, NDArray[Any]], follows: NDArray[np.bool_]) -> dict[str, float]:
-    """The sums over free space, of columns (ticks, axes)."""
+def _free_sums(trace: Mapping[str, Any], axes: int, follows: NDArray[np.bool_]) -> dict[str, float]:
+    """The sums over free space."""
     import numpy as np
 
-    touches = ~(np.abs(columns["f_env"]) <= 0.0).all(axis=1)
-    moves = (np.abs(columns["v_s"]) > 0.0).any(axis=1)
-    since = max(int(moves.argmax()) if moves.any() else len(moves), 1) - 1
-    until = int(touches.argmax()) if touches.any() else len(touches)
-    if until - since < 2:
+    rows = len(follows) + 1
+    touches = ~(np.abs(trace["f_env"].reshape(rows, -1)) <= 0.0).all(axis=1)
+    moves = (np.abs(trace["v_s"].reshape(rows, -1)) > 0.0).any(axis=1)
+    since = max(int(moves.argmax()) if moves.any() else rows, 1) - 1
+    until = int(touches.argmax()) if touches.any() else rows
+    speed, force = trace["v_m"], trace["f_m"]
+    if until - since < 2 or not speed.size == force.size == rows * axes:
         return {}
-    follows = follows[since:until - 1]
-    v, f = columns["v_m"][since:until], columns["f_m"][since:until - 1][follows]
-    a, v = np.diff(v, axis=0)[follows], (0.5 * (v[1:] + v[:-1]))[follows]
-    found = {"free_n": float(len(f))}
-    of = {"a": a, "v": v, "f": f}
-    for name, values in of.items():
-        found |= {f"free_{name}{i}": in_order(column) for i, column in enumerate(values.T)}
-    for one, other in ("aa", "av", "vv", "fa", "fv", "ff"):
-        product = of[one] * of[other]
-        total = product[:, 0]
-        for column in product.T[1:]:
-            total = total + column
-        found[f"free_{one}{other}"] = in_order(total)
+    speed, force = speed.reshape(rows, axes), force.reshape(rows, axes)
+    found = dict.fromkeys(names("free", axes, 0), 0.0)
+    for block in blocks(until - 1 - since):
+        here = slice(since + block.start, since + block.stop)
+        goes = follows[here]
+        v = speed[here.start:here.stop + 1]
+        of = {"a": np.diff(v, axis=0)[goes], "v": (0.5 * (v[1:] + v[:-1]))[goes], "f": force[here][goes]}
+        found["free_n"] += float(np.count_nonzero(goes))
+        for name, values in of.items():
+            for i, column in enumerate(values.T):
+                found[f"free_{name}{i}"] = in_order(column, found[f"free_{name}{i}"])
+        for one, other in ("aa", "av", "vv", "fa", "fv", "ff"):
+            product = of[one] * of[other]
+            total = product[:, 0]
+            for column in product.T[1:]:
+                total = total + column
+            found[f"free_{one}{other}"] = in_order(total, found[f"free_{one}{other}"])
     return found
 
 

@@ -207,6 +207,7 @@ class TestTheRest:
 ASKED = [name for name in METRICS if name in SUMS or name in ("energy_out", "f_m_max", "E_port_min", "swing_end")]
 ROWS: dict[str, tuple[str, dict[str, Any], dict[str, list[Any]], set[str]]] = {
     "pressing": ("hard_wall", {"duration": 4.0}, {"delay": [0.0, 0.05], "k_e": [500.0, 2e4]}, {"ok"}),
+    "more ticks than are summed at once": ("free_motion", {"duration": 20.0}, {"delay": [0.02]}, {"ok"}),
     "swinging": ("hard_wall", {"duration": 9.0, "law": "direct"}, {"law.K": [200.0, 1000.0]}, {"limit cycle"}),
     "diverging over a rough link": (
         "canonical", {"duration": 1.5, "link": "delay(0.02) | uniform(0.02) | bernoulli(0.1)", "law": "direct"},
