@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from teleop.simulation.facts import facts_of, fitted
     from teleop.simulation.result import Result
     from teleop.simulation.virtual import run
+    from teleop.stages.deadband import Deadband
     from teleop.stages.device import Device, VelocityEstimator
     from teleop.stages.encoder import Encoder
     from teleop.stages.force_cap import Cap
@@ -69,15 +70,15 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 __all__ = [
-    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling", "Device",
-    "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit", "Energy", "Environment",
-    "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper",
-    "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout",
-    "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling", "Scene",
-    "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave",
-    "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__", "around",
-    "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages",
-    "number", "run", "seed_energy", "sweep", "whole_number",
+    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
+    "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit",
+    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant",
+    "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant",
+    "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling",
+    "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog",
+    "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__",
+    "around", "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene",
+    "messages", "number", "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -120,6 +121,7 @@ _HOMES = {  # the module of each name, under this package
     "simulation.facts": ("facts_of", "fitted"),
     "simulation.result": ("Result",),
     "simulation.virtual": ("run",),
+    "stages.deadband": ("Deadband",),
     "stages.device": ("Device", "VelocityEstimator"),
     "stages.encoder": ("Encoder",),
     "stages.passivity_controller": ("PassivityController",),

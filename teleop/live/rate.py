@@ -17,6 +17,9 @@ def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool, spin: bool) ->
     if lockstep and spin:
         raise Refused("--spin is for ends that tick by the clock, and with --lockstep they tick by packets; leave one "
                       "of them out")
+    if lockstep and scene.deadband is not None:
+        raise Refused("with --lockstep each end waits for the other's packet of every tick, and a deadband leaves "
+                      "packets out; leave one of them out")
     if rate is None:
         return 1
     number("--rate", rate, above=0.0)

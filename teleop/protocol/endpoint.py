@@ -93,7 +93,7 @@ class Tick(NamedTuple):
     """What one tick of an end comes to."""
 
     force: Axes  # to hold until the next tick, N
-    datagram: bytes | None  # to send; None if the message is not finite
+    datagram: bytes | None  # to send; None if the message is not finite, or its deadband does not send it
     row: tuple[float, ...]  # for the record; its columns are `columns(scene, e, sensor)`
     played: int  # the packet played at this tick, or -1
 
@@ -122,7 +122,7 @@ class Endpoint:
         self.stepped = messages is not None
         self.inbox: Messages = messages if messages is not None else Inbox(scene.played_as, scene.dt_ns)
         self.rejected: Counter[str] = Counter()
-        self.received = 0  # DATA packets of the sessions, copies included
+        self.received = self.saved = 0  # DATA packets of the sessions, copies included; what a deadband did not send
         self.heard_ns = 0  # when the newest of them that was no copy came
         self.counted: Counter[str] = Counter()  # by the inboxes of earlier sessions
         self.force_failed: str | None = None
@@ -188,6 +188,7 @@ class Endpoint:
         stamps = [f"E_in_{'fwd' if e == 'm' else 'bwd'}", f"E_out_{'bwd' if e == 'm' else 'fwd'}"]
         flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
         self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
+        self._told = flat.index(f"sent_{e}") if f"sent_{e}" in flat else None
         self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
@@ -410,6 +411,9 @@ class Endpoint:
             self.message_failed = True
             return None
         if session.number is None or not session.carries_data:
+            return None
+        if self._told is not None and row[self._told] == 0.0:
+            self.saved += 1
             return None
         newest = self._newest
         echo = None if newest is None else _new(Echo, (newest[1], max(0, now - newest[2])))

@@ -27,6 +27,7 @@ from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of
 if TYPE_CHECKING:
     from teleop.physics.plant import MassDamper
     from teleop.physics.relaxing import ElectricalDamping
+    from teleop.stages.deadband import Deadband
     from teleop.stages.device import Device
     from teleop.stages.force_cap import Cap
     from teleop.stages.passivity_controller import PassivityController
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
 PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
-         "left_out_m", "left_out_s")  # or None
+         "left_out_m", "left_out_s", "deadband")  # or None
 
 _NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size", "start_m", "start_s")
 # The numbers of the last scene that passed its checks, by the classes of its parts: in a sweep they seldom change.
@@ -66,6 +67,7 @@ class Scene:
     electrical: ElectricalDamping | None = None  # of the master's motor
     left_out_m: LeftOutLike | None = None  # the ticks that the master leaves out; None: it runs every tick
     left_out_s: LeftOutLike | None = None  # the same of the slave
+    deadband: Deadband | None = None  # what of the messages is sent, at both ends; None: each of them
     energy: bool = False  # sum E_link and E_port along the run
     axes: int = 1
     start_m: Vector = 0.0  # where the master starts, at rest, m
@@ -92,7 +94,8 @@ class Scene:
 
     def _is_judged_by_classes(self) -> bool:
         """True if the checks, which it passed, ask for no more than the classes of its parts and its numbers."""
-        if any(isinstance(each, tuple) for each in (self.environment, self.start_m, self.start_s)):
+        if self.deadband is not None or any(
+                isinstance(each, tuple) for each in (self.environment, self.start_m, self.start_s)):
             return False
         touched = self.environment is None or any(
             hasattr(type(self.environment), each) for each in ("plant", "resistance", "path"))
@@ -113,6 +116,7 @@ class Scene:
         if not isinstance(self.energy, bool):
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
         self._check_numbers()
+        self._check_deadband()
         environments = self.environments
         for each in environments:
             if each is not None and (
@@ -136,10 +140,25 @@ class Scene:
             raise Refused(f"law {law_name(self.law)} has two ends and the scene has no slave; write for example "
                           "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
         check_shape("one-port law", self.law)
-        for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s"):
+        for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s", "deadband"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")
+
+    def _check_deadband(self) -> None:
+        """Refuse a deadband whose silence would be taken for a peer that is gone, or for waves that are zero."""
+        own = self.deadband
+        if own is None:
+            return
+        timeout = None if self.watchdog is None else getattr(self.watchdog, "timeout", None)
+        if timeout is not None and (own.keep_alive is None or own.keep_alive >= timeout):
+            keep = "never" if own.keep_alive is None else f"after {own.keep_alive:g} s"
+            raise Refused(f"the deadband sends {keep} without a change, and the watchdog lets go after {timeout:g} s "
+                          f"without a message; write for example Deadband(k={own.k:g}, keep_alive={0.2 * timeout:g})")
+        if self.has_waves and isinstance(self.wave_playout, Zero):
+            raise Refused("a deadband leaves gaps between the waves that it sends, and playout zero plays nothing in "
+                          "them: the force would be a pulse for each message; write playout=integral, or leave the "
+                          "playout out")
 
     def _check_numbers(self) -> None:
         """Refuse numbers out of range, and keep each as a float or an int, whatever type it was given as."""
@@ -216,7 +235,7 @@ class Scene:
         """
         if self.playout is not None:
             return self.playout
-        late = self.left_out_m is not None or self.left_out_s is not None
+        late = self.left_out_m is not None or self.left_out_s is not None or self.deadband is not None
         return Integral() if self.has_waves and (late or (self.link is not None and varies(self.link))) else Zero()
 
     @property
@@ -230,6 +249,10 @@ def both_ends(scene: Scene) -> Scene:
     if scene.slave is None:
         raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
                       f"teleop run {scene.name}")
+    own = scene.deadband
+    if own is not None and (own.keep_alive is None or own.keep_alive > 0.1):
+        raise Refused("a live end takes a peer that is silent for long to be gone, so its deadband sends every 0.1 s "
+                      f"at least: write for example Deadband(k={own.k:g}, keep_alive=0.01)")
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out by order in virtual time alone; a live end leaves out those that it cannot "
                       "run in time: leave left_out away (of a recorded link write left_out=False), or type teleop run")

@@ -25,6 +25,9 @@ WIDE = {
         "", "newtons of the slave, where there is one, for one newton of the master", above=0.0)),
     "left_out": Declared(float, 0.0, Knob(
         "", "share of its ticks that each end leaves out, at random", low=0.0, high=1.0)),
+    "deadband": Declared(float, 0.0, Knob(
+        "", "share by which a value differs from the last that was sent before a message is sent; 0: each is",
+        low=0.0, high=1.0)),
     "playout": Declared(Playout, "the scene's", Knob(
         "", "message that a tick plays, where there is a link: see `teleop list playout`")),
     "link": Declared("Link | None", "the scene's", Knob(
@@ -55,6 +58,11 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
         share = parts.pop("left_out")
         ticks = import_bundled("channel.left_out").LeftOut(share) if share > 0.0 else None
         parts |= {"left_out_m": ticks, "left_out_s": ticks if scene.slave is not None else None}
+    if "deadband" in parts:
+        from teleop.stages.deadband import Deadband
+
+        k = parts.pop("deadband")
+        parts["deadband"] = None if k == 0.0 else replace(scene.deadband or Deadband(), k=k)
     made = replace(scene, **parts)
     along = made.has_waves and integrates(made.played_as)  # what waves have come to is sent without a link too
     if "playout" in parts and made.link is None and not along:

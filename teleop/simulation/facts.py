@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 from teleop.law.offers import Delay, Facts, broken
@@ -31,6 +32,10 @@ def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, De
 
     dt = scene.dt_ns / 1e9
     delays = [Delay(dt, dt) if plan is None else delay(np.arange(ran), plan.played_at[:ran], dt) for plan in plans]
+    if scene.deadband is not None:  # of what could be sent, before it is known what is: a silence more
+        silence = inf if scene.deadband.keep_alive is None else scene.deadband.keep_alive
+        delays = [each if each is None or plan is None or plan.due is None else
+                  each._replace(greatest=each.greatest + silence) for each, plan in zip(delays, plans, strict=True)]
     return delays[0], delays[1], any(plan is not None and plan.lost > 0 for plan in plans)
 
 

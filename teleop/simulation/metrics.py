@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
-STANDS = "a hand that comes to stand"
+STANDS, DEADBAND = "a hand that comes to stand", "a deadband"
 FREE = "a slave that is moved before it touches anything"
 FELT = FREE + ", and a force that is felt then"
 PRESSES = "a hand that comes to stand, and a slave that keeps touching something with a place"
@@ -51,6 +51,8 @@ METRICS = {
     "T_bwd_max": Metric("s", "its largest value", LINK),
     "fresh_fwd": Metric("1", "share of the slave's ticks with a fresh message", LINK),
     "fresh_bwd": Metric("1", "share of the master's ticks with a fresh message", LINK),
+    "sent_fwd": Metric("1", "share of the ticks at which the master sent a message", DEADBAND),
+    "sent_bwd": Metric("1", "share of the ticks at which the slave sent a message", DEADBAND),
     "queue_fwd_max": Metric("s", "longest queue of forward waves at a tick that played a message", PLAYED),
     "queue_fwd_end": Metric("s", "queue of forward waves at such ticks of the last 0.1 s, mean", PLAYED),
     "queue_bwd_max": Metric("s", "longest queue of backward waves at a tick that played a message", PLAYED),
@@ -85,6 +87,7 @@ METRICS = {
 UNITS = {name: metric.unit for name, metric in METRICS.items()}
 
 
+_SENT = {"fwd": "sent_m", "bwd": "sent_s"}
 _COLUMNS = {"free": ("f_m", "v_m", "v_s", "f_env"), "touch": ("f_env",), "jerk": ("f_m",), "ranks": ("f_m",),
             **{name: (name,) for name in ("f_m", "f_env", "x_m", "x_s")}}  # that sums are of
 _ERRORS = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}  # mine, theirs, what played theirs
@@ -116,6 +119,7 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
         if age is not None:
             out |= _delays(way, age, ticks)
         out |= _queues(trace, way, seq, dt)
+    out |= {f"sent_{way}": float(trace[sent].sum()) / ticks for way, sent in _SENT.items() if sent in trace}
     for name, (mine, theirs, _) in _ERRORS.items():
         if mine in trace and theirs in trace:
             out |= _worst(name, _error(scene, trace, name))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, Plan, link_plans
@@ -20,6 +21,7 @@ class Packets:
     overtaken: int = 0
     duplicates: int = 0
     in_flight: int = 0
+    saved: int = 0  # that a deadband did not send
     rejected: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
@@ -34,9 +36,13 @@ class Packets:
         return cls(sent=ticks, received=max(0, ticks - 1), in_flight=min(1, ticks))
 
 
-def packet_counts(scene: Scene, seed: int, ran: int) -> dict[str, Packets]:
-    """The packets of each direction until tick `ran`, as the schedule has them."""
-    return counts_of(link_plans(scene, seed, ran), ran)
+def packet_counts(scene: Scene, seed: int, ran: int, told: Sequence[Any] | None = None) -> dict[str, Packets]:
+    """The packets of each direction until tick `ran`, as the schedule has them; `told`: see `link_plans`."""
+    counts = counts_of(link_plans(scene, seed, ran, told), ran)
+    if told is None:
+        return counts
+    could = counts_of(link_plans(scene, seed, ran), ran)
+    return {way: replace(each, saved=could[way].sent - each.sent) for way, each in counts.items()}
 
 
 def counts_of(plans: LinkPlans, ran: int) -> dict[str, Packets]:

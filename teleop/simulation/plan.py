@@ -6,7 +6,7 @@ all that came wins, as ever; with a fixed delay a packet whose own tick is left 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from inspect import signature
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -39,6 +39,28 @@ class Plan(NamedTuple):
     overtaken: int  # a newer one was played before, or at the same tick
     late: int  # fixed: came after its tick
     waiting: int  # fixed: came, and its tick is after the end
+    due: NDArray[np.int64] | None = None  # by content: of each packet the tick that may play it, see `orders`
+
+    @property
+    def orders(self) -> NDArray[np.int64]:
+        """What the loop of a run is told: the packets played; where content decides what is sent, more behind them.
+
+        That is for each packet the tick at which it may be played, and its number: one that never comes has its own
+        tick and -1.
+        """
+        import numpy as np
+
+        if self.due is None:
+            return self.played_at
+        numbers = np.arange(len(self.due))
+        return np.concatenate([self.played_at, self.due, np.where(self.due > numbers, numbers, -1)])
+
+    @property
+    def reach(self) -> int:
+        """The most ticks that a message is kept for."""
+        if self.due is None:
+            return self.lag
+        return int((self.due - range(len(self.due))).max(initial=0))
 
     @property
     def play(self) -> list[int]:
@@ -55,14 +77,15 @@ class Plan(NamedTuple):
 
 def plan(
     playout: Playout, packet: NDArray[np.int64], time_ns: NDArray[np.int64], count: int, dt_ns: int,
-    sent: NDArray[np.bool_] | None = None, left_out: NDArray[np.bool_] | None = None,
+    sent: NDArray[np.bool_] | None = None, left_out: NDArray[np.bool_] | None = None, *, by_content: bool = False,
 ) -> Plan:
     """The packets played at the ticks 0 .. count-1.
 
     `packet` and `time_ns` are the arrivals: packet number (0 .. count-1, sent at the tick of its number) and
     the time in ns when a copy of it came out of the link; lost ones are absent, duplicates there twice. `sent`: the
     ticks at which one was sent, `left_out`: those that the receiver leaves out, (count,) each; None: all, and none.
-    Raises `Refused` for a number that was not sent.
+    `by_content`: which packets are sent is known only as the run goes, so it has `due`. Raises `Refused` for a number
+    that was not sent.
     """
     import numpy as np
 
@@ -79,6 +102,7 @@ def plan(
     came = first < count
 
     play = np.full(count, -1, dtype=np.int64)
+    at = first
     late = waiting = 0
     if isinstance(playout, Fixed):
         due = numbers + playout.ticks(dt_ns)
@@ -86,6 +110,7 @@ def plan(
         if left_out is not None:  # it came by then, but nobody was there
             in_time &= ~np.append(left_out, False)[np.minimum(due, count)]
         on = in_time & (due < count)
+        at = np.where(on, due, never)
         play[due[on]] = numbers[on]
         late = int(np.count_nonzero(came & ~in_time))
         waiting = int(np.count_nonzero(in_time & ~on))
@@ -105,6 +130,7 @@ def plan(
         sent=total, received=received, lost=lost, in_flight=total - received - lost,
         duplicates=int(np.count_nonzero(tick < count)) - received,
         played=plays, overtaken=received - plays - late - waiting, late=late, waiting=waiting,
+        due=np.where(at < count, at, numbers) if by_content else None,
     )
 
 
@@ -128,15 +154,17 @@ class LinkPlans(NamedTuple):
     bwd: Plan | None
 
 
-def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
+def link_plans(scene: Scene, seed: int, ticks: int | None = None,
+               told: Sequence[NDArray[np.bool_]] | None = None) -> LinkPlans:
     """The plan of each direction of a scene's link: the packet played at every tick.
 
     `ticks`: of a run that ended early, how many it had; what was sent and received until then. Raises `Refused` where
-    the link does.
+    the link does. `told`: of a run in which content decides what is sent, the ticks at which each end, master and
+    slave, sent its message; without it the plans are those of all that the ends could send, and have `due`.
     """
     count = scene.ticks if ticks is None else ticks
     parts = scene.leaves_out("m"), scene.leaves_out("s")
-    if scene.link is None and parts == (None, None):
+    if scene.link is None and scene.deadband is None and parts == (None, None):
         return LinkPlans(None, None)
     out = [None if part is None else _left_out(part, end, count, seed) for end, part in enumerate(parts)]
     if scene.slave is None:
@@ -147,7 +175,12 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None) -> LinkPlans:
         sent = None if sender is None else ~sender
         packet, time_ns = _arrivals(scene, direction, count, seed, sent)
         playout = Zero() if scene.link is None else scene.played_as
-        plans.append(plan(playout, packet, time_ns, count, scene.dt_ns, sent, receiver))
+        if told is not None:
+            sent = told[direction] if sent is None else sent & told[direction]
+            were = sent[packet]
+            packet, time_ns = packet[were], time_ns[were]
+        plans.append(plan(playout, packet, time_ns, count, scene.dt_ns, sent, receiver,
+                          by_content=scene.deadband is not None and told is None))
     return LinkPlans(*plans)
 
 
@@ -167,7 +200,7 @@ def _without_packets(left_out: NDArray[np.bool_]) -> Plan:
     """The plan of an end to which nothing is sent."""
     import numpy as np
 
-    return Plan(np.where(left_out, LEFT_OUT, -1), *[0] * 10)
+    return Plan(np.where(left_out, LEFT_OUT, -1), 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 def _arrivals(scene: Scene, direction: int, count: int, seed: int, sent: NDArray[np.bool_] | None

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.kind import wave
+from teleop.kind import kinds, wave
 from teleop.law import functions_of, messages, reads, start_at
 from teleop.law.offers import stores
 from teleop.scene.playout import integrates, repeats
 from teleop.scene.scene import Scene
-from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Shown, Stage, per_axis
+from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Shown, Stage, Told, per_axis
 from teleop.stages.order import STAGES, Asked
 
 NAMES = {"m": "master", "s": "slave"}
@@ -27,6 +27,7 @@ class EndStructure(NamedTuple):
     rx_wave: str = ""
     rx_fields: tuple[str, ...] = ()
     shows: tuple[str, ...] = ()  # fields of its law's state that are recorded
+    tells: tuple[str, ...] = ()  # fields of its messages that decide whether they are sent
 
 
 class Structure(NamedTuple):
@@ -45,9 +46,9 @@ def structure_of(scene: Scene) -> Structure:
         late = scene.leaves_out("m") is not None or scene.leaves_out("s") is not None
         has = RunHas(
             slave=scene.slave is not None, hand=scene.hand is not None,
-            link=scene.slave is not None and (scene.link is not None or late),
+            link=scene.slave is not None and (scene.link is not None or late or scene.deadband is not None),
             repeats=repeats(scene.played_as), integral=scene.has_waves and integrates(scene.played_as),
-            energy=scene.energy, waves=scene.energy and scene.has_waves,
+            deadband=scene.deadband is not None, energy=scene.energy, waves=scene.energy and scene.has_waves,
             stored=scene.energy and scene.slave is not None and stores(scene.law))
         slave = _end(scene, "s", has) if has.slave else EndStructure(EndHas(), ())
         kept = vars(scene)["_structure"] = Structure(scene.axes, has, _end(scene, "m", has), slave)
@@ -70,7 +71,7 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         inner=inner, touch=touch, observed=observed, sensed=touch and not observed,
         # A body with an inner state cannot tell its external force afterwards, so it is recorded.
         felt=(touch and not observed) or inner,
-        age=age, aged=aged, newest=age or aged, sums=sums is not None,
+        age=age, aged=aged, newest=age or aged or run.deadband, sums=sums is not None,
         dx="dx" in reading or (run.energy and "encoder" not in names) or any(stage.wants_dx for stage in stages),
         leaves_out=scene.leaves_out(e) is not None, encoder="encoder" in names,
         velocity="velocity" in names, scaled="scaling" in names,
@@ -80,7 +81,13 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         return EndStructure(has, stages, fields)
     forth, back = messages(scene.law, scene.dt_ns / 1e9)
     tx, rx = (forth, back) if e == "m" else (back, forth)
-    return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, _shows(scene, e))
+    return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, _shows(scene, e),
+                        _tells(tx) if run.deadband else ())
+
+
+def _tells(message: Any) -> tuple[str, ...]:
+    """The fields of a message that ask for it to be sent: all but totals, which tell of energy."""
+    return tuple([name for name, of_kind in kinds(message).items() if of_kind != "total"])
 
 
 def _shows(scene: Scene, e: str) -> tuple[str, ...]:
@@ -127,6 +134,7 @@ def _end_of(name: str, structure: Structure) -> End:
     e.stages = tuple([stage(name, structure.axes) for stage in own.stages])
     e.fields, e.tx_wave, e.rx_wave, e.rx_fields = own.fields, own.tx_wave, own.rx_wave, own.rx_fields
     e.shown = tuple([Shown(f"{a.suffix}_{field}", a, field) for field in own.shows for a in e.axes])
+    e.told = tuple([Told(f"{a.suffix}_{field}", a, field) for field in own.tells for a in e.axes])
     e.cells = tuple([cell for column in end_columns(e) for cell in column.cells])
     e.memory = (
         *[(a, field) for a in e.axes for field in ("x", "v", "f")], *[(a, "z") for a in e.axes if own.has.inner],

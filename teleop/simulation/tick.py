@@ -44,12 +44,14 @@ def begin(run: Run, e: End, given: Any) -> None:
     for one in e.shown:
         one.value = zero(run)
     if e.has.newest:
-        e.newest = -1
+        e.newest = zero(run) - 1.0 if run.has.deadband else -1
 
 
 def tick(run: Run, e: End, k: int) -> None:
     """One end's tick k: its readings, its law, and the force that is held until the next."""
-    if e.has.age and run.has.compiled:
+    if e.has.age and run.has.deadband:
+        e.age = where(e.newest >= 0.0, (k - e.newest) * run.dt, inf)
+    elif e.has.age and run.has.compiled:
         e.age = where(came(e.newest), (k - e.newest) * run.dt, inf)
     elif e.has.age:
         e.age = (k - e.newest) * run.dt if e.newest >= 0 else inf
@@ -183,7 +185,7 @@ def loop(  # noqa: PLR0912 - of which a structure has few
                 tick(run, e, k)
         run.recorder.step(run, k)
         if run.has.link:
-            send(run, size, k)
+            send(run, play_m, play_s, size, count, k)
         # 4. the forces are held for one tick while the bodies move
         move_master(run, k)
         if run.has.slave:
@@ -210,6 +212,8 @@ def loop(  # noqa: PLR0912 - of which a structure has few
 
 def attend(run: Run, e: End, k: int, orders: Any) -> None:
     """One end's tick k, if it is run; one that is left out is left out whole, and the force is held."""
+    if run.has.deadband:
+        e.send = zero(run)  # unless the tick is run
     if run.has.lanes:
         only(runs(packet(orders, k)), run_late, run, e, k)
     elif run.has.compiled:

@@ -17,6 +17,7 @@ from teleop.simulation.packets import counts_of, packet_counts
 from teleop.simulation.plan import LinkPlans, check_seed, link_plans, round_trip
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result
+from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord, assemble
 
 LONG = 100_000  # ticks from which on the rows are kept in a quarter of the memory, for 0.3 us a row
@@ -46,10 +47,10 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     scene, seed = prepared.scene, check_seed(seed)
     bodies = prepared.bodies
     fwd, bwd = plans = link_plans(scene, seed)
-    orders = [plan and plan.play for plan in (bwd, fwd)]
+    orders = [plan and plan.orders.tolist() for plan in (bwd, fwd)]
     if scene.slave is None:  # what its ticks are ordered says which of them are left out, and no more
         fwd, bwd = plans = LinkPlans(None, None)
-    size = 1 + max((plan.lag for plan in plans if plan is not None), default=0)
+    size = 1 + max((plan.reach for plan in plans if plan is not None), default=0)
     rows: dict[str, Any] = {e: array("d") if scene.ticks > LONG else [] for e in ("m", "s")}
     reference, loop, starts = prepared.reference, prepared.loop, prepared.starts
     arguments = (
@@ -60,6 +61,9 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     began = clock() if clock else 0
     ran, capped, end, inner = attempt(scene.law, loop, *arguments)
     took = clock() - began if clock else None
+    sent = None if scene.deadband is None else [_told(scene, e, rows[e], ran) for e in ("m", "s")]
+    if sent is not None:
+        fwd, bwd = plans = link_plans(scene, seed, ran, sent)
 
     records = {
         e: EndRecord(range(ran), rows[e], None if plan is None else plan.packets_until(ran))
@@ -69,7 +73,8 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     trip = round_trip(None if plan is None else plan.played_at for plan in plans) if prepared.still else 0
     came = verdict(prepared, trace, ran, end, trip)
     # Of a run that ended early, only what was sent until then counts.
-    packets = counts_of(plans, ran) if ran == scene.ticks else packet_counts(scene, seed, ran)
+    known = sent is None and ran == scene.ticks
+    packets = counts_of(plans, ran) if known else packet_counts(scene, seed, ran, sent)
     reports = integration(scene, bodies, inner)
     notes = law_notes(scene, *of_plans(scene, plans, ran))
     if bodies.method:
@@ -87,3 +92,12 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
         scene, seed=seed, mode="virtual", status=came.status, sentence=came.sentence, ticks=ran,
         run_time=None if took is None else took / 1e9, trace=trace, packets={} if scene.slave is None else packets,
         notes=notes, extra=reports, at_rest=came.at_rest)
+
+
+def _told(scene: Scene, e: str, rows: Any, ran: int) -> Any:
+    """The ticks at which an end sent its message, as its record has them: (ran,) truths."""
+    import numpy as np
+
+    places = [each for name in columns(scene, e) for each in [name] * (scene.axes if name.endswith("@") else 1)]
+    table = np.array(rows, dtype=float).reshape(ran, -1)
+    return table[:, places.index(f"sent_{e}")] > 0.0

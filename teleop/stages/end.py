@@ -21,6 +21,7 @@ class RunHas(NamedTuple):
     energy: bool = False  # the ledgers of the ports are kept,
     waves: bool = False  # ... and that of the link, whose messages carry waves,
     stored: bool = False  # ... and that of the law, which says how much it keeps
+    deadband: bool = False  # what is sent is decided by content
     compiled: bool = False  # written without branches, for compiled code
     lanes: bool = False  # eight scenes side by side
 
@@ -80,6 +81,7 @@ class Axis(Record):
     sent: Any  # what its own have come to
     E_played: float  # energy of the waves that it played, J
     ring: Any  # messages on their way
+    coming: Any  # the one that comes at this tick, with its number behind it, where some are not sent
 
     move: Callable[..., Any]  # the functions of its body
     force: Callable[..., Any]
@@ -99,6 +101,18 @@ class Shown(Record):
         self.a, self.field = a, field
 
 
+class Told(Record):
+    """A field of an end's messages in one axis, by which it is decided whether they are sent."""
+
+    q: float  # its value
+    last: float  # what was sent last
+    away: float  # how far they are apart
+
+    def __init__(self, suffix: str, a: Axis, field: str) -> None:
+        super().__init__(suffix)
+        self.a, self.field = a, field
+
+
 class End(Record):
     """The master's end or the slave's."""
 
@@ -109,6 +123,10 @@ class End(Record):
     cells: tuple[tuple[Record, str], ...]  # of a row of its record
     memory: tuple[tuple[Record, str], ...]  # what it keeps from tick to tick
     shown: tuple[Shown, ...]  # of its law's state, what is recorded
+    told: tuple[Told, ...]  # of its messages, what decides whether they are sent
+    send: float  # 1.0 if the message of this tick is sent, else 0.0
+    due: Any  # the tick at which it comes to the other end
+    number: float  # its number, counted from 1; 0 if it never comes
     fields: tuple[str, ...]  # of its law's sums
     tx_wave: str  # the field of its messages that is a wave, "" if none is
     rx_wave: str

@@ -189,6 +189,17 @@ def sent(kept: list[Any], k: int, message: Any) -> None:
     kept[k % len(kept)] = message
 
 
+def placed(kept: list[Any], at: Any, which: Any, message: Any) -> None:
+    """Keep a message at place `at`, where `which` is true; of each lane, where each has its own."""
+    if not isinstance(which, Mask):
+        if which:
+            kept[at % len(kept)] = message
+        return
+    for i in range(WIDTH):
+        row = (at[i] if isinstance(at, Eight) else at) % len(kept)
+        kept[row] = chosen(Mask([which[i] and n == i for n in range(WIDTH)]), message, kept[row])
+
+
 def received(kept: list[Any], seq: Any, message: Any) -> Any:
     """The message of number `seq`, or the one there is if that is below zero; of each lane, where each has its own."""
     if not isinstance(seq, Eight):

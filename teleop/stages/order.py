@@ -87,6 +87,9 @@ AFTER_LAW = (  # what its force goes through
           "takes away driving force beyond the power that may be given out", "cap=Cap(power=1.0)"),
     Place("force_cap", "force_cap:ForceCapStage", lambda end: end.scene.cap is not None,
           "limits the force and its change within a tick", "cap=Cap(f_max=20.0, slew=2000.0)"),
+    # what of its messages is sent
+    Place("deadband", "deadband:DeadbandStage", lambda end: end.scene.deadband is not None,
+          "sends a message only where it differs from the last that was sent", "deadband=Deadband(k=0.1)"),
     # what the held force did, and the waves
     Place("wave_ledger", "ledger:WaveLedger", lambda end: end.scene.energy and end.scene.has_waves,
           "sums the energy of a law's waves that go into the link and come out: E_in, E_out", "energy=True"),

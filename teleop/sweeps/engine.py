@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, nearest
 from teleop.law import functions_of
+from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.felt import MOST_RANKS, ranks
@@ -75,7 +76,13 @@ def needs_record(measures: Sequence[Measure], scene: Scene) -> bool:
     recorded, stamped = _kinds(tuple(measures))
     if "jerk_999" in measures and ranks(scene.ticks) > MOST_RANKS:
         return True
+    if scene.deadband is not None and (not OF_PLAN.isdisjoint(measures) or _delay_varies(scene)):
+        return True  # which packets there are is known once it has run
     return recorded or (stamped and scene.energy and scene.has_waves)
+
+
+def _delay_varies(scene: Scene) -> bool:
+    return (scene.link is not None and varies(scene.link)) or any(scene.leaves_out(e) is not None for e in ("m", "s"))
 
 
 @lru_cache(maxsize=256)

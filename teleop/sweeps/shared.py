@@ -39,9 +39,10 @@ class Schedules:
 def schedules_key(scene: Scene, seed: int) -> Any:
     """What tells the schedules of a row from those of others."""
     left_out = scene.left_out_m, scene.left_out_s
-    if scene.link is None and left_out == (None, None):
+    if scene.link is None and left_out == (None, None) and scene.deadband is None:
         return "no link", scene.ticks, scene.dt_ns
-    key = scene.link, scene.played_as, seed, scene.ticks, scene.dt_ns, scene.wire_size, left_out, scene.slave is None
+    key = scene.link, scene.played_as, seed, scene.ticks, scene.dt_ns, scene.wire_size, left_out, (
+        scene.slave is None, scene.deadband is None)
     try:
         hash(key)
     except TypeError:  # a link of the user's own that has no hash

@@ -112,6 +112,8 @@ def _packets(result: Result) -> Iterator[str]:
 
 def _counts(packets: Packets) -> str:
     said = [f"{packets.sent} sent"] * (packets.sent > 0) + [f"{packets.received} received"]
+    if packets.saved:
+        said.insert(1, f"{packets.saved} saved")
     for key, word in _COUNTS:
         count = getattr(packets, key)
         said += [f"{count} {word}"] * (count > 0 or key in ("lost", "late"))

@@ -20,7 +20,8 @@ above those that it sent, and a wave u is held only where that pays for it,
 Over ticks that were left out what was sent went on, so A goes on by the last difference; where that is below zero, the
 next wave is smaller by as much, |sent|^2 <= u^2 + 2 A/dt. So what is sent never has more energy than what there was:
 `E_link` is kept over any link, as the law inside keeps it. What waves come to is not kept: a coupling of waves drifts,
-by up to k of the way. Totals, which tell of energy, are held with the message: the other end knows of less, never more.
+by up to k of the way. Totals, which tell of energy, are always told, for an end that couples its axes tells the same in
+each of them.
 
 Claims: `E_link` and `E_law` as the law has them. `E_port` is not claimed: a held position is no late position, and the
 conditions of laws of positions are conditions on a delay.
@@ -79,17 +80,17 @@ class Deadband:
         """At each end: what is sent last, of waves its account and the power above it, and how many were sent."""
         state = {"deadband_begun": "0.0", "deadband_sent": "0.0"}
         after = ["deadband_send = 1.0 - s.deadband_begun"]
-        for name, of_kind in end.sends.items():
+        decides = {name: of_kind for name, of_kind in end.sends.items() if of_kind != "total"}
+        for name, of_kind in decides.items():
             state[f"deadband_{name}"] = "0.0"
             last = f"s.deadband_{name}"
-            if of_kind != "total":
-                after.append("deadband_send = max(deadband_send, moved(self.deadband_k, self.deadband_floor, "
-                             f"tx_{name}, {last}))")
+            after.append("deadband_send = max(deadband_send, moved(self.deadband_k, self.deadband_floor, "
+                         f"tx_{name}, {last}))")
             if of_kind == "wave":
                 state |= {f"deadband_A_{name}": "0.0", f"deadband_P_{name}": "0.0"}
                 after += [f"deadband_A_{name} = s.deadband_A_{name} + (at.span - at.dt) * s.deadband_P_{name}",
                           f"deadband_send = max(deadband_send, unpaid(tx_{name}, {last}, deadband_A_{name}, at.dt))"]
-        for name, of_kind in end.sends.items():
+        for name, of_kind in decides.items():
             after.append(f"deadband_{name} = kept(deadband_send, tx_{name}, s.deadband_{name})")
             if of_kind == "wave":
                 after += [f"deadband_{name} = within(deadband_{name}, tx_{name}, deadband_A_{name}, at.dt)",

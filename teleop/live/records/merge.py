@@ -274,10 +274,10 @@ def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[s
     packets = {}
     for e, peer in (("m", "s"), ("s", "m")):
         way = WAYS[e][0]
-        sent = ends[e]["packets"][way]["sent"]
+        sent, saved = (ends[e]["packets"][way].get(name, 0) for name in ("sent", "saved"))
         heard = Packets(**ends[peer]["packets"][way])
         lost = channel.get("counts", {}).get(way, {}).get("lost", 0)
-        packets[way] = replace(heard, sent=sent, lost=lost, in_flight=max(0, sent - heard.received - lost))
+        packets[way] = replace(heard, sent=sent, saved=saved, lost=lost, in_flight=max(0, sent - heard.received - lost))
     return packets
 
 

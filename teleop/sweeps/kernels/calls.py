@@ -26,7 +26,7 @@ def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> l
     flats = [row.flat for row in rows if row.flat is not None]
     reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
     schedules = [row.schedule for row in rows]
-    played = _for_each(schedules, lambda one: (address_of(one.plays[1]), address_of(one.plays[0])))
+    played = _for_each(schedules, lambda one: (address_of(one.orders[1]), address_of(one.orders[0])))
     paths = _for_each([row.path for row in rows], lambda path: [address_of(axis) for axis in path])
     lags = np.array([lag for tile in tiles for _, lag in tile], dtype=np.int64)
     sizes = np.maximum(lags.max(axis=1), _for_each(schedules, lambda one: (one.size,))[:, 0])

@@ -60,6 +60,9 @@ class Figures(Recorder):
     E_law_min: float
     g_m_min: float
     g_s_min: float
+    told_m: float  # messages that the master sent
+    told_s: float
+    told_of: float  # ticks
     start: Any  # the first tick of the late windows
     window: Any  # ticks of each
     next: Any  # the tick at which the next begins
@@ -108,6 +111,7 @@ class Figures(Recorder):
         if run.m.has.watchdog:
             self.g_m_min = 1.0
             self.g_s_min = 1.0
+        self.told_m = self.told_s = self.told_of = zero(run)
         if "rest" in self.keeps:
             self.start = self.next = asked[-3]
             self.window = asked[-2]
@@ -142,6 +146,7 @@ class Figures(Recorder):
         if run.m.has.watchdog:
             self.g_m_min = least(self.g_m_min, run.m.g)
             self.g_s_min = least(self.g_s_min, run.s.g)
+        self.count_told(run)
         if "rest" in self.keeps:
             self.look(run, k)
         if len(self.groups) > 0:
@@ -160,6 +165,13 @@ class Figures(Recorder):
             self.sums.end(run, k)
         if "turns" in self.groups:
             self.sums.turn(run, k, self.start, self.window)
+
+    def count_told(self, run: Run) -> None:
+        """The messages that the ends sent, and the ticks."""
+        if "told" in self.keeps:
+            self.told_m = self.told_m + run.m.send
+            self.told_s = self.told_s + run.s.send
+            self.told_of = self.told_of + 1.0
 
     def track_x(self, run: Run, k: int) -> None:
         """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
@@ -270,6 +282,8 @@ class Figures(Recorder):
             return known(self.f_err_max, self.n_f)
         if name in ("E_link_end", "E_port_end", "E_law_end"):
             return self.E_link if name == "E_link_end" else self.E_port if name == "E_port_end" else self.E_law
+        if name in ("sent_fwd", "sent_bwd"):
+            return (self.told_m if name == "sent_fwd" else self.told_s) / self.told_of
         return getattr(self, name)
 
 

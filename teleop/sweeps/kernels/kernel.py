@@ -92,7 +92,7 @@ def available(scene: Scene) -> frozenset[str]:
 
 @lru_cache(maxsize=256)
 def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
-    there = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog}
+    there = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog, "told": has.deadband}
     named = {name for name, what in KEPT.items() if name not in AT_REST and all(there.get(each, True) for each in what)}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
     return frozenset(named if has.slave else named - of_slave - OF_SLAVE)
@@ -132,7 +132,7 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
         outputs = []
         for row, lag in zip(rows, lags, strict=True):
             numbers, law, dt, x_limit, start_m, start_s, held = row.tree
-            fwd, bwd = [None if plan is None else plan.play for plan in row.schedule.plans]
+            fwd, bwd = [None if plan is None else plan.orders.tolist() for plan in row.schedule.plans]
             outputs.append(KernelOutput(*attempt(
                 law, own_loop, numbers, law, dt, row.ticks, x_limit, start_m, start_s, bwd, fwd, row.schedule.size,
                 row.path, held, (*lag, *row.windows))))
@@ -150,7 +150,8 @@ class LinkSchedule(NamedTuple):
     """The link of a row, drawn up front: what rows with the same link, seed and clock share."""
 
     plans: tuple[Plan | None, Plan | None]  # fwd, bwd
-    plays: tuple[Any, Any]  # the same as arrays
+    plays: tuple[Any, Any]  # the packets played, as arrays
+    orders: tuple[Any, Any]  # what the loop is told of them
     lags: tuple[int, int]
     size: int  # of a ring of messages
 
@@ -161,8 +162,9 @@ class LinkSchedule(NamedTuple):
 
         plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
         lags = tuple([median_age(play) if has_packets(plan) else 1 for plan, play in zip(plans, plays, strict=True)])
-        size = max((plan.lag for plan in plans if plan is not None), default=0) + 1
-        return cls(plans, plays, lags, size)  # type: ignore[arg-type]  # there are two
+        orders = tuple([play if plan is None else plan.orders for plan, play in zip(plans, plays, strict=True)])
+        size = max((plan.reach for plan in plans if plan is not None), default=0) + 1
+        return cls(plans, plays, orders, lags, size)  # type: ignore[arg-type]  # there are two
 
     def lags_until(self, ran: int) -> tuple[int, int]:
         """Those of a run that ended early."""

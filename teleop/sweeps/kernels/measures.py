@@ -13,7 +13,7 @@ ALONG = {  # metric that is itself kept along the run -> what else is with it
     "x_err_rms": "x_err", "x_err_max": "x_err", "f_err_rms": "f_err", "f_err_max": "f_err", "f_m_max": "f_m_max",
     "f_s_max": "f_s_max", "f_h_max": "f_h_max", "f_env_max": "f_env_max", "E_link_min": "waves", "E_link_end": "waves",
     "E_port_min": "energy", "E_port_end": "energy", "E_law_min": "stored", "E_law_end": "stored",
-    "g_m_min": "watchdog", "g_s_min": "watchdog",
+    "sent_fwd": "told", "sent_bwd": "told", "g_m_min": "watchdog", "g_s_min": "watchdog",
 }
 KEPT = {**{name: (what,) for name, what in ALONG.items()}, **SUMS, "energy_out": ("energy",)}  # what is kept for each
 SWINGS = tuple([f"swing_{i}" for i in range(LATE)])  # of the late windows, see `teleop.simulation.rest`

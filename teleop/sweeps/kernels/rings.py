@@ -84,6 +84,42 @@ def sent(typingctx: Any, kept: Any, k: Any, message: Any) -> Any:  # noqa: ARG00
 
 
 @intrinsic_of
+def placed(typingctx: Any, kept: Any, at: Any, which: Any, message: Any) -> Any:  # noqa: ARG001
+    """Keep a message at place `at` where `which` is true; lane by lane, where each has a place of its own."""
+    own_places = isinstance(at, types.BaseTuple)
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind, offsets = sig.args[0], _offsets(message)
+        places = [builder.extract_value(args[1], i) for i in range(WIDTH)] if own_places else [args[1]]
+        rows = [_row(context, builder, kind, args[0], place, message) for place in places]
+
+        def keep(pointer: Any, keeps: Any, value: Any, **aligned: int) -> None:
+            builder.store(builder.select(keeps, value, builder.load(pointer, **aligned)), pointer, **aligned)
+
+        def leaf(own: Any, value: Any) -> Any:
+            offset = next(offsets)
+            if not _has_lanes(message):
+                keep(_cell(context, builder, kind, args[0], builder.add(rows[0], offset)), args[2],
+                     context.cast(builder, value, own, types.float64))
+                return value
+            value = context.cast(builder, value, own, lanes)
+            if not own_places:
+                keep(address(context, builder, kind, args[0], builder.add(rows[0], offset)), args[2], value, align=8)
+                return value
+            for i, row in enumerate(rows):
+                lane = ir.Constant(ir.IntType(32), i)
+                place = builder.add(row, builder.add(offset, ir.Constant(WHOLE, i)))
+                keep(_cell(context, builder, kind, args[0], place), builder.extract_element(args[2], lane),
+                     builder.extract_element(value, lane))
+            return value
+
+        tree_value(context, builder, message, message, args[3], leaf)
+        return context.get_dummy_value()
+
+    return types.none(kept, at if own_places else types.int64, which, message), make
+
+
+@intrinsic_of
 def received(typingctx: Any, kept: Any, seq: Any, message: Any) -> Any:  # noqa: ARG001
     """The message of number `seq`, or the one there is if that is below zero; lane by lane, where each has its own."""
     own_links = isinstance(seq, types.BaseTuple)

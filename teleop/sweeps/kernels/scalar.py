@@ -10,10 +10,10 @@ from teleop.simulation.felt import frame_of
 from teleop.sweeps.kernels.calls import called
 from teleop.sweeps.kernels.compiled import module
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, gives
-from teleop.sweeps.kernels.lanewise import came, runs, where, whole
-from teleop.sweeps.kernels.rings import ago, packet, received, ring, sample, sent
+from teleop.sweeps.kernels.lanewise import came, chosen, runs, where, whole
+from teleop.sweeps.kernels.rings import ago, packet, placed, received, ring, sample, sent
 
-__all__ = ["ago", "came", "packet", "received", "ring", "runs", "sample", "sent", "where", "whole"]
+__all__ = ["ago", "came", "chosen", "packet", "placed", "received", "ring", "runs", "sample", "sent", "where", "whole"]
 
 LANES = False
 REAL = "reals[base + {}]"

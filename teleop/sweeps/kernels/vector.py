@@ -20,10 +20,10 @@ from teleop.sweeps.kernels.lane_parts import lane_end, lane_part
 from teleop.sweeps.kernels.lanes import WIDTH
 from teleop.sweeps.kernels.lanewise import came, chosen, load, runs, some, spread, where, whole, within
 from teleop.sweeps.kernels.leaves import leaves
-from teleop.sweeps.kernels.rings import ago, each, packet, received, ring, sample, sent, tell
+from teleop.sweeps.kernels.rings import ago, each, packet, placed, received, ring, sample, sent, tell
 
-__all__ = ["WIDTH", "ago", "came", "chosen", "each", "lane_end", "lane_part", "load", "packet", "received", "ring",
-           "runs", "sample", "sent", "some", "spread", "tell", "where", "whole", "within"]
+__all__ = ["WIDTH", "ago", "came", "chosen", "each", "lane_end", "lane_part", "load", "packet", "placed", "received",
+           "ring", "runs", "sample", "sent", "some", "spread", "tell", "where", "whole", "within"]
 
 LANES = True
 REAL = f"load(reals, base + {{}} * {WIDTH})"

@@ -150,7 +150,7 @@ class TestTables:
         assert with_stage(named, place) == ("m" if "device_m" in place.field else ends)
 
 
-PARTS = ("Cap", "Device", "Encoder", "Energy", "Integral", "LowPass", "PassivityController", "Scaled",
+PARTS = ("Cap", "Deadband", "Device", "Encoder", "Energy", "Integral", "LowPass", "PassivityController", "Scaled",
          "Scaling", "Watchdog")
 
 

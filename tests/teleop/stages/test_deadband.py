@@ -1,0 +1,180 @@
+"""What a scene's deadband does not send: by content, over every link, in every engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pytest
+
+from channel import Bernoulli, Delay, UniformJitter
+from teleop import Deadband, Refused, Scene, Watchdog, load_scene, run, sweep
+from teleop.scene.scene import both_ends
+from teleop.simulation.plan import link_plans
+
+
+class Forth(NamedTuple):
+    x: float
+
+
+class Back(NamedTuple):
+    x: float
+
+
+class State(NamedTuple):
+    n: float
+    heard: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbered:
+    """A law whose messages are the numbers of their ticks, and which shows the newest that it was given."""
+
+    claims: ClassVar[dict[str, str]] = {}
+    shows: ClassVar[tuple[str, ...]] = ("heard",)
+
+    def master_start(self, at: Any) -> Any:
+        return State(0.0, -1.0), Back(-1.0)
+
+    def slave_start(self, at: Any) -> Any:
+        return State(0.0, -1.0), Forth(-1.0)
+
+    def master(self, s: State, at: Any, rx: Back) -> Any:
+        return 0.0, Forth(s.n), State(s.n + 1.0, rx.x)
+
+    def slave(self, s: State, at: Any, rx: Forth) -> Any:
+        return 0.0, Back(s.n), State(s.n + 1.0, rx.x)
+
+
+def scene(**parts: Any) -> Scene:
+    made = load_scene("canonical", law="direct", duration=0.4)
+    return replace(made, **{"law": Numbered(), "link": Delay(0.01), "deadband": Deadband(k=0.1), **parts})
+
+
+@pytest.mark.parametrize("link", [
+    None, Delay(0.0), Delay(0.02), Delay(0.01) | UniformJitter(0.02),
+    Delay(0.01) | UniformJitter(0.02) | Bernoulli(0.2),
+], ids=str)
+@pytest.mark.parametrize("playout", ["zero", "fixed:0.025"])
+def test_a_tick_plays_the_newest_of_the_packets_that_were_sent_and_came(link: Any, playout: str) -> None:
+    from teleop.scene.playout import read_playout
+
+    if link is None and playout != "zero":
+        pytest.skip("there is nothing to wait for")
+    asked = scene(link=link, playout=read_playout("playout", playout))
+    result = run(asked, seed=3)
+    trace, count = result.trace, result.ticks
+    fwd, bwd = link_plans(asked, 3, count, [trace["sent_m"] > 0.0, trace["sent_s"] > 0.0])
+    for plan, e, sender in ((fwd, "s", "m"), (bwd, "m", "s")):
+        assert plan is not None
+        newest = np.maximum.accumulate(np.maximum(plan.played_at, -1))
+        assert np.array_equal(trace[f"heard_{e}"], newest)
+        assert np.array_equal(trace[f"seq_{e}"], np.maximum(plan.played_at, -1))
+        sent = int(trace[f"sent_{sender}"].sum())
+        counts = result.packets["fwd" if e == "s" else "bwd"]
+        assert (counts.sent, counts.saved) == (sent, count - sent)
+        assert counts.sent == counts.received + counts.lost + counts.in_flight
+        assert counts.saved > count // 2
+
+
+def test_what_is_sent_differs_from_the_last_by_more_than_a_share_or_keeps_alive() -> None:
+    own = Deadband(k=0.2, floor=0.5, keep_alive=0.03)
+    trace = run(scene(deadband=own)).trace
+    last, silent, wanted = 0.0, np.inf, []
+    for n in range(len(trace["t"])):  # the messages are the numbers of their ticks
+        silent += 1.0
+        sends = abs(n - last) > max(0.2 * last, 0.5) or silent >= 30
+        last, silent = (n, 0.0) if sends else (last, silent)
+        wanted.append(float(sends))
+    assert trace["sent_m"].tolist() == wanted
+    assert 10 < sum(wanted) < 60
+
+
+def test_messages_that_are_all_sent_give_the_run_without_a_deadband() -> None:
+    for law in ("direct", "wave"):
+        made = load_scene("canonical", law=law, delay=0.02, duration=0.5, playout="integral")
+        sends = run(replace(made, deadband=Deadband(k=0.0, floor=0.0, keep_alive=1e-3)), seed=1)
+        alone = run(made, seed=1)
+        assert sends.packets["fwd"].saved == 0
+        assert all(np.array_equal(alone.trace[name], sends.trace[name], equal_nan=True) for name in alone.trace)
+
+
+def test_a_law_that_couples_axes_sends_all_of_them_or_none() -> None:
+    made = load_scene("recorded_reach", deadband=0.1, duration=0.3)
+    assert made.axes == 3
+    assert 0.0 < run(made).metrics["sent_fwd"] < 1.0
+
+
+@pytest.mark.parametrize("law", ["direct", "wave"])
+def test_a_tenth_of_a_share_saves_most_packets_and_costs_a_little_tracking(law: str) -> None:
+    knobs: dict[str, Any] = {"law": law, "delay": 0.02, "duration": 2.0, "playout": "integral"}
+    every, some = [run(load_scene("free_motion", deadband=k, **knobs)) for k in (0.0, 0.1)]
+    assert some.packets["fwd"].saved > 0.6 * every.packets["fwd"].sent
+    assert some.metrics["x_err_rms"] < 1.6 * every.metrics["x_err_rms"] + 1e-3
+
+
+def test_waves_that_are_not_sent_take_no_energy_out_of_the_link() -> None:
+    made = load_scene("jittery_wan", deadband=0.2, duration=1.0)
+    result = run(replace(made, energy=True), seed=2)
+    assert result.packets["fwd"].saved > 0
+    assert result.metrics["E_link_min"] > -1e-9
+
+
+def test_ends_that_leave_out_ticks_send_nothing_at_them() -> None:
+    result = run(load_scene("canonical", law="direct", left_out=0.3, deadband=0.05, duration=0.5), seed=4)
+    counts = result.packets["fwd"]
+    assert counts.sent + counts.saved < 0.85 * result.ticks
+    assert counts.sent == counts.received + counts.lost + counts.in_flight
+
+
+def test_every_engine_gives_its_rows_to_the_bit() -> None:
+    pytest.importorskip("numba")
+    metrics = ["x_err_rms", "f_m_max", "sent_fwd", "sent_bwd"]
+    tables = [sweep("free_motion", {"deadband": [0.05, 0.2], "delay": [0.0, 0.02]}, engine=engine, metrics=metrics,
+                    fixed={"law": "wave", "duration": 0.4}) for engine in ("plain", "scalar", "vector")]
+    for name in metrics:
+        assert np.array_equal(tables[0][name], tables[1][name])
+        assert np.array_equal(tables[0][name], tables[2][name])
+    alone = run(load_scene("free_motion", law="wave", duration=0.4, deadband=0.2, delay=0.02)).metrics
+    assert [alone[name] for name in metrics] == [tables[0][name][3] for name in metrics]
+
+
+def test_rows_of_a_link_that_varies_are_those_of_single_runs() -> None:
+    table = sweep("canonical", {"deadband": [0.1]}, metrics=["x_err_rms", "fresh_fwd"],
+                  fixed={"law": "direct", "link": "delay(0.01) | uniform(0.01)", "duration": 0.3})
+    alone = run(load_scene("canonical", law="direct", link="delay(0.01) | uniform(0.01)", duration=0.3, deadband=0.1))
+    assert [table["x_err_rms"][0], table["fresh_fwd"][0]] == [alone.metrics["x_err_rms"], alone.metrics["fresh_fwd"]]
+
+
+@pytest.mark.parametrize(("parts", "said"), [
+    ({"watchdog": Watchdog(timeout=0.005)}, "the watchdog lets go after 0.005 s"),
+    ({"deadband": Deadband(keep_alive=None), "watchdog": Watchdog()}, "sends never without a change"),
+    ({"deadband": 0.1}, "deadband must be something with k, floor, keep_alive"),
+])
+def test_a_deadband_that_looks_like_a_peer_that_is_gone_is_refused(parts: dict[str, Any], said: str) -> None:
+    with pytest.raises(Refused, match=said):
+        scene(**parts)
+
+
+def test_waves_that_are_played_as_zero_in_gaps_are_refused() -> None:
+    with pytest.raises(Refused, match="a pulse for each message; write playout=integral"):
+        load_scene("canonical", deadband=0.1, playout="zero")
+
+
+def test_a_live_end_is_never_silent_for_long() -> None:
+    with pytest.raises(Refused, match=r"sends every 0\.1 s at least"):
+        both_ends(scene(deadband=Deadband(keep_alive=None)))
+
+
+def test_a_scene_without_a_slave_has_no_messages() -> None:
+    with pytest.raises(Refused, match="has no deadband"):
+        load_scene("virtual_wall", deadband=0.1)
+
+
+def test_conditions_on_a_delay_count_the_silence_before_it_is_known() -> None:
+    from teleop.simulation.facts import facts_of
+
+    fwd = facts_of(load_scene("canonical", law="direct", delay=0.02, deadband=0.1)).fwd
+    assert fwd is not None
+    assert (fwd.least, fwd.greatest) == pytest.approx((0.02, 0.03))
