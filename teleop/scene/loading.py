@@ -57,6 +57,7 @@ class SceneMaker:
         self._shown: dict[str, object] = {}  # the knobs of every scene that are set, as they are shown
         self._wide: dict[str, Any] = {}  # and their values
         self._read: dict[str, Declared] = {}  # the knobs that may differ from those of that scene
+        self._laws: dict[str, Any] = {}  # by the text that names each: looked up once, in a file or a plug-in too
 
     def scene(self, knobs: Mapping[str, object]) -> Scene:
         """The scene with these knobs besides. Raises `Refused`."""
@@ -69,7 +70,10 @@ class SceneMaker:
         else:
             settled = self._settled.copy()
             for key, value in knobs.items():
-                settled[key] = read_knob(key, value, self._read[key])
+                law = self._laws.get(value) if key == "law" and isinstance(value, str) else None
+                settled[key] = read_knob(key, value, self._read[key]) if law is None else law
+                if key == "law" and isinstance(value, str):
+                    self._laws[value] = settled[key]
         try:
             scene = self._function(**settled)
         except Refused as refused:
