@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop import kind
 from teleop.errors import Refused
 from teleop.law import At, Law, messages, start_at
-from teleop.law.offers import claims_of, seed_energy
+from teleop.law.offers import claims_of, seeds
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant
 from teleop.scene.parts import Reference
@@ -70,14 +70,16 @@ def _try_books(law: Any, scene: Scene, trace: Mapping[str, Any]) -> None:
     """Refuse a law that keeps more energy than came in by its ports, or less than none (`teleop.law.offers`)."""
     import numpy as np
 
-    name, kept, given = type(law).__name__, trace["E_law"], seed_energy(law, scene.dt, scene.axes)
+    name, kept = type(law).__name__, trace["E_law"]
     works = [np.abs(np.diff(trace[f"E_port_{e}"], prepend=0.0)) for e in ("m", "s")]
     rounding = LOW + 1e-12 * np.cumsum(works[0] + works[1])
-    books = trace["E_port"] + given - kept
-    if not (wrong := books >= -rounding).all():
-        k = int(np.argmin(wrong))
-        raise Refused(f"{name} claims E_law, but at tick {k} it keeps {-books[k]:.3g} J more than came in by its ports "
-                      f"{_where(scene)}; count the work of the force that was held, at.f_held*at.dx, and count it once")
+    took = {"master": trace["E_port_m"] - trace["E_law_m"], "slave": -trace["E_port_s"] - trace["E_law_s"]}
+    for (end, books), given in zip(took.items(), seeds(law, scene.dt, scene.axes), strict=True):
+        if not (wrong := books + given >= -rounding).all():
+            k = int(np.argmin(wrong))
+            raise Refused(f"{name} claims E_law, but at tick {k} its {end} keeps {-books[k] - given:.3g} J more than "
+                          f"came in by its port {_where(scene)}; count the work of the force that was held, "
+                          f"at.f_held*at.dx, and count it once")
     owed = kept + np.maximum.accumulate(works[0]) + np.maximum.accumulate(works[1])
     if not (wrong := owed >= -rounding).all():
         k = int(np.argmin(wrong))

@@ -18,12 +18,14 @@ With E_law(0), the energy that the law is given to begin with, the books are hon
 
 for then it keeps no energy that did not come in by a port; and with E_law(k) >= 0 the ports never get more than
 E_law(0) out of it. Under a force that is held from tick to tick no law knows the work of the tick that is running, so
-the claim "E_law" is E_law(k) >= -(the greatest work of one tick so far).
+the claim "E_law" is E_law(k) >= -(the greatest work of one tick so far). What an end sends, and what it sees arrive,
+leaves its own `*_stored` as it is, so the books are honest at each end by itself, with the work at its own port.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any, NamedTuple
 
 LEDGERS = ("E_link", "E_port", "E_law")
@@ -71,23 +73,37 @@ def claims_of(law: Any) -> Mapping[str, str]:
 
 def seed_energy(law: Any, dt: float = 1e-3, axes: int = 1) -> float:
     """E_law(0), J: the energy that the law is given before its first tick. `dt` in s. 0.0 of a law that keeps none."""
+    return sum(seeds(law, dt, axes)) if stores(law) else 0.0
+
+
+def seeds(law: Any, dt: float, axes: int) -> tuple[float, float]:
+    """The same of each end of a law that keeps energy, master and slave."""
     from teleop.law import start_at
 
-    if not stores(law):
-        return 0.0
     still = start_at(0.0, 0.0, 0.0, dt)
-    total = 0.0
-    for end in ("master", "slave"):
+
+    def seed(end: str) -> float:
         state, _ = getattr(law, f"{end}_start")(still)
         each = float(getattr(law, f"{end}_stored")(state))
-        total += each if hasattr(law, f"{end}_sums") else each * axes
-    return total
+        return each if hasattr(law, f"{end}_sums") else each * axes
+
+    return seed("master"), seed("slave")
 
 
 def broken(law: Any, facts: Facts) -> list[str]:
     """Sentences on the conditions of a law that these facts break, those of its claims among them."""
     own = getattr(law, "conditions", None)
     return [*_claims_broken(law, facts), *(own(facts) if own is not None else ())]
+
+
+def enough(value: float, *, least: bool) -> str:
+    """A bound of a condition as it is typed, to four digits: rounded up if it is the least that is enough, else down.
+
+    >>> enough(40.239, least=True), enough(40.239, least=False), enough(0.25, least=True)
+    ('40.24', '40.23', '0.25')
+    """
+    rounded = Context(prec=4, rounding=ROUND_CEILING if least else ROUND_FLOOR).create_decimal_from_float(value)
+    return f"{float(rounded):g}"
 
 
 def _claims_broken(law: Any, facts: Facts) -> list[str]:

@@ -22,14 +22,14 @@ Books. Each T + S - seen grows by the work done on its end, less what was droppe
     E_port = T_m + T_s + under way - 2 E_0 + dropped        under way = (S_m - seen_s) + (S_s - seen_m) >= 0
 
 so with E_law = T_m + T_s + under way, E_port + E_law(0) - E_law is what was dropped, and E_law(0) = 2 E_0 is the seed
-energy: with E_0 = 0 no set point would ever move.
+energy: with E_0 = 0 the slave would stay until the master's damper has saved more than E_max.
 
 What is below zero is one tick's surprise. y' has P' <= T+, so E = T - P' >= 0 where T >= 0. The force is held over a
 motion d that is not yet known, and takes from T at most (sqrt(2 K T+) + B |v|) |d|, which leaves T >= -K d^2/2 - B |v
-d|. With T < 0 the set point is x and nothing is left but the damper, which fills T while v keeps its sign over a
-tick. Neither B v^2 dt nor the paper's D_min = B d^2/dt is a lower bound of what the held damper took, B v d: both
-make energy where v changes in a tick. A watchdog or a cap that lets the device have less than f is in w, so what it
-keeps back is not spent. With R a force ends without a jump where the energy runs out.
+d|. With T < 0 the set point is x and nothing is left but the damper, which fills T while v keeps its sign over a tick.
+Neither B v^2 dt nor the paper's D_min = B d^2/dt is a lower bound of what the held damper took, B v d: both make energy
+where v changes in a tick. A watchdog or a cap that lets the device have less than f is in w, so what it keeps back is
+not spent. With R a force ends without a jump where the energy runs out.
 
 Claims: E_law >= 0 less one tick's surprise, over any link; E_port >= -2 E_0 with it.
 """
@@ -44,7 +44,7 @@ from typing import Annotated, ClassVar, NamedTuple
 from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts
+from teleop.law.offers import Facts, enough
 
 TINY = 1e-300  # J, in place of no way at all
 
@@ -90,8 +90,8 @@ class PSPM:
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
         ends = (("B_m", self.B_m, facts.mass_m), ("B_s", self.B_s, facts.mass_s))
-        return tuple([f"a damper that is held from tick to tick takes energy where B <= 2 m/dt, which "
-                      f"{name} = {B:g} N s/m is not; --set law.{name}={2.0 * mass / facts.dt:.4g} is the most"
+        return tuple([f"a damper that is held from tick to tick takes energy where B <= 2 m/dt, which {name} = {B:g} "
+                      f"N s/m is not; --set law.{name}={enough(2.0 * mass / facts.dt, least=False)} is the most"
                       for name, B, mass in ends if B * facts.dt > 2.0 * mass])
 
     def master_start(self, at: At) -> tuple[End, Back]:

@@ -1,33 +1,32 @@
 """Time-domain passivity over a delay: an end gives out no more energy than it has heard that the other took in.
 
-Source: J.-H. Ryu, J. Artigas and C. Preusche, "A passive bilateral control scheme for a teleoperator with
-time-varying communication delay", Mechatronics 20(7), 2010 (the two-port observers and controllers); J. Artigas,
-J.-H. Ryu and C. Preusche, "Position drift compensation in time domain passivity based teleoperation", IEEE/RSJ IROS
-2010.
+Source: J.-H. Ryu, J. Artigas and C. Preusche, "A passive bilateral control scheme for a teleoperator with time-varying
+communication delay", Mechatronics 20(7), 2010 (observers and controllers); J. Artigas, J.-H. Ryu and C. Preusche,
+"Position drift compensation in time domain passivity based teleoperation", IEEE/RSJ IROS 2010.
 
-The master sends its motion; the slave tracks a commanded point x_d with a spring-damper and sends its force, times
-the watchdog's gain. Each end sends E, the energy that it has ever taken in, and keeps G, what is left of the other
-end's. With w the work done on it over the last tick:
+The master sends its motion; the slave tracks a commanded point x_d with a spring-damper and sends its force, times the
+watchdog's gain g. Each end sends E, the energy that it has ever taken in, and keeps G, what is left of the other's.
+With w the work done on it over the last tick:
 
     G -= (-w)+        G = min(G, store, and E0 at the slave)        G += E_rx - seen
     paid = min((-G)+, w+)        G += paid        E += w+ - paid
 
-What comes in pays this end's debt first; what is left of it is told. `store` bounds what stays unspent from one tick
-to the next: 0 is the power-based observer, which lends nothing of the past. E0 is the slave's from the start: nothing
-moves without, since no energy comes before a force, and no force before the slave has moved.
+What comes in pays this end's debt first; the rest is told. `store` bounds what stays unspent from tick to tick: 0 is
+the power-based observer. E0 is the slave's to begin with: no energy comes before a force, and no force before a motion.
 
-Slave (admittance): its port is (f_s, v_d). f_s = f_0 + z v_d with f_0 = K (x_d - x) - B v, z = B + K dt, so it asks
-for f_s v_d dt, and f_s changes with v_d. That is at most G in the ball
+Slave (admittance): its port is (f_s, v_d). f_s = f_0 + z v_d with f_0 = K (x_d - x) - B v, z = B + K dt, so it asks for
+f_s v_d dt, and f_s changes with v_d. That is at most G in a ball about m = -f_0/(2 z), two roots in one axis,
 
-    z v_d^2 + f_0 v_d <= G/dt        |v_d - m| <= R, m = -f_0/(2 z), R^2 = |m|^2 + G/(z dt)
+    z v_d^2 + f_0 v_d <= G/dt        |v_d - m|^2 <= |m|^2 + G/(z dt)
 
-into which the command v_rx + drift (x_rx - x_d) is taken towards m (between two roots in one axis, one share over
-all). Booked is the greater of the work that was asked for and that of the held force, both over v_d dt. A slave that
-lets go, with the watchdog's gain g: x_d is taken back to the slave, x_d -= (1 - g) (x_d - x), and g scales the
-command. So no coupling that was stretched for nothing is paid out where the slave takes hold again.
+into which the command g (v_rx + drift (x_rx - x_d)) is taken towards m. Booked is the greater of the work that was
+asked for and that of the held force, over v_d dt. A slave that lets go takes x_d back to itself, x_d -= (1 - g) (x_d -
+x), so no coupling that was stretched for nothing is paid out later. Over ticks that are left out x_d goes along with
+it.
 
-Master (impedance): a reflected force that pushes, <f, v> < 0, is scaled by min(1, G+/(dt |<f, v>|)). What was
-overspent is taken back by a damper min(-G/(dt max(v^2, v_min^2)), alpha_max), for as long as it takes. w = f_held dx.
+Master (impedance): a reflected force that pushes, <f, v> < 0, is scaled by min(1, G+/(dt |<f, v>|)). What was overspent
+is taken back by a damper min(-G/(dt max(v^2, v_min^2)), alpha_max). One that owes more than `debt` also resists with no
+more than alpha_max v: else a strong force turns a slow master round within each tick, and pushes though it resisted.
 
 Books. Each G + E - seen grows by the work w, less what `store` drops. Summed, with under way the E that is not yet
 seen,
@@ -35,14 +34,13 @@ seen,
     E_law = G_m + G_s + under way        E_port = E_law - E0 + dropped + C
 
 where C is what the coupling took between v_d dt and the slave's dx. Its spring, taken at the end of a tick, gives
-nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for B >= K dt/2 well below
-1/dt.
+nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for B >= K dt/2.
 
-What is below zero. The slave knows f_s and v_d before it spends: G_s < 0 only by what a held force does more than the
-one asked for. The master does not know the motion d that its force is held over: it spends f v dt and pays -f d, so
-G_m >= -|f| |d - v dt| from G_m >= 0. Until that is taken back no force pushes.
+What is below zero. The slave knows f_s and v_d before it spends, so G_s < 0 only by what a held force does more than
+the one that was asked for. The master spends f v dt and pays -f d, for the motion d that follows: from G_m >= -debt one
+tick leaves G_m >= -debt - |f| |d - v dt|, and below that it only damps, which takes energy for alpha_max <= m/dt.
 
-Claims: E_law >= 0 less one tick's surprise, over any link; E_port >= -E0 with it. E_law(0) = E0 is the seed energy.
+Claims: E_law >= 0 less `debt` and one tick's surprise, over any link; E_port >= -E0 with it. E_law(0) = E0, the seed.
 """
 
 from __future__ import annotations
@@ -55,9 +53,10 @@ from typing import Annotated, ClassVar, NamedTuple
 from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts
+from teleop.law.offers import Facts, enough
 
 TINY = 1e-300  # in place of nothing below a fraction
+FREE = 1e300  # J, the energy of what need not be paid for
 
 
 class Forth(NamedTuple):
@@ -109,6 +108,7 @@ class TDPA:
     E0: Annotated[float, Knob("J", "energy of the slave at the start", low=0.0)] = 0.05
     alpha_max: Annotated[float, Knob("N s/m", "most damping that takes back what was overspent", low=0.0)] = 50.0
     v_min: Annotated[float, Knob("m/s", "speed below which that damping grows no more", above=0.0)] = 1e-3
+    debt: Annotated[float, Knob("J", "what the master owes at most and still resists with more", low=0.0)] = 2e-4
     store: Annotated[float, Knob("J", "most energy that stays unspent (0: the power-based variant)", low=0.0)] = 1.0
 
     claims: ClassVar[Mapping[str, str]] = {"E_law": "any link"}
@@ -118,11 +118,11 @@ class TDPA:
         check_knobs(self)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
-        least, most = 0.5 * self.K * facts.dt, 2.0 * facts.mass_m / facts.dt
+        least, most = 0.5 * self.K * facts.dt, facts.mass_m / facts.dt
         coupling = (f"the coupling gives out no more than its commanded point puts in where B >= K dt/2, which "
-                    f"B = {self.B:g} N s/m is not; --set law.B={least:.6g} is the least")
-        damper = (f"the master's damper takes energy where alpha_max <= 2 m/dt, which alpha_max = {self.alpha_max:g} "
-                  f"N s/m is not; --set law.alpha_max={most:.4g} is the most")
+                    f"B = {self.B:g} N s/m is not; --set law.B={enough(least, least=True)} is the least")
+        damper = (f"the master's damper takes energy where alpha_max <= m/dt, which alpha_max = {self.alpha_max:g} "
+                  f"N s/m is not; --set law.alpha_max={enough(most, least=False)} is the most")
         return (*([coupling] if least > self.B else []), *([damper] if self.alpha_max > most else []))
 
     def master_start(self, at: At) -> tuple[Master, Back]:
@@ -143,9 +143,10 @@ class TDPA:
     def master(self, s: Master, at: At, rx: Back, over: MasterSums) -> tuple[float, Forth, Master]:
         G, E = observed(s.G, s.E, rx.E - s.seen, over.w, self.store)
         dt = at.dt
-        missing = 1.0 - min(max(G, 0.0) / max(-dt * over.fv, TINY), 1.0)
         takes = min(max(-G, 0.0) / (dt * max(over.vv, self.v_min * self.v_min)), self.alpha_max)
-        f_m = rx.f_s - missing * (over.fv < 0.0) * rx.f_s + takes * at.v
+        resists = self.alpha_max * dt * over.vv + FREE * (self.debt + G >= 0.0)
+        paid = (over.fv < 0.0) * max(G, 0.0) + (over.fv >= 0.0) * resists
+        f_m = rx.f_s * min(paid / max(dt * abs(over.fv), TINY), 1.0) + takes * at.v
         return f_m, Forth(at.x, at.v, E), Master(G, E, rx.E)
 
     def slave_sums(self, s: Slave, at: At, rx: Forth) -> SlaveSums:

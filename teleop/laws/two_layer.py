@@ -47,7 +47,7 @@ from typing import Annotated, ClassVar, NamedTuple
 from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts
+from teleop.law.offers import Facts, enough
 
 TINY = 1e-300  # in place of nothing below a fraction
 SHORT = 1e-40  # m^2, in place of no motion: what a tank pays for is no matter of it then
@@ -100,10 +100,10 @@ class TwoLayer:
     def conditions(self, facts: Facts) -> tuple[str, ...]:
         even, most = even_share(facts), 2.0 * facts.mass_m / facts.dt
         share = (f"at most a third of the energy is under way where beta <= dt/(T1 + T2), which beta = {self.beta:g} "
-                 f"is not; --set law.beta={even:.4g} is the most")
+                 f"is not; --set law.beta={enough(even, least=False)} is the most")
         damper = (f"the master's damper takes energy where d_max <= 2 m/dt, which d_max = {self.d_max:g} N s/m is not; "
-                  f"--set law.d_max={most:.4g} is the most")
-        return (*([share] if self.beta > 1.001 * even else []), *([damper] if self.d_max > most else []))
+                  f"--set law.d_max={enough(most, least=False)} is the most")
+        return (*([share] if self.beta > even * (1.0 + 1e-9) else []), *([damper] if self.d_max > most else []))
 
     def fitted(self, facts: Facts) -> TwoLayer:
         """The law with beta no more than dt/(T1 + T2)."""

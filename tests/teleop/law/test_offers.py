@@ -113,7 +113,7 @@ class TestTheClaim:
         try_claims(Coupled())  # type: ignore[arg-type]
 
     def test_a_work_that_no_held_force_does_is_caught(self) -> None:
-        with pytest.raises(Refused, match=r"claims E_law, but at tick \d+ it keeps .* J more than came in by"):
+        with pytest.raises(Refused, match=r"claims E_law, but at tick \d+ its master keeps .* J more than came in by"):
             try_claims(Dampers(wrong=1.0))  # type: ignore[arg-type]
 
     def test_energy_below_zero_by_more_than_a_tick_is_caught(self) -> None:

@@ -11,7 +11,11 @@ from hypothesis import strategies as st
 
 from teleop.errors import Refused
 from teleop.law import At
+from teleop.law.offers import seed_energy
 from teleop.laws.pspm import PSPM, Back, End, Sums
+from teleop.scene.loading import load_scene
+from teleop.simulation.facts import facts_of
+from teleop.simulation.virtual import run
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm
 
 DT = 1e-3
@@ -94,6 +98,22 @@ def test_a_device_that_is_let_have_less_force_keeps_what_it_did_not_spend() -> N
     f, d = 0.25 * 500.0 * 0.01, -1e-4
     _, after = master(law, End(0.0, T, 0.0, 0.0), at(0.01 + d, f_held=f, dx=d), Back(0.01 + d, 0.0))
     assert pytest.approx(T + f * d, rel=1e-12) == after.T
+
+
+def test_what_the_books_lack_is_what_did_not_fit() -> None:
+    """E_port = T_m + T_s + under way - 2 E_0 + dropped, and with room for all that comes nothing is dropped."""
+    for room in (10.0, 0.005):
+        trace = run(load_scene("soft_tissue", law=PSPM(E_max=room), duration=1.0)).trace
+        dropped = trace["E_port"] + 0.02 - trace["E_law"]
+        assert np.diff(dropped).min() > -1e-12
+        assert (dropped.max() < 1e-12) == (room == 10.0)
+    assert seed_energy(PSPM()) == 0.02
+
+
+def test_a_damper_that_takes_more_than_all_motion_in_a_tick_is_told_of() -> None:
+    facts = facts_of(load_scene("canonical", law=PSPM(B_m=250.0)))
+    told, = PSPM(B_m=250.0).conditions(facts)
+    assert "B <= 2 m/dt, which B_m = 250 N s/m is not; --set law.B_m=200 is the most" in told
 
 
 @pytest.mark.parametrize(("knob", "value"), [("K", 0.0), ("E_0", -0.1), ("B_m", -1.0), ("E_max", float("nan"))])

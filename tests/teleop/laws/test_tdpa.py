@@ -14,8 +14,10 @@ from channel.delay import Delay
 from channel.gilbert_elliott import GilbertElliott
 from teleop.errors import Refused
 from teleop.law import At
+from teleop.law.offers import seed_energy
 from teleop.laws.tdpa import TDPA, Back, Forth, Master, MasterSums, Slave, SlaveSums
 from teleop.scene.loading import load_scene
+from teleop.simulation.facts import facts_of
 from teleop.simulation.virtual import run
 from teleop.stages.watchdog import Watchdog
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm
@@ -95,9 +97,16 @@ def test_three_axes_ask_for_no_more_than_there_is(
     assert DT * sum(f * v for f, v in asked) <= G + 1e-12 * (1.0 + size)
 
 
+def test_a_master_that_owes_no_longer_resists_with_more_than_a_damper() -> None:
+    """At 10 mm/s a force of 35 N turned a light handle round in every tick and pushed it: 29 mJ in 0.2 s."""
+    law, rx, here = TDPA(alpha_max=40.0), Back(35.0, 0.0), at(v=0.01)
+    assert master(law, Master(-1e-4, 0.0, 0.0), here, rx)[0] == pytest.approx(35.0 + 40.0 * 0.01)
+    assert master(law, Master(-1e-3, 0.0, 0.0), here, rx)[0] == pytest.approx(2.0 * 40.0 * 0.01)  # and what it owes
+
+
 @given(G=st.floats(-1e-3, 1e-3), forces=st.lists(st.tuples(st.floats(-9.0, 9.0), speed), min_size=3, max_size=3))
 def test_a_master_is_pushed_by_no_more_than_there_is(G: float, forces: list[tuple[float, float]]) -> None:
-    law = TDPA(alpha_max=0.0)
+    law = TDPA(alpha_max=0.0, debt=1.0)
     given_to = [(Master(G, 0.0, 0.0), at(v=v), Back(f, 0.0)) for f, v in forces]
     over = MasterSums(*np.sum([law.master_sums(*each) for each in given_to], axis=0).tolist())
     power = sum(law.master(*each, over)[0] * each[1].v for each in given_to)
@@ -163,6 +172,18 @@ def test_least_energy_that_a_slave_can_ask_for() -> None:
     assert after.v_d == pytest.approx(-5.0 / (2.0 * 20.5))
     assert f_s == pytest.approx(2.5)
     assert sqrt(-f_s * after.v_d * 4.0 * 20.5) == pytest.approx(5.0)
+
+
+def test_conditions_name_what_is_enough() -> None:
+    facts = facts_of(load_scene("canonical", law=TDPA(K=1500.0, B=0.5, alpha_max=300.0)))
+    coupling, damper = TDPA(K=1500.0, B=0.5, alpha_max=300.0).conditions(facts)
+    assert "B >= K dt/2, which B = 0.5 N s/m is not; --set law.B=0.75 is the least" in coupling
+    assert "alpha_max = 300 N s/m is not; --set law.alpha_max=100 is the most" in damper
+    assert TDPA().conditions(facts) == ()
+
+
+def test_the_seed_is_the_slaves() -> None:
+    assert seed_energy(TDPA(E0=0.03), axes=3) == 0.03
 
 
 @pytest.mark.parametrize(("knob", "value"), [("B", 0.0), ("E0", -0.1), ("v_min", 0.0), ("store", float("nan"))])

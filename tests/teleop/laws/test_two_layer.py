@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import sqrt
 from typing import Any
 
@@ -10,9 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from channel.bernoulli import Bernoulli
+from channel.delay import Delay
+from channel.uniform import UniformJitter
 from teleop.errors import Refused
 from teleop.law import At, start_at
+from teleop.law.offers import seed_energy
 from teleop.laws.two_layer import Back, Forth, Sums, Tank, TwoLayer
+from teleop.scene.loading import load_scene
+from teleop.simulation.facts import facts_of
+from teleop.simulation.virtual import run
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm
 
 DT = 1e-3
@@ -110,6 +118,26 @@ def test_a_slave_that_lets_go_tells_of_the_force_that_it_has() -> None:
     rx = Forth(0.01, 0.0, 0.0)
     f_s, back, _ = law.slave(s, here, rx, law.slave_sums(s, here, rx))
     assert (f_s, back.f_s) == (pytest.approx(5.0), pytest.approx(1.25))
+
+
+def test_the_books_are_exact_where_no_tank_is_full() -> None:
+    """E_port = H_m + H_s + under way - 2 H_0, tick by tick, through loss and jitter."""
+    link = Delay(0.02) | UniformJitter(0.02) | Bernoulli(0.2)
+    trace = run(replace(load_scene("soft_tissue", law=TwoLayer(H_0=0.02), duration=1.0), link=link), seed=2).trace
+    assert np.abs(trace["E_port"] + 0.04 - trace["E_law"]).max() < 1e-12
+    assert trace["E_law"].min() >= 0.0
+    assert seed_energy(TwoLayer(H_0=0.02)) == 0.04
+
+
+def test_a_share_that_suits_the_link_falls_with_its_delay() -> None:
+    for delay, wanted in ((0.0, 0.01), (0.05, 0.01), (0.2, 0.0025)):
+        scene = load_scene("free_motion", law=TwoLayer(), delay=delay)
+        facts = facts_of(scene)
+        suits = TwoLayer().fitted(facts)
+        assert suits.beta == pytest.approx(wanted)
+        assert suits.conditions(facts) == ()
+    told, = TwoLayer().conditions(facts)
+    assert "beta <= dt/(T1 + T2), which beta = 0.01 is not; --set law.beta=0.0025 is the most" in told
 
 
 @pytest.mark.parametrize(("knob", "value"), [("beta", 1.1), ("beta", -0.1), ("K", -1.0), ("H_max", float("nan"))])
