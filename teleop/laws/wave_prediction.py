@@ -146,9 +146,8 @@ class WavePrediction:
         pairs = (self.mass, wanted.mass), (self.damping, wanted.damping)
         if all(abs(model - own) <= own / 5.0 for model, own in pairs):
             return ()
-        return (f"the prediction is worth little of a slave that is not the model: it has {self.mass:g} kg and "
-                f"{self.damping:g} N s/m, the slave {wanted.mass:g} kg and {wanted.damping:g} N s/m; --set "
-                f"law.mass={wanted.mass:g} --set law.damping={wanted.damping:g}",)
+        return (f"the prediction is worth little of a slave that is not the model: the model has {self.mass:g} kg and "
+                f"{self.damping:g} N s/m; set law.mass to {wanted.mass:g} and law.damping to {wanted.damping:g}",)
 
     def fitted(self, facts: Facts) -> WavePrediction:
         """The same with the slave's mass and damping, and a time that goes with the link's."""

@@ -136,5 +136,5 @@ def test_a_run_says_where_the_model_is_of_another_slave(mass: float, damping: fl
     of = facts(mass, damping)
     notes = WavePrediction().conditions(of)
     assert bool(notes) is told
-    assert not told or f"--set law.mass={mass:g} --set law.damping={damping:g}" in notes[0]
+    assert not told or f"set law.mass to {mass:g} and law.damping to {damping:g}" in notes[0]
     assert WavePrediction().fitted(of).conditions(of) == ()
