@@ -76,7 +76,7 @@ def test_before_the_first_tick_an_end_holds_nothing_and_heard_nothing() -> None:
 @pytest.mark.parametrize(("end", "fields"), [
     (wave.Wave().master, {"v", "fresh"}),
     (wave.Wave().slave, {"x", "v", "fresh", "dt", "span", "gain"}),
-    (pfra.PFRA().master_sums, {"f"}),
+    (pfra.PFRA().master_sums, {"v", "f"}),
     (pfra.PFRA().master, {"x", "v", "f"}),
     (direct.Direct().master, {"x", "v"}),
     (direct.Direct().slave, {"x", "v", "f"}),

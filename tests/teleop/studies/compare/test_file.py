@@ -72,7 +72,7 @@ def test_a_law_of_its_own_knobs_stands_beside_the_named_ones(tmp_path: Path) -> 
     ("seeds = 2", "sead = 2", "mine.toml has no key 'sead'; did you mean seeds?"),
     ("seeds = 2", "fitted = 1", "fitted is true or false, not 1"),
     ('laws = ["direct", "wave"]', 'laws = "wave"', "laws is a list of at least one law"),
-    ('laws = ["direct", "wave"]', 'laws = ["wavee"]', "there is no law 'wavee'; did you mean wave?"),
+    ('laws = ["direct", "wave"]', 'laws = ["drect"]', "there is no law 'drect'; did you mean direct?"),
     ('laws = ["direct", "wave"]', 'laws = ["wave", "wave"]', "two laws called 'wave'"),
     ('name = "loss"', 'name = "10 ms"', "two links called '10 ms'"),
     ('name = "loss"', 'name = ""', "[[link]] 2 of mine.toml ()"),
