@@ -6,7 +6,7 @@ there every seed gives the same run.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from shlex import quote
@@ -22,7 +22,7 @@ from teleop.simulation.facts import facts, of_plans
 from teleop.simulation.plan import LinkPlans, link_plans
 from teleop.studies.compare.file import Comparison, Part
 
-Tune = Callable[[str, Scene, Mapping[str, object]], Mapping[str, float]]
+Tuned = Mapping[tuple[str, str], Mapping[str, object]]  # by the names of law and link, the law's parameters as knobs
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,20 +46,20 @@ class Case:
         return " ".join(map(quote, [*words, "--seed", str(seed)]))
 
 
-def cases_of(asked: Comparison, where: str, tune: Tune | None = None) -> list[Case]:
+def cases_of(asked: Comparison, where: str, tuned: Tuned | None = None) -> list[Case]:
     """Every case of a comparison, in the order law, environment, link.
 
-    `tune`: finds a law's parameters, by their names, for a scene (named by its text and knobs); None: each law has
-    those of the file, fitted. `where` names the file in sentences. Raises `Refused`, naming the tables, for a case that
+    `tuned`: parameters that were found; None: each law has those of the file, fitted. `where` names the file in
+    sentences. Raises `Refused`, naming the tables, for a case that
     makes no scene.
     """
     drawn: dict[tuple[str, str], tuple[LinkPlans, bool]] = {}
-    return [_case(asked, where, law, environment, link, drawn, tune)
+    return [_case(asked, where, law, environment, link, drawn, tuned)
             for law in asked.laws for environment in asked.environments for link in asked.links]
 
 
 def _case(asked: Comparison, where: str, law: Part, environment: Part, link: Part,
-          drawn: dict[tuple[str, str], tuple[LinkPlans, bool]], tune: Tune | None) -> Case:
+          drawn: dict[tuple[str, str], tuple[LinkPlans, bool]], tuned: Tuned | None) -> Case:
     knobs = {**asked.knobs, **environment.knobs, **link.knobs, "law": law.text, **law.knobs, "link": link.text}
     try:
         scene = load_scene(environment.text, **knobs)
@@ -73,8 +73,8 @@ def _case(asked: Comparison, where: str, law: Part, environment: Part, link: Par
     plans, dice = drawn.get(key) or drawn.setdefault(key, _drawn(scene, asked.seeds))
     known = facts(scene, *of_plans(scene, plans, scene.ticks))
     found: Any = scene.law
-    if tune is not None:
-        knobs |= {f"law.{name}": value for name, value in tune(environment.text, scene, knobs).items()}
+    if tuned is not None:
+        knobs |= tuned[law.name, link.name]
         found = load_scene(environment.text, **knobs).law
     elif asked.fitted and hasattr(found, "fitted"):
         fitted = found.fitted(known)

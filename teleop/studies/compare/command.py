@@ -5,27 +5,28 @@ from __future__ import annotations
 import csv
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import Any
+from typing import Any, TextIO
 
-from teleop.errors import number_of
+from teleop.errors import enumerated, number_of
 from teleop.simulation.metrics import METRICS, UNITS
 from teleop.simulation.result import versions
 from teleop.storage.files import replacing_text
 from teleop.storage.strict_json import write_document
 from teleop.studies.compare.cases import Case, cases_of, shown_path
-from teleop.studies.compare.file import BUILT_IN, read_comparison
+from teleop.studies.compare.file import BUILT_IN, Comparison, read_comparison
 from teleop.studies.compare.judge import rankings, verdicts
 from teleop.studies.compare.report import document, text
+from teleop.studies.compare.tuned import tune_all
 from teleop.studies.compare.work import OWN, carry_out, numbered
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import Store
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
-from teleop.terminal.progress import RowsProgress
+from teleop.terminal.progress import RowsProgress, shown_on
 from teleop.terminal.units import duration
 
 WIDE = 120  # columns of what is no terminal
@@ -41,13 +42,16 @@ def command(args: Namespace) -> Answer:
     laws = None if args.laws is None else [one.strip() for one in args.laws.split(",") if one.strip()]
     asked = read_comparison(path, laws)
     stream = None if args.json else sys.stderr
-    cases = cases_of(asked, where)
+    workers = args.workers or cores()
+    cases, notes = cases_of(asked, where), list[str]()
+    if args.tuned is not None:
+        cases, notes = _tuned(asked, where, args.tuned, workers, stream, args.seconds)
     total = sum(len(case.seeds) for case in cases)
     folder = Path(args.out) if args.out is not None else Path("runs") / asked.name
     line = None if stream is None else RowsProgress(stream)
     interrupted = False
     try:
-        carry_out(cases, folder, workers=args.workers or cores(),
+        carry_out(cases, folder, workers=workers,
                   show=lambda done, of: None if line is None else line.show(done, of, args.seconds()))
     except KeyboardInterrupt:
         if not (folder / "sweep.json").is_file():
@@ -69,11 +73,11 @@ def command(args: Namespace) -> Answer:
         "rows": total, "done": len(rows), "seeds": list(asked.seeds), "path": str(folder),
         "conditions": [{"law": case.law, "link": case.link, "environment": case.environment,
                         "sentences": list(case.conditions)} for case in cases if case.conditions],
-        **document(found, ranked),
+        "tuned": args.tuned, "notes": notes, **document(found, ranked),
     }
     write_csv(folder / CSV, rows, cases)
     write_document(folder / SUMMARY, told)
-    answer = Answer(text(found, ranked, cases, heading, _width()), told, INTERRUPTED if interrupted else DONE)
+    answer = Answer(text(found, ranked, cases, heading, notes, _width()), told, INTERRUPTED if interrupted else DONE)
     if formats:
         from teleop.studies.compare.figures import draw
 
@@ -82,6 +86,24 @@ def command(args: Namespace) -> Answer:
         answer = answer._replace(text=f"{answer.text}\ninterrupted: the same command goes on from here")
     return answer._replace(text=f"{answer.text}\nevery row, with the command that runs it again: {folder / CSV}\n"
                                 f"written to {folder}")
+
+
+def _tuned(asked: Comparison, where: str, budget: int, workers: int, stream: TextIO | None,
+           clock: Callable[[], float]) -> tuple[list[Case], list[str]]:
+    """The cases with the parameters that searches of so many rows found, and a note on those that found nothing."""
+    count = len(asked.laws) * len(asked.links)
+    with shown_on(stream, clock, float(count)) as show:
+        found = tune_all(asked, budget, workers=workers, show=lambda done, of: show(
+            float(done), f"{done} of {number_of(of, 'search', 'searches')} of {number_of(budget, 'row')}"))
+    cases = cases_of(asked, where, {key: one.knobs for key, one in found.items()})
+    notes = []
+    for law in asked.laws:
+        broken = {link.name: found[law.name, link.name].broken for link in asked.links}
+        links = [name for name, why in broken.items() if why]
+        if links:
+            notes.append(f"no parameters of {law.name} keep the constraints of tune in {asked.tune} over "
+                         f"{enumerated(links)}, so it runs with the nearest ({links[0]}: {broken[links[0]]})")
+    return cases, notes
 
 
 def _width() -> int:

@@ -11,7 +11,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite, isnan
+from functools import partial
+from math import inf, isfinite, isnan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.studies.compare.columns import BY_KEY, FREE, ONE, TOUCHED, Column
@@ -44,7 +45,11 @@ ACROSS = 3  # blocks of the status map
 STATUS = {"ok": (SKY, "ok"), **dict.fromkeys(BAD, (ORANGE, "limit cycle, unstable or unsettled")),
           "diverged": (FAILS, "diverged"), "refused": (PALE, "refused")}
 PLACES = {FREE: "nothing touched", TOUCHED: "in contact"}
+LEAST = 0.01  # share of the rigid rod's force, or of the environment's stiffness, from which on an axis goes
 LOG_FROM = 50.0  # greatest to least value, from which on an axis goes by decades
+
+
+Box = tuple[float, float, float, float]  # left, bottom, right and top, pixels
 
 
 class Question(NamedTuple):
@@ -130,19 +135,44 @@ def _tracking(found: Sequence[LawVerdict]) -> Figure | None:
     colours = [min(max(press, 0.0), 200.0) if isfinite(press) else 0.0 for *_, press in sound]
     dots = axes.scatter([x for _, x, _, _ in sound], [y for _, _, y, _ in sound], c=colours, cmap="RdYlBu_r", vmin=0.0,
                         vmax=200.0, s=70, edgecolors=DARK, linewidths=0.6, zorder=3)
-    for law, x, y, press in sound:
-        side = f" ({press:.0f} %)" if isfinite(press) else ""
-        axes.annotate(literal(law) + side, (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
     bar = figure.colorbar(dots, ax=axes)
     bar.set_label("force on the wall, % of a rigid rod's", fontsize=9)
     for name, column, values in (("x", drag, [x for _, x, _, _ in sound]), ("y", error, [y for _, _, y, _ in sound])):
         _scale(axes, name, values)
         getattr(axes, f"set_{name}label")(f"{column.question} ({column.unit}), median over the cases")
+    _names(axes, figure, [(law + (f" ({press:.0f} %)" if isfinite(press) else ""), x, y) for law, x, y, press in sound])
     lost = [law for law, x, y, _ in told if not (isfinite(x) and isfinite(y))]
     if lost:
         axes.text(0.01, 0.01, literal(f"no value: {', '.join(lost)}"), transform=axes.transAxes, fontsize=8, color=DARK)
     grid_lines(axes)
     return figure
+
+
+def _names(axes: Axes, figure: Figure, points: Sequence[tuple[str, float, float]]) -> None:
+    """A name beside each point, at the first of eight places that is free of names and points, and inside the axes."""
+    figure.draw_without_rendering()
+    taken = [(x - 6.0, y - 6.0, x + 6.0, y + 6.0) for x, y in (axes.transData.transform(point[1:]) for point in points)]
+    inside = axes.get_window_extent()
+    for law, x, y in points:
+        label = axes.annotate(literal(law), (x, y), xytext=(8, 0), textcoords="offset points", fontsize=8, va="center")
+        size = label.get_window_extent()
+        at_x, at_y = axes.transData.transform((x, y))
+        free = None
+        for step in (0, 1, -1, 2, -2, 3, -3, 4, -4):
+            for left in (at_x + 12.0, at_x - 12.0 - size.width):
+                low = at_y + step * 0.8 * size.height - 0.5 * size.height
+                box = (left, low, left + size.width, low + size.height)
+                fits = inside.x0 < box[0] and box[2] < inside.x1
+                if free is None and fits and not any(map(partial(_meet, box), taken)):
+                    free = box
+        if free is not None:
+            points_a_pixel = 72.0 / figure.dpi
+            label.set_position(((free[0] - at_x) * points_a_pixel, (0.5 * (free[1] + free[3]) - at_y) * points_a_pixel))
+            taken.append(free)
+
+
+def _meet(one: Box, other: Box) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 def _dots(question: Question, rows: Sequence[Row], found: Sequence[LawVerdict]) -> Figure | None:
@@ -163,8 +193,9 @@ def _dots(question: Question, rows: Sequence[Row], found: Sequence[LawVerdict]) 
 def _panel(axes: Axes, column: Column, cases: Mapping[str, Sequence[float]], found: Sequence[LawVerdict]) -> None:
     every: list[float] = []
     for y, one in enumerate(found):
-        values = [column.factor * value for value in cases[one.law] if isfinite(value)]
-        failed = sum(value == float("inf") for value in cases[one.law])
+        least = LEAST if column.better == ONE else -inf
+        values = [column.factor * max(value, least) for value in cases[one.law] if isfinite(value)]
+        failed = sum(value == inf for value in cases[one.law])
         every += values
         axes.plot(values, [y] * len(values), "o", color=GREY, alpha=0.45, markersize=3, markeredgewidth=0, zorder=2)
         middle = column.factor * one.figures[column.key].value
@@ -174,9 +205,13 @@ def _panel(axes: Axes, column: Column, cases: Mapping[str, Sequence[float]], fou
         if failed:
             axes.annotate(f"{failed} failed", (1.0, y), xycoords=("axes fraction", "data"), xytext=(4, 0),
                           textcoords="offset points", fontsize=7, color=FAILS, va="center")
-    if column.better == ONE:
+    if column.better == ONE:  # by decades, and what is less than a percent at the left edge
         axes.axvline(column.factor, color=DARK, linestyle="--", linewidth=1.0)
-    _scale(axes, "x", every)
+        axes.set_xscale("log")
+        axes.set_xlim(left=LEAST * column.factor, right=max([2.0 * column.factor, *(1.2 * value for value in every)]))
+        axes.xaxis.set_major_formatter("{x:g}")
+    else:
+        _scale(axes, "x", every)
     where = f", {PLACES[column.where]}" if column.where in PLACES else ""
     axes.set_xlabel(literal(f"{column.question} ({column.unit}){where}"), fontsize=9)
     grid_lines(axes)
@@ -191,3 +226,6 @@ def _scale(axes: Axes, name: str, values: Sequence[float]) -> None:
         getattr(axes, f"set_{name}scale")("log")
     else:
         getattr(axes, f"set_{name}scale")("symlog", linthresh=max(sizes[len(sizes) // 4], sizes[-1] * 1e-4))
+        if min(values) >= 0.0:
+            low, high = getattr(axes, f"get_{name}lim")()
+            getattr(axes, f"set_{name}lim")(max(low, -0.3 * sizes[len(sizes) // 4]), high)

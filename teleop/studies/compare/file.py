@@ -3,6 +3,7 @@
     seeds = 3                       # the seeds 0, 1, 2 of each link with dice; or a list of seeds
     laws = ["wave", "pfra"]         # left out: every law with two ends that is installed
     fitted = true                   # each law with the parameters that follow from link and bodies, where it knows any
+    tune = "hard wall"              # the environment that `compare --tuned` searches in; left out: the first
     set = {x_limit = 0.3}           # knobs of every row
 
     [[law]]                         # one more law, with knobs of its own
@@ -37,7 +38,7 @@ from teleop.scene.library import ROOT
 from teleop.storage.files import read_bytes
 
 BUILT_IN = ROOT / "scenarios" / "compare.toml"
-TOP = ("seeds", "laws", "fitted", "set", "law", "link", "environment")
+TOP = ("seeds", "laws", "fitted", "tune", "set", "law", "link", "environment")
 MOST_SEEDS = 1000
 _HELD = {"law": "law", "link": "link", "environment": "scene"}  # of each table, the key that says what it is
 _EXAMPLE = {"law": "wave", "link": "delay(0.05)", "environment": "hard_wall"}
@@ -62,6 +63,7 @@ class Comparison:
     environments: tuple[Part, ...]
     seeds: tuple[int, ...]
     fitted: bool
+    tune: str  # the environment in which laws are tuned
     knobs: Mapping[str, object]  # of every row
 
 
@@ -99,9 +101,20 @@ def read_comparison(path: Path | str = BUILT_IN, laws: Sequence[str] | None = No
         raise Refused(f"{where}: fitted is true or false, not {fitted!r}; write fitted = true")
     found = Comparison(name=path.stem, laws=_once((*own, *parts["law"]), "law", where), links=parts["link"],
                        environments=parts["environment"], seeds=_seeds(held.get("seeds", 1), where), fitted=fitted,
+                       tune=_place(held.get("tune"), [each.name for each in parts["environment"]], where),
                        knobs=_knobs(held.get("set", {}), where))
     _check_knobs(found, where)
     return found
+
+
+def _place(given: object, places: Sequence[str], where: str) -> str:
+    """The environment to tune in."""
+    if given is None:
+        return places[0]
+    if given not in places:
+        raise Refused(f"{where}: tune names an environment of this file, not {given!r}; "
+                      f"{nearest(str(given), places)}")
+    return str(given)
 
 
 def _known(held: Mapping[str, Any], keys: Iterable[str], where: str) -> None:

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf, isfinite, isnan, log, nan
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from teleop.studies.compare.columns import ANY, COLUMNS, FREE, NEITHER, ONE, Column
+from teleop.studies.compare.columns import ANY, COLUMNS, FREE, LOW, MORE, NEITHER, ONE, Column
 
 LEAST = 0.01  # a difference of at most this part of the value is none
 TINY = 1e-9
+FAILED = inf  # the value of a run that did not end ok, where less is better or 1 is best
 UNSETTLED = "unsettled"  # a run that ended ok by its status, and swings or grows, see `teleop.studies.compare.work`
 BAD = (UNSETTLED, "limit cycle", "unstable")
 
@@ -26,10 +27,16 @@ Row = Mapping[str, Any]
 
 
 class Told(NamedTuple):
-    """A figure of a law: the mean over the seeds of the median over the cases, and their range over the seeds."""
+    """A figure of a law: its mean over the seeds, and how far from the best that is, with the range over the seeds."""
 
-    value: float  # in the figure's own unit; inf: half of its runs failed; nan: none has it
-    spread: float
+    value: float  # in the figure's own unit; NaN: no run has it, or half of them failed
+    distance: float = nan  # see `distance`; inf: half of its runs failed
+    spread: float = nan  # of the distance
+
+    @property
+    def failed(self) -> bool:
+        """True if half of the runs in which it counts failed."""
+        return self.distance == inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +56,6 @@ class Ranking:
     column: Column
     groups: tuple[tuple[tuple[str, float], ...], ...]  # law and value
     failed: tuple[str, ...]  # laws of whose runs, where the figure counts, half or more failed
-    spreads: Mapping[str, float] = field(default_factory=dict)
 
 
 def verdicts(rows: Sequence[Row], laws: Iterable[str]) -> list[LawVerdict]:
@@ -106,13 +112,14 @@ def _told(column: Column, rows: Iterable[Row], environments: set[str]) -> Told:
             # A link without dice has one row, which is that of every seed.
             own = dict(values).get(seed, values[0][1] if len(values) == 1 else nan)
             by_seed.setdefault(seed, {})[case] = own
-    medians = [_median(column, [value for value in each.values() if not isnan(value)]) for each in by_seed.values()]
-    medians = [value for value in medians if not isnan(value)]
-    if not medians:
-        return Told(nan, nan)
-    if not all(map(isfinite, medians)):
-        return Told(inf, nan)
-    return Told(fmean(medians), max(medians) - min(medians))
+    told = [_median(column, [value for value in each.values() if not isnan(value)]) for each in by_seed.values()]
+    told = [one for one in told if not isnan(one[1])]
+    if not told:
+        return Told(nan)
+    away = [one[1] for one in told]
+    if inf in away:
+        return Told(nan, inf)
+    return Told(fmean(value for value, _ in told), fmean(away), max(away) - min(away))
 
 
 def case_values(column: Column, rows: Sequence[Row], laws: Iterable[str]) -> dict[str, list[float]]:
@@ -127,22 +134,29 @@ def case_values(column: Column, rows: Sequence[Row], laws: Iterable[str]) -> dic
 
 
 def value_of(column: Column, row: Row) -> float:
-    """The figure of one row: worse than any number if its run failed, NaN if it has none."""
-    if row["ended"] != "ok":
-        return nan if column.better == NEITHER else inf
+    """The figure of one row: `FAILED` if its run failed and the figure is that of a run, NaN if it has none."""
+    if row["ended"] != "ok" and column.better in (LOW, ONE):
+        return FAILED
     value = float(row.get(column.key, nan))
     return abs(value) if column.key == "felt_drag" else value
 
 
 def distance(column: Column, value: float) -> float:
-    """How far a value is from the best one: where that is 1 the logarithm's size, so that half is as far as double."""
-    return value if column.better != ONE else abs(log(max(value, TINY))) if isfinite(value) else inf
+    """How far a value is from the best one. Where that is 1, half is as far as double; where it is inf, 1/value."""
+    if column.better == ONE:
+        return abs(log(max(value, TINY))) if value < FAILED else inf
+    return 1.0 / max(value, TINY) if column.better == MORE else value
 
 
-def _median(column: Column, values: list[float]) -> float:
-    """The median by the distance from the best, of an even number of values the worse of two; NaN of none."""
-    ordered = sorted(values, key=lambda value: distance(column, value))
-    return ordered[len(ordered) // 2] if ordered else nan
+def _median(column: Column, values: list[float]) -> tuple[float, float]:
+    """The median and the median distance, each of an even number of values the greater of two; NaN of none."""
+    away = sorted(distance(column, value) for value in values)
+    sound = sorted(value for value in values if value < FAILED or column.better not in (LOW, ONE))
+    if column.better == MORE:
+        sound.reverse()
+    elif column.better == LOW:
+        sound = sorted(values)
+    return (sound[len(sound) // 2] if sound else nan, away[len(away) // 2]) if away else (nan, nan)
 
 
 def ranking(column: Column, found: Sequence[LawVerdict]) -> Ranking:
@@ -151,25 +165,22 @@ def ranking(column: Column, found: Sequence[LawVerdict]) -> Ranking:
     A group begins with the best law that is left, and takes those that tie with it.
     """
     told = {one.law: one.figures[column.key] for one in found}
-    sound = {law: one for law, one in told.items() if isfinite(one.value)}
-    order = sorted(sound, key=lambda law: distance(column, sound[law].value))
+    sound = {law: one for law, one in told.items() if isfinite(one.distance)}
+    order = sorted(sound, key=lambda law: sound[law].distance)
     groups: list[list[str]] = []
     for law in order:
         if groups and ties(column, sound[groups[-1][0]], sound[law]):
             groups[-1].append(law)
         else:
             groups.append([law])
-    return Ranking(column=column, failed=tuple(law for law, one in told.items() if one.value == inf),
-                   groups=tuple(tuple((law, sound[law].value) for law in group) for group in groups),
-                   spreads={law: one.spread for law, one in sound.items()})
+    return Ranking(column=column, failed=tuple(law for law, one in told.items() if one.failed),
+                   groups=tuple(tuple((law, sound[law].value) for law in group) for group in groups))
 
 
 def ties(column: Column, one: Told, other: Told) -> bool:
-    """True if two values are as far from the best, but for the greater spread or one percent of the greater value."""
-    apart = abs(distance(column, one.value) - distance(column, other.value))
-    if column.better == ONE:  # a difference of logarithms is a share of the value
-        return apart <= max(LEAST, *[each.spread / max(abs(each.value), TINY) for each in (one, other)])
-    return apart <= max(one.spread, other.spread, LEAST * max(abs(one.value), abs(other.value)))
+    """True if two figures are as far from the best, but for the greater spread or one percent."""
+    least = LEAST if column.better == ONE else LEAST * max(one.distance, other.distance)  # a logarithm is a share
+    return abs(one.distance - other.distance) <= max(one.spread, other.spread, least)
 
 
 def rankings(found: Sequence[LawVerdict]) -> list[Ranking]:
@@ -182,5 +193,5 @@ def held_back(found: Sequence[LawVerdict]) -> list[LawVerdict]:
     """The laws whose low tracking error says little: they track better than the median law, and press less than half
     as much as a rigid rod would."""
     errors = sorted(one.figures["x_err_rms"].value for one in found if isfinite(one.figures["x_err_rms"].value))
-    return [one for one in found if errors and one.figures["x_err_rms"].value <= errors[len(errors) // 2]
+    return [one for one in found if errors and one.figures["x_err_rms"].value <= errors[(len(errors) - 1) // 2]
             and one.figures["wall_late"].value < 0.5]

@@ -8,25 +8,31 @@ from textwrap import wrap
 
 from teleop.errors import enumerated, number_of
 from teleop.studies.compare.cases import Case
-from teleop.studies.compare.columns import COLUMNS, FREE, TOUCHED, Column
-from teleop.studies.compare.judge import BAD, LawVerdict, Ranking, held_back
+from teleop.studies.compare.columns import COLUMNS, FREE, NEITHER, TOUCHED, Column
+from teleop.studies.compare.judge import BAD, LawVerdict, Ranking, Told, held_back
 from teleop.terminal.printable import printable
 from teleop.terminal.table import columns
 
-ENDED = (("ok", ("ok",)), ("swing", BAD), ("div", ("diverged", "refused")))  # heads, and the statuses behind them
+ENDED = (("ok", ("ok",)), ("swing", BAD), ("div", ("diverged", "refused")))  # heads, and the endings behind them
 NARROW = 60  # columns of a terminal below which nothing is wrapped
+FAILED = "fail"
+USUAL = {"sent": 1.0, "seed_energy": 0.0}  # what is not worth a column where all laws have it
 
 
 def table(found: Sequence[LawVerdict], width: int = 120) -> str:
-    """The laws as rows; in a terminal of less than its width in several parts, each with the laws at its left."""
-    lines = [["", *[head for head, _ in ENDED], *[column.head for column in COLUMNS]],
-             ["law", *["cases" for _ in ENDED], *[column.unit for column in COLUMNS]]]
+    """The laws as rows; in a terminal of less than its width in several parts, each with the laws at its left.
+
+    A figure that no law has, and packets that all laws send at every tick, have no column.
+    """
+    shown = _shown(found)
+    lines = [["", *[head for head, _ in ENDED], *[column.head for column in shown]],
+             ["law", *["" for _ in ENDED], *[column.unit for column in shown]]]
     lines += [[one.law, *[str(sum(one.ended.get(status, 0) for status in some)) for _, some in ENDED],
-               *[cell(column, one.figures[column.key].value) for column in COLUMNS]] for one in found]
-    several = [line for line in zip(*lines, strict=True) if any(text not in ("", "-") for text in line[2:])]
+               *[cell(column, one.figures[column.key]) for column in shown]] for one in found]
     parts: list[list[tuple[str, ...]]] = []
-    first, room = several[0], 0
-    for column in several[1:]:
+    first, *others = zip(*lines, strict=True)
+    room = 0
+    for column in others:
         wide = 2 + max(map(len, column))
         if not parts or room < wide:
             parts.append([first])
@@ -36,9 +42,16 @@ def table(found: Sequence[LawVerdict], width: int = 120) -> str:
     return "\n\n".join(columns(zip(*part, strict=True)) for part in parts)
 
 
-def cell(column: Column, value: float) -> str:
-    """A figure as the table has it; a dash where there is none, or where half of the runs failed."""
-    return digits(column.factor * value) if isfinite(value) else "-" if isnan(value) else "failed"
+def _shown(found: Sequence[LawVerdict]) -> list[Column]:
+    """The columns that say anything."""
+    told = {column: [one.figures[column.key] for one in found] for column in COLUMNS}
+    return [column for column, some in told.items() if any(one.failed or not isnan(one.value) for one in some)
+            and not (column.better == NEITHER and {one.value for one in some} <= {USUAL.get(column.key)})]
+
+
+def cell(column: Column, told: Told) -> str:
+    """A figure as the table has it; a dash where there is none, `FAILED` where half of the runs failed."""
+    return FAILED if told.failed else "-" if isnan(told.value) else digits(column.factor * told.value)
 
 
 def digits(value: float) -> str:
@@ -52,21 +65,21 @@ def digits(value: float) -> str:
 
 
 def text(found: Sequence[LawVerdict], ranked: Sequence[Ranking], cases: Sequence[Case], heading: str,
-         width: int = 120) -> str:
+         notes: Sequence[str] = (), width: int = 120) -> str:
     """All that is said of a comparison."""
     parts = [heading, table(found, width), legend(found, width), "\n".join(_ranked(ranked, width))]
-    told = [*_held_back(found), *conditions(cases)]
+    told = [*_held_back(found), *notes, *conditions(cases)]
     parts.append("\n".join(line for note in told for line in _wrapped(f"note  {note}", width, 6)))
     return "\n\n".join(part for part in parts if part)
 
 
 def legend(found: Sequence[LawVerdict], width: int) -> str:
     """What the columns that are shown mean, in short."""
-    shown = [column for column in COLUMNS if any(not isnan(one.figures[column.key].value) for one in found)]
+    shown = _shown(found)
     kinds = {FREE: " (free)", TOUCHED: " (in contact)"}
     told = "; ".join(f"{column.head}: {column.meaning}{kinds.get(column.where, '')}" for column in shown)
     return "\n".join(_wrapped("Each figure is the median over the cases, in which a run that did not end ok is worse "
-                              f"than any other. {told}.", width, 0))
+                              f"than any other; {FAILED}: half of them. {told}.", width, 0))
 
 
 def _ranked(ranked: Sequence[Ranking], width: int) -> list[str]:
@@ -74,10 +87,10 @@ def _ranked(ranked: Sequence[Ranking], width: int) -> list[str]:
     wide = max((len(one.column.question) for one in ranked), default=0)
     lines = ["best first; = where the difference is within the spread over seeds, or one percent"] if ranked else []
     for one in ranked:
-        best = ", ".join(" = ".join(law for law, _ in group) + f" {cell(one.column, group[0][1])}"
+        best = ", ".join(" = ".join(law for law, _ in group) + f" {digits(one.column.factor * group[0][1])}"
                          for group in one.groups)
         failed = f"; half of the runs failed: {', '.join(one.failed)}" if one.failed else ""
-        lines += _wrapped(f"{one.column.question:<{wide}}  {best} {one.column.unit}{failed}", width, wide + 2)
+        lines += _wrapped(f"{one.column.question:<{wide}}  {best} {one.column.unit}".rstrip() + failed, width, wide + 2)
     return lines
 
 
@@ -108,11 +121,13 @@ def _wrapped(line: str, width: int, indent: int) -> list[str]:
 
 
 def document(found: Sequence[LawVerdict], ranked: Sequence[Ranking]) -> dict[str, object]:
-    """The same as JSON can hold it; a figure that no run has is null, one that half of the runs failed at the text
-    "failed"."""
+    """The same as JSON can hold it; a figure that no run has is null, one that half of the runs failed at "failed".
+
+    A spread is that of the distance from the best value, see `teleop.studies.compare.judge.distance`.
+    """
     return {
         "laws": [{"law": one.law, "cases": one.cases, "ended": dict(one.ended),
-                  "figures": {key: _figure(told.value, told.spread) for key, told in one.figures.items()}}
+                  "figures": {key: _figure(told) for key, told in one.figures.items()}}
                  for one in found],
         "columns": {column.key: {"unit": column.unit, "factor": column.factor, "better": column.better,
                                  "meaning": column.meaning} for column in COLUMNS},
@@ -122,7 +137,7 @@ def document(found: Sequence[LawVerdict], ranked: Sequence[Ranking]) -> dict[str
     }
 
 
-def _figure(value: float, spread: float) -> Mapping[str, object]:
-    if isnan(value):
-        return {"value": None, "spread": None}
-    return {"value": value, "spread": spread} if isfinite(value) else {"value": "failed", "spread": None}
+def _figure(told: Told) -> Mapping[str, object]:
+    if told.failed or isnan(told.value):
+        return {"value": "failed" if told.failed else None, "spread": None}
+    return {"value": told.value if isfinite(told.value) else str(told.value), "spread": told.spread}

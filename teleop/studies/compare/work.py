@@ -1,4 +1,4 @@
-"""The rows of a comparison run, by as many processes as there are cores, and kept in a folder as they finish.
+"""The rows of a comparison run, by several processes, and kept in a folder as they finish.
 
 Every row is a run with its whole record, in plain Python: with a dozen rows to a kernel, compiling one for each law
 and scene would take longer than the rows do. A row's figures depend on its own knobs and seed alone.
@@ -7,19 +7,22 @@ and scene would take longer than the rows do. A row's figures depend on its own 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from itertools import groupby
+from math import isnan
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law.offers import seed_energy
 from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.studies.compare.cases import Case
 from teleop.studies.compare.judge import UNSETTLED
+from teleop.studies.compare.parallel import in_parallel
 from teleop.studies.compare.touch import Touch, touch_of, touch_of_rod
+from teleop.studies.margin import margin
 from teleop.sweeps.grid import plain
 from teleop.sweeps.store import Store
 
@@ -32,6 +35,8 @@ OWN = {  # of a row, beside the metrics of its run: unit and meaning
     "wall_peak": ("1", "largest force of the slave on its environment, over that of a rigid rod"),
     "sent": ("1", "packets sent for each tick, both directions"),
     "seed_energy": ("J", "energy that the law is given to begin with"),
+    "gain_margin": ("1", "factor on the loop's gain that makes it unstable, see `teleop.studies.margin`; one axis"),
+    "delay_margin": ("s", "delay that may be added to the round trip, by the same analysis"),
 }
 
 
@@ -63,7 +68,7 @@ def carry_out(cases: Sequence[Case], folder: Path, *, workers: int, show: Show) 
     with Store.open(folder, definition(cases)) as store:
         total = sum(len(case.seeds) for case in cases)
         show(len(store.done), total)
-        for rows in _results(_jobs(cases, store), workers):
+        for rows in in_parallel(work, _jobs(cases, store), workers):
             store.append(rows)
             show(len(store.done), total)
 
@@ -79,42 +84,6 @@ def _jobs(cases: Sequence[Case], store: Store) -> list[Job]:
     return jobs
 
 
-def _results(jobs: Sequence[Job], workers: int) -> Iterator[list[dict[str, Any]]]:
-    """The rows of each job as it ends, in this process where there is one worker."""
-    workers = min(workers, len(jobs))
-    if workers < 2:
-        yield from map(work, jobs)
-        return
-    from multiprocessing import get_context
-
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_quiet)
-    try:
-        yield from _ended(pool, jobs, workers)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _ended(pool: Executor, jobs: Sequence[Job], workers: int) -> Iterator[list[dict[str, Any]]]:
-    waiting, running = iter(jobs), set[Future[list[dict[str, Any]]]]()
-    while True:
-        for job in waiting:
-            running.add(pool.submit(work, job))
-            if len(running) >= 2 * workers:  # an interrupt waits for no more than these
-                break
-        if not running:
-            return
-        done, running = wait(running, return_when=FIRST_COMPLETED)
-        for future in done:
-            yield future.result()
-
-
-def _quiet() -> None:
-    """Leave Ctrl-C to the process that started this one."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 def work(job: Job) -> list[dict[str, Any]]:
     """Run every row of a job."""
     rows, touch, known = [], None, False
@@ -123,6 +92,7 @@ def work(job: Job) -> list[dict[str, Any]]:
         if not known:  # of one environment, so the same for all
             touch, known = touch_of_rod(scene), True
         given = seed_energy(scene.law, scene.dt_ns / 1e9, scene.axes)
+        of_case = {"seed_energy": given, **margins(scene, numbers[0][1])}
         for number, seed in numbers:
             row: dict[str, Any] = {"row": number, "seed": seed, "environment": case.environment, "link": case.link,
                                    "law": case.law, "knobs": [[name, plain(value)] for name, value in
@@ -134,7 +104,7 @@ def work(job: Job) -> list[dict[str, Any]]:
                 continue
             ended, sentence = how_it_ended(result)
             rows.append({**row, "status": result.status, "ended": ended, "ticks": result.ticks, "sentence": sentence,
-                         **result.metrics, **of_result(result, touch), "seed_energy": given})
+                         **result.metrics, **of_result(result, touch), **of_case})
     return rows
 
 
@@ -149,6 +119,14 @@ def how_it_ended(result: Result) -> tuple[str, str]:
         if grows is not None or result.metrics.get("swing_end", 0.0) > SWING:
             return UNSETTLED, grows or result.sentence
     return result.status, "" if result.status == "ok" else result.sentence
+
+
+def margins(scene: Scene, seed: int) -> dict[str, float]:
+    """Gain and delay margin of the linear loop of one axis; of several they are as costly as the rest of the rows."""
+    if scene.axes > 1:
+        return {}
+    found = margin(scene, seed=seed)
+    return {} if isnan(found.gain) else {"gain_margin": found.gain, "delay_margin": found.delay}
 
 
 def of_result(result: Result, touch: Touch | None) -> dict[str, float]:

@@ -20,7 +20,7 @@ def test_a_law_that_fails_where_it_is_hard_is_not_the_better_for_it() -> None:
             row("frail", "lost", 0, "unsettled", x_err_rms=0.0),
             *[row("firm", link, 0, x_err_rms=0.005) for link in ("near", "far", "lost")]]
     found = verdicts(rows, ["frail", "firm"])
-    assert [one.figures["x_err_rms"].value for one in found] == [inf, 0.005]
+    assert [one.figures["x_err_rms"].failed for one in found] == [True, False]
     ranked = ranking(BY_KEY["x_err_rms"], found)
     assert ranked.groups == ((("firm", 0.005),),)
     assert ranked.failed == ("frail",)
@@ -76,3 +76,11 @@ def test_a_law_that_tracks_because_the_wall_is_hardly_touched_is_named() -> None
     found = verdicts(rows, ["drag", "good", "slow"])
     assert [one.law for one in held_back(found)] == ["drag"]
     assert {one.column.key for one in rankings(found)} == {"x_err_rms", "wall_late"}
+
+
+def test_a_margin_is_that_of_the_loop_whatever_its_runs_came_to_and_none_is_as_good_as_an_infinite_one() -> None:
+    rows = [row("a", "delay", 0, "diverged", gain_margin=0.5), row("b", "delay", 0, gain_margin=3.0),
+            row("c", "delay", 0, gain_margin=inf), row("d", "delay", 0)]
+    ranked = ranking(BY_KEY["gain_margin"], verdicts(rows, ["a", "b", "c", "d"]))
+    assert ranked.groups == ((("c", inf),), (("b", 3.0),), (("a", 0.5),))
+    assert ranked.failed == ()
