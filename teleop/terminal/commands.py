@@ -184,7 +184,7 @@ def _compare(added: ArgumentParser) -> None:
     added.add_argument("--laws", metavar="NAMES", help="compare these laws, names or FILE.py, joined by commas; left "
                        "out: those of the file, the built-in one has every law with two ends")
     added.add_argument("--tuned", metavar="N", type=whole, nargs="?", const=60, help="each law with the parameters "
-                       "that `teleop tune` finds in N rows for each link, 60 where N is left out; a search takes seconds")
+                       "that `teleop tune` finds in N rows for each link, left out: 60; a search takes seconds")
     added.add_argument("--workers", metavar="N", type=whole, help="rows run in N processes; left out: one a core")
     added.add_argument("--out", metavar="DIR", help="the folder of the comparison, new or to be gone on with; default "
                        "runs/FILE, without its ending")

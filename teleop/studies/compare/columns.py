@@ -22,8 +22,8 @@ class Column(NamedTuple):
 
 
 COLUMNS = (
-    Column("gain_margin", "margin", "", 1.0, MORE, ANY, "gain margin",
-           "factor on the gain of the linear loop that makes it unstable, whatever its runs came to; below 1 it is"),
+    Column("gain_margin", "gain", "", 1.0, MORE, ANY, "gain margin",
+           "factor on the gain of the linear loop that makes it unstable, over links of constant delay; below 1 it is"),
     Column("x_err_rms", "track", "mm", 1e3, LOW, ANY, "tracking error",
            "slave against the master of one delay ago, rms"),
     Column("f_err_rms", "force", "N", 1.0, LOW, ANY, "force error", "felt force against touched force, rms"),
@@ -38,7 +38,7 @@ COLUMNS = (
     Column("felt_share", "stiff", "%", 1e2, ONE, TOUCHED, "felt stiffness",
            "stiffness felt at the end, where the hand rests in contact, in percent of the environment's"),
     Column("jerk_rms", "jerk", "N/s", 1.0, LOW, ANY, "smoothness, rms", "rate of change of the reflected force, rms"),
-    Column("jerk_999", "jerk99", "N/s", 1.0, LOW, ANY, "smoothness, 99.9 %",
+    Column("jerk_999", "j99.9", "N/s", 1.0, LOW, ANY, "smoothness, 99.9 %",
            "the rate of change that one tick in a thousand exceeds"),
     Column("drift_end", "drift", "mm", 1e3, LOW, FREE, "drift", "slave against master at the end, nothing touched"),
     Column("energy_out", "out", "mJ", 1e3, LOW, ANY, "energy given out",

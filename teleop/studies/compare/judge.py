@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite, isnan, log, nan
+from math import exp, inf, isfinite, isnan, log, nan
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -149,14 +149,15 @@ def distance(column: Column, value: float) -> float:
 
 
 def _median(column: Column, values: list[float]) -> tuple[float, float]:
-    """The median and the median distance, each of an even number of values the greater of two; NaN of none."""
+    """The median distance, of an even number of values the greater of the two in the middle, and the value that it is
+    at; where 1 is the best, below it where most of the values are. NaN of none."""
     away = sorted(distance(column, value) for value in values)
-    sound = sorted(value for value in values if value < FAILED or column.better not in (LOW, ONE))
-    if column.better == MORE:
-        sound.reverse()
-    elif column.better == LOW:
-        sound = sorted(values)
-    return (sound[len(sound) // 2] if sound else nan, away[len(away) // 2]) if away else (nan, nan)
+    if not away:
+        return nan, nan
+    middle = away[len(away) // 2]
+    if column.better == ONE and middle < inf:
+        return exp(middle if sorted(values)[len(values) // 2] >= 1.0 else -middle), middle
+    return (1.0 / middle if middle > 0.0 else inf) if column.better == MORE else middle, middle
 
 
 def ranking(column: Column, found: Sequence[LawVerdict]) -> Ranking:

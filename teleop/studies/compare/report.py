@@ -13,7 +13,7 @@ from teleop.studies.compare.judge import BAD, LawVerdict, Ranking, Told, held_ba
 from teleop.terminal.printable import printable
 from teleop.terminal.table import columns
 
-ENDED = (("ok", ("ok",)), ("swing", BAD), ("div", ("diverged", "refused")))  # heads, and the endings behind them
+ENDED = (("ok", ("ok",)), ("osc", BAD), ("div", ("diverged", "refused")))  # heads, and the endings behind them
 NARROW = 60  # columns of a terminal below which nothing is wrapped
 FAILED = "fail"
 USUAL = {"sent": 1.0, "seed_energy": 0.0}  # what is not worth a column where all laws have it
@@ -55,13 +55,13 @@ def cell(column: Column, told: Told) -> str:
 
 
 def digits(value: float) -> str:
-    """Three digits without an exponent where that is possible in six characters."""
+    """Three digits, below 1 two, without an exponent where that is possible in five characters and a sign."""
     size = abs(value)
     if size >= 99999.5:
         return f"{value:.0e}".replace("e+0", "e")
     if size < 5e-4:
         return "0"
-    return f"{value:.{0 if size >= 99.95 else 1 if size >= 9.995 else 2 if size >= 0.9995 else 3}f}"
+    return f"{value:.{0 if size >= 99.95 else 1 if size >= 9.995 else 2 if size >= 0.0995 else 3}f}"
 
 
 def text(found: Sequence[LawVerdict], ranked: Sequence[Ranking], cases: Sequence[Case], heading: str,

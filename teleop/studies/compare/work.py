@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from teleop.errors import Refused
 from teleop.law.offers import seed_energy
 from teleop.scene.loading import load_scene
+from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
@@ -35,7 +36,8 @@ OWN = {  # of a row, beside the metrics of its run: unit and meaning
     "wall_peak": ("1", "largest force of the slave on its environment, over that of a rigid rod"),
     "sent": ("1", "packets sent for each tick, both directions"),
     "seed_energy": ("J", "energy that the law is given to begin with"),
-    "gain_margin": ("1", "factor on the loop's gain that makes it unstable, see `teleop.studies.margin`; one axis"),
+    "gain_margin": ("1", "factor on the loop's gain that makes it unstable, see `teleop.studies.margin`; of one axis "
+                    "over a constant delay"),
     "delay_margin": ("s", "delay that may be added to the round trip, by the same analysis"),
 }
 
@@ -122,8 +124,11 @@ def how_it_ended(result: Result) -> tuple[str, str]:
 
 
 def margins(scene: Scene, seed: int) -> dict[str, float]:
-    """Gain and delay margin of the linear loop of one axis; of several they are as costly as the rest of the rows."""
-    if scene.axes > 1:
+    """Gain and delay margin of the linear loop of one axis over a constant delay, of which they are exact.
+
+    Those of several axes would take longer than the runs do.
+    """
+    if scene.axes > 1 or (scene.link is not None and varies(scene.link)):
         return {}
     found = margin(scene, seed=seed)
     return {} if isnan(found.gain) else {"gain_margin": found.gain, "delay_margin": found.delay}
