@@ -22,19 +22,15 @@ from zlib import crc32
 from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
+from teleop.scene.packet_size import CHECKSUM, FLOAT, HEAD, LEAST, MOST_DATA, least_size
 
 VERSION = 4
-MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments
 MOST_CONTROL = 8192
 MOST_SENTENCE = 1000  # characters of a REFUSE, BYE or RENEW
 MOST_SEQ = 2**32 - 1
 _MOST_NS = 2**63 - 1
 _LEAST_NS = -_MOST_NS - 1
 _MAGIC = b"BT"  # "B" cannot begin a DTLS record (RFC 7983), so the two can share a port
-_HEAD = Struct("!2sBBH")
-_CHECKSUM = 4
-_LEAST = _HEAD.size + _CHECKSUM
-_FLOAT = 9  # msgpack's size of a float, and of an integer of 64 bits
 _pack = Packer().pack
 
 
@@ -119,12 +115,12 @@ def encode(packet: Packet, size: int | None = None) -> bytes:
     body = _pack(packet[1:])
     control = kind > _LAST_DATA
     most = size or (MOST_CONTROL if control else MOST_DATA)
-    if len(body) + _LEAST > most:
+    if len(body) + LEAST > most:
         cure = "shorten the scene's knobs" if control else "send fewer numbers or write a larger packet_size"
-        raise Refused(f"a {Kind(kind).name} packet of {len(body) + _LEAST} bytes is above {most}; {cure}")
-    data: bytes = _HEAD.pack(_MAGIC, VERSION, kind, len(body)) + body
+        raise Refused(f"a {Kind(kind).name} packet of {len(body) + LEAST} bytes is above {most}; {cure}")
+    data: bytes = HEAD.pack(_MAGIC, VERSION, kind, len(body)) + body
     if size:
-        data = data.ljust(size - _CHECKSUM, b"\0")
+        data = data.ljust(size - CHECKSUM, b"\0")
     return data + _CHECK.pack(crc32(data))
 
 
@@ -136,26 +132,26 @@ def decode(data: bytes, width: int) -> Packet | Rejection:
     size = len(data)
     if size > MOST_CONTROL:
         return Rejection.OVERSIZE
-    if size < _LEAST:
+    if size < LEAST:
         return Rejection.TRUNCATED
-    magic, version, kind, length = _HEAD.unpack_from(data)
+    magic, version, kind, length = HEAD.unpack_from(data)
     if magic != _MAGIC:
         return Rejection.MAGIC
     if version != VERSION:
         return Rejection.VERSION
     if kind <= _LAST_DATA and size > MOST_DATA:
         return Rejection.OVERSIZE
-    if length + _LEAST > size:
+    if length + LEAST > size:
         return Rejection.TRUNCATED
-    if crc32(data[:-_CHECKSUM]) != _CHECK.unpack_from(data, size - _CHECKSUM)[0]:
+    if crc32(data[:-CHECKSUM]) != _CHECK.unpack_from(data, size - CHECKSUM)[0]:
         return Rejection.CHECKSUM
-    end = _HEAD.size + length
-    if kind >= len(_KINDS) or data[end:-_CHECKSUM].strip(b"\0"):
+    end = HEAD.size + length
+    if kind >= len(_KINDS) or data[end:-CHECKSUM].strip(b"\0"):
         return Rejection.MALFORMED
     try:
         fields = unpackb(
-            data[_HEAD.size : end], use_list=False, strict_map_key=True, max_bin_len=0, max_ext_len=0,
-            max_array_len=MOST_DATA // _FLOAT, max_map_len=MOST_CONTROL // 2, max_str_len=MOST_CONTROL,
+            data[HEAD.size : end], use_list=False, strict_map_key=True, max_bin_len=0, max_ext_len=0,
+            max_array_len=MOST_DATA // FLOAT, max_map_len=MOST_CONTROL // 2, max_str_len=MOST_CONTROL,
         )
     except Exception:  # bytes of an unknown sender: whatever msgpack raises over them, they are not a packet
         return Rejection.MALFORMED
@@ -232,22 +228,6 @@ def one_line(text: str) -> str:
     return line if line.isprintable() else "".join(c if c.isprintable() else "?" for c in line)
 
 
-def least_size(width: int, *, energy: bool = True) -> int:
-    """The bytes that a DATA packet of `width` numbers needs at most; `energy`: E_in is sent along.
-
-    Bytes of UDP payload. Raises `Refused` if no packet can carry that many numbers.
-
-    >>> least_size(5, energy=False)
-    100
-    """
-    # The array, session, seq, sent_ns, echo, payload, and E_in or nil.
-    payload = (1 if width < 16 else 3) + width * _FLOAT
-    body = 1 + _FLOAT + 5 + _FLOAT + (1 + 2 * _FLOAT) + payload + (_FLOAT if energy else 1)
-    if _LEAST + body > MOST_DATA:
-        raise Refused(f"a packet carries at most {MOST_DATA} bytes, too few for {width} numbers; send fewer")
-    return _LEAST + body
-
-
 def check_size(size: int, width: int, *, energy: bool = True) -> int:
     """`size` if every DATA packet of `width` numbers can be padded to it, otherwise `Refused`."""
     least = least_size(width, energy=energy)
@@ -308,15 +288,15 @@ class Window:
 
 def peek(data: bytes) -> tuple[Kind, int] | tuple[None, int]:
     """A datagram's kind and number, for a relay it is not for; (None, -1) if it is no packet. Never raises."""
-    if not _LEAST <= len(data) <= MOST_CONTROL:
+    if not LEAST <= len(data) <= MOST_CONTROL:
         return None, -1
-    magic, version, kind, length = _HEAD.unpack_from(data)
+    magic, version, kind, length = HEAD.unpack_from(data)
     if magic != _MAGIC or version != VERSION or kind >= len(_KINDS):
         return None, -1
-    if crc32(data[:-_CHECKSUM]) != int.from_bytes(data[-_CHECKSUM:], "big"):
+    if crc32(data[:-CHECKSUM]) != int.from_bytes(data[-CHECKSUM:], "big"):
         return None, -1
     try:
-        seq = unpackb(data[_HEAD.size : _HEAD.size + length], use_list=False)[1]
+        seq = unpackb(data[HEAD.size : HEAD.size + length], use_list=False)[1]
     except Exception:  # bytes of an unknown sender
         return None, -1
     return (_KINDS[kind], seq) if type(seq) is int and 0 <= seq <= MOST_SEQ else (None, -1)

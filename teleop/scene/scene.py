@@ -11,6 +11,7 @@ from teleop import kind
 from teleop.errors import Refused, number, number_of, whole_number
 from teleop.law import law_name, messages
 from teleop.law.contract import check_contract
+from teleop.scene.packet_size import least_size
 from teleop.scene.parts import (
     Environment,
     Hand,
@@ -22,7 +23,7 @@ from teleop.scene.parts import (
     is_known_by_class,
     varies,
 )
-from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of
+from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of, integrates
 
 if TYPE_CHECKING:
     from teleop.physics.plant import MassDamper
@@ -74,7 +75,7 @@ class Scene:
     start_s: Vector = 0.0  # where the slave starts, at rest, m
     dt: float = 1e-3
     duration: float = 10.0
-    packet_size: int | None = None  # bytes on the wire; None: 100 for one axis, 200 for more
+    packet_size: int | None = None  # bytes on the wire; None: 100 for one axis, 200 for more, or what messages need
     x_limit: float = 1e6  # m; a run that passes it has diverged
     tolerance: float = 1e-9  # m a tick, for bodies that have no closed form
     name: str = "scene"
@@ -94,7 +95,7 @@ class Scene:
 
     def _is_judged_by_classes(self) -> bool:
         """True if the checks, which it passed, ask for no more than the classes of its parts and its numbers."""
-        if self.deadband is not None or any(
+        if self.deadband is not None or self.packet_size is not None or any(
                 isinstance(each, tuple) for each in (self.environment, self.start_m, self.start_s)):
             return False
         touched = self.environment is None or any(
@@ -117,6 +118,7 @@ class Scene:
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
         self._check_numbers()
         self._check_deadband()
+        self._check_packet()
         environments = self.environments
         for each in environments:
             if each is not None and (
@@ -144,6 +146,16 @@ class Scene:
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")
+
+    def _check_packet(self) -> None:
+        """Refuse a law whose message has no room in a packet."""
+        if self.slave is None:
+            return
+        least = self.least_packet
+        if self.packet_size is not None and self.packet_size < least:
+            raise Refused(f"packet_size must be at least {least} bytes, which the message of law {law_name(self.law)} "
+                          f"in {number_of(self.axes, 'axis', 'axes')} needs, not {self.packet_size}; write "
+                          f"packet_size={least}, or leave it out")
 
     def _check_deadband(self) -> None:
         """Refuse a deadband whose silence would be taken for a peer that is gone, or for waves that are zero."""
@@ -218,8 +230,19 @@ class Scene:
 
     @property
     def wire_size(self) -> int:
-        """Bytes of one DATA packet on the wire, whatever it carries."""
-        return self.packet_size or (100 if self.axes == 1 else 200)
+        """Bytes of one DATA packet on the wire, whatever it carries.
+
+        What the scene says; else 100 for one axis and 200 for more, or as many as its messages need.
+        """
+        usual = 100 if self.axes == 1 else 200
+        return self.packet_size or (usual if self.slave is None else max(usual, self.least_packet))
+
+    @property
+    def least_packet(self) -> int:
+        """The bytes that the largest packet of this scene needs. Raises `Refused` if none can carry its message."""
+        along = self.has_waves and integrates(self.played_as)  # T, and U and E of each axis, behind the law's messages
+        width = max(len(message._fields) for message in messages(self.law)) * self.axes
+        return least_size(width + (1 + 2 * self.axes) * along, energy=self.energy and not along)
 
     @property
     def has_waves(self) -> bool:
