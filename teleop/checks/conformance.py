@@ -41,20 +41,28 @@ def try_conformance(law: Any) -> None:
 
 
 def _try_start(law: Any) -> None:
-    """An end that is at rest, wherever it starts, commands no force before it has heard anything of the other one."""
+    """An end, wherever it starts, holds no force at rest before it has heard of the other one; in motion it may brake.
+
+    A session may begin while a device is moved, and after an interruption another one begins in mid-motion.
+    """
     name = type(law).__name__
-    for x in (0.0, 0.3, -2.0):
-        still = start_at(x, 0.0, 0.0, DT)
-        for end in ("master", "slave"):
-            s, rx = getattr(law, f"{end}_start")(still)
-            for _ in range(3):
-                given = (s, still, rx)
+    for x, v in ((0.0, 0.0), (0.3, 0.0), (-2.0, 0.0), (0.3, 0.4), (0.3, -0.4)):
+        began = start_at(x, v, 0.0, DT)
+        for end, sign in (("master", 1.0), ("slave", -1.0)):
+            s, rx = getattr(law, f"{end}_start")(began)
+            force, at = 0.0, began
+            for k in range(3):
+                given = (s, at, rx)
                 sums = getattr(law, f"{end}_sums", None)
                 force, _, s = getattr(law, end)(*given, *([sums(*given)] if sums else []))
-                if not abs(force) <= 1e-9:
-                    raise Refused(f"{name}.{end} begins at rest at {x:g} m with {force:.3g} N before any message has "
-                                  f"come: the device would jump; return from {name}.{end}_start the message of a peer "
-                                  "that stands where this end does")
+                before = f"{name}.{end} begins at {x:g} m and {v:g} m/s with {force:.3g} N before any message has come"
+                if v == 0.0 and not abs(force) <= 1e-9:
+                    raise Refused(f"{before}: the device would jump; return from {name}.{end}_start the message of a "
+                                  "peer that stands where this end does")
+                if not sign * force * v >= -1e-9:
+                    raise Refused(f"{before}, which drives it on; turn the sign of what is to brake it: f_m acts "
+                                  "against the master's motion, f_s along the slave's")
+                at = at._replace(x=x + (k + 1) * v * DT, f_held=force, dx=v * DT)
 
 
 def _try_messages(law: Any) -> None:
@@ -128,32 +136,36 @@ def _try_conditions(law: Any) -> None:
             if not isinstance(sentence, str) or not sentence:
                 raise Refused(f"{name}.conditions returns {sentence!r}; return sentences, one for each condition that "
                               "is broken")
-            found = None if "--set law=" in sentence else CURE.search(sentence)  # of another law nothing is known
-            if found is not None and found[1] in {knob.name for knob in fields(law)}:
-                _try_cure(law, facts, sentence, *found.groups())
+            named = {} if "--set law=" in sentence else dict(CURE.findall(sentence))  # of another law nothing is known
+            if named and named.keys() <= {knob.name for knob in fields(law)}:
+                _try_cure(law, facts, sentence, named)
 
 
-def _try_cure(law: Any, facts: Facts, sentence: str, knob: str, text: str) -> None:
-    """The value that a sentence says to type ends the sentence, and one that is a little less does not."""
-    name, now, value = type(law).__name__, float(getattr(law, knob)), float(text)
+def _try_cure(law: Any, facts: Facts, sentence: str, named: dict[str, str]) -> None:
+    """The values that a sentence says to type end the sentence, and a single one that is a little less does not."""
+    name, values = type(law).__name__, {knob: float(text) for knob, text in named.items()}
     about = CURE.sub("", sentence).split(";")[0].split(":")[0]
 
-    def is_broken(at: float) -> bool:
-        """Does the law with this value break that condition still."""
+    def is_broken(values: dict[str, float]) -> bool:
+        """Does the law with these values break that condition still."""
         try:
-            told = replace(law, **{knob: at}).conditions(facts)
+            told = replace(law, **values).conditions(facts)
         except Refused:  # out of the knob's own domain
             return True
         return any(_words(CURE.sub("", each).split(";")[0].split(":")[0]) == _words(about) for each in told)
 
-    if is_broken(value):
-        raise Refused(f"{name}.conditions says {sentence!r}, and with {knob}={text} that condition is broken still; "
-                      "name a value that is enough")
-    side = 1.0 if value > now else -1.0
+    typed = ", ".join(f"{knob}={text}" for knob, text in named.items())
+    if is_broken(values):
+        raise Refused(f"{name}.conditions says {sentence!r}, and with {typed} that condition is broken still; name a "
+                      "value that is enough")
+    if len(values) > 1:
+        return
+    (knob, value), = values.items()
+    side = 1.0 if value > getattr(law, knob) else -1.0
     less = value - side * NEAR * abs(value)
-    if side * (less - now) > 0.0 and not is_broken(less):
-        raise Refused(f"{name}.conditions says {sentence!r}, and less than {knob}={text} is enough; name the least "
-                      "value that is")
+    if side * (less - getattr(law, knob)) > 0.0 and not is_broken({knob: less}):
+        raise Refused(f"{name}.conditions says {sentence!r}, and less than {typed} is enough; name the least value "
+                      "that is")
 
 
 def _words(text: str) -> str:

@@ -31,6 +31,7 @@ class Mine:
     B_m: float = 1.0
     sign_m: float = 1.0
     sign_s: float = 1.0
+    sign_x: float = 1.0  # of the position that is sent
     start: float = 1.0
     named: float = 1.0  # of the least sufficient damping, what the sentence tells to type
     claims: ClassVar[dict[str, str]] = {}
@@ -45,7 +46,7 @@ class Mine:
         return (), Place(self.start * at.x)
 
     def master(self, s: Any, at: At, rx: Any) -> Any:
-        return self.sign_m * rx.f_env + self.B_m * at.v, Place(at.x), s
+        return self.sign_m * rx.f_env + self.B_m * at.v, Place(self.sign_x * at.x), s
 
     def slave(self, s: Any, at: At, rx: Any) -> Any:
         return self.sign_s * (self.K * (rx.x - at.x) - self.B * at.v), Force(at.f), s
@@ -63,8 +64,9 @@ def test_a_law_that_is_in_order_passes(law: Any) -> None:
 
 @pytest.mark.parametrize(("law", "sentence"), [
     (Mine(sign_m=-1.0), r"pulls the hand into the wall with .* N while the slave presses it with .* N; turn"),
-    (Mine(sign_s=-1.0), r"sets its slave going by -.* um while the master goes by .* um, against it; turn the sign"),
-    (Mine(start=0.0), r"Mine.slave begins at rest at 0.3 m with -60 N before any message has come"),
+    (Mine(sign_x=-1.0), r"sets its slave going by -.* um while the master goes by .* um, against it; turn the sign"),
+    (Mine(sign_s=-1.0), r"Mine.slave begins at 0.3 m and 0.4 m/s with 4 N before any message .*, which drives it on"),
+    (Mine(start=0.0), r"Mine.slave begins at 0.3 m and 0 m/s with -60 N before any message has come"),
     (Mine(named=0.5), r"with B_m=.* that condition is broken still; name a value that is enough"),
     (Mine(named=1.5), r"less than B_m=.* is enough; name the least value that is"),
 ])
