@@ -36,9 +36,10 @@ seen,
 where C is what the coupling took between v_d dt and the slave's dx. Its spring, taken at the end of a tick, gives
 nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for B >= K dt/2.
 
-What is below zero. The slave knows f_s and v_d before it spends, so G_s < 0 only by what a held force does more than
-the one that was asked for. The master spends f v dt and pays -f d, for the motion d that follows: from G_m >= -debt one
-tick leaves G_m >= -debt - |f| |d - v dt|, and below that it only damps, which takes energy for alpha_max <= m/dt.
+What is below zero. The slave knows f_s and v_d before it spends, so G_s < 0 only by what a held force does over ticks
+that are left out, and more than the one that was asked for: waits that follow each other add up until they are paid.
+The master spends f v dt and pays -f d, for the motion d that follows: from G_m >= -debt one tick leaves G_m >= -debt -
+|f| |d - v dt|, and below that it only damps, which takes energy for alpha_max <= m/dt.
 
 Claims: E_law >= 0 less `debt` and one tick's surprise, over any link; E_port >= -E0 with it. E_law(0) = E0, the seed.
 """
