@@ -25,7 +25,9 @@ law asks for the device has g f, and a damper b to the ground takes up what is m
     v_sd = (sqrt(2b) u_s - g (K (x_sd - x_s) - b v_s))/((2 - g) b + g (b + K dt))
     v_md = (sqrt(2b) w_m + g (K (x_m - x_md) + b v_m))/((2 - g) b + g (b + K dt)).
 
-With g = 0 nothing is sent back, and the point of an end is where its wave takes it. Ticks that are left out: each
+With g = 0 nothing is sent back. The slave's point is where its wave takes it; the master's comes to where the hand is,
+x_md -= (1 - g) (x_md - x_m), so that the hand is not pulled by a spring that nothing has stretched when the master
+takes hold again. What the hand has moved meanwhile stays as an offset of the two ends. Ticks that are left out: each
 point has gone on at its last velocity; the held coupling makes no energy as long as the gap is at most 2 b/K, 8 ms
 here.
 
@@ -80,6 +82,7 @@ class WaveMatched:
         w = rx.w * at.fresh
         root = sqrt(2.0 * b)
         x_d = s.x_d + (at.span - dt) * s.v_d
+        x_d = x_d - (1.0 - g) * (x_d - x)
         v_d = (root * w + g * (K * (x - x_d) + b * v)) / ((2.0 - g) * b + g * (b + K * dt))
         x_d = x_d + dt * v_d
         return K * (x - x_d) + b * (v - v_d), Forth(root * v_d - w), Point(x_d, v_d)

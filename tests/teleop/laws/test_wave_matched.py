@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from channel.delay import Delay
-from teleop import At, Scene, load_scene, run
+from teleop import At, Scene, Watchdog, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port
 from teleop.laws.wave_matched import Back, Forth, Point, WaveMatched
 from teleop.physics.plant import MassDamper
@@ -98,3 +98,14 @@ def test_a_steady_motion_goes_on_after_ticks_that_were_left_out(v: float, gap: i
         assert force == pytest.approx(0.0, abs=1e-9)
         assert s.x_d == pytest.approx((gap + 1) * dt * v, abs=1e-12)
         assert sent == pytest.approx(sqrt(law.b / 2.0) * v, abs=1e-9)
+
+
+def test_a_master_that_took_hold_again_pulled_the_hand_by_a_spring_that_nobody_had_stretched() -> None:
+    """An outage of 1.5 s in which the watchdog lets go; the ports got 35 mJ more than they had given."""
+    scene = load_scene("free_motion", law=WaveMatched(), link="delay(0.02) | blackout(1.0, 1.5)", duration=4.0)
+    trace = run(replace(scene, watchdog=Watchdog(timeout=0.1))).trace
+    assert trace["E_port"].min() >= -1e-4
+    law = WaveMatched()
+    for gain in (0.0, 0.5):
+        _, _, s = law.master(Point(0.0, 0.0), at(0.02, gain=gain), Back(0.0))
+        assert abs(0.02 - s.x_d) <= gain * 0.02 + 1e-12
