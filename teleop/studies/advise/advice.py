@@ -16,6 +16,7 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
+from teleop.knob import Declared, knobs_of_fields
 from teleop.law import find_law, known_laws
 from teleop.law.offers import broken, claims_of, seed_energy
 from teleop.scene.loading import load_scene
@@ -52,6 +53,7 @@ class LawAdvice:
     law: str
     tuned: Tuned | None
     refused: str = ""  # why it was not tuned
+    knobs: Mapping[str, Declared]  # of the law
     claims: Mapping[str, str]
     seed_energy: float = 0.0
     broken: tuple[str, ...] = ()  # conditions of the law that link and bodies break, with the best gains
@@ -161,9 +163,9 @@ def _of_law(scene: str, law: str, budget: int, fixed: Mapping[str, object], ways
         best = load_scene(scene, **tuned.knobs)
         told = tuple(broken(best.law, facts_of(best, seed)))
     except Refused as refused:
-        return LawAdvice(law=law, tuned=None, refused=str(refused), claims={})
-    return LawAdvice(law=law, tuned=tuned, claims=claims_of(best.law), seed_energy=seed_energy(best.law, best.dt),
-                     broken=told)
+        return LawAdvice(law=law, tuned=None, refused=str(refused), knobs={}, claims={})
+    return LawAdvice(law=law, tuned=tuned, knobs=knobs_of_fields(type(best.law)), claims=claims_of(best.law),
+                     seed_energy=seed_energy(best.law, best.dt), broken=told)
 
 
 def _margins(one: LawAdvice, scene: Scene, ways: tuple[OneWay, OneWay], workers: int | None) -> tuple[Margins, int]:

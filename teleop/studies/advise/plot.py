@@ -17,6 +17,7 @@ from teleop.terminal.plotting import (
     GREY,
     ORANGE,
     PINK,
+    PURPLE,
     RED,
     SKY,
     grid_lines,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 TERMS = {  # name -> colour, label
     "tracking": (BLUE, "tracking error"), "drag": (ORANGE, "drag in free space"),
     "touch": (GREEN, "steady force missing at the wall"), "feel": (PINK, "steady force missing at the hand"),
+    "rough": (PURPLE, "roughness at the hand"),
     "force": (SKY, "force error"),
 }
 MOST = 1.5  # of a term that is drawn to scale

@@ -6,11 +6,10 @@ import shlex
 from collections.abc import Mapping, Sequence
 from csv import writer
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from teleop.errors import enumerated, number_of
-from teleop.knob import knobs_of_fields
-from teleop.law import find_law
 from teleop.law.offers import CONDITIONS
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
@@ -20,7 +19,7 @@ from teleop.studies.advise.advice import MARGIN, Advice, LawAdvice
 from teleop.studies.advise.links import link_text
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score
 from teleop.studies.tune.report import document as tuned_document
-from teleop.studies.tune.report import figure
+from teleop.studies.tune.report import figure, linear_text
 from teleop.terminal.answer import finite
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
@@ -28,6 +27,7 @@ from teleop.terminal.units import si
 WORSE = 1.5  # times the best law's term, and `MORE` above it: what is said against another law
 MORE = 0.1
 HALF = 0.5
+WIDTH = 108  # columns of text beside the labels
 
 
 def text(found: Advice, seconds: float | None = None) -> str:
@@ -45,13 +45,19 @@ def text(found: Advice, seconds: float | None = None) -> str:
         rows += [("take", f"none: no law keeps the constraints{why}"), ("", _what_to_do(found))]
     else:
         rows += [("", ""), *_take(found, best)]
-    told = [facts(rows), "", _table(found)]
+    told = [facts(wrapped(rows)), "", _table(found)]
     against = avoid(found)
     if against:
-        told += ["", facts([("avoid" if i == 0 else "", line) for i, line in enumerate(against)])]
+        told += ["", facts(wrapped([("avoid" if i == 0 else "", f"- {line}") for i, line in enumerate(against)]))]
     if best is not None and best.tuned is not None:
         told += ["", f"run it: {shlex.join(best.tuned.command())}"]
     return "\n".join(told)
+
+
+def wrapped(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Facts whose texts are broken at `WIDTH` columns; the lines that go on have no label."""
+    return [(label if i == 0 else "", line) for label, said in rows
+            for i, line in enumerate(wrap(said, WIDTH, subsequent_indent="  " * said.startswith("- ")) or [""])]
 
 
 def _wall(scene: Scene) -> str:
@@ -72,6 +78,8 @@ def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_expected(best)))]
     if best.margins is not None:
         rows.append(("margin", _margin(best)))
+    if best.tuned.linear is not None and not best.tuned.linear.why:
+        rows.append(("", f"of the linear loop: {linear_text(best.tuned.linear)}"))
     rows.append(("promises", promise(best)))
     rows += [("but", sentence) for sentence in best.broken]
     alike = found.alike()
@@ -101,10 +109,16 @@ def gains(one: LawAdvice) -> str:
     for name, value in one.tuned.best.items():
         if name == "playout":
             continue
-        knob = knobs_of_fields(find_law(one.law))[name.removeprefix("law.")].knob
+        knob = one.knobs[name.removeprefix("law.")].knob
         told.append(f"{name.removeprefix('law.')} = {value:g}{' ' + knob.unit if knob.unit not in ('', '1') else ''}")
     playout = one.tuned.best.get("playout")
     return ", ".join(told) + (f", playout {playout}" if playout else "")
+
+
+def _short(one: LawAdvice) -> str:
+    assert one.tuned is not None
+    return " ".join(f"{name.removeprefix('law.')}={value:g}" if isinstance(value, float) else str(value)
+                    for name, value in one.tuned.best.items())
 
 
 def _expected(one: LawAdvice) -> list[str]:
@@ -152,19 +166,19 @@ def promise(one: LawAdvice) -> str:
 
 def _table(found: Advice) -> str:
     lines: list[Sequence[str]] = [("law", "objective", "tracking", "drag", "on the wall", "on the hand", "feels like",
-                                   "keeps energy", "gains")]
+                                   "jerk", "keeps energy", "gains")]
     for one in found.laws:
         if one.tuned is None:
-            lines.append((one.law, "refused", *[""] * 7))
+            lines.append((one.law, "refused", *[""] * 8))
             continue
         score = one.tuned.score
         value = f"{score.value:.3f}" + (f" +- {one.deviation:.3f}" if one.deviation >= 5e-4 else "")
         shown = [(SCENE, "x_err_rms"), (FREE, "f_m_max"), (SCENE, "f_env_end"), (SCENE, "f_m_end"),
-                 (SCENE, "felt_stiffness")]
+                 (SCENE, "felt_stiffness"), (SCENE, "jerk_rms")]
         cells = [_si(score, task, name) for task, name in shown]
         energy = "yes" if one.keeps_energy() else "if" if one.claims else "no"
-        lines.append((one.law, value if one.tuned.feasible else "infeasible", *cells, energy, gains(one)))
-    return columns(lines, left=(0, 8))
+        lines.append((one.law, value if one.tuned.feasible else "infeasible", *cells, energy, _short(one)))
+    return columns(lines, left=(0, 9))
 
 
 def _si(score: Score, task: str, metric: str) -> str:
@@ -204,6 +218,7 @@ def _against(one: LawAdvice, best: LawAdvice | None) -> list[str]:
                  f"{_si(score, SCENE, 'f_env_end')}{steady}",
         "feel": f"is {'hardly felt' if score.terms.get('feel', 0.0) > HALF else 'felt less'}, "
                 f"{_si(score, SCENE, 'f_m_end')}{steady} at the hand",
+        "rough": f"is rough, its force on the hand changes by {_si(score, SCENE, 'jerk_rms')} rms",
         "force": f"has a force error of {_si(score, SCENE, 'f_err_rms')} rms",
     }
     own = {} if best is None or best.tuned is None else best.tuned.score.terms
@@ -261,7 +276,7 @@ def write_laws(path: Path, found: Advice) -> None:
     """Write the table of laws as CSV."""
     metrics = [each for each in (
         ("x_err_rms", SCENE), ("f_m_max", FREE), ("f_env_end", SCENE), ("f_m_end", SCENE), ("f_env_max", SCENE),
-        ("felt_stiffness", SCENE)) if each[0] in UNITS]
+        ("felt_stiffness", SCENE), ("jerk_rms", SCENE)) if each[0] in UNITS]
     with replacing_text(path) as file:
         lines = writer(file)
         lines.writerow(["law", "objective", "deviation", "broken", *(f"{name}:{task}" for name, task in metrics),

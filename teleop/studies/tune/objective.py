@@ -9,6 +9,8 @@ rigid rod of `teleop.studies.tune.rod` and about 1 for a law that does nothing:
                rms force; where nothing is touched, over the hand's stiffness times the rod's rms motion)
     touch      |f_env_end - F|/F, with F the steady force of the rod on the environment
     feel       |f_m_end - F|/F: what of that steady force reaches the hand
+    rough      jerk_rms times 10 ms over that force: what the force against the hand changes by while the hand, which
+               follows up to some 10 Hz, cannot yield; a force that chatters from tick to tick is no steady force
     force      f_err_rms over the rod's rms force, where the hand does not come to stand against something
 
 The value of an objective is the root mean square of its terms, so a law cannot buy a small tracking error by keeping
@@ -40,9 +42,10 @@ SCENE, FREE, STIFF = "scene", "free", "stiff"  # the rows of a point: as it is, 
 WHERE = {SCENE: "", FREE: " in free space", STIFF: " against the stiffer environment of the margin"}
 ROUNDING = 1e-9  # J
 FASTER = 5.0
+YIELDS = 0.01  # s, within which a hand does not yield
 REST = 1e-3  # m peak to peak: what jitter and loss may move at rest, as `teleop.simulation.rest` has it
 MEASURES = ("swing_end", "x_err_rms", "f_err_rms", "f_m_max", "f_env_max", "f_m_end", "f_env_end",
-            "felt_stiffness", "felt_mass", "felt_drag")
+            "felt_stiffness", "felt_mass", "felt_drag", "jerk_rms")
 
 
 class Objective(NamedTuple):
@@ -53,9 +56,9 @@ class Objective(NamedTuple):
 
 
 OBJECTIVES = {
-    "balanced": Objective(("tracking", "drag", "touch", "feel", "force"),
-                          "tracking error, drag in free space, and what is missing of the steady force at the wall and "
-                          "at the hand, each relative to a rigid rod: their root mean square"),
+    "balanced": Objective(("tracking", "drag", "touch", "feel", "rough", "force"),
+                          "tracking error, drag in free space, what is missing of the steady force at the wall and at "
+                          "the hand, and roughness, each relative to a rigid rod: their root mean square"),
     "tracking": Objective(("tracking",), "tracking error relative to the motion of a rigid rod, whatever is felt"),
     "force": Objective(("touch", "feel", "force"), "what is missing of a rigid rod's steady force at the wall and at "
                        "the hand (of a hand that keeps moving: the force error), whatever the tracking"),
@@ -148,6 +151,8 @@ def _terms(task: str, row: Mapping[str, Any], rods: Mapping[str, Rod]) -> dict[s
     if task == FREE:
         return {"drag": figure("f_m_max") / rod.scale, "tracking": figure("x_err_rms") / rods[FREE].moved}
     told = {"tracking": figure("x_err_rms") / rod.moved}
+    if "jerk_rms" in row:
+        told["rough"] = figure("jerk_rms") * YIELDS / rod.scale
     if rod.steady is not None:
         told |= {"touch": abs(figure("f_env_end") - rod.steady) / rod.steady,
                  "feel": abs(figure("f_m_end") - rod.steady) / rod.steady}

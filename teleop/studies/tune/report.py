@@ -25,6 +25,7 @@ SHOWN = {  # what a term is called, and the figure behind it: task and metric
     "drag": ("greatest force in free space", FREE, "f_m_max"),
     "touch": ("steady force on the environment", SCENE, "f_env_end"),
     "feel": ("steady force on the hand", SCENE, "f_m_end"),
+    "rough": ("change of the force on the hand, rms", SCENE, "jerk_rms"),
     "force": ("force error, rms", SCENE, "f_err_rms"),
 }
 
@@ -93,7 +94,8 @@ def figure(found: Score, task: str, metric: str) -> float | None:
 
 def _figures(tuned: Tuned) -> str:
     """Each term with the figure behind it: of the best point, of the law's own parameters, of the rod."""
-    of_rod = {"tracking": 0.0, "drag": 0.0, "touch": tuned.rod.steady, "feel": tuned.rod.steady, "force": 0.0}
+    steady = tuned.rod.steady
+    of_rod = {"tracking": 0.0, "drag": 0.0, "touch": steady, "feel": steady, "rough": None, "force": 0.0}
     lines: list[Sequence[str]] = [("", "tuned", "own parameters", "rigid rod", "term", "of its own")]
     for name, (words, task, metric) in SHOWN.items():
         if name not in tuned.score.terms:

@@ -10,7 +10,7 @@
 3. The linear loop of the best point (`teleop.studies.margin`) has to be stable with as many times its gain as the
    margin that is asked for, where it can be worked out; of a law that claims to keep energy with its own gain: waves
    that resonate have no gain to spare, and need none. If it is not, the next best point is looked at that is more than
-   `APART` of a range away from all that were, `LOOKS` at most.
+   `APART` of a range away from all that were, twice that after every fourth, `LOOKS` at most.
 4. Where the link draws random numbers, the best few points are run with other seeds, and the one with the best mean is
    the result, if each of its rows keeps the constraints.
 
@@ -326,11 +326,11 @@ class _Search:
         gain = 1.0 if claims_of(self.scene.law) else self.margin
         looked: list[Point] = []
         for i, point in enumerate(ranked):
-            if any(self._near(point, other) for other in looked):
+            if any(self._near(point, other, APART * 2 ** (len(looked) // 4)) for other in looked):
                 continue
             told = stands(self._scene(point), gain, seed=self.seed)
             if told is None or told[0]:
-                return [point, *[other for other in ranked[i + 1:] if self._near(point, other) and self._stands(
+                return [point, *[other for other in ranked[i + 1:] if self._near(point, other, APART) and self._stands(
                     other, gain)][:CHECKED - 1]]
             self.scores[point] = self.scores[point]._replace(broken=told[1], amount=0.5)
             looked.append(point)
@@ -346,9 +346,9 @@ class _Search:
         told = stands(self._scene(point), gain, seed=self.seed)
         return told is None or told[0]
 
-    def _near(self, point: Point, other: Point) -> bool:
-        """True if no parameter of two points differs by more than `APART` of its range."""
-        return all(abs(part(span, a) - part(span, b)) <= APART for span, a, b in zip(
+    def _near(self, point: Point, other: Point, apart: float) -> bool:
+        """True if no parameter of two points differs by more than `apart` of its range."""
+        return all(abs(part(span, a) - part(span, b)) <= apart for span, a, b in zip(
             self.spans.values(), point, other, strict=True) if isinstance(span, Range))
 
     def _scene(self, point: Point) -> Scene:

@@ -33,6 +33,20 @@ def test_a_ping_log_and_a_wall_are_answered_in_a_page_and_a_figure(
     assert f"ping_log('{log}')" in " ".join(document["run"])
 
 
+def test_a_delivery_trace_and_a_law_of_ones_own_are_taken_as_well(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trace = tmp_path / "up.txt"
+    trace.write_text("".join(f"{ms}\n" for ms in range(20, 4000, 20)))  # 15 packets every 20 ms
+    law = Path(__file__).resolve().parents[4] / "scenarios/examples/law.py"
+    link = f"mahimahi('{trace}') | delay(0.02) ; delay(0.03)"
+    assert main(["advise", "--link", link, "--wall", "500", "--laws", str(law), "--set", "duration=3", "--budget", "9",
+                 "--workers", "1", "--out", str(tmp_path / "a")]) == 0
+    told = capsys.readouterr().out
+    assert "forward " in told
+    assert "; backward 30.0 ms" in told
+    assert json.loads((tmp_path / "a/summary.json").read_text())["laws"][0]["value"] is not None
+
+
 @pytest.mark.parametrize(("typed", "why"), [
     (["--wall", "2000"], "no link is given"),
     ([*LINK, "--ping", "p.txt"], "leave one of them out"),

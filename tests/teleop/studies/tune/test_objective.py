@@ -72,6 +72,13 @@ def test_a_figure_that_is_not_finite_is_no_feasible_point(scene: Scene) -> None:
     assert judged(scene, (SCENE, {**GOOD, "x_err_rms": float("nan")}), (FREE, LIGHT)).broken
 
 
+def test_a_force_that_chatters_is_no_steady_force(scene: Scene) -> None:
+    """200 N/s rms is 2 N in 10 ms, of the rod's 5 N."""
+    found = judged(scene, (SCENE, {**GOOD, "jerk_rms": 200.0}), (FREE, LIGHT))
+    assert found.terms["rough"] == pytest.approx(0.4)
+    assert found.value > judged(scene, (SCENE, {**GOOD, "jerk_rms": 5.0}), (FREE, LIGHT)).value
+
+
 def test_objectives_look_at_their_own_terms(scene: Scene) -> None:
     rows = (SCENE, GOOD), (FREE, LIGHT)
     assert judged(scene, *rows, objective="tracking").value == pytest.approx(0.1)
