@@ -102,6 +102,9 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
     if scene.cap is not None:
         leave = without(scene, "leave the cap out", f_max="none", slew="none", v_max="none", power="none")
         raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")
+    if scene.deadband is not None:
+        raise Refused("a deadband is not linear, so its scene has no eigenvalues; "
+                      f"{INSTEAD}, or {without(scene, 'leave it away, deadband=None', deadband='0')}")
     if scene.passivity is not None:
         raise Refused("a passivity controller is not linear, so its scene has no eigenvalues; "
                       f"{INSTEAD}, or {without(scene, 'leave it out', cap='none')}")

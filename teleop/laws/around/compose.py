@@ -228,7 +228,7 @@ def _class(stage: Any, law: Any, ends: Mapping[str, InnerEnd], lines: Mapping[st
              "    def __reduce__(self):", "        return again(self)", "",
              "    def inner(self):", "        return inner_of(self)", ""]
     for name, function in _OFFERS.items():
-        if hasattr(kind_of_law, name) or hasattr(stage, f"{name}_of"):
+        if name == "linear" or hasattr(kind_of_law, name) or hasattr(stage, f"{name}_of"):
             words[f"offer_{name}"] = function
             facts = "" if name == "linear" else ", facts"
             text += [f"    def {name}(self{facts}):", f"        return offer_{name}(self{facts})", ""]

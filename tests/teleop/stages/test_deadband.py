@@ -178,3 +178,10 @@ def test_conditions_on_a_delay_count_the_silence_before_it_is_known() -> None:
     fwd = facts_of(load_scene("canonical", law="direct", delay=0.02, deadband=0.1)).fwd
     assert fwd is not None
     assert (fwd.least, fwd.greatest) == pytest.approx((0.02, 0.03))
+
+
+def test_an_analysis_of_the_linear_loop_refuses_it() -> None:
+    from teleop.analysis.models.linear import refuse_nonlinear_parts
+
+    with pytest.raises(Refused, match="a deadband is not linear"):
+        refuse_nonlinear_parts(scene())

@@ -172,3 +172,8 @@ def test_a_mistake_of_the_law_inside_is_told_with_its_own_line(tmp_path: Path) -
     file.write_text(MINE.replace(line, "return 1.0 / (rx.x < 0.02) + self.K * (rx.x - at.x)"))
     with pytest.raises(Refused, match=r"SmoothReflection.slave \(.*law_wrong.py:\d+\) raised ZeroDivisionError"):
         run(load_scene("canonical", law=f"deadband(0.1) | {file}", duration=0.2))
+
+
+def test_an_analysis_takes_the_law_inside_in_place_of_one_with_stages() -> None:
+    law = around("deadband(0.1) | guard", Wave(b=3.0))
+    assert law.linear() == Wave(b=3.0)
