@@ -45,7 +45,7 @@ ACROSS = 3  # blocks of the status map
 STATUS = {"ok": (SKY, "ok"), **dict.fromkeys(BAD, (ORANGE, "limit cycle, unstable or unsettled")),
           "diverged": (FAILS, "diverged"), "refused": (PALE, "refused")}
 PLACES = {FREE: "nothing touched", TOUCHED: "in contact"}
-LEAST = 0.01  # share of the rigid rod's force, or of the environment's stiffness, from which on an axis goes
+LEAST = 1e-4  # share of the rigid rod's force, or of the environment's stiffness, from which on an axis goes
 LOG_FROM = 50.0  # greatest to least value, from which on an axis goes by decades
 
 
@@ -205,10 +205,10 @@ def _panel(axes: Axes, column: Column, cases: Mapping[str, Sequence[float]], fou
         if failed:
             axes.annotate(f"{failed} failed", (1.0, y), xycoords=("axes fraction", "data"), xytext=(4, 0),
                           textcoords="offset points", fontsize=7, color=FAILS, va="center")
-    if column.better == ONE:  # by decades, and what is less than a percent at the left edge
+    if column.better == ONE:  # by decades, and what is less than `LEAST` at the left edge
         axes.axvline(column.factor, color=DARK, linestyle="--", linewidth=1.0)
         axes.set_xscale("log")
-        axes.set_xlim(left=LEAST * column.factor, right=max([2.0 * column.factor, *(1.2 * value for value in every)]))
+        axes.set_xlim(left=0.7 * min([0.1 * column.factor, *every]), right=1.4 * max([column.factor, *every]))
         axes.xaxis.set_major_formatter("{x:g}")
     else:
         _scale(axes, "x", every)
@@ -225,7 +225,8 @@ def _scale(axes: Axes, name: str, values: Sequence[float]) -> None:
     if min(values) > 0.0:
         getattr(axes, f"set_{name}scale")("log")
     else:
-        getattr(axes, f"set_{name}scale")("symlog", linthresh=max(sizes[len(sizes) // 4], sizes[-1] * 1e-4))
+        near = max(sizes[len(sizes) // 4], sizes[-1] * 1e-4)
+        getattr(axes, f"set_{name}scale")("symlog", linthresh=near)
         if min(values) >= 0.0:
             low, high = getattr(axes, f"get_{name}lim")()
-            getattr(axes, f"set_{name}lim")(max(low, -0.3 * sizes[len(sizes) // 4]), high)
+            getattr(axes, f"set_{name}lim")(max(low, -0.4 * near), high)

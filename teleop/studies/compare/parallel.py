@@ -21,7 +21,7 @@ def in_parallel(function: Callable[[Job], Answer], jobs: Sequence[Job], workers:
         return
     from multiprocessing import get_context
 
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_quiet)
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin)
     try:
         yield from _ended(pool, function, jobs, workers)
     finally:
@@ -42,8 +42,14 @@ def _ended(pool: Executor, function: Callable[[Job], Answer], jobs: Sequence[Job
             yield future.result()
 
 
-def _quiet() -> None:
-    """Leave Ctrl-C to the process that started this one."""
+def _begin() -> None:
+    """Leave Ctrl-C to the process that started this one, and linear algebra to one thread: there is a process a core.
+
+    It goes before the first job, whose function brings numpy.
+    """
+    import os
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
