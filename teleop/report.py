@@ -25,6 +25,7 @@ def command(args: Namespace) -> Answer:
     if args.slave is not None:
         return _both_ends(args, formats)
     if (folder / "sweep.json").is_file():
+        _refuse_comparison(folder)
         return report(folder, request, formats, trust=args.trust, rows=args.rows)
     check_run(folder, request)
     if args.rows is not None:
@@ -36,6 +37,15 @@ def command(args: Namespace) -> Answer:
     if args.json:  # as it is stored
         answer = answer._replace(document={**stored_summary(folder), "path": str(result.path)})
     return with_plot(answer, result, folder, formats)
+
+
+def _refuse_comparison(folder: Path) -> None:
+    """Refuse the folder of a comparison: its rows are of many scenes, and its own command tells them again."""
+    from teleop.sweeps.definition import read_definition
+
+    if read_definition(folder).get("scene") == "compare":
+        raise Refused(f"{folder} holds a comparison; type the teleop compare that wrote it again, which runs no row "
+                      f"twice, with --plot for its figures, or read {folder / 'rows.csv'}")
 
 
 def _both_ends(args: Namespace, formats: Sequence[str]) -> Answer:
