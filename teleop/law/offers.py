@@ -101,8 +101,10 @@ def enough(value: float, *, least: bool) -> str:
 
     >>> enough(40.239, least=True), enough(40.239, least=False), enough(0.25, least=True)
     ('40.24', '40.23', '0.25')
+    >>> enough(0.5 - 0.2, least=False)
+    '0.3'
     """
-    rounded = Context(prec=4, rounding=ROUND_CEILING if least else ROUND_FLOOR).create_decimal_from_float(value)
+    rounded = Context(prec=4, rounding=ROUND_CEILING if least else ROUND_FLOOR).create_decimal(f"{value:.12g}")
     return f"{float(rounded):g}"
 
 

@@ -54,7 +54,7 @@ class EndLines(NamedTuple):
     state: Mapping[str, str] = {}  # the fields of its own in the state of this end, and what each starts as
     sends: Mapping[str, tuple[str, str]] = {}  # those in the message that this end sends: kind, and what is known first
     sums: Mapping[str, str] = {}  # what it sums over the axes, each with its share of one axis
-    before: tuple[str, ...] = ()
+    before: tuple[str, ...] = ()  # of the sums over the axes too
     after: tuple[str, ...] = ()
     stored: str = ""  # the energy that this end keeps in place of the law's own, of its state `s`
 
@@ -248,7 +248,7 @@ def _end_text(end: InnerEnd, own: EndLines, other: InnerEnd, others: EndLines, l
             f"        return {state}, {first}", ""]
     coupled = end.sums is not None or own.sums
     if coupled:
-        text += [f"    def {name}_sums(self, s, at, rx):"]
+        text += [f"    def {name}_sums(self, s, at, rx):", *[f"        {line}" for line in own.before]]
         if end.sums is not None:
             text += [f"        own = inner_{name}_sums(self, {inner_state}, at, {heard})"]
         shares = ", ".join([*[f"own.{field}" for field in end.sums or ()], *own.sums.values()])
@@ -311,18 +311,24 @@ def _again(law: Any) -> tuple[Any, ...]:
 
 def _conditions(law: Any, facts: Any) -> tuple[str, ...]:
     inner, own = inner_of(law), getattr(type(law).stage, "conditions_of", None)
-    said: tuple[str, ...] = tuple(inner.conditions(facts)) if hasattr(inner, "conditions") else ()
+    seen = getattr(type(law).stage, "facts_of", None)
+    of_inner = facts if seen is None else seen(law, facts)
+    said: tuple[str, ...] = tuple(inner.conditions(of_inner)) if hasattr(inner, "conditions") else ()
     return said if own is None else tuple(own(law, said, facts))
 
 
 def _fitted(law: Any, facts: Any) -> Any:
-    fitted = inner_of(law).fitted(facts)
+    seen = getattr(type(law).stage, "facts_of", None)
+    fitted = inner_of(law).fitted(facts if seen is None else seen(law, facts))
     return replace(law, **{field.name: getattr(fitted, field.name) for field in fields(fitted)})
 
 
 def _linear(law: Any) -> Any:
-    inner = inner_of(law)
-    return inner.linear() if hasattr(inner, "linear") else inner
+    inner, stage = inner_of(law), type(law).stage
+    linear = inner.linear() if hasattr(inner, "linear") else inner
+    if not getattr(stage, "is_linear", False):
+        return linear
+    return compose(stage(**{field.name: getattr(law, f"{stage.name}_{field.name}") for field in fields(stage)}), linear)
 
 
 _OFFERS = {"conditions": _conditions, "fitted": _fitted, "linear": _linear}

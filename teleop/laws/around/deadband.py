@@ -108,7 +108,4 @@ class Deadband:
     @classmethod
     def claims_of(cls, claims: Any) -> Any:
         """Those of the law but `E_port`."""
-        kept_ledgers = {ledger for ledger in claims if ledger != "E_port"}
-        if isinstance(claims, frozenset):
-            return frozenset(kept_ledgers)
-        return {ledger: claims[ledger] for ledger in claims if ledger in kept_ledgers}
+        return {ledger: condition for ledger, condition in claims.items() if ledger != "E_port"}

@@ -12,14 +12,17 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, WrongNumber, nearest
+from teleop.law import BUILT_IN
 from teleop.laws.around.compose import compose
 from teleop.naming import PartKind, unreadable
 
 STAGES = {
     "deadband": "teleop.laws.around.deadband:Deadband",
     "guard": "teleop.laws.around.guard:Guard",
+    "virtual_coupling": "teleop.laws.around.virtual_coupling:VirtualCouplingEnd",
 }
-EXAMPLES = {"deadband": "deadband(0.1, floor=1e-3)", "guard": "guard(E0=0.05)"}
+EXAMPLES = {"deadband": "deadband(0.1, floor=1e-3)", "guard": "guard(E0=0.05)",
+            "virtual_coupling": "virtual_coupling(K=400, B=0.2)"}
 KIND = PartKind(word="stage", group="teleop.stages_around", places=STAGES, examples=EXAMPLES)
 _FORM = "write for example law='deadband(0.1) | wave'"
 _CALL = re.compile(r"(?P<name>.*\.py(?::\w+)?|[^(]*?)\s*(?P<arguments>\(.*\))?", re.DOTALL)
@@ -46,7 +49,7 @@ def law_text(text: str) -> LawText:
     found = _CALL.fullmatch(law)
     if not law or not all(stages) or found is None:
         raise Refused(f"the law {text[:80]!r} cannot be read: {unreadable(text, SyntaxError())}; {_FORM}")
-    if found["name"] in STAGES and (stages or found["arguments"]):
+    if found["name"] in STAGES and found["name"] not in BUILT_IN and (stages or found["arguments"]):
         raise Refused(f"the stage {found['name']} stands before a law, and {text[:80]!r} ends with it; {_FORM}")
     return LawText(tuple(stages), found["name"], found["arguments"] or "")
 
