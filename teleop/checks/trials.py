@@ -226,6 +226,17 @@ def events(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
             left_out_s=LostTicks(share=0.3 * next(dice), key=next(dice)) if i % 4 > 0 else None,
             watchdog=Watchdog(timeout=0.03, ramp=0.02) if i % 2 else None,
             cap=Cap(f_max=0.5 + 5.0 * next(dice)) if i % 3 == 1 else None)
+    yield capped(law)
+
+
+def capped(law: Law) -> Scene:
+    """Three axes with walls in two of them and a force cap, which turns the force that is held to another direction."""
+    return Scene(
+        law=law, playout=Zero(), energy=True, duration=DURATION, x_limit=1e3, axes=3, cap=Cap(f_max=1.0),
+        master=MassDamper(mass=1.0, damping=0.5), slave=MassDamper(mass=1.0, damping=0.5),
+        hand=Swing(mass=0.0, k=1000.0, d=1.0, reference=Tones(amplitude=0.05, rate=40.0)),
+        environment=(Block(k=2000.0, d=1.0, at=0.005), Block(k=3e5, d=1.0, at=-0.02), None),
+        link=RandomLink(ticks=20, loss=0.0, jitter=0, copies=0.0, key=0.3))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,7 +51,7 @@ class Facts(NamedTuple):
     axes: int
     mass_m: float  # of the master
     damping_m: float
-    mass_s: float  # of the slave
+    mass_s: float  # of the slave, in the master's units where the scene scales
     damping_s: float
     fwd: Delay | None  # None: no message was played
     bwd: Delay | None

@@ -26,7 +26,8 @@ it.
 
 Master (impedance): a reflected force that pushes, <f, v> < 0, is scaled by min(1, G+/(dt |<f, v>|)). What was overspent
 is taken back by a damper min(-G/(dt max(v^2, v_min^2)), alpha_max). One that owes more than `debt` also resists with no
-more than alpha_max v: else a strong force turns a slow master round within each tick, and pushes though it resisted.
+more than alpha_max v, and in each axis by itself: else a strong force turns a slow master round within each tick, and
+pushes though it resisted.
 
 Books. Each G + E - seen grows by the work w, less what `store` drops. Summed, with under way the E that is not yet
 seen,
@@ -38,6 +39,8 @@ nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping
 
 What is below zero. The slave knows f_s and v_d before it spends, so G_s < 0 only by what a held force does over ticks
 that are left out, and more than the one that was asked for: waits that follow each other add up until they are paid.
+A cap turns what is held of a force of several axes to another direction, in which it may push: where it did more than
+was asked for and G_s < 0, v_d = m, in which each axis takes energy, capped or not.
 The master spends f v dt and pays -f d, for the motion d that follows: from G_m >= -debt one tick leaves G_m >= -debt -
 |f| |d - v dt|, and below that it only damps, which takes energy for alpha_max <= m/dt.
 
@@ -57,7 +60,8 @@ from teleop.law import At
 from teleop.law.offers import Facts, enough
 
 TINY = 1e-300  # in place of nothing below a fraction
-FREE = 1e300  # J, the energy of what need not be paid for
+FREE = 1e300  # J or N, where nothing limits
+NEARLY = 1e-9  # of the work that was asked for: a held force that did no more than that is the one that was asked for
 
 
 class Forth(NamedTuple):
@@ -124,7 +128,11 @@ class TDPA:
                     f"B = {self.B:g} N s/m is not; --set law.B={enough(least, least=True)} is the least")
         damper = (f"the master's damper takes energy where alpha_max <= m/dt, which alpha_max = {self.alpha_max:g} "
                   f"N s/m is not; --set law.alpha_max={enough(most, least=False)} is the most")
-        return (*([coupling] if least > self.B else []), *([damper] if self.alpha_max > most else []))
+        held = (f"the coupling takes energy while it is held from tick to tick where B <= 2 m/dt of the slave, which "
+                f"B = {self.B:g} N s/m is not; --set law.B={enough(2.0 * facts.mass_s / facts.dt, least=False)} is "
+                f"the most")
+        return (*([coupling] if least > self.B else []), *([damper] if self.alpha_max > most else []),
+                *([held] if self.B * facts.dt > 2.0 * facts.mass_s else []))
 
     def master_start(self, at: At) -> tuple[Master, Back]:
         return Master(0.0, 0.0, 0.0), Back(0.0, 0.0)
@@ -145,9 +153,10 @@ class TDPA:
         G, E = observed(s.G, s.E, rx.E - s.seen, over.w, self.store)
         dt = at.dt
         takes = min(max(-G, 0.0) / (dt * max(over.vv, self.v_min * self.v_min)), self.alpha_max)
-        resists = self.alpha_max * dt * over.vv + FREE * (self.debt + G >= 0.0)
-        paid = (over.fv < 0.0) * max(G, 0.0) + (over.fv >= 0.0) * resists
-        f_m = rx.f_s * min(paid / max(dt * abs(over.fv), TINY), 1.0) + takes * at.v
+        paid = (over.fv < 0.0) * max(G, 0.0) + (over.fv >= 0.0) * FREE
+        f = rx.f_s * min(paid / max(dt * abs(over.fv), TINY), 1.0)
+        most, owes_little = self.alpha_max * at.v, FREE * (self.debt + G >= 0.0)
+        f_m = max(min(most, 0.0) - owes_little, min(f, max(most, 0.0) + owes_little)) + takes * at.v
         return f_m, Forth(at.x, at.v, E), Master(G, E, rx.E)
 
     def slave_sums(self, s: Slave, at: At, rx: Forth) -> SlaveSums:
@@ -163,6 +172,7 @@ class TDPA:
         x_d = s.x_d + at.dx * (1.0 - dt / at.span)
         x_d, f_0, c = commanded(self.K, self.B, self.drift, x_d, at.x, at.v, rx.x, rx.v, at.gain)
         beyond = 1.0 - sqrt(min(max(over.ff * dt + 4.0 * z * G, 0.0) / max(over.cc * dt, TINY), 1.0))
+        beyond = max(beyond, (G < 0.0) * (over.held > over.asked + NEARLY * abs(over.asked)))
         v_d = c - beyond * (c + 0.5 * f_0 / z)
         f_s = f_0 + z * v_d
         return f_s, Back(at.gain * f_s, E), Slave(G, E, rx.E, x_d + dt * v_d, v_d, f_s)

@@ -49,10 +49,16 @@ def delay(ticks: Any, played: Any, dt: float) -> Delay | None:
 
 
 def facts(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool) -> Facts:
-    """The facts of a scene whose link did this."""
-    master, slave = scene.master, scene.slave
+    """The facts of a scene whose link did this.
+
+    The slave's body is as the law meets it, in the master's metres and newtons: of m_s a_s = f_s with x_s = scale_x x
+    and f_s = scale_f f a mass m_s scale_x/scale_f (`teleop.stages.scaling`).
+    """
+    master, slave, own = scene.master, scene.slave, scene.scaling
     assert slave is not None
-    return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, slave.mass, slave.damping, fwd, bwd, lossy,
+    felt = 1.0 if own is None else own.scale_x / own.scale_f
+    return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, felt * slave.mass, felt * slave.damping,
+                 fwd, bwd, lossy,
                  _word(scene.played_as), scene.leaves_out("m") is not None or scene.leaves_out("s") is not None)
 
 

@@ -211,12 +211,6 @@ def _booked(which: str) -> Any:
     return sums
 
 
-def _stretched(K: float, B: float, drift: float, x_d: float, x: float, v: float, x_rx: float, v_rx: float,
-               gain: float) -> tuple[float, float, float]:
-    del gain
-    return x_d, K * (x_d - x) - B * v, v_rx + drift * (x_rx - x_d)
-
-
 def _asked_start(self: TDPA, at: At) -> Any:
     s, message = TDPA.master_start(self, at)
     return AskedMaster(*s, 0.0), message
@@ -242,7 +236,7 @@ TDPA_WRONG = (
     mutant(TDPA, "SlaveOfTheOtherSign", slave_sums=_booked("sign")),
     mutant(TDPA, "AskedForByTheSlave", {"K": 2000.0, "B": 5.0, "drift": 50.0, "E0": 0.005},
            slave_sums=_booked("asked")),
-    mutant(TDPA, "LetsGoStretched", commanded=_stretched),
+    mutant(TDPA, "TakesBackByTheAskedForce", NEARLY=1e300),
     mutant(TDPA, "MotionOfTheSlave", slave_sums=_booked("dx")),
     mutant(TDPA, "AskedForByTheMaster", master_start=_asked_start, master_sums=_asked_sums, master=_asked_master),
 )

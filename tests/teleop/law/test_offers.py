@@ -12,8 +12,10 @@ from teleop import At, Fixed, Hold, Integral, Refused, Scene, Wave, Zero, load_s
 from teleop.checks.trials import try_claims
 from teleop.law.offers import Delay as Ages
 from teleop.law.offers import Facts, broken, seed_energy
+from teleop.physics.plant import MassDamper
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.facts import facts_of, fitted
+from teleop.stages.scaling import Scaling
 from teleop.sweeps.kernels.kernel import available, figures, plain
 from teleop.sweeps.kernels.scalar import scalar
 from teleop.sweeps.kernels.vector import vector
@@ -164,6 +166,11 @@ class TestConditions:
     def test_a_law_is_fitted_to_the_bodies(self) -> None:
         assert 0.5 * scene().master.mass == fitted(scene(Dampers(B=3.0))).law.B
         assert fitted(scene(Wave())).law == Wave()
+
+    def test_a_scaled_slave_is_the_body_that_the_law_meets(self) -> None:
+        """f = 1 N of the law on 3 kg, scaled by (0.5, 4), gives 4/3 m/s^2, which the law sees as 8/3: 3/8 kg."""
+        own = replace(scene(), slave=MassDamper(mass=3.0, damping=2.0), scaling=Scaling(scale_x=0.5, scale_f=4.0))
+        assert (facts_of(own).mass_s, facts_of(own).damping_s) == (0.375, 0.25)
 
     def test_delays_are_the_ages_of_what_is_played_gaps_included(self) -> None:
         assert facts_of(scene(link=None)).fwd == Ages(0.001, 0.001)

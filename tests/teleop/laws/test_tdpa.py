@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from channel.delay import Delay
 from channel.gilbert_elliott import GilbertElliott
+from teleop.checks.trials import capped
 from teleop.errors import Refused
 from teleop.law import At
 from teleop.law.offers import seed_energy
@@ -155,6 +156,16 @@ def test_a_watchdog_that_lets_go_and_takes_hold_again_gives_out_no_more_than_the
     assert run(scene, seed=1).trace["E_port"].min() >= -TDPA().E0
 
 
+def test_a_master_that_owes_resists_in_each_axis_by_no_more_than_its_own_motion() -> None:
+    """193 N were held against 0.025 m/s of one axis, for the motion of another: a light master turned round."""
+    law, along, across = TDPA(), 0.8, 0.02
+    over = MasterSums(0.0, 6.0 * along + 190.0 * across, along**2 + across**2)
+    owes = Master(-0.5, 0.0, 0.0)
+    given = [law.master(owes, at(v=v), Back(f, 0.0), over)[0] for v, f in ((along, 6.0), (across, 190.0))]
+    damped = law.alpha_max
+    assert given == pytest.approx([6.0 + damped * along, damped * across + damped * across])
+
+
 def test_an_end_that_overspent_is_damped_until_it_is_paid_and_no_faster_than_alpha_max() -> None:
     law = TDPA()
     f_m, _, _ = master(law, Master(-1.0, 0.0, 0.0), at(v=0.2), Back(0.0, 0.0))
@@ -174,12 +185,29 @@ def test_least_energy_that_a_slave_can_ask_for() -> None:
     assert sqrt(-f_s * after.v_d * 4.0 * 20.5) == pytest.approx(5.0)
 
 
+def test_a_cap_in_three_axes_gives_no_energy_out() -> None:
+    """The cap turns the held force out of the direction of the asked one: -1.5 J in 1 s, when G < 0 asked for no more
+    than what was owed, of a force that was not held."""
+    trace = run(replace(capped(TDPA()), duration=1.0)).trace
+    one_tick = sum(abs(np.diff(trace[f"E_port_{e}"])).max() for e in "ms")
+    assert trace["E_law"].min() >= -one_tick
+    assert one_tick < 0.05
+
+
 def test_conditions_name_what_is_enough() -> None:
     facts = facts_of(load_scene("canonical", law=TDPA(K=1500.0, B=0.5, alpha_max=300.0)))
     coupling, damper = TDPA(K=1500.0, B=0.5, alpha_max=300.0).conditions(facts)
     assert "B >= K dt/2, which B = 0.5 N s/m is not; --set law.B=0.75 is the least" in coupling
     assert "alpha_max = 300 N s/m is not; --set law.alpha_max=100 is the most" in damper
     assert TDPA().conditions(facts) == ()
+
+
+def test_a_coupling_that_is_too_stiff_a_damper_for_its_slave_is_told() -> None:
+    facts = facts_of(load_scene("canonical", law=TDPA()))
+    most = 2.0 * facts.mass_s / facts.dt
+    (held,) = TDPA(B=1.01 * most).conditions(facts)
+    assert f"--set law.B={most:.4g} is the most" in held
+    assert TDPA(B=0.99 * most).conditions(facts) == ()
 
 
 def test_the_seed_is_the_slaves() -> None:

@@ -18,6 +18,7 @@ from teleop.laws.around.names import around
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
+from teleop.simulation.facts import facts_of
 from teleop.sweeps.kernels.bytecode import unlike_python, without_lanes
 
 NUMBERS: dict[str, float] = {"dt": 1e-3, "k": 5000.0, "alpha": 50.0, "v_min": 1e-3, "drag": 0.0}
@@ -128,3 +129,13 @@ def test_a_guard_that_is_wrong_is_caught_by_the_check_of_every_law(wrong: str, m
     monkeypatch.setattr(Guard, "lines", staticmethod(lines))
     with pytest.raises(Refused, match="E_law"):
         check_law(around("guard", Direct()))
+
+
+def test_a_guard_says_which_end_is_too_light_for_its_damper() -> None:
+    facts = facts_of(load_scene("canonical", law="guard | direct"))
+    law = around(f"guard(alpha={2.02 * facts.mass_m / facts.dt})", Direct())
+    said = [each for each in law.conditions(facts) if "damper of the guard" in each]
+    assert len(said) == 1
+    assert "at the master" in said[0]
+    assert f"--set law.guard_alpha={2.0 * facts.mass_m / facts.dt:.4g} is the most" in said[0]
+    assert not around("guard", Direct()).conditions(facts)
