@@ -274,7 +274,7 @@ def _numbers_of_law(kind: Any, changes: Mapping[str, object]) -> dict[str, objec
     for key in changes:
         if key not in own:
             whose = [name for name in BUILT_IN if key in [f.name for f in fields(find_law(name))]]  # type: ignore[arg-type]  # laws are dataclasses
-            also = f" (law {' and '.join(whose)} has)" if whose else ""
+            also = f" ({', '.join(whose)} {'has' if len(whose) == 1 else 'have'} one)" if whose else ""
             raise Refused(f"law {name_of_law(kind)} has no knob {key!r}{also}; {nearest(key, own)}")
     known = knobs_of_fields(kind) if changes else {}
     return {key: _number(f"law.{key}", value, known.get(key, _PLAIN), whole=False, vector=False)

@@ -81,5 +81,5 @@ def test_the_matrix_has_every_law_that_has_two_ends_and_names_each_row_once() ->
     assert len(set(names)) == len(names) >= 150
     assert "soft_tissue-direct-50ms-10%-seed1" in names
     two_ends = {law for law in BUILT_IN if not law.startswith("virtual_")}
-    for expect, laws in {"ok": two_ends, "diverged": {"direct", "pfra"}}.items():
+    for expect, laws in {"ok": two_ends, "diverged": {"direct", "pfra", "pp", "iss"}}.items():
         assert {row.law for _, row in ROWS if row.expect == expect} == laws

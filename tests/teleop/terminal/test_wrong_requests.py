@@ -26,7 +26,7 @@ def scene(*, mass: float = 1.0, steps: int = 3, loud: bool = False) -> Scene:
 
 WRONG = {
     "unknown scene": (["hard_wal"], ["hard_wal", "did you mean hard_wall?"]),
-    "unknown law": (["canonical", "--set", "law=wavee"], ["wavee", "did you mean wave?"]),
+    "unknown law": (["canonical", "--set", "law=wavee"], ["wavee", "did you mean wave or"]),
     "unknown knob": (["canonical", "--set", "dely=1"], ["dely", "delay"]),
     "unknown knob of the law": (["canonical", "--set", "law.bb=1"], ["bb", "did you mean b?"]),
     "unknown effect": (["canonical", "--link", "dely(1)"], ["dely", "did you mean delay?"]),
@@ -66,7 +66,7 @@ WRONG = {
     "no folder": (["canonical", "--out", ""], ["--out DIR must not be empty", "the new folder"]),
     "no link": (["canonical", "--link", ""], ["--link SPEC must not be empty", "none is no link"]),
     "another law's knob": (["canonical", "--set", "law.b=3", "--set", "law=pfra"],
-                           ["law pfra has no knob 'b' (law wave has)"]),
+                           ["law pfra has no knob 'b' (wave, wave_filter, "]),
     "the law's own number": (["canonical", "--set", "law.b=-1"], ["law.b must be above 0 N s/m, not -1", "law.b=1"]),
     "a playout delay that is no number": (["jittery_wan", "--set", "playout=fixed:abc"],
                                           ["'fixed:abc'", "write playout=fixed:0.1"]),
