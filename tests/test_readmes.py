@@ -20,7 +20,7 @@ from teleop.terminal.commands import parser
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("teleop", "master", "slave", "channel", "scenarios", "tests")
 PAGES = sorted([*ROOT.glob("*.md"), *(page for folder in FOLDERS for page in (ROOT / folder).rglob("*.md"))])
-LONGEST = 235  # lines of the first page: the rest is in the folders
+LONGEST = 225  # lines of the first page: the rest is in the folders
 PRINTS = {
     "README.md": (r"(?:.* s: ok with .*\n){3}", r"0\.0[0-4]\d+\n"),  # m of error: the law follows, it does not run away
     "scenarios/README.md": ("", r"31\.79 mm, 1\.658 mm, -17\.6 mJ\n"),

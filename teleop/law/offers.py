@@ -5,7 +5,8 @@
     shows = ("H",)                         fields of its state that are recorded
     conditions(facts) -> sentences         those of its conditions that these facts break
     fitted(facts) -> law                   itself, with the parameters that follow from link and bodies
-    linear() -> law                        the linear law that an analysis takes in its place
+
+and to the analyses, its linear form and its coupling: `teleop.law.analysis_offers`.
 
 Ledgers. `E_link` is the energy of the waves under way. `E_port` is what law and link together have taken up at the
 two ends. `E_law` is what the law itself says that it keeps: the sum of both ends' `*_stored`. An end counts what it has
@@ -34,7 +35,6 @@ CONDITIONS = {
     "zero in gaps": "over every link, with waves played as zero in gaps",
     "constant delay": "over a constant delay without loss",
 }
-OFFERS = ("claims", "master_stored", "slave_stored", "shows", "conditions", "fitted", "linear")
 
 
 class Delay(NamedTuple):
