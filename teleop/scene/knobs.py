@@ -235,7 +235,7 @@ def _made_law(kind: Any, values: dict[str, object]) -> Any:
     try:
         return kind(**values)
     except WrongNumber as wrong:
-        raise _of_the_law(wrong, values) from None
+        raise _of_the_law(wrong, values, kind) from None
     except Refused:
         raise
     except Exception as error:
@@ -262,11 +262,20 @@ def _tuned(law: Any, changes: Mapping[str, object]) -> Any:
     try:
         return replace(law, **values)
     except WrongNumber as wrong:
-        raise _of_the_law(wrong, values) from None
+        raise _of_the_law(wrong, values, type(law)) from None
 
 
-def _of_the_law(wrong: WrongNumber, values: Mapping[str, object]) -> WrongNumber:
-    return wrong.called(f"law.{wrong.name}") if wrong.name in values else wrong
+def _of_the_law(wrong: WrongNumber, values: Mapping[str, object], kind: Any) -> WrongNumber:
+    """The refusal by the name that was typed, with the knob's meaning and the file whose head names its source."""
+    if wrong.name not in values:
+        return wrong
+    own = knobs_of_fields(kind).get(wrong.name) if is_dataclass(kind) else None
+    told = wrong.called(f"law.{wrong.name}")
+    if own is None or not own.knob.meaning:
+        return told
+    known = f"{kind.__module__}:{kind.__name__}" in BUILT_IN.values()
+    source = f"; source: the head of {kind.__module__.replace('.', '/')}.py" * known
+    return told.explained(own.knob.meaning + source)
 
 
 def _numbers_of_law(kind: Any, changes: Mapping[str, object]) -> dict[str, object]:

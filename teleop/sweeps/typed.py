@@ -83,6 +83,15 @@ def _typed(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
             yield names, [part.strip() for part in _parted(right, ",")]
 
 
+def listed(text: str) -> list[str]:
+    """The parts of a list: `text` parted at the commas that are in no brackets and no quotes. Raises `Refused`.
+
+    >>> listed("wave,deadband(0.1, floor=1e-3) | direct")
+    ['wave', 'deadband(0.1, floor=1e-3) | direct']
+    """
+    return [part.strip() for part in _parted(text, ",") if part.strip()]
+
+
 def _parted(text: str, gap: str | re.Pattern[str]) -> list[str]:
     """`text` parted at the gaps that are in no brackets and no quotes; a quote begins where a value does."""
     gap = re.compile(re.escape(gap)) if isinstance(gap, str) else gap

@@ -209,6 +209,7 @@ _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("real time", _scheduling),
     ("link energy", _energy("E_link")),
     ("port energy", _energy("E_port")),
+    ("law energy", _energy("E_law")),
     ("integration", _integration),
     ("time per tick", _per_tick),
 )

@@ -64,7 +64,7 @@ def within(wave: float, q: float, account: float, dt: float) -> float:
 
 @dataclass(frozen=True)
 class Deadband:
-    """Messages that differ by less than a share k from the last that was sent are not sent (Weber)."""
+    """A message that differs by less than a share k from the last one goes out with the values of that (Weber)."""
 
     k: Annotated[float, Knob("", "share by which a value differs that is sent; 0: all are", low=0.0, high=1.0)] = 0.1
     floor: Annotated[float, Knob("", "least difference that is sent, in the unit of each value", low=0.0)] = 1e-3

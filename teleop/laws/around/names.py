@@ -49,7 +49,7 @@ def law_text(text: str) -> LawText:
     found = _CALL.fullmatch(law)
     if not law or not all(stages) or found is None:
         raise Refused(f"the law {text[:80]!r} cannot be read: {unreadable(text, SyntaxError())}; {_FORM}")
-    if found["name"] in STAGES and found["name"] not in BUILT_IN and (stages or found["arguments"]):
+    if found["name"] in STAGES and found["name"] not in BUILT_IN:
         raise Refused(f"the stage {found['name']} stands before a law, and {text[:80]!r} ends with it; {_FORM}")
     return LawText(tuple(stages), found["name"], found["arguments"] or "")
 

@@ -6,18 +6,20 @@ import sys
 from argparse import Namespace
 from importlib.util import find_spec
 
-from teleop.errors import Refused
+from teleop.errors import Refused, number, number_of
 from teleop.scene.knobs import check_text, knobs_of
 from teleop.scene.library import scene_function
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import write_document
 from teleop.studies.advise.advice import advise, two_port_laws
 from teleop.studies.advise.report import document, text, write_laws
+from teleop.sweeps.typed import listed
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import knobs_from
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import shown_on
 
+POINT = 3  # rows of one point at most
 ROWS, PLAIN_ROWS = 300, 60  # of each law where none are asked for: compiled, and without the extra `batch`
 
 
@@ -25,14 +27,18 @@ def command(args: Namespace) -> Answer:
     """Advise a law, and leave summary.json, laws.csv and a plot in a new folder. Raises `Refused`."""
     formats = asked_formats(args)
     began = args.seconds()
-    laws = two_port_laws() if args.laws is None else [one.strip() for one in args.laws.split(",") if one.strip()]
+    laws = two_port_laws() if args.laws is None else listed(args.laws)
     if not laws:
         raise Refused("--laws names none; write for example --laws wave,pfra, or leave it out for all")
     for law in laws:
         check_text("law", law, {})
     knobs = _knobs(args)
     compiled = find_spec("numba") is not None
-    each = max(1, args.budget // len(laws)) if args.budget is not None else ROWS if compiled else PLAIN_ROWS
+    each = args.budget // len(laws) if args.budget is not None else ROWS if compiled else PLAIN_ROWS
+    if each < POINT:
+        raise Refused(f"--budget {args.budget} leaves each of {number_of(len(laws), 'law')} {number_of(each, 'row')}, "
+                      f"and one point of the search takes up to {POINT}: the scene, free space and a stiffer wall; "
+                      f"write --budget {POINT * len(laws)} or more, or fewer --laws")
     with shown_on(None if args.json else sys.stderr, args.seconds, each * len(laws)) as show, \
             new_folder(args.out, "advise") as new:
         found = advise(args.scene, each, fixed=knobs, laws=laws, objective=args.objective, seed=args.seed, tell=show,
@@ -63,6 +69,7 @@ def _knobs(args: Namespace) -> dict[str, object]:
         raise Refused("no link is given; write --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)', or --ping FILE "
                       "with what `ping -D -i 0.02 HOST > FILE` has recorded")
     if args.wall is not None:
+        number("--wall", args.wall, low=0.0, unit="N/m")
         if "k_e" not in knobs_of(scene_function(args.scene)):
             raise Refused(f"scene {args.scene} has no knob k_e for --wall to set; leave it out, or take another scene, "
                           "for example hard_wall or soft_tissue")

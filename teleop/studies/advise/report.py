@@ -79,7 +79,7 @@ def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     if best.margins is not None:
         rows.append(("margin", _margin(best)))
     if best.tuned.linear is not None and not best.tuned.linear.why:
-        rows.append(("", f"of the linear loop: {linear_text(best.tuned.linear)}"))
+        rows.append(("loop", f"linear: {linear_text(best.tuned.linear)}"))
     rows.append(("promises", promise(best)))
     rows += [("but", sentence) for sentence in best.broken]
     alike = found.alike()
@@ -156,11 +156,16 @@ def _margin(one: LawAdvice) -> str:
     return ", and ".join(told)
 
 
+def _over(ledger: str, claim: str) -> str:
+    """The links of a claim. How waves are played matters to the ledger of waves alone."""
+    return CONDITIONS[claim] if ledger == "E_link" else CONDITIONS[claim].partition(",")[0]
+
+
 def promise(one: LawAdvice) -> str:
     """What the law promises by itself, whatever hand and environment, in words."""
     if not one.claims:
         return "nothing of energy: what holds is what was run here"
-    held = "; ".join(f"{ledger} stays above zero {CONDITIONS[condition]}" for ledger, condition in one.claims.items())
+    held = "; ".join(f"{ledger} stays above zero {_over(ledger, claim)}" for ledger, claim in one.claims.items())
     return held + (f", but for {1e3 * one.seed_energy:.3g} mJ to begin with" if one.seed_energy > 0.0 else "")
 
 

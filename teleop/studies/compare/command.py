@@ -23,6 +23,7 @@ from teleop.studies.compare.tuned import tune_all
 from teleop.studies.compare.work import OWN, carry_out, numbered
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import Store
+from teleop.sweeps.typed import listed
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
@@ -39,7 +40,7 @@ def command(args: Namespace) -> Answer:
     began = args.seconds()
     path = args.file or BUILT_IN
     where = shown_path(path)
-    laws = None if args.laws is None else [one.strip() for one in args.laws.split(",") if one.strip()]
+    laws = None if args.laws is None else listed(args.laws)
     asked = read_comparison(path, laws)
     stream = None if args.json else sys.stderr
     workers = args.workers or cores()

@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from re import fullmatch
+from re import fullmatch, sub
 from typing import Any
 
 from teleop.errors import Refused, nearest, whole_number
@@ -40,6 +40,7 @@ from teleop.storage.files import read_bytes
 BUILT_IN = ROOT / "scenarios" / "compare.toml"
 TOP = ("seeds", "laws", "fitted", "tune", "set", "law", "link", "environment")
 MOST_SEEDS = 1000
+LONGEST = 24  # characters of a name
 _HELD = {"law": "law", "link": "link", "environment": "scene"}  # of each table, the key that says what it is
 _EXAMPLE = {"law": "wave", "link": "delay(0.05)", "environment": "hard_wall"}
 
@@ -153,8 +154,14 @@ def _laws(given: object, where: str) -> tuple[Part, ...]:
         raise Refused(f"{where}: laws is a list of at least one law, not {given!r}; write laws = [\"wave\"], or leave "
                       "it out for every law with two ends")
     texts = [_text(each, "laws", where) for each in given]
-    return tuple(Part(name=_label(Path(text).stem if text.endswith(".py") else text, where), text=text, knobs={})
-                 for text in texts)
+    return tuple(Part(name=_label(_short(text), where), text=text, knobs={}) for text in texts)
+
+
+def _short(law: str) -> str:
+    """The name of a law that has none of its own: that of its file; a long one with stages goes without its numbers."""
+    if law.endswith(".py") and "|" not in law:
+        return Path(law).stem
+    return law if len(law) <= LONGEST else sub(r"\([^()]*\)", "", law)
 
 
 def _once(parts: tuple[Part, ...], key: str, where: str) -> tuple[Part, ...]:
@@ -198,8 +205,8 @@ def _check_knobs(asked: Comparison, where: str) -> None:
 
 
 def _label(name: str, where: str) -> str:
-    if not fullmatch(r"[\w%+./() -]{1,24}", name):
-        raise Refused(f"{where}: a name has 1 to 24 letters, digits, spaces and %+-_./(), not {name!r}; write for "
+    if not fullmatch(r"[\w%+./()|,= -]{1,24}", name):
+        raise Refused(f"{where}: a name has 1 to 24 letters, digits, spaces and %+-_./()|,=, not {name!r}; write for "
                       "example name = \"50 ms\"")
     return name
 

@@ -171,12 +171,19 @@ class _Search:
         known = knobs_of(scene_function(scene))
         if "energy" in known and "energy" not in fixed:
             fixed["energy"] = True
+        if playouts and "playout" in fixed:
+            raise Refused(f"playout={fixed['playout']} is set beside the playouts to choose from, "
+                          f"{', '.join(playouts)}; leave one of them out")
+        for playout in playouts:  # refused here, and not by a row
+            load_scene(scene, **{**fixed, "law": law, "playout": playout})
+        if len(playouts) == 1:
+            fixed["playout"] = playouts[0]
         self.scene: Scene = load_scene(scene, **{**fixed, "law": law})
         self.fixed = fixed
         self.rod = rod(self.scene)
         self.ranges = ranges_of(self.scene.law, [name for name in fixed if name.startswith("law.")])
         self.spans: dict[str, Range | tuple[str, ...]] = dict(self.ranges.turned)
-        if len(playouts) > 1 and "playout" not in fixed:
+        if len(playouts) > 1:
             self.spans["playout"] = playouts
         self.names = tuple(self.spans)
         self.soft = {knob: value for knob, value in SOFT.items() if knob in known} if "k_e" in known else {}

@@ -311,6 +311,13 @@ class TestLaws:
         base: Any = load_scene("canonical").law
         assert load_scene("canonical", **{"law.b": 3.0}).law == Wave(b=3.0, K=base.K, B=base.B)
 
+    def test_out_of_their_domain_are_refused_with_what_they_are_and_where_that_comes_from(self) -> None:
+        with pytest.raises(Refused) as refused:
+            load_scene("canonical", **{"law": "two_layer", "law.beta": 2.0})
+        assert str(refused.value) == (
+            "law.beta must be at most 1, not 2; write for example law.beta=1 (share of its tank that an end sends in a "
+            "tick; source: the head of teleop/laws/two_layer.py)")
+
     @pytest.mark.parametrize(("given", "words"), [
         ({"law": "wavee"}, "did you mean wave"), ({"law.c": "1"}, "law wave has no knob 'c'"),
         ({"law.b": "nan"}, "law.b must be finite"), ({"law": 3}, "law=wave"), ({"law.b": "-1"}, "b must be above 0"),

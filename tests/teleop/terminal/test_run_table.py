@@ -49,6 +49,10 @@ class TestTable:
         assert told["packets"][0] == "fwd: 1000 sent, 950 received, 0 lost, 0 late, 50 under way at the end"
         assert told["link energy"][0].startswith("0 J smallest, ")
 
+    def test_a_law_that_keeps_energy_says_how_much(self) -> None:
+        told = rows(run(load_scene("canonical", law="two_layer", duration=0.5)))
+        assert re.fullmatch(r"-?[\d.]+ \w?J smallest, [\d.]+ \w?J at the end", told["law energy"][0])
+
     def test_says_the_queue_and_what_a_wave_takes_with_it(self, wave: Result) -> None:
         got = run(load_scene("canonical", duration=1.0, link="delay(0.05)|bernoulli(0.1)"))
         fwd, bwd = ([1e3 * got.metrics[f"queue_{way}_{what}"] for what in ("end", "max")] for way in ("fwd", "bwd"))

@@ -64,6 +64,7 @@ def test_the_same_names_have_the_same_class_whatever_their_numbers() -> None:
     ("deadband | deadband | wave", "stands twice"),
     ("wave | deadband(0.1)", "stands before a law"),
     ("deadband(0.1)", "stands before a law"),
+    ("guard", "the stage guard stands before a law"),  # and not: there is no law guard
 ])
 def test_a_text_that_cannot_be_meant_is_refused_with_what_to_type(text: str, said: str) -> None:
     with pytest.raises(Refused, match=said):

@@ -107,3 +107,10 @@ def test_a_link_finds_the_files_that_lie_beside_the_comparison(tmp_path: Path) -
     (tmp_path / "up.txt").write_text("1\n2\n5\n")
     case = cases_of(read_comparison(written(tmp_path, text)), "mine.toml")[1]
     assert case.knobs["link"] == f"mahimahi('{tmp_path}/up.txt')"
+
+
+def test_a_law_with_stages_goes_wherever_a_laws_name_goes(tmp_path: Path) -> None:
+    laws = ["wave", "deadband(0.1) | wave", "guard() | deadband(0.1, floor=1e-3) | wave"]
+    asked = read_comparison(written(tmp_path, GOOD), laws)
+    assert [law.name for law in asked.laws] == ["wave", "deadband(0.1) | wave", "guard | deadband | wave"]
+    assert [law.text for law in asked.laws] == laws

@@ -95,7 +95,18 @@ def test_nothing_feasible_says_what_comes_nearest() -> None:
     ({"fixed": {"law.q": 1.0}}, "has no knob 'q'"),
     ({"law": "virtual_wall"}, "one-port law"),
     ({"fixed": {"link": "delay(1"}}, "delay"),
+    ({"playouts": ["nice"]}, "nice"),
+    ({"playouts": ["integral", "fixed:-1"]}, "-1"),
+    ({"playouts": ["integral"], "fixed": {"playout": "zero"}}, "leave one of them out"),
 ])
 def test_what_cannot_be_searched_is_refused_in_a_sentence(arguments: dict[str, Any], why: str) -> None:
     with pytest.raises(Refused, match=why):
         tuned(**arguments)
+
+
+def test_a_single_playout_is_no_choice_and_is_played_all_the_same() -> None:
+    link = {**SHORT, "link": "delay(0.02) | bernoulli(0.05)"}
+    got = tuned(budget=9, fixed=dict(link), playouts=["integral"])
+    assert got.knobs["playout"] == "integral"
+    assert "playout=integral" in got.command()
+    assert got.score == tuned(budget=9, fixed={**link, "playout": "integral"}).score
