@@ -21,6 +21,12 @@ for then it keeps no energy that did not come in by a port; and with E_law(k) >=
 E_law(0) out of it. Under a force that is held from tick to tick no law knows the work of the tick that is running, so
 the claim "E_law" is E_law(k) >= -(the greatest work of one tick so far). What an end sends, and what it sees arrive,
 leaves its own `*_stored` as it is, so the books are honest at each end by itself, with the work at its own port.
+
+What the claim "E_law" does not cover. The law is told the force that was held and the motion that was read, and the
+force that it sets is there at once. A slew limit of the force cap holds a force that the law has given up: up to
+f^2/(2 slew) |v| goes out each time, tens of mJ at 100 N/s, and joules where it is so slow that the loop swings. The
+work over an encoder's readings differs from the true one by up to a step times each change of the force. And a bound on
+a damper, 2 m/dt, is one on the time that a force is held: over n ticks that are left out it is 2 m/((n + 1) dt).
 """
 
 from __future__ import annotations

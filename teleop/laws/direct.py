@@ -9,7 +9,7 @@ Source: the position-force architecture, e.g. B. Hannaford, "A design framework 
 kinesthetic feedback", IEEE Trans. Robotics and Automation 5(4), 1989; unstable for any delay against a
 wall stiff enough.
 
-Claims: nothing. It sends no waves, and its two-port generates energy as soon as there is a delay.
+Claims: nothing. It sends no waves, and its two-port generates energy as soon as there is a delay. Seed energy: none.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Wave variables with the difference of the two positions fed to either end, so that no offset stays between them.
+"""Wave variables with the difference of the two positions fed to either end, which draws an offset between them back.
 
 Sends a wave and a position each way. Claims no ledger; with enough damping at both ends the two-port is passive; no
 seed energy.
@@ -9,6 +9,14 @@ place that it last heard of the other, and a damper to the ground beside it:
 
     f_m = b v_m - sqrt(2b) w_m + K_p (x_m - x_s(t - T2)) + B_p v_m
     f_s = K (x_d - x_s) + B (v_d - v_s) + K_p (x_m(t - T1) - x_s) - B_p v_s
+
+What is left of an offset. Where waves are lost and zero is played, no steady wave stays, and at rest the positions
+meet. Where each wave is played, they carry a steady force, and coupling and link are a spring against K_p: of ends that
+start o apart, or are so when the slave takes hold again, at rest
+
+    e = o/(1 + K_p (1/K + (T1 + T2)/(2 b)))
+
+stays, 16 mm of 20 with the gains below and 20 ms each way. With delay, a small b or more of K_p it is less.
 
 Condition. The waves are lossless at best, so none of b, K and B counts. With the energy V = K_p (x_m - x_s)^2/2 of the
 spring that the two positions would have without delay, and B_m = B_p + master's damping, B_s likewise, the powers into

@@ -54,6 +54,16 @@ def test_an_offset_that_waves_alone_keep_for_ever_is_gone() -> None:
     assert ends["WavePosition"] < 1e-5
 
 
+@pytest.mark.parametrize(("T", "K_p", "b"), [(0.02, 20.0, 2.0), (0.05, 10.0, 1.0), (0.03, 50.0, 5.0)])
+def test_of_a_start_apart_what_waves_hold_against_the_spring_stays(T: float, K_p: float, b: float) -> None:
+    """Without loss the waves carry the spring's force at rest: the coupling gives by f/K, the link by f T/b."""
+    law = WavePosition(b=b, K_p=K_p, B_p=10.0 * K_p * T)
+    trace = run(replace(bodies(law, T), start_m=0.02, duration=8.0)).trace
+    e = 0.02 / (1.0 + K_p * (1.0 / law.K + T / b))
+    assert trace["x_m"][-1] - trace["x_s"][-1] == pytest.approx(e, rel=1e-3)
+    assert abs(trace["f_m"][-1]) < 1e-3
+
+
 def facts(T: float, b_m: float, b_s: float) -> Facts:
     """Of a constant delay each way."""
     return Facts(1e-3, 1, 0.1, b_m, 0.5, b_s, Ages(T, T), Ages(T, T), False, "zero", False)
