@@ -62,7 +62,7 @@ class Facts(NamedTuple):
     fwd: Delay | None  # None: no message was played
     bwd: Delay | None
     lossy: bool  # a packet was lost
-    playout: str  # zero, hold, integral, energy, scaled or fixed
+    playout: str  # in gaps: zero, hold, integral, energy or scaled; fixed: at a fixed delay, and zero in gaps
     left_out: bool  # ticks are left out
 
 
@@ -126,6 +126,9 @@ def _claims_broken(law: Any, facts: Facts) -> list[str]:
     for ledger, condition in claims_of(law).items():
         if has_waves and facts.playout in ("hold", "scaled"):
             told.append("playout holds waves in the gaps, which is active: " + _may_fall(ledger))
+        elif has_waves and facts.playout == "energy" and facts.left_out:
+            told.append(f"playout energy plays short waves, which are held over the ticks that are left out: "
+                        f"{_may_fall(ledger)}; type --set playout=integral")
         elif condition == "zero in gaps" and facts.playout not in ("zero", "fixed"):
             told.append(f"the law keeps {ledger} where waves are played as zero in gaps, and the playout is "
                         f"{facts.playout}: {_may_fall(ledger)}; type --set playout=zero")

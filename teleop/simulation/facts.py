@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from teleop.law.offers import Delay, Facts, broken
-from teleop.scene.playout import Playout
+from teleop.scene.playout import Playout, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, link_plans
 
@@ -68,4 +68,6 @@ def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool) -
 
 
 def _word(playout: Playout) -> str:
-    return type(playout).__name__.lower()
+    """The word for what is played in gaps; "fixed" where that is nothing, at a fixed delay."""
+    gaps = gaps_of(playout)
+    return type(playout if isinstance(gaps, Zero) else gaps).__name__.lower()
