@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import number_of
+from teleop.law.offers import broken
+from teleop.scene.loading import load_scene
+from teleop.simulation.facts import facts_of
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head
 from teleop.storage.files import replacing_text
@@ -44,6 +47,7 @@ def text(tuned: Tuned) -> str:
     if tuned.feasible:
         own = "" if tuned.default is None else f" ({_value(tuned.default)} with the law's own parameters)"
         rows.append(("result", f"{_settings(tuned)}: {tuned.score.value:.3f}{own}"))
+        rows += [("but", sentence) for sentence in conditions(tuned)]
     else:
         rows.append(("result", "no point keeps the constraints"))
         rows.append(("nearest", f"{_settings(tuned)}: {tuned.score.broken}"))
@@ -60,6 +64,12 @@ def text(tuned: Tuned) -> str:
         told.append(f"front of tracking error against drag: {number_of(len(front), 'point')}, in front.csv")
     told.append(f"run it: {shlex.join(tuned.command())}")
     return "\n".join(told)
+
+
+def conditions(tuned: Tuned) -> list[str]:
+    """A sentence for each condition of the law that link and bodies break with the best point, as a run of it notes."""
+    best = load_scene(tuned.scene, **tuned.knobs)
+    return broken(best.law, facts_of(best, tuned.seed))
 
 
 def linear_text(told: Margin) -> str:
@@ -125,7 +135,7 @@ def document(tuned: Tuned, typed: Sequence[str]) -> dict[str, Any]:
         "ranges": {name: [span.low, span.high] for name, span in tuned.ranges.turned.items()},
         "linear": None if tuned.linear is None else {
             **tuned.linear._asdict(), "gain": finite(tuned.linear.gain), "delay": finite(tuned.linear.delay)},
-        "not_turned": dict(tuned.ranges.stay), "at_edge": at_edge(tuned),
+        "conditions": conditions(tuned), "not_turned": dict(tuned.ranges.stay), "at_edge": at_edge(tuned),
         "rod": tuned.rod._asdict(),
         "front": [{**values, **_document_of(found)} for values, found in tuned.front()],
         "run": tuned.command(),

@@ -33,6 +33,19 @@ def test_it_leaves_its_points_its_front_and_the_command_that_runs_the_best(
     assert ran["metrics"]["x_err_rms"]["value"] == document["figures"]["scene"]["x_err_rms"]
 
 
+def test_a_best_point_that_breaks_a_condition_of_its_law_says_so_before_it_is_run(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    typed = [word if word != "wave" else "p_d" for word in TYPED]
+    assert main([*typed, "--set", "delay=0.2", "--set", "law.B=0.5", "--out", str(tmp_path / "t")]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    document = json.loads((tmp_path / "t/summary.json").read_text())
+    (sentence,) = document["conditions"]
+    assert "it is not: --set law.B=" in sentence
+    assert f"but {sentence}" in told
+    assert main([*document["run"][1:], "--out", str(tmp_path / "r"), "--json"]) == 0
+    assert sentence in json.loads((tmp_path / "r/summary.json").read_text())["notes"]
+
+
 @pytest.mark.parametrize(("more", "why"), [
     (["--budget", "0"], "at least 1"), (["--set", "law.q=3"], "has no knob 'q'"), (["--objective", "x"], "objective"),
     (["--engine", "fast"], "there is no engine"),
