@@ -35,7 +35,8 @@ seen,
     E_law = G_m + G_s + under way        E_port = E_law - E0 + dropped + C
 
 where C is what the coupling took between v_d dt and the slave's dx. Its spring, taken at the end of a tick, gives
-nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for B >= K dt/2.
+nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for K dt/2 <= B <= 2 m/dt, m
+the slave's, but for a wall that turns it round within a tick, where the damper pushes with B |v dx|.
 
 What is below zero. The slave knows f_s and v_d before it spends, so G_s < 0 only by what a held force does over ticks
 that are left out, and more than the one that was asked for: waits that follow each other add up until they are paid.
