@@ -25,7 +25,7 @@ from tests.scenarios.random_links import bases, drawn, held, integrated, late, m
 
 LOW = -1e-9  # J: below is more than rounding
 TICKS = 600
-FEW, MANY = 300, 10_000
+FEW, MANY = 200, 10_000
 AT_ONCE = 500  # rows whose schedules are in memory together
 FIGURES = ("E_link_min", "E_link_end", "fresh_fwd", "fresh_bwd", "f_env_max")
 DRAWN = EFFECTS.keys() - {"recorded"}  # which is a folder of a live run: tests/channel/test_recorded.py
