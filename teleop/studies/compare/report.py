@@ -8,7 +8,7 @@ from textwrap import wrap
 
 from teleop.errors import enumerated, number_of
 from teleop.studies.compare.cases import Case
-from teleop.studies.compare.columns import COLUMNS, FREE, NEITHER, TOUCHED, Column
+from teleop.studies.compare.columns import COLUMNS, FREE, NEITHER, ONE, TOUCHED, Column
 from teleop.studies.compare.judge import BAD, LawVerdict, Ranking, Told, held_back
 from teleop.terminal.printable import printable
 from teleop.terminal.table import columns
@@ -87,11 +87,17 @@ def _ranked(ranked: Sequence[Ranking], width: int) -> list[str]:
     wide = max((len(one.column.question) for one in ranked), default=0)
     lines = ["best first; = where the difference is within the spread over seeds, or one percent"] if ranked else []
     for one in ranked:
-        best = ", ".join(" = ".join(law for law, _ in group) + f" {digits(one.column.factor * group[0][1])}"
-                         for group in one.groups)
+        best = ", ".join(_group(group, one.column) for group in one.groups)
         failed = f"; half of the runs failed: {', '.join(one.failed)}" if one.failed else ""
         lines += _wrapped(f"{one.column.question:<{wide}}  {best} {one.column.unit}".rstrip() + failed, width, wide + 2)
     return lines
+
+
+def _group(group: Sequence[tuple[str, float]], column: Column) -> str:
+    """Laws that tie, and the value of the first; that of each where some are below the best value and some above."""
+    if column.better == ONE and len({value < 1.0 for _, value in group}) > 1:
+        return " = ".join(f"{law} {digits(column.factor * value)}" for law, value in group)
+    return " = ".join(law for law, _ in group) + f" {digits(column.factor * group[0][1])}"
 
 
 def _held_back(found: Sequence[LawVerdict]) -> list[str]:

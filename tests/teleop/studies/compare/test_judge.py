@@ -9,6 +9,7 @@ import pytest
 
 from teleop.studies.compare.columns import BY_KEY
 from teleop.studies.compare.judge import endings, held_back, ranking, rankings, verdicts
+from teleop.studies.compare.report import text
 
 
 def row(law: str, link: str, seed: int, ended: str = "ok", place: str = "wall", **figures: float) -> dict[str, Any]:
@@ -84,3 +85,11 @@ def test_a_margin_is_that_of_the_loop_whatever_its_runs_came_to_and_none_is_as_g
     ranked = ranking(BY_KEY["gain_margin"], verdicts(rows, ["a", "b", "c", "d"]))
     assert ranked.groups == ((("c", inf),), (("b", 3.0),), (("a", 0.5),))
     assert ranked.failed == ()
+
+
+def test_laws_that_tie_from_both_sides_of_the_rod_are_told_with_the_value_of_each() -> None:
+    peaks = {"soft": 0.8, "hard": 1.25, "also soft": 0.5, "softer": 0.499}
+    rows = [row(law, "delay", 0, wall_late=1.0, wall_peak=peak) for law, peak in peaks.items()]
+    found = verdicts(rows, [*peaks])
+    told = text(found, rankings(found), [], "")
+    assert "peak force on the wall  soft 80.0 = hard 125, also soft = softer 50.0 %" in told
