@@ -180,7 +180,7 @@ def _facts(dice: Iterator[float]) -> Iterator[Facts]:
         more = [0.0 if i % 2 else 0.1 * next(dice) for _ in range(2)]
         fwd, bwd = [Delay(low, low + extra) for low, extra in zip(least, more, strict=True)]
         yield Facts(
-            dt=DT, axes=1 if i % 3 else 3, fwd=fwd, bwd=bwd, lossy=i % 2 == 0, left_out=i % 5 == 4,
+            dt=DT, axes=1 if i % 3 else 3, fwd=fwd, bwd=bwd, lossy=i % 2 == 0, held=DT * (1 + 9 * (i % 5 == 4)),
             mass_m=2.0 * next(dice) + 0.01, damping_m=2.0 * next(dice), mass_s=5.0 * next(dice) + 0.01,
             damping_s=2.0 * next(dice), playout=("zero", "integral", "hold", "fixed")[i % 4])
 

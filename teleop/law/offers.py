@@ -63,7 +63,7 @@ class Facts(NamedTuple):
     bwd: Delay | None
     lossy: bool  # a packet was lost
     playout: str  # in gaps: zero, hold, integral, energy or scaled; fixed: at a fixed delay, and zero in gaps
-    left_out: bool  # ticks are left out
+    held: float  # longest time that a force is held, s: dt, and more where ticks are left out
 
 
 def stores(law: Any) -> bool:
@@ -126,7 +126,7 @@ def _claims_broken(law: Any, facts: Facts) -> list[str]:
     for ledger, condition in claims_of(law).items():
         if has_waves and facts.playout in ("hold", "scaled"):
             told.append("playout holds waves in the gaps, which is active: " + _may_fall(ledger))
-        elif has_waves and facts.playout == "energy" and facts.left_out:
+        elif has_waves and facts.playout == "energy" and facts.held > 1.5 * facts.dt:
             told.append(f"playout energy plays short waves, which are held over the ticks that are left out: "
                         f"{_may_fall(ledger)}; type --set playout=integral")
         elif condition == "zero in gaps" and facts.playout not in ("zero", "fixed"):

@@ -35,7 +35,7 @@ seen,
     E_law = G_m + G_s + under way        E_port = E_law - E0 + dropped + C
 
 where C is what the coupling took between v_d dt and the slave's dx. Its spring, taken at the end of a tick, gives
-nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for K dt/2 <= B <= 2 m/dt, m
+nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for K dt/2 <= B <= 2 m/T, m
 the slave's, but for a wall that turns it round within a tick, where the damper pushes with B |v dx|.
 
 What is below zero. The slave knows f_s and v_d before it spends, so G_s < 0 only by what a held force does over ticks
@@ -43,7 +43,7 @@ that are left out, and more than the one that was asked for: waits that follow e
 A cap turns what is held of a force of several axes to another direction, in which it may push: where it did more than
 was asked for and G_s < 0, v_d = m, in which each axis takes energy, capped or not.
 The master spends f v dt and pays -f d, for the motion d that follows: from G_m >= -debt one tick leaves G_m >= -debt -
-|f| |d - v dt|, and below that it only damps, which takes energy for alpha_max <= m/dt.
+|f| |d - v dt|, and below that it only damps, which takes energy for alpha_max <= m/T, T the longest tick.
 
 Claims: E_law >= 0 less `debt` and one tick's surprise, over any link; E_port >= -E0 with it. E_law(0) = E0, the seed.
 """
@@ -124,16 +124,17 @@ class TDPA:
         check_knobs(self)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
-        least, most = 0.5 * self.K * facts.dt, facts.mass_m / facts.dt
+        least, most = 0.5 * self.K * facts.dt, facts.mass_m / facts.held
         coupling = (f"the coupling gives out no more than its commanded point puts in where B >= K dt/2, which "
                     f"B = {self.B:g} N s/m is not; --set law.B={enough(least, least=True)} is the least")
-        damper = (f"the master's damper takes energy where alpha_max <= m/dt, which alpha_max = {self.alpha_max:g} "
-                  f"N s/m is not; --set law.alpha_max={enough(most, least=False)} is the most")
-        held = (f"the coupling takes energy while it is held from tick to tick where B <= 2 m/dt of the slave, which "
-                f"B = {self.B:g} N s/m is not; --set law.B={enough(2.0 * facts.mass_s / facts.dt, least=False)} is "
+        damper = (f"the master's damper takes energy where alpha_max <= m/T, T the longest tick, which "
+                  f"alpha_max = {self.alpha_max:g} N s/m is not; --set law.alpha_max={enough(most, least=False)} "
+                  "is the most")
+        held = (f"the coupling takes energy while it is held from tick to tick where B <= 2 m/T of the slave, which "
+                f"B = {self.B:g} N s/m is not; --set law.B={enough(2.0 * facts.mass_s / facts.held, least=False)} is "
                 f"the most")
         return (*([coupling] if least > self.B else []), *([damper] if self.alpha_max > most else []),
-                *([held] if self.B * facts.dt > 2.0 * facts.mass_s else []))
+                *([held] if self.B * facts.held > 2.0 * facts.mass_s else []))
 
     def master_start(self, at: At) -> tuple[Master, Back]:
         return Master(0.0, 0.0, 0.0), Back(0.0, 0.0)

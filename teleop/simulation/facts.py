@@ -10,6 +10,7 @@ from teleop.law.offers import Delay, Facts, broken
 from teleop.scene.playout import Playout, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, link_plans
+from teleop.stages.lanes import LEFT_OUT
 
 
 def facts_of(scene: Scene, seed: int = 0) -> Facts:
@@ -26,8 +27,8 @@ def fitted(scene: Scene, seed: int = 0) -> Scene:
     return scene if own is None or scene.slave is None else replace(scene, law=own(facts_of(scene, seed)))
 
 
-def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, Delay | None, bool]:
-    """Of the first `ran` ticks of a run in virtual time: the delay of each direction, and whether a packet was lost."""
+def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, Delay | None, bool, float]:
+    """Of the first `ran` ticks of a run in virtual time: what `facts` takes of its link and of the ticks left out."""
     import numpy as np
 
     dt = scene.dt_ns / 1e9
@@ -36,7 +37,17 @@ def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, De
         silence = inf if scene.deadband.keep_alive is None else scene.deadband.keep_alive
         delays = [each if each is None or plan is None or plan.due is None else
                   each._replace(greatest=each.greatest + silence) for each, plan in zip(delays, plans, strict=True)]
-    return delays[0], delays[1], any(plan is not None and plan.lost > 0 for plan in plans)
+    held = max([longest(np.flatnonzero(plan.played_at[:ran] > LEFT_OUT), ran) for plan in plans if plan is not None],
+               default=1)
+    return delays[0], delays[1], any(plan is not None and plan.lost > 0 for plan in plans), held * dt
+
+
+def longest(ticks: Any, end: int | None = None) -> int:
+    """The most ticks from one of these that were run to the next, and to the `end` of the run; 1 at least."""
+    import numpy as np
+
+    at = np.asarray(ticks, dtype=np.int64)
+    return int(np.diff(at if end is None else np.append(at, end)).max(initial=1))
 
 
 def delay(ticks: Any, played: Any, dt: float) -> Delay | None:
@@ -48,8 +59,8 @@ def delay(ticks: Any, played: Any, dt: float) -> Delay | None:
     return Delay(float(ages.min()) * dt, float(ages.max()) * dt) if len(ages) else None
 
 
-def facts(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool) -> Facts:
-    """The facts of a scene whose link did this.
+def facts(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, held: float) -> Facts:
+    """The facts of a scene whose link did this, and whose forces were held for as long as `held` (s).
 
     The slave's body is as the law meets it, in the master's metres and newtons: of m_s a_s = f_s with x_s = scale_x x
     and f_s = scale_f f a mass m_s scale_x/scale_f (`teleop.stages.scaling`).
@@ -58,13 +69,12 @@ def facts(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool) -> Fa
     assert slave is not None
     felt = 1.0 if own is None else own.scale_x / own.scale_f
     return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, felt * slave.mass, felt * slave.damping,
-                 fwd, bwd, lossy,
-                 _word(scene.played_as), scene.leaves_out("m") is not None or scene.leaves_out("s") is not None)
+                 fwd, bwd, lossy, _word(scene.played_as), held)
 
 
-def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool) -> list[str]:
+def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, held: float) -> list[str]:
     """The notes on conditions of the law that a run broke; none of a scene with one end."""
-    return [] if scene.slave is None else broken(scene.law, facts(scene, fwd, bwd, lossy))
+    return [] if scene.slave is None else broken(scene.law, facts(scene, fwd, bwd, lossy, held))
 
 
 def _word(playout: Playout) -> str:

@@ -15,7 +15,7 @@ from teleop.live.records.record import FILE, read_events, read_noted
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
 from teleop.simulation.ending import Ending, ending
-from teleop.simulation.facts import delay, law_notes
+from teleop.simulation.facts import delay, law_notes, longest
 from teleop.simulation.notes import faded, unplayed
 from teleop.simulation.packets import Packets, packet_counts
 from teleop.simulation.plan import round_trip
@@ -119,8 +119,8 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
                      "of its own run are left out, and stand in its own folder")
     elif not any(running.values()):
         packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
-    lossy = any(each.lost > 0 for each in packets.values())
-    notes = [*law_notes(scene, delays["s"], delays["m"], lossy), *notes]
+    lossy, held = any(each.lost > 0 for each in packets.values()), max(longest(each.ticks) for each in records.values())
+    notes = [*law_notes(scene, delays["s"], delays["m"], lossy, held * scene.dt_ns / 1e9), *notes]
     run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
     extra = {**own, "channel": channel}
     if again:

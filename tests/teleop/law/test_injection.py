@@ -20,7 +20,7 @@ from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
 
 CONSTANT = Facts(dt=1e-3, axes=1, mass_m=5.0, damping_m=0.0, mass_s=5.0, damping_s=0.0, fwd=Delay(0.05, 0.05),
-                 bwd=Delay(0.05, 0.05), lossy=False, playout="zero", left_out=False)
+                 bwd=Delay(0.05, 0.05), lossy=False, playout="zero", held=1e-3)
 
 
 @given(K_d=st.floats(0.0, 50.0), c=st.floats(0.0, 50.0))

@@ -185,6 +185,15 @@ class TestConditions:
         assert lossy.bwd.least == pytest.approx(0.02)
         assert lossy.bwd.greatest >= 0.025
 
+    @pytest.mark.parametrize("law", ["tdpa", "pspm", "two_layer"])
+    def test_a_damper_is_held_for_as_long_as_ticks_are_left_out(self, law: str) -> None:
+        """The bound was that of a tick, and a damper that a light body turned round in ten of them was no note."""
+        late = load_scene("hard_wall", law=law, left_out=0.6, duration=2.0, energy=True)
+        own = replace(late, master=replace(late.master, mass=0.05), slave=replace(late.slave, mass=0.05))
+        assert facts_of(own).held > 5e-3
+        assert any("T the longest tick" in note or "m/T of the slave" in note for note in run(own).notes)
+        assert facts_of(replace(own, left_out_m=None, left_out_s=None)).held == 1e-3
+
     @pytest.mark.parametrize(("playout", "condition", "said"), [
         (Hold(), "any link", "playout holds waves in the gaps, which is active: E_link may fall below zero"),
         (Fixed(0.05, Hold()), "any link", "playout holds waves in the gaps, which is active: E_link may fall below"),

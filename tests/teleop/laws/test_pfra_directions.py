@@ -134,7 +134,7 @@ def test_one_above_it_does() -> None:
 @pytest.mark.parametrize(("rest_gain", "damping", "told"), [
     (0.5, 0.5, False), (0.51, 0.5, True), (0.1, 0.0, True), (9.0, NAN, False)])
 def test_a_run_says_where_the_rest_is_more_than_the_damping(rest_gain: float, damping: float, told: bool) -> None:
-    of = Facts(1e-3, 1, 0.1, damping, 0.5, 1.0, None, None, False, "zero", False)
+    of = Facts(1e-3, 1, 0.1, damping, 0.5, 1.0, None, None, False, "zero", 1e-3)
     notes = PFRA(rest_gain=rest_gain).conditions(of)
     assert bool(notes) is told
     assert not told or f"--set law.rest_gain={damping:g} is the most" in notes[0]

@@ -66,7 +66,7 @@ def test_of_a_start_apart_what_waves_hold_against_the_spring_stays(T: float, K_p
 
 def facts(T: float, b_m: float, b_s: float) -> Facts:
     """Of a constant delay each way."""
-    return Facts(1e-3, 1, 0.1, b_m, 0.5, b_s, Ages(T, T), Ages(T, T), False, "zero", False)
+    return Facts(1e-3, 1, 0.1, b_m, 0.5, b_s, Ages(T, T), Ages(T, T), False, "zero", 1e-3)
 
 
 @pytest.mark.parametrize("b_m", [0.0, 0.5, NAN])

@@ -120,7 +120,7 @@ def test_it_starts_at_rest_with_nothing_to_spend() -> None:
 
 
 def facts(mass: float, damping: float, T: float = 0.08) -> Facts:
-    return Facts(1e-3, 1, 0.1, 0.5, mass, damping, Delay(T, T), Delay(0.01, 0.01), False, "zero", False)
+    return Facts(1e-3, 1, 0.1, 0.5, mass, damping, Delay(T, T), Delay(0.01, 0.01), False, "zero", 1e-3)
 
 
 def test_fitted_to_a_slave_it_models_that_slave_and_takes_its_time_from_the_link() -> None:
