@@ -13,7 +13,7 @@ from channel import recording
 from channel.effect import LONGEST, Effect
 from channel.rng import Ints, Rng
 from channel.rows import by_time, nanoseconds
-from teleop.errors import Refused, number, number_of
+from teleop.errors import Refused, number, number_of, plural
 from teleop.knob import Knob
 
 _STAMP = re.compile(r"\[(\d{1,12})\.(\d{1,9})\] (.*)")
@@ -133,8 +133,9 @@ def _steady(path: str, answered: dict[int, tuple[int, int]], found: dict[int, in
         if took > SLACK * even + GRACE or took < even / SLACK - GRACE:
             recording.broken(
                 path, found[b], f"probe {b} was sent {took / 1e9:.3g} s after probe {a}, and "
-                f"{number_of(b - a, 'interval')} of this log's probes take {even / 1e9:.3g} s: the clock was set, the "
-                "recording stood still, or this is another log; cut it here, or record again")
+                f"{number_of(b - a, 'interval')} of this log's probes {plural(b - a, 'takes', 'take')} "
+                f"{even / 1e9:.3g} s: the clock was set, the recording stood still, or this is another log; cut it "
+                "here, or record again")
 
 
 def _line(path: str, line: int, text: str) -> tuple[int, int, int | None]:

@@ -75,7 +75,7 @@ def _rod(found: Advice) -> str:
 def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     assert best.tuned is not None
     score = best.tuned.score
-    rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_expected(best)))]
+    rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_expected(best)) + _means(best))]
     if best.margins is not None:
         rows.append(("margin", _margin(best)))
     if best.tuned.linear is not None and not best.tuned.linear.why:
@@ -100,6 +100,13 @@ def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
             rows.append(("or", f"{safe.law} with {gains(safe)}, the best that keeps its energy whatever it touches: "
                                f"{'; '.join(_expected(safe))}"))
     return rows
+
+
+def _means(one: LawAdvice) -> str:
+    """Of what these figures are means, where the link draws random numbers."""
+    assert one.tuned is not None
+    count = len(one.tuned.score.values)
+    return f" (means over {count} seeds, of which one run has its own)" if count > 1 else ""
 
 
 def gains(one: LawAdvice) -> str:
