@@ -115,7 +115,7 @@ def test_every_packet_is_counted_once(playout: Playout, schedule: tuple[int, Arr
     assert got.sent == count == got.received + got.lost + got.in_flight
     assert got.received == got.played + got.overtaken + got.late + got.waiting
     assert got.played == sum(packet >= 0 for packet in got.play)
-    assert min(got[1:]) >= 0
+    assert min(each for each in got[1:] if isinstance(each, int)) >= 0
     if not isinstance(playout, Fixed):
         assert got.late == got.waiting == 0
     else:
