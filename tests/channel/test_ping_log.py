@@ -105,7 +105,7 @@ def test_an_outage_is_loss_and_no_gap(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("times", "sentence"), [
     ([*EVEN[:20], *(t + 3600.0 for t in EVEN[20:])],
-     r"line 21: probe 20 was sent 3.6e\+03 s after probe 19, and 1 interval .* take 0.1 s: the clock was set, the rec"),
+     r"line 21: probe 20 was sent 3.6e\+03 s after probe 19, and 1 interval .* takes 0.1 s: the clock was set, the"),
     ([*EVEN[:20], *(t + 2.5 for t in EVEN[20:])], "line 21: probe 20 was sent 2.6 s after probe 19"),
 ])
 def test_a_clock_that_was_set_and_a_recording_that_stood_still(

@@ -30,7 +30,7 @@ MUTANTS = [(f"{family}: {slip}", law) for family, laws in FAMILIES.items() for s
 
 @pytest.mark.parametrize("law", [law for _, law in MUTANTS], ids=[name for name, _ in MUTANTS])
 def test_it_is_refused(law: Any) -> None:
-    with pytest.raises(Refused, match=r"claims E_(link|port), |turn the sign of f_"):
+    with pytest.raises(Refused, match=r"claims E_(link|port), |turn the sign of "):
         check_law(law, compiled=False)
 
 
