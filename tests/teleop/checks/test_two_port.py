@@ -23,8 +23,18 @@ from teleop.laws.wave import Wave
 NOTHING: dict[str, str] = {}
 
 
+COMPILED = {"wave", "pfra", "tdpa", "model_mediated"}  # a wave, sums over the axes, totals, and the longest state
+
+
 @pytest.mark.parametrize("name", sorted(known_laws()))
 def test_every_listed_law_conforms(name: str) -> None:
+    check_law(find_law(name)(), compiled=name in COMPILED)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", sorted(known_laws().keys() - COMPILED))
+def test_every_listed_law_conforms_compiled_too(name: str) -> None:
+    """Some ten seconds each, for the compiler."""
     check_law(find_law(name)())
 
 

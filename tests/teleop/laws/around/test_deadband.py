@@ -62,7 +62,7 @@ def test_with_k_zero_it_is_the_law_to_the_bit(law: Any) -> None:
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_what_comes_out_is_a_law_that_keeps_what_it_claims(law: Any) -> None:
     composed = around("deadband(0.3, floor=0.05)", law)
-    check_law(composed, compiled=isinstance(law, Wave))  # whose lines are the longest
+    check_law(composed, compiled=False)
     assert ("E_link" in composed.claims) == ("E_link" in law.claims)
 
 

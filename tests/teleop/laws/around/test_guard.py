@@ -95,7 +95,7 @@ def test_a_law_that_gives_out_nothing_is_the_law_to_the_bit() -> None:
 def test_what_comes_out_claims_its_books_and_keeps_them(law: Any) -> None:
     guarded = around("guard", law)
     assert dict(guarded.claims) == {"E_law": "any link"}
-    check_law(guarded, compiled=isinstance(law, PFRA))  # whose sums over the axes are beside the guard's
+    check_law(guarded, compiled=False)
     for end in (type(guarded).master, type(guarded).slave, type(guarded).master_sums, type(guarded).slave_sums):
         assert without_lanes(end) is None
         assert unlike_python(end) is None

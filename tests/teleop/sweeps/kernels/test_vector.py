@@ -60,8 +60,14 @@ def knobs_of(law: str, dice: random.Random, *, wild: bool) -> dict[str, object]:
             "delay": dice.choice([0.0, 0.01, 0.03]), "x_limit": 0.5 if wild else 1e6}
 
 
-@pytest.mark.parametrize("law", ["wave", "direct", "pfra"])
-@pytest.mark.parametrize("link", [None, ROUGH], ids=["constant delays", "a link of random delays and losses"])
+LONG = pytest.mark.soak
+
+
+@pytest.mark.parametrize(("law", "link"), [
+    ("wave", None), ("wave", ROUGH), ("direct", ROUGH), ("pfra", ROUGH),
+    pytest.param("direct", None, marks=LONG), pytest.param("pfra", None, marks=LONG),
+], ids=lambda value: "constant delays" if value is None else "a link of random delays and losses" if "|" in value
+    else value)
 def test_engines_agree_on_random_scenes_of_every_law(law: str, link: str | None) -> None:
     """Among them runs that diverge at ticks of their own; with shared and with own schedules, paths and lags."""
     dice = random.Random(f"{law}{link}")
@@ -104,6 +110,7 @@ def test_lanes_may_differ_in_the_queues_that_they_keep() -> None:
     assert_engines_agree("canonical", {"duration": 0.7}, rows, ("scalar", "vector"))
 
 
+@pytest.mark.soak
 def test_waves_of_three_axes_have_lanes() -> None:
     rows = waves_over_own_links(random.Random(5), QUEUES)
     fixed = {"duration": 0.5, "law": "wave", "energy": False}
