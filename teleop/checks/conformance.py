@@ -73,8 +73,8 @@ def _try_messages(law: Any) -> None:
         dice = spread(start)
         sent = type(message)(*[1e3 * (next(dice) - 0.5) for _ in message])
         packet = Packet(kind=kind, session=1, seq=7, sent_ns=1, echo=None, payload=tuple(sent), E_in=None)
-        got = decode(encode(packet), len(sent))
-        if not isinstance(got, Packet) or in_bits(type(message)(*got.payload)) != in_bits(sent):  # type: ignore[misc]
+        got: Any = decode(encode(packet), len(sent))
+        if not isinstance(got, Packet) or in_bits(type(message)(*got.payload)) != in_bits(sent):
             raise Refused(f"{type(law).__name__} sends {type(message).__name__}, which a packet does not carry as it "
                           "is; use fewer fields, each a float")
 
