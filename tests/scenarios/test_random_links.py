@@ -78,7 +78,11 @@ def effects(rows: Rows) -> Counter[str]:
     return Counter(name for _, knobs, _ in rows for name in set(re.findall(r"(\w+)\(", knobs["link"])))
 
 
-@pytest.fixture(scope="module", params=CLAIMING)
+OTHERS = {"wave_filter", "wave_matched", "wave_scaled"}  # whose waves are those of `wave`, filtered, matched or scaled
+
+
+@pytest.fixture(scope="module", params=[
+    pytest.param(name, marks=pytest.mark.soak) if name in OTHERS else name for name in CLAIMING])
 def few(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Drawn:
     """The links of the ordinary suite, of every law that claims."""
     return many(request.param, FEW, tmp_path_factory.mktemp("recordings"))

@@ -23,7 +23,7 @@ from teleop.laws.wave import Wave
 NOTHING: dict[str, str] = {}
 
 
-COMPILED = {"wave", "pfra", "tdpa", "model_mediated"}  # a wave, sums over the axes, totals, and the longest state
+COMPILED = {"wave", "tdpa", "model_mediated"}  # a wave, sums over the axes with totals, and the longest state
 
 
 @pytest.mark.parametrize("name", sorted(known_laws()))
