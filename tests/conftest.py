@@ -2,7 +2,8 @@
 
 The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`. The rest goes file by file to as
 many workers as `-n` says, and whatever starts processes and looks at the clock to one of them, one after the other, so
-that it has the other cores nearly to itself.
+that no two of these wait for each other. That worker sleeps most of its time, so there is one more than there are
+cores.
 
 No example of hypothesis is judged by its time, which is the machine's. The examples are the same at every run, so that
 what falls falls again; only the tests marked `fuzz` draw new ones, and print what repeats a failure.
