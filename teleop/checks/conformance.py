@@ -60,8 +60,9 @@ def _try_start(law: Any) -> None:
                     raise Refused(f"{before}: the device would jump; return from {name}.{end}_start the message of a "
                                   "peer that stands where this end does")
                 if not sign * force * v >= -1e-9:
-                    raise Refused(f"{before}, which drives it on; turn the sign of what is to brake it: f_m acts "
-                                  "against the master's motion, f_s along the slave's")
+                    acts = "f_m, which acts against" if end == "master" else "f_s, which acts along"
+                    raise Refused(f"{before}, which drives it on; turn the sign of {acts} the motion of the {end}: "
+                                  "with no message yet it may only brake")
                 at = at._replace(x=x + (k + 1) * v * DT, f_held=force, dx=v * DT)
 
 
@@ -73,8 +74,9 @@ def _try_messages(law: Any) -> None:
         dice = spread(start)
         sent = type(message)(*[1e3 * (next(dice) - 0.5) for _ in message])
         packet = Packet(kind=kind, session=1, seq=7, sent_ns=1, echo=None, payload=tuple(sent), E_in=None)
-        got: Any = decode(encode(packet), len(sent))
-        if not isinstance(got, Packet) or in_bits(type(message)(*got.payload)) != in_bits(sent):
+        got = decode(encode(packet), len(sent))
+        numbers: Any = got.payload if isinstance(got, Packet) else None
+        if numbers is None or in_bits(type(message)(*numbers)) != in_bits(sent):
             raise Refused(f"{type(law).__name__} sends {type(message).__name__}, which a packet does not carry as it "
                           "is; use fewer fields, each a float")
 
