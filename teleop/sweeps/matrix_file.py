@@ -156,7 +156,7 @@ def _block(held: Mapping[str, Any], where: str) -> MatrixBlock:
     lists = {key: _listed(key, held[key], where) for key in LISTS if key in held}
     block = MatrixBlock(
         name=name, scene=held["scene"], laws=lists["laws"], delays=lists.get("delays", (None,)),
-        losses=lists.get("losses", (None,)), seeds=lists.get("seeds"), fixed=_flat(fixed),
+        losses=lists.get("losses", (None,)), seeds=lists.get("seeds"), fixed=flat_knobs(fixed),
         expect=_expect(held["expect"], where), why=_text(held["why"], "why", where),
     )
     given = held.get("except", [])
@@ -211,12 +211,12 @@ def _listed(key: str, value: object, where: str) -> tuple[Any, ...]:
     return found
 
 
-def _flat(table: Mapping[str, Any], stem: str = "") -> dict[str, object]:
+def flat_knobs(table: Mapping[str, Any], stem: str = "") -> dict[str, object]:
     """Knobs by their names: TOML reads `law.K = 5` as a table in a table."""
     out: dict[str, object] = {}
     for key, value in table.items():
         if isinstance(value, dict):
-            out |= _flat(value, f"{stem}{key}.")
+            out |= flat_knobs(value, f"{stem}{key}.")
         else:
             out[stem + key] = tuple(value) if isinstance(value, list) else value
     return out

@@ -36,6 +36,7 @@ from teleop.errors import Refused, nearest, whole_number
 from teleop.law import find_law, known_laws
 from teleop.scene.library import ROOT
 from teleop.storage.files import read_bytes
+from teleop.sweeps.matrix_file import flat_knobs
 
 BUILT_IN = ROOT / "scenarios" / "compare.toml"
 TOP = ("seeds", "laws", "fitted", "tune", "set", "law", "link", "environment")
@@ -176,18 +177,7 @@ def _once(parts: tuple[Part, ...], key: str, where: str) -> tuple[Part, ...]:
 def _knobs(table: object, where: str) -> dict[str, object]:
     if not isinstance(table, dict):
         raise Refused(f"{where}: set is a table of knobs, not {table!r}; write set = {{duration = 2.0}}")
-    return _flat(table)
-
-
-def _flat(table: Mapping[str, Any], stem: str = "") -> dict[str, object]:
-    """Knobs by their names: TOML reads `law.K = 5` as a table in a table."""
-    out: dict[str, object] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            out |= _flat(value, f"{stem}{key}.")
-        else:
-            out[stem + key] = tuple(value) if isinstance(value, list) else value
-    return out
+    return flat_knobs(table)
 
 
 def _check_knobs(asked: Comparison, where: str) -> None:

@@ -84,7 +84,7 @@ def sent(typingctx: Any, kept: Any, k: Any, message: Any) -> Any:  # noqa: ARG00
 
 
 @intrinsic_of
-def placed(typingctx: Any, kept: Any, at: Any, which: Any, message: Any) -> Any:  # noqa: ARG001
+def placed(typingctx: Any, kept: Any, at: Any, which: Any, message: Any) -> Any:  # noqa: ARG001 - numba gives it
     """Keep a message at place `at` where `which` is true; lane by lane, where each has a place of its own."""
     own_places = isinstance(at, types.BaseTuple)
 

@@ -53,7 +53,7 @@ def _forgiven(beta: float, H_max: float, s: Any, came: float, w: float, ticks: f
     return H - gives, s.S + gives
 
 
-def _all_of_it(f_max: float, k: float, H: float, ff: float, vv: float, dt: float) -> float:  # noqa: ARG001
+def _all_of_it(f_max: float, k: float, H: float, ff: float, vv: float, dt: float) -> float:  # noqa: ARG001 - as it was
     return 1.0
 
 
@@ -62,7 +62,7 @@ def _asked_tank(self: TwoLayer, at: At) -> Any:
     return AskedTank(*s, 0.0), message
 
 
-def _asked_work(self: TwoLayer, s: AskedTank, at: At, rx: Any) -> Any:  # noqa: ARG001
+def _asked_work(self: TwoLayer, s: AskedTank, at: At, rx: Any) -> Any:  # noqa: ARG001 - those of the law
     return two_layer.Sums(s.f_was * at.dx, rx.f_s * rx.f_s, at.v * at.v)
 
 
@@ -71,16 +71,16 @@ def _asked(self: TwoLayer, s: AskedTank, at: At, rx: Any, over: Any) -> Any:
     return f_m, forth, AskedTank(*after, f_m)
 
 
-def _own_stored(self: Any, s: Any) -> Any:  # noqa: ARG001
+def _own_stored(self: Any, s: Any) -> Any:  # noqa: ARG001 - those of the law
     return s.H
 
 
-def _wrong_sign(self: TwoLayer, s: Any, at: At, rx: Any) -> Any:  # noqa: ARG001
+def _wrong_sign(self: TwoLayer, s: Any, at: At, rx: Any) -> Any:  # noqa: ARG001 - those of the law
     f = self.K * (rx.x - at.x) + self.B * (rx.v - at.v)
     return two_layer.Sums(at.f_held * at.dx, f * f, at.v * at.v)
 
 
-def _by_velocity(self: TwoLayer, s: Any, at: At, rx: Any) -> Any:  # noqa: ARG001
+def _by_velocity(self: TwoLayer, s: Any, at: At, rx: Any) -> Any:  # noqa: ARG001 - those of the law
     return two_layer.Sums(at.f_held * at.v * at.span, rx.f_s * rx.f_s, at.v * at.v)
 
 
@@ -114,7 +114,7 @@ def _modulated(*, taken: str = "fits", radius: str = "T", debt: str = "kept") ->
     return modulated
 
 
-def _own_kept(self: Any, s: Any) -> Any:  # noqa: ARG001
+def _own_kept(self: Any, s: Any) -> Any:  # noqa: ARG001 - those of the law
     return s.T
 
 
@@ -176,7 +176,7 @@ def _slave_of_quanta(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
     return f_s, back, after
 
 
-def _own_left(self: Any, s: Any) -> Any:  # noqa: ARG001
+def _own_left(self: Any, s: Any) -> Any:  # noqa: ARG001 - those of the law
     return s.G
 
 
