@@ -253,7 +253,7 @@ async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
                 seen, since = done, now
             if done:  # the start-up is no part of the rate
                 text = live_text(*[live[e] for e in "ms" if e in live])
-                progress.show(min(done + (now - since) / scene.dt, scene.ticks), now, text)
+                progress.show(min(done + (now - since) / scene.dt, scene.ticks), now, *text)
             await asyncio.sleep(0.1)
     finally:
         progress.end()

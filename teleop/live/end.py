@@ -232,7 +232,7 @@ class _Progress:
 
     def show(self, numbers: dict[str, Any]) -> None:
         """One set of live numbers."""
-        self._bar.show(numbers["k"] + 1, time.monotonic(), live_text(numbers))
+        self._bar.show(numbers["k"] + 1, time.monotonic(), *live_text(numbers))
 
     def end(self) -> None:
         """Go on below it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from teleop.live import fault
@@ -10,6 +10,7 @@ from teleop.live.records.end_result import NAMES
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
 
 SAY_NS = 250_000_000  # between two live lines
+CAUSE = 17  # characters of why an end is in its safe state
 
 Say = Callable[[dict[str, Any]], None]
 
@@ -19,13 +20,14 @@ class LiveLine:
 
     def __init__(self, endpoint: Endpoint, say: Say) -> None:
         self._endpoint, self._say = endpoint, say
-        self._shown: tuple[int, Reading, Axes] | None = None  # tick, reading and force of the newest tick
+        # Of the newest tick: its number, reading, force and row.
+        self._shown: tuple[int, Reading, Axes, tuple[float, ...]] | None = None
         self._late_ns = 0  # the most since the last live line
         self._said_ns = 0
 
-    def tick(self, k: int, late_ns: int, reading: Reading, force: Axes) -> None:
-        """Take note of tick k, which ran `late_ns` late."""
-        self._shown = k, reading, force
+    def tick(self, k: int, late_ns: int, reading: Reading, force: Axes, row: tuple[float, ...]) -> None:
+        """Take note of tick k, which ran `late_ns` late; `row` is its row of the record."""
+        self._shown = k, reading, force, row
         if late_ns > self._late_ns:  # noqa: PLR1730 - at every tick, and `max` takes three times as long
             self._late_ns = late_ns
 
@@ -38,52 +40,84 @@ class LiveLine:
             except (OSError, ValueError):
                 self._said_ns = 1 << 63
 
-    def numbers(self, k: int, reading: Reading, force: Axes) -> dict[str, Any]:
-        """What the live line shows, SI units but `late_us`; the lateness is the most since this was asked last."""
+    def numbers(self, k: int, reading: Reading, force: Axes, row: tuple[float, ...]) -> dict[str, Any]:
+        """What the live line shows, SI units but `late_us`; the lateness is the most since this was asked last.
+
+        `queue` is that of the waves heard here, of several axes the longest; None where nothing has one. `loss` is None
+        where the other end has a deadband: what that did not send would count as lost.
+        """
         late, self._late_ns = self._late_ns, 0
-        link, guard = self._endpoint.link, self._endpoint.guard
+        endpoint, link, guard = self._endpoint, self._endpoint.link, self._endpoint.guard
+        queue = [row[i] for i in endpoint.queues]
         return {
-            "end": self._endpoint.e, "k": k, "x": reading.x[0], "f": force[0], "late_us": late / 1e3,
+            "end": endpoint.e, "k": k, "x": reading.x[0], "f": force[0], "late_us": late / 1e3,
             "delay": link.way.recent / 1e9 if link.way.count else None, "gain": guard.gain, "cause": guard.cause,
             "rtt": link.rtt.recent / 1e9 if link.rtt.count else None, "jitter": link.jitter_ns / 1e9,
-            "loss": link.loss(self._endpoint.session.peer_every),
+            "loss": None if endpoint.scene.deadband is not None else link.loss(endpoint.session.peer_every),
+            "queue": max(queue) if queue else None,
         }
 
 
 fault.named(LiveLine.announce, "the live line")
 
 
-def live_text(*ends: Mapping[str, Any]) -> str:
-    """The live numbers of one end or of both, master/slave, what matters most first: a terminal may cut the rest.
+def live_text(*ends: Mapping[str, Any]) -> tuple[str, str]:
+    """The live numbers of one end or of both, master/slave, what matters most first; and what matters less.
 
-    Of both, loss, round trip and jitter are the greater ones.
+    Both are parts two spaces apart, of which a narrow terminal leaves out the last ones. The safe state, the forces
+    (below 10 kN) and the queue (below 10 s) always fit 80 columns behind what `Progress` needs. Of both ends, loss,
+    round trip and jitter are the greater ones.
 
-    >>> link = {"delay": 0.051, "rtt": 0.1, "jitter": 0.002, "loss": 0.0, "cause": None}
+    >>> link = {"delay": 0.051, "rtt": 0.1, "jitter": 0.002, "loss": 0.0, "cause": None, "queue": 0.0007}
     >>> live_text({"end": "m", "x": 0.0573, "f": 0.41, **link}, {"end": "s", "x": 0.03, "f": 0.38, **link})
-    'x 57.3/30.0 mm  f 0.4/0.4 N  delay 51/51 rtt 100 jitter 2.0 ms'
+    ('f 0.4/0.4 N  queue 0.7/0.7 ms  x 57.3/30.0 mm  delay 51/51 ms', 'rtt 100 ms  jitter 2.0 ms')
     """
-    parts = []
-    for one in ends:
-        if one["cause"] is not None:
-            whose = f"{NAMES[one['end']]} " if len(ends) > 1 else ""
-            parts.append(f"{whose}SAFE {one['gain']:.0%}, {one['cause'].split(':')[0]}")
-    parts += ["x " + "/".join(f"{one['x'] * 1e3:z.1f}" for one in ends) + " mm",
-              "f " + "/".join(f"{one['f']:z.1f}" for one in ends) + " N"]
+    parts = [*_safe(ends), _each("f", ends, lambda one: _newtons(one["f"]), "N")]
+    if any(one["queue"] is not None for one in ends):
+        parts.append(_each("queue", ends, lambda one: _ms(one["queue"]), "ms"))
+    parts.append(_each("x", ends, lambda one: f"{one['x'] * 1e3:z.1f}", "mm"))
     heard = [one for one in ends if one["delay"] is not None]
     if not heard:
-        return "  ".join([*parts, "nothing heard"])
-    if (loss := max(one["loss"] for one in heard)) >= 0.0005:
+        return "  ".join([*parts, "nothing heard"]), ""
+    loss = max((one["loss"] for one in heard if one["loss"] is not None), default=0.0)
+    if loss >= 0.0005:
         parts.append(f"loss {loss:.1%}" if loss < 0.01 else f"loss {loss:.0%}")
-    delay = "/".join("-" if one["delay"] is None else _ms(one["delay"]) for one in ends)
+    parts.append(_each("delay", ends, lambda one: _ms(one["delay"]), "ms"))
     rtt = max((one["rtt"] for one in heard if one["rtt"] is not None), default=None)
-    jitter = max(one["jitter"] for one in heard)
-    return "  ".join([*parts, f"delay {delay}{'' if rtt is None else f' rtt {_ms(rtt)}'} jitter {_ms(jitter)} ms"])
+    less = [f"rtt {_ms(rtt)} ms"] * (rtt is not None) + [f"jitter {_ms(max(one['jitter'] for one in heard))} ms"]
+    return "  ".join(parts), "  ".join(less)
 
 
-def _ms(seconds: float) -> str:
-    """In ms, as many digits as say something.
+def _safe(ends: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Which ends are in the safe state, with what gain and why; nothing of none."""
+    safe = [one for one in ends if one["cause"] is not None]
+    if not safe:
+        return []
+    kinds = dict.fromkeys(one["cause"].split(":")[0].removeprefix("the ").removeprefix("a ") for one in safe)
+    room = CAUSE if len(kinds) == 1 else CAUSE // 2 + 1
+    whose = f"{NAMES[safe[0]['end']]} " if len(safe) < len(ends) else ""
+    gains = "/".join(f"{one['gain']:.0%}" for one in safe)
+    return [f"{whose}SAFE {gains}, {'/'.join(kind[:room] for kind in kinds)}"]
 
-    >>> _ms(0.00012), _ms(0.0501), _ms(0.1004)
-    ('0.1', '50', '100')
+
+def _each(name: str, ends: Sequence[Mapping[str, Any]], told: Callable[[Mapping[str, Any]], str], unit: str) -> str:
+    """One quantity of each end."""
+    return f"{name} {'/'.join(map(told, ends))} {unit}"
+
+
+def _newtons(force: float) -> str:
+    """A force, in as many characters as a narrow line has for it.
+
+    >>> _newtons(-0.04), _newtons(-19.87), _newtons(123.4), _newtons(2e7)
+    ('0.0', '-19.9', '123', '2e+07')
     """
-    return f"{seconds * 1e3:.1f}" if seconds < 0.01 else f"{seconds * 1e3:.0f}"
+    return f"{force:z.1f}" if abs(force) < 99.95 else f"{force:.0f}" if abs(force) < 9999.5 else f"{force:.0e}"
+
+
+def _ms(seconds: float | None) -> str:
+    """In ms, as many digits as say something; - where there is none.
+
+    >>> _ms(0.00012), _ms(0.0501), _ms(0.1004), _ms(None)
+    ('0.1', '50', '100', '-')
+    """
+    return "-" if seconds is None else f"{seconds * 1e3:.1f}" if seconds < 0.01 else f"{seconds * 1e3:.0f}"

@@ -162,7 +162,7 @@ class Shell:
         counts.ticks += 1
         counts.ran = k
         if failed is None:
-            self.live_line.tick(k, late, reading, force)
+            self.live_line.tick(k, late, reading, force, row)
         else:
             endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
             self.outcome.end("diverged", divergence(self.scene, k, not_finite(self.scene.law, failed)))

@@ -114,7 +114,8 @@ class Endpoint:
 
     `link` tells what the packets say of the way and of the peer's clock. One-way delays are as they are seen, from
     the tick a packet was sent at to its coming: they carry the uncertainty of the clock offset, half the fastest round
-    trip of the first exchange. `guard` holds the safe state and the events of the run.
+    trip of the first exchange. `guard` holds the safe state and the events of the run. `queues` are the places in a row
+    of the record that have the queue of waves (s), one an axis; none where nothing has a queue.
     """
 
     def __init__(self, scene: Scene, e: str, session: Session, messages: Messages | None = None) -> None:
@@ -189,6 +190,7 @@ class Endpoint:
         flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
         self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
         self._told = flat.index(f"sent_{e}") if f"sent_{e}" in flat else None
+        self.queues = [i for i, name in enumerate(flat) if name == f"queue_{e}@"]
         self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
 
     def receive(self, data: bytes, now: int) -> list[bytes]:

@@ -31,18 +31,22 @@ class Progress:
         self._line, self._total = _StatusLine(stream), total
         self._first: tuple[float, float] | None = None  # what was done at the first call, and when
 
-    def show(self, done: float, now_s: float, text: str = "") -> None:
+    def show(self, done: float, now_s: float, text: str = "", less: str = "") -> None:
         """`done` of the total is done at `now_s` (s, of any clock that does not go back); `text` follows.
 
-        The time left gives way to a text that leaves no room for it.
+        Parts of a text are two spaces apart, what matters most first. Where it is narrow the bar gives way, then `less`
+        from its last part on, then the time left, then the last parts of `text`.
         """
         first, began = self._first = self._first or (done, now_s)
         if not self._line.is_due(now_s, done >= self._total):
             return
         part = min(max(done / self._total, 0.0), 1.0) if self._total > 0.0 else 1.0
-        left = "" if done <= first else f"{(now_s - began) * max(0.0, self._total - done) / (done - first):.1f} s left"
-        self._line.write(part, *("  ".join(filter(None, words)) for words in (
-            (f"{part:4.0%}", left, text), (f"{part:4.0%}", text))))
+        left = ""
+        if first < done < self._total:
+            left = f"{duration((now_s - began) * (self._total - done) / (done - first))} left"
+        ahead = f"{part:4.0%}"
+        self._line.write(part, *(_joined(ahead, left, text, more) for more in (*_shorter(less), "")),
+                         *(_joined(ahead, shorter) for shorter in _shorter(text)))
 
     def end(self) -> None:
         """Leave the line as it stands and go on below it."""
@@ -99,11 +103,28 @@ class RowsProgress:
             left = f"{duration((total - done) / a_second)} left" if done < total else ""
         rows = f"{count} {plural(total, 'row')}"
         texts = [[rows, rate, left], [rows, left or rate], [count, left or rate], [count]]
-        self._line.write(done / total if total else 1.0, *("  ".join(filter(None, words)) for words in texts))
+        self._line.write(done / total if total else 1.0, *(_joined(*words) for words in texts))
 
     def end(self) -> None:
         """Leave the line as it stands and go on below it."""
         self._line.end()
+
+
+def _joined(*words: str) -> str:
+    """The words that there are, two spaces apart."""
+    return "  ".join(filter(None, words))
+
+
+def _shorter(text: str) -> Iterator[str]:
+    """The text, and what is left of it without its last parts, down to the first.
+
+    >>> [*_shorter("f 1.0 N  x 2.0 mm")]
+    ['f 1.0 N  x 2.0 mm', 'f 1.0 N']
+    """
+    yield text
+    while "  " in text:
+        text = text.rpartition("  ")[0]
+        yield text
 
 
 class _StatusLine:

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 from teleop.errors import Refused
-from teleop.live.live_line import live_text
 from teleop.live.net.address import address, bound, peer_address, shown
 from teleop.live.net.wire import Wire
 from teleop.live.process.interrupt import Interrupt
@@ -194,43 +193,6 @@ def test_an_event_loop_leaves_the_note_alone() -> None:
         asyncio.run(run())
         assert interrupt.name == "SIGINT"
         os.kill(os.getpid(), signal.SIGTERM)  # after the loop: what is being written is finished
-
-
-ROOM = 79 - len(" 50%  14.9 s left  ")
-
-
-def test_the_live_line_of_a_usual_run_is_shown_whole() -> None:
-    numbers = {"end": "m", "k": 9999, "x": 0.0573, "f": -0.01, "delay": 0.0506, "rtt": 0.1004, "jitter": 0.00012,
-               "loss": 0.014, "gain": 1.0, "cause": None}
-    line = live_text(numbers)
-    assert line == "x 57.3 mm  f 0.0 N  loss 1%  delay 51 rtt 100 jitter 0.1 ms"
-    assert len(line) <= ROOM
-
-
-@pytest.mark.parametrize("cause", [None, "a stall: no tick for 12.345 s", "a new session", "the device: " + "x" * 200])
-def test_the_live_line_fits_a_terminal_and_says_first_that_an_end_is_safe(cause: str | None) -> None:
-    numbers = {"end": "m", "k": 9999, "x": -0.1234, "f": -19.87, "delay": 0.6049, "rtt": 1.2099, "jitter": 0.0204,
-               "loss": 0.123, "gain": 0.37, "cause": cause}
-    line = live_text(numbers)
-    if cause is None:
-        assert "SAFE" not in line
-        assert "loss 12%" in line[:ROOM]
-        assert "delay 605 rtt 1210" in line[:ROOM]
-    else:
-        assert line.startswith(f"SAFE 37%, {cause.split(':')[0]}  x ")
-    assert live_text({**numbers, "delay": None, "cause": None}).endswith("nothing heard")
-
-
-def test_the_line_of_both_ends_says_what_the_line_of_one_does() -> None:
-    """The demo's had neither loss nor round trip nor jitter, and no cause of a safe state."""
-    master = {"end": "m", "x": 0.0573, "f": 0.41, "delay": 0.051, "rtt": 0.1004, "jitter": 0.019, "loss": 0.004,
-              "gain": 1.0, "cause": None}
-    slave = {**master, "end": "s", "x": 0.03, "delay": 0.05, "jitter": 0.02, "loss": 0.0}
-    assert live_text(master, slave) == \
-        "x 57.3/30.0 mm  f 0.4/0.4 N  loss 0.4%  delay 51/50 rtt 100 jitter 20 ms"
-    safe = live_text(master, {**slave, "gain": 0.2, "cause": "silence", "delay": None, "rtt": None})
-    assert safe.startswith("slave SAFE 20%, silence  x ")
-    assert "delay 51/- rtt 100" in safe
 
 
 @pytest.mark.parametrize(("name", "options"), [

@@ -33,9 +33,9 @@ class TestProgressOnATerminal:
         progress.show(0, 10.0, "x 1.0 mm")
         assert stream.lines() == ["[....................]    0%  x 1.0 mm"]
         progress.show(50, 12.0, "x 2.0 mm")
-        assert stream.lines() == ["[#####...............]   25%  6.0 s left  x 2.0 mm"]
+        assert stream.lines() == ["[#####...............]   25%  6 s left  x 2.0 mm"]
         progress.show(200, 18.0, "x")
-        assert stream.lines() == ["[####################]  100%  0.0 s left  x       "]
+        assert stream.lines() == ["[####################]  100%  x                 "]
         progress.end()
         assert stream.getvalue().endswith("\n")
         assert "\x1b" not in stream.getvalue()
@@ -47,7 +47,7 @@ class TestProgressOnATerminal:
         progress.show(10, 0.0)
         assert stream.lines() == ["[#######.............]   33%"]
         progress.show(15, 5.0)
-        assert stream.lines()[0].rstrip() == "[##########..........]   50%  15.0 s left"
+        assert stream.lines()[0].rstrip() == "[##########..........]   50%  15 s left"
 
     def test_writes_at_most_ten_times_a_second_but_always_the_end(self) -> None:
         stream = Terminal()
@@ -81,7 +81,7 @@ class TestProgressOnATerminal:
         progress = Progress(stream, 10)
         progress.show(0, 0.0)
         progress.show(5, 1.0, "critical k_e, 3 of 7")
-        assert stream.lines() == [" 50%  1.0 s left  critical k_e, 3 of 7"]
+        assert stream.lines() == [" 50%  1 s left  critical k_e, 3 of 7"]
 
 
     def test_leaves_out_the_time_left_where_it_leaves_no_room_for_the_text(
@@ -92,6 +92,22 @@ class TestProgressOnATerminal:
         progress.show(0, 0.0)
         progress.show(5, 1.0, "critical k_e of law wave, 3 of 7")
         assert stream.lines() == [" 50%  critical k_e of law wave, 3 of 7"]
+
+
+    @pytest.mark.parametrize(("columns", "line"), [
+        (100, "[##########..........]   50%  1 s left  f 1.0 N  x 2.0 mm  rtt 100 ms  jitter 2.0 ms"),
+        (80, " 50%  1 s left  f 1.0 N  x 2.0 mm  rtt 100 ms  jitter 2.0 ms"),
+        (54, " 50%  1 s left  f 1.0 N  x 2.0 mm  rtt 100 ms"), (36, " 50%  1 s left  f 1.0 N  x 2.0 mm"),
+        (26, " 50%  f 1.0 N  x 2.0 mm"), (20, " 50%  f 1.0 N"), (10, " 50%  f 1"),
+    ])
+    def test_leaves_out_whole_parts_what_matters_least_first(
+        self, monkeypatch: pytest.MonkeyPatch, columns: int, line: str
+    ) -> None:
+        stream = narrow(monkeypatch, columns)
+        progress = Progress(stream, 10)
+        progress.show(0, 0.0)
+        progress.show(5, 1.0, "f 1.0 N  x 2.0 mm", "rtt 100 ms  jitter 2.0 ms")
+        assert stream.lines()[0].rstrip() == line
 
 
 def narrow(monkeypatch: pytest.MonkeyPatch, columns: int) -> Terminal:
@@ -190,7 +206,7 @@ class TestProgressElsewhere:
             progress.show(k, 100.0 + k * 1e-3, "x 1.0 mm")
         progress.end()
         assert stream.getvalue().splitlines() == [
-            "42%  7.0 s left  x 1.0 mm", "83%  2.0 s left  x 1.0 mm",
+            "42%  7 s left  x 1.0 mm", "83%  2 s left  x 1.0 mm",
         ]
         assert not {"\r", "\x1b"} & set(stream.getvalue())
 
@@ -215,7 +231,7 @@ class TestShownOn:
 
         with pytest.raises(ZeroDivisionError):
             fail_half_way()
-        assert stream.lines()[-2].split() == ["[##########..........]", "50%", "1.0", "s", "left", "half"]
+        assert stream.lines()[-2].split() == ["[##########..........]", "50%", "1", "s", "left", "half"]
         assert stream.getvalue().endswith("\n")
 
     def test_no_stream_tells_nothing(self) -> None:
