@@ -18,31 +18,34 @@ PICTURE = Path(__file__).with_name("rooms.svg")
 
 FLOORS: tuple[dict[str, str], ...] = (
     {"scenarios": "one scene, one file"},
-    {"__main__": "the commands", "doctor": "what is installed", "bench": "what it costs",
-     "report": "a stored run again", "master": "hands", "slave": "robots, contacts",
-     "channel": "effects, the relay"},
-    {"studies": "laws side by side", "checks": "does a law keep its word"},
-    {"analysis": "stability, passivity, Z-width", "sweeps": "many runs of one scene",
-     "live": "sockets, timers, devices"},
-    {"terminal": "options, tables, plots",
-     "protocol": "bytes and now in, force out"},
-    {"simulation": "the tick, in virtual time"},
+    {"__main__": "the commands", "master": "hands", "slave": "robots, contacts", "channel": "effects, the relay",
+     "doctor": "what is installed", "bench": "what it costs", "report": "a stored run again",
+     "export": "for other tools"},
+    {"studies": "laws side by side", "checks": "check_law"},
+    {"analysis": "stability, Z-width", "sweeps": "runs of one scene", "live": "clocks and sockets"},
+    {"terminal": "options and tables", "protocol": "bytes in, force out"},
+    {"simulation": "the tick"},
     {"scene": "what a scene is"},
-    {"laws": "one law, one file", "stages": "between device, law, motor"},
-    {"law": "what every law is asked"},
-    {"physics": "bodies and contact, exact", "naming": "parts found by name", "knob": "unit, meaning, bounds",
-     "kind": "waves among fields", "storage": "files of unknown origin"},
+    {"laws": "one law, one file", "stages": "device, law, motor"},
+    {"law": "what a law is asked"},
+    {"physics": "bodies and contact", "naming": "parts by name", "knob": "unit and bounds",
+     "kind": "waves among fields", "storage": "files from others"},
     {"errors": "one sentence each", "version": "which release"},
 )
 """Rooms by floor, the highest first, each with what it is for; a room may import from the floors below its own."""
 
 COLOURS = {
-    "#dbe9f6": ("what a user adds to", {"scenarios", "master", "slave", "channel", "laws", "stages"}),
-    "#e3f1de": ("live", {"live", "protocol"}),
-    "#fdebd2": ("virtual time and answers", {"simulation", "sweeps", "analysis", "checks"}),
+    "user": ("what a user adds to", {"scenarios", "master", "slave", "channel", "laws", "stages"}),
+    "live": ("live", {"live", "protocol"}),
+    "time": ("virtual time, answers", {"simulation", "sweeps", "analysis", "checks"}),
 }
-OTHER = "#f0f0f0"
-WIDTH, HIGH, FLOOR = 1120, 46, 86  # px: of the picture; of a room; from floor to floor
+OTHER = "all", "shared by all"
+LIGHT = {"page": "#ffffff", "floor": "#f6f8fa", "edge": "#b8c0c8", "arrow": "#7b8794", "name": "#1d2733",
+         "word": "#47525e", "user": "#dbe9f6", "live": "#e3f1de", "time": "#fdebd2", "all": "#f0f0f0"}
+DARK = {"page": "#0d1117", "floor": "#161b22", "edge": "#4a5561", "arrow": "#8a95a3", "name": "#f0f3f6",
+        "word": "#b6c0ca", "user": "#1c3a5a", "live": "#21412a", "time": "#4d3a1a", "all": "#2b323b"}
+WIDTH, WIDE, HIGH = 640, 146, 50  # px: of the picture, narrow enough to be read on a phone; of a room
+LINE, FLOOR, MOST = 66, 84, 4  # px: from line to line of a floor; from floor to floor; rooms in a line
 
 
 def main() -> int:
@@ -72,36 +75,48 @@ def imports() -> set[tuple[str, str]]:
 
 
 def drawn() -> str:
-    """The picture as SVG."""
+    """The picture as SVG, in the colours that the reader's screen asks for, light or dark."""
     there = rooms()
-    floors = [{room: what for room, what in floor.items() if room in there} for floor in FLOORS]
-    place = {room: (x, y) for y, floor in enumerate(floors)
-             for room, x in zip(floor, _middles(len(floor)), strict=True)}
-    wide = {room: _wide(len(floor)) for floor in floors for room in floor}
+    place: dict[str, tuple[float, int]] = {}  # the middle of a room's upper edge
+    boxes, y = [], 10
+    for floor in FLOORS:
+        lines = _lines([room for room in floor if room in there])
+        high = HIGH + LINE * (len(lines) - 1) + 16
+        boxes.append(f'<rect class="floor" x="6" y="{y}" width="{WIDTH - 12}" height="{high}" rx="6"/>')
+        for n, line in enumerate(lines):
+            place |= {room: (x, y + 8 + LINE * n) for room, x in zip(line, _middles(len(line)), strict=True)}
+        y += high + FLOOR - HIGH - 16
+    height = y + 52
+    level = {room: n for n, floor in enumerate(FLOORS) for room in floor}
     known = {pair for pair in imports() if place.keys() >= set(pair)}
-    down = {(a, b) for a, b in known if place[a][1] < place[b][1]}
-    high = 16 + FLOOR * len(FLOORS) + 24
+    down = {(a, b) for a, b in known if level[a] < level[b]}
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {high}" width="{WIDTH}" height="{high}" '
-        f'font-family="Helvetica, Arial, sans-serif" font-size="12">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" height="{height}" '
+        f'font-family="Helvetica, Arial, sans-serif" font-size="14" text-anchor="middle">',
         "<title>Rooms of bilateral-teleop by floor, and what each imports</title>",
-        f'<rect width="{WIDTH}" height="{high}" fill="#ffffff"/>',
+        f"<style>{_style(LIGHT)}@media (prefers-color-scheme: dark) {{{_style(DARK)}}}</style>",
+        f'<rect class="page" width="{WIDTH}" height="{height}"/>',
         '<marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" orient="auto">'
-        '<path d="M0 0 8 4 0 8z" fill="#8a95a3"/></marker>',
+        '<path class="tip" d="M0 0 8 4 0 8z"/></marker>',
+        *boxes,
+        *(_arrow(place[a], place[b]) for a, b in sorted(_reduced(down))),
+        *(_arrow(place[a], place[b], up=True) for a, b in sorted(known - down)),
+        *(line for floor in FLOORS for room, what in floor.items() if room in place
+          for line in _box(room, what, *place[room])),
     ]
-    for y in range(len(FLOORS)):
-        lines.append(f'<rect x="8" y="{10 + y * FLOOR}" width="{WIDTH - 16}" height="{HIGH + 16}" rx="6" '
-                     f'fill="#fafbfc" stroke="#eceff2"/>')
-    lines += [_arrow(place[a], place[b]) for a, b in sorted(_reduced(down))]
-    lines += [_arrow(place[a], place[b], "#c62828") for a, b in sorted(known - down)]
-    lines += [line for floor in floors for room, what in floor.items()
-              for line in _box(room, what, wide[room], *place[room])]
-    legend = [(colour, what) for colour, (what, _) in COLOURS.items()] + [(OTHER, "shared by all")]
-    for n, (colour, what) in enumerate(legend):
-        x, y = 24 + 230 * n, high - 24
-        lines.append(f'<rect x="{x}" y="{y}" width="14" height="14" rx="3" fill="{colour}" stroke="#b8c0c8"/>'
-                     f'<text x="{x + 22}" y="{y + 11}" fill="#444">{escape(what)}</text>')
+    for n, (colour, what) in enumerate([*((colour, what) for colour, (what, _) in COLOURS.items()), OTHER]):
+        x, top = 16 + (0, 176, 252, 460)[n], y + 4
+        lines.append(f'<rect class="{colour}" x="{x}" y="{top}" width="16" height="16" rx="3"/>'
+                     f'<text class="word" style="text-anchor:start" x="{x + 23}" y="{top + 13}">{escape(what)}</text>')
     return "\n".join([*lines, "</svg>", ""])
+
+
+def _style(colours: dict[str, str]) -> str:
+    """What each class is drawn with."""
+    rooms = "".join(f".{name}{{fill:{colours[name]};stroke:{colours['edge']}}}" for name in (*COLOURS, OTHER[0]))
+    plain = "".join(f".{name}{{fill:{colours[name]}}}" for name in ("page", "floor", "name", "word"))
+    ways = f".way{{fill:none;stroke:{colours['arrow']}}}.tip{{fill:{colours['arrow']}}}.up{{stroke:#e53935}}"
+    return rooms + plain + ways
 
 
 def _public() -> dict[str, str]:
@@ -142,36 +157,32 @@ def _reduced(pairs: set[tuple[str, str]]) -> set[tuple[str, str]]:
     return {(a, b) for a, b in pairs if not any(b in reached(near) for near in below[a] - {b})}
 
 
-def _wide(count: int) -> float:
-    """The width of each of `count` rooms of one floor."""
-    return 216.0 if count < 5 else (WIDTH - 40) / count - 12
+def _lines(floor: list[str]) -> list[list[str]]:
+    """The rooms of one floor in lines of at most `MOST`."""
+    return [floor[n:n + MOST] for n in range(0, len(floor), MOST)]
 
 
 def _middles(count: int) -> Iterable[float]:
-    """The middles of the rooms of one floor."""
-    step = _wide(count) + (36 if count < 5 else 12)
+    """The middles of the rooms of one line."""
+    step = WIDE + (10 if count == MOST else 30)
     return [(WIDTH - (count - 1) * step) / 2 + n * step for n in range(count)]
 
 
-def _box(room: str, what: str, wide: float, middle: float, y: int) -> Iterator[str]:
-    colour = next((colour for colour, (_, members) in COLOURS.items() if room in members), OTHER)
-    top = 18 + y * FLOOR
-    yield (f'<rect x="{middle - wide / 2:g}" y="{top}" width="{wide:g}" height="{HIGH}" rx="8" fill="{colour}" '
-           f'stroke="#b8c0c8"/>')
-    yield (f'<text x="{middle:g}" y="{top + 20}" text-anchor="middle" font-size="14" font-weight="bold" '
-           f'fill="#1d2733">{escape(room)}</text>')
-    yield f'<text x="{middle:g}" y="{top + 37}" text-anchor="middle" fill="#4a5561">{escape(what)}</text>'
+def _box(room: str, what: str, middle: float, top: int) -> Iterator[str]:
+    colour = next((colour for colour, (_, members) in COLOURS.items() if room in members), OTHER[0])
+    yield f'<rect class="{colour}" x="{middle - WIDE / 2:g}" y="{top}" width="{WIDE}" height="{HIGH}" rx="8"/>'
+    yield (f'<text class="name" x="{middle:g}" y="{top + 22}" font-size="17" font-weight="bold">{escape(room)}</text>'
+           f'<text class="word" x="{middle:g}" y="{top + 41}">{escape(what)}</text>')
 
 
-def _arrow(a: tuple[float, int], b: tuple[float, int], colour: str = "#8a95a3") -> str:
+def _arrow(a: tuple[float, int], b: tuple[float, int], *, up: bool = False) -> str:
     """A curve from the foot of a room to the head of one below; from its head, if the other stands above."""
-    up = b[1] <= a[1]
     x0, x1 = a[0], b[0]
-    y0, y1 = 18 + a[1] * FLOOR + (0 if up else HIGH), 18 + b[1] * FLOOR + (HIGH if up else 0)
+    y0, y1 = a[1] + (0 if up else HIGH), b[1] + (HIGH if up else 0)
     bend = (y1 - y0) / 2
-    tip = ' marker-end="url(#tip)"' if not up else ""
-    return (f'<path d="M{x0:g} {y0} C{x0:g} {y0 + bend:g} {x1:g} {y1 - bend:g} {x1:g} {y1}" fill="none" '
-            f'stroke="{colour}" stroke-width="1.3"{tip}/>')
+    tip = "way up" if up else 'way" marker-end="url(#tip)'
+    way = f"M{x0:g} {y0} C{x0:g} {y0 + bend:g} {x1:g} {y1 - bend:g} {x1:g} {y1}"
+    return f'<path class="{tip}" stroke-width="1.4" d="{way}"/>'
 
 
 if __name__ == "__main__":

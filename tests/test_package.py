@@ -73,7 +73,7 @@ def test_the_sdist_has_the_tests_and_all_that_they_read(built: tuple[Path, Path]
     with tarfile.open(built[0]) as sdist:
         names = {name.partition("/")[2] for name in sdist.getnames()}
     pages = {path.name for path in ROOT.glob("*.md")}
-    assert tracked(*PACKAGES, "tests", ".figures") | pages | {"LICENSE", "pyproject.toml"} <= names
+    assert tracked(*PACKAGES, "tests", ".figures") | pages | {"CITATION.cff", "LICENSE", "pyproject.toml"} <= names
     assert any(name.startswith("teleop/bench/rivals/") for name in names)
 
 
