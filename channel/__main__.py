@@ -6,14 +6,17 @@ import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import partial
 from shlex import quote
 from typing import Any
 
 from channel.link import describe
 from channel.shell import RelayShell
+from teleop.errors import Refused
 from teleop.live import security
 from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.net.wire import Wire
+from teleop.live.orders import OF_THE_RELAY, Orders, orders_option, refuse, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
 from teleop.scene.loading import live_knobs, load_scene
@@ -33,6 +36,7 @@ def _run(argv: list[str]) -> int:
     parser.add_argument("--peer", metavar="HOST:PORT", required=True, help="where the slave listens")
     security.insecure_option(parser)
     realtime_option(parser)
+    orders_option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     args = parser.parse_args(argv)
     scene = both_ends(load_scene(args.scene, **live_knobs(args.scene, knobs_from(args))))
@@ -42,6 +46,8 @@ def _run(argv: list[str]) -> int:
           realtime.asked(args, interrupt, realtime.RELAY_PRIORITY) as scheduling):
         beyond = next((at for at in (listen, peer) if not security.is_local(at)), None)
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer), beyond=beyond, insecure=args.insecure)
+        if args.orders:
+            shell.orders = Orders(OF_THE_RELAY, partial(_turn, shell, args))
         if beyond is not None and args.insecure:
             security.tell_insecure(beyond)
         at = near.getsockname()[:2]
@@ -64,6 +70,16 @@ def _run(argv: list[str]) -> int:
         for way, count in counts.items():
             print(f"channel: {way}: " + ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in count.items()))
     return 0
+
+
+def _turn(shell: RelayShell, args: Namespace, order: dict[str, Any]) -> None:
+    """Go on with the link of the scene as an order has its knobs."""
+    try:
+        shell.router.turn(both_ends(load_scene(args.scene, **live_knobs(args.scene, order["knobs"]))))
+    except Refused as refused:
+        refuse(str(refused))
+    else:
+        tell("turned")
 
 
 def _with_host(at: Address, here: str) -> Address:

@@ -125,9 +125,18 @@ class Flows:
         """Forget a flow; what was under way in it is lost, and what became of the rest stays counted."""
         if self._flows.get(flow.master) is flow:
             del self._flows[flow.master]
-        self._past = [_sum(past, flow.relay.counts(direction), over=True) for direction, past in enumerate(self._past)]
+        self._count(flow)
         if flow.own:
             self._close(flow.wire)
+
+    def _count(self, flow: Flow) -> None:
+        """Keep what became of the datagrams of a link that is over."""
+        self._past = [_sum(past, flow.relay.counts(direction), over=True) for direction, past in enumerate(self._past)]
+
+    def turn(self, flow: Flow, relay: Relay) -> None:
+        """Have the flow go on over another link; what was under way is lost, and what became of the rest counted."""
+        self._count(flow)
+        flow.relay = relay
 
     def end_others(self, met: Flow, now: int) -> None:
         """The slave has taken up one: those that it had taken up before, and that do not run, are over."""

@@ -71,6 +71,19 @@ class Router:
         self._cookies = Cookies(secret)
         self._elsewhere: list[Address] = []  # from where a slave answered that was said to be elsewhere
 
+    def turn(self, scene: Scene) -> None:
+        """Go on with the link of another scene.
+
+        Sessions in the open that begin from now on have it. What is under way is of a session that both ends end, and
+        goes its way until the next begins. Sessions with keys are not told apart from here: they have it at once, and
+        what is under way in them is lost.
+        """
+        self._dt_ns, self._ticks, self._size, self._link = scene.dt_ns, scene.ticks, scene.wire_size, scene.link
+        self._manifest = {key: text for key, text in manifest_of(scene).items() if key not in ("link", "delay")}
+        for flow in self.flows:
+            if flow.own:
+                self.flows.turn(flow, self._relay())
+
     def from_near(self, data: bytes, sender: Address, now: int) -> None:
         """Take a datagram from the masters' side that came at `now` (ns, monotonic clock)."""
         flow = self.flows.of(sender)

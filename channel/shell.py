@@ -9,11 +9,12 @@ from __future__ import annotations
 import gc
 import time
 from os import urandom
-from selectors import EVENT_READ, DefaultSelector
+from selectors import EVENT_READ, DefaultSelector, SelectorKey
 
 from channel.router import Router
 from teleop.live.net.address import Address, towards
 from teleop.live.net.wire import Wire
+from teleop.live.orders import Orders
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.ticker import Timer
 from teleop.scene.scene import Scene
@@ -30,6 +31,7 @@ class RelayShell:
                  insecure: bool = False) -> None:
         self.router = Router(scene, seed, near, far, port=self._port, close=self._close, secret=urandom(32),
                              beyond=beyond, insecure=insecure)
+        self.orders: Orders | None = None  # where they come in, if it takes any
         self._selector = DefaultSelector()
         self._set_to: int | None = None  # what the timer is set for
 
@@ -43,8 +45,10 @@ class RelayShell:
                 self._selector.register(wire.sock, EVENT_READ)
             if timer.fd >= 0:
                 self._selector.register(timer.fd, EVENT_READ)
+            if self.orders is not None:
+                self._selector.register(self.orders.fd, EVENT_READ)
             try:
-                while interrupt.name is None:
+                while interrupt.name is None and not (self.orders is not None and self.orders.over):
                     self._sleep(self._selector, timer)
                     self._deliver()
                     self._take()
@@ -59,19 +63,26 @@ class RelayShell:
         """Until something comes, or is about to be due."""
         due = self._due()
         if due is None:
-            selector.select(LOOK_S)
+            self._obey(selector.select(LOOK_S))
             return
         left = due - LEAD_NS - time.monotonic_ns()
         if left <= 0:
             return
         if timer.fd < 0:
-            selector.select(min(LOOK_S, left / 1e9))
+            self._obey(selector.select(min(LOOK_S, left / 1e9)))
             return
         if due != self._set_to:
             timer.set(due - LEAD_NS)
             self._set_to = due
-        if any(key.fd == timer.fd for key, _ in selector.select(LOOK_S)):
+        ready = selector.select(LOOK_S)
+        if any(key.fd == timer.fd for key, _ in ready):
             timer.rang()
+        self._obey(ready)
+
+    def _obey(self, ready: list[tuple[SelectorKey, int]]) -> None:
+        """Carry out the orders that have come."""
+        if self.orders is not None and any(key.fd == self.orders.fd for key, _ in ready):
+            self.orders.read()
 
     def _deliver(self) -> None:
         """Wait awake for what is about to be due, and send it. Datagrams can wait meanwhile: they are stamped."""

@@ -148,14 +148,15 @@ def demo(
                 (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
     options += [] if realtime else ["--no-realtime"]
     ticking = ["--lockstep"] * lockstep + ["--spin"] * spin + ([] if rate is None else ["--rate", repr(rate)])
-    with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as (folder, keep):
+    with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as claimed:
+        folder = claimed.path
         try:
             channel = asyncio.run(_conduct(scene, options, folder, interrupt, ticking, show=not json))
         except Refused as refused:
             raise Refused(f"{refused}; what was recorded is in {folder}" if _ran(folder) else str(refused)) from refused
         finally:
             if _ran(folder):
-                keep()
+                claimed.keep()
         if interrupt.name is not None and not _ran(folder):
             raise KeyboardInterrupt
         result = merge(scene, folder / "master", folder / "slave", channel=channel)

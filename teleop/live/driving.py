@@ -11,6 +11,7 @@ from teleop.live.leaving import leave, let_go
 from teleop.live.listening import Listening
 from teleop.live.lockstep import by_packets
 from teleop.live.meeting import first_reading, meet
+from teleop.live.orders import Orders
 from teleop.live.process.suspension import Suspension, boottime
 from teleop.live.process.ticker import Alarm
 from teleop.live.shell import Shell
@@ -24,7 +25,7 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
     `spin_ns`: how long before a tick this end wakes, to wait for it awake. Whatever is raised on the way ends the run:
     see `teleop.live.fault`.
     """
-    loop, counts = asyncio.get_running_loop(), shell.counts
+    loop = asyncio.get_running_loop()
     try:
         gc.collect()  # now: between the first exchange and tick 0 there are 10 ms at most
         if await first_reading(shell) and await _met(shell):
@@ -35,6 +36,7 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
             else:
                 await ClockDriver(shell, loop, spin_ns).drive()
                 await let_go(shell)
+            counts = shell.counts  # those of the last part, if it was turned
             counts.run_time = (time.monotonic_ns() - began) / 1e9
             counts.cpu = (time.process_time_ns() - used) / 1e9 / max(1e-9, counts.run_time)
     except BaseException as error:
@@ -71,8 +73,10 @@ class ClockDriver:
 
     async def drive(self) -> None:
         """Tick until the run is over."""
-        shell = self.shell
+        shell, orders, loop = self.shell, self.shell.orders, asyncio.get_running_loop()
         try:
+            if orders is not None:
+                loop.add_reader(orders.fd, shell.guarded, partial(self._obey, orders))
             self.listening.update(time.monotonic_ns(), shell.take_events())
             if self.session.joined:
                 self._join(self._due() + 1)
@@ -81,6 +85,8 @@ class ClockDriver:
             self._arm()
             await shell.outcome.over.wait()
         finally:
+            if orders is not None:
+                loop.remove_reader(orders.fd)
             self._alarm.close()
 
     def _start_ns(self) -> int:
@@ -112,11 +118,25 @@ class ClockDriver:
         shell.counts.first = shell.counts.last + every
         shell.endpoint.join(shell.counts.first)
 
+    def _obey(self, orders: Orders) -> None:
+        """Carry out what has come; without whoever gives the orders, leave."""
+        orders.read()
+        if orders.over:
+            asyncio.get_running_loop().remove_reader(orders.fd)
+            self.shell.stop("the process that gave it orders has ended")
+
+    def _go_on(self) -> None:
+        """The end was turned: see `teleop.live.turning`."""
+        self.listening.go_on(self.shell.endpoint)
+        self._ticks = self.shell.scene.ticks
+
     def wake(self) -> None:
         """Do what is due: read the socket, judge what came, and run the tick."""
         shell, counts, session = self.shell, self.shell.counts, self.session
         if (slept := self.suspension.passed()):
             shell.endpoint.stood_still(slept)
+        if self.listening.endpoint is not shell.endpoint:
+            self._go_on()
         now = time.monotonic_ns()
         shell.drain()  # first, for it tells of what came while this process was away, and of where the grid is
         self.listening.update(now, shell.take_events())

@@ -23,21 +23,24 @@ from teleop.live.lastresort import LastResort
 from teleop.live.live_line import live_text
 from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
 from teleop.live.net.wire import Wire
+from teleop.live.orders import SHAPES, Orders, orders_option, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.tick_loop import in_tick_loop
 from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES, UNRELEASED
-from teleop.live.records.record import RecordWriter, fresh_folder
+from teleop.live.records.record import EVERY, RecordWriter, fresh_folder
 from teleop.live.shell import Shell
 from teleop.live.summary import UNWATCHED, holds_on, write_end
+from teleop.live.turning import Turning
 from teleop.protocol.endpoint import Endpoint, Stepped
+from teleop.protocol.guard import Event
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.scene.trust import asks_for_trust
-from teleop.storage.strict_json import written
+from teleop.simulation.result import Result
 from teleop.terminal.options import (
     DONE,
     FAULT,
@@ -49,47 +52,54 @@ from teleop.terminal.options import (
     realtime_option,
     scene_options,
     tick_options,
+    whole,
 )
 
 if TYPE_CHECKING:
     from teleop.protocol.secure.secure_link import SecureLink
 
 
-def end_main(e: str, device: Callable[[Scene], LiveDevice], argv: Sequence[str] | None = None) -> int:
+def end_main(e: str, device: Callable[[Scene], LiveDevice], argv: Sequence[str] | None = None, *,
+             ordered: Callable[[Scene], LiveDevice] | None = None) -> int:
     """The command line of the end `e`, "m" or "s"; `device` makes what stands at that end from the scene.
 
-    Returns the exit code, as the live README has them.
+    `ordered`: makes it where the end takes orders (--orders); left out: `device` does. Returns the exit code, as the
+    live README has them.
     """
-    return guarded(lambda: _run(e, device, sys.argv[1:] if argv is None else list(argv)))
+    return guarded(lambda: _run(e, device, ordered or device, sys.argv[1:] if argv is None else list(argv)))
 
 
-def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
-    if e not in NAMES:
-        raise Refused("end_main begins with the end, \"m\" for the master's or \"s\" for the slave's, not "
-                      f"{e!r}; write for example end_main(\"s\", MyRobot)")
-    args = _parser(e).parse_args(argv)
-    if args.wait is not None:
-        number("--wait", args.wait, above=0.0)
+def _run(
+    e: str, device: Callable[[Scene], LiveDevice], ordered: Callable[[Scene], LiveDevice], argv: list[str]
+) -> int:
+    args = _arguments(e, argv)
     knobs = knobs_from(args) if args.lockstep else live_knobs(args.scene, knobs_from(args))
     endpoint = _endpoint(scene := both_ends(load_scene(args.scene, **knobs)), e, args)
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = security.secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
-        made = opened(device, scene)
+        made = opened(ordered if args.orders else device, scene)
         stem = f"{scene.name}-{NAMES[e]}"
-        with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as (folder, keep),
-              nullcontext(made) if args.lockstep else watched(made, folder, scheduling.above) as watched_device):
+        with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
+              nullcontext(made) if args.lockstep else watched(made, folder.path, scheduling.above) as watched_device):
             progress = _Progress(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
-            about = {"scene": args.scene, "knobs": knobs, "seed": args.seed, "command": command,
+            about = {"scene": args.scene, "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
-            recorder = RecordWriter(scene, e, folder, about)
-            shell = Shell(endpoint, watched_device, wire, recorder, say, peer_timeout=args.wait, interrupt=interrupt)
+
+            def recorder_of(scene: Scene, knobs: dict[str, str]) -> RecordWriter:
+                return RecordWriter(scene, e, folder.path, {**about, "knobs": knobs}, args.flush or EVERY)
+
+            shell = Shell(endpoint, watched_device, wire, recorder_of(scene, knobs), say, peer_timeout=args.wait,
+                          interrupt=interrupt)
             shell.realtime = scheduling
             last.stand_by(shell)
             shell.security.insecure = insecure
+            if args.orders:
+                shell.told = partial(_told, e)
+                shell.orders = Orders(SHAPES, Turning(shell, made, folder, partial(_turned, args), recorder_of).take)
             if not (args.json or args.quiet):
                 shell.hint = partial(_hint, NAMES[e])
             if holds_on(shell):
@@ -101,25 +111,41 @@ def _run(e: str, device: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
                 scheduling.give_back()  # what is left to do has time
                 progress.end()
             if shell.counts.ticks or _leaves_a_traceback(shell):
-                keep()
-            code = _said_of_faults(shell, folder)
+                folder.keep()
+            code = _said_of_faults(shell, folder.path)
             if shell.counts.ticks:
-                result = write_end(shell, folder, args.seed, command)
+                result = write_end(shell, folder.path, args.seed, command)
             elif code != DONE:
                 return code
             elif interrupt.name is not None:
                 raise KeyboardInterrupt
             else:
                 raise Refused(shell.outcome.sentence)
+    _tell_result(args, result, folder.path, command)
+    return code
+
+
+def _arguments(e: str, argv: list[str]) -> Namespace:
+    """What was typed. Raises `Refused` for what no end can be started with."""
+    if e not in NAMES:
+        raise Refused("end_main begins with the end, \"m\" for the master's or \"s\" for the slave's, not "
+                      f"{e!r}; write for example end_main(\"s\", MyRobot)")
+    args = _parser(e).parse_args(argv)
+    if args.orders and args.lockstep:
+        raise Refused("--orders are for ends that go by the clock; leave --lockstep out")
+    if args.wait is not None:
+        number("--wait", args.wait, above=0.0)
+    return args
+
+
+def _tell_result(args: Namespace, result: Result, folder: Path, command: list[str]) -> None:
     if args.json:
-        summary = result.summary(command)
-        print(written({"event": "done", "path": str(folder), "summary": summary}), flush=True)
+        tell("done", path=str(folder), summary=result.summary(command))
     else:
         from teleop.terminal.run_table import table
 
         trust = " --trust" if asks_for_trust(args.scene, knobs_from(args)) else ""
         print(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two ends together")
-    return code
 
 
 def _leaves_a_traceback(shell: Shell) -> bool:
@@ -139,9 +165,26 @@ def _said_of_faults(shell: Shell, folder: Path) -> int:
     return complain(shell.outcome.sentence + where, FORCED if shell.outcome.status == UNRELEASED else code)
 
 
+def _told(e: str, event: Event) -> None:
+    tell("event", end=e, **event._asdict())
+
+
+def _turned(args: Namespace, knobs: dict[str, str]) -> tuple[Scene, dict[str, str], dict[str, str]]:
+    """The scene of a turn, its knobs as its record has them, and its manifest. Raises `Refused`."""
+    knobs = live_knobs(args.scene, knobs)
+    scene = both_ends(load_scene(args.scene, **knobs))
+    ticks_of(scene, args.rate, lockstep=False, spin=args.spin)
+    return scene, knobs, _manifest(scene, args)
+
+
+def _manifest(scene: Scene, args: Namespace) -> dict[str, str]:
+    """What the two ends have to agree on."""
+    return {**manifest_of(scene), "mode": "lockstep" if args.lockstep else "live"}
+
+
 def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:
     """The end without its sockets. What the two ends have to agree on goes into the session's manifest."""
-    manifest = {**manifest_of(scene), "mode": "lockstep" if args.lockstep else "live"}
+    manifest = _manifest(scene, args)
     inbox = None
     if args.lockstep:
         from teleop.simulation.plan import link_plans
@@ -176,6 +219,9 @@ def _parser(e: str) -> ArgumentParser:
     security.options(parser)
     tick_options(parser)
     realtime_option(parser)
+    orders_option(parser)
+    parser.add_argument("--flush", metavar="ROWS", type=whole, help="hand every so many rows of the record to the "
+                        f"system, for whoever follows it as it grows; left out: {EVERY}")
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
     parser.add_argument("--quiet", action="store_true", help="no live line")
     return parser
@@ -193,7 +239,7 @@ def _wire(e: str, at: Address, secure_link: SecureLink | None) -> Iterator[Wire]
 def _greet(e: str, args: Any, wire: Wire, scheduling: dict[str, str] | None) -> None:
     at = wire.sock.getsockname()[:2]
     if args.json:
-        print(written({"event": "listening", "address": shown(at), "port": at[1], "realtime": scheduling}), flush=True)
+        tell("listening", address=shown(at), port=at[1], realtime=scheduling)
     elif e == "m":
         assert wire.peer is not None
         print(f"master: asking {shown(wire.peer)} for a session", flush=True)
@@ -215,7 +261,7 @@ def _hint(name: str, sentence: str) -> None:
 
 
 def _said(numbers: dict[str, Any]) -> None:
-    print(written({"event": "live", **numbers}), flush=True)
+    tell("live", **numbers)
 
 
 def _quiet(numbers: dict[str, Any]) -> None:

@@ -18,6 +18,10 @@ class Listening:
         self.to_all = False  # for the peer was silent
         self._since_ns = 0  # when it changed
 
+    def go_on(self, endpoint: Endpoint) -> None:
+        """Listen for another endpoint of the same session."""
+        self.endpoint = endpoint
+
     def update(self, now: int, begun: bool) -> None:
         """After a silence listen to all: the peer, or the channel, may come back from another port.
 

@@ -25,6 +25,10 @@ class LiveLine:
         self._late_ns = 0  # the most since the last live line
         self._said_ns = 0
 
+    def go_on(self, endpoint: Endpoint) -> None:
+        """Tell of another endpoint from now on."""
+        self._endpoint, self._shown = endpoint, None
+
     def tick(self, k: int, late_ns: int, reading: Reading, force: Axes, row: tuple[float, ...]) -> None:
         """Take note of tick k, which ran `late_ns` late; `row` is its row of the record."""
         self._shown = k, reading, force, row

@@ -12,6 +12,7 @@ from teleop.live import fault
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadline_of
 from teleop.live.live_line import LiveLine, Say
 from teleop.live.net.wire import DRAIN, SHARE, Wire
+from teleop.live.orders import Orders
 from teleop.live.outcome import Outcome
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.realtime import RealTime
@@ -63,7 +64,16 @@ class Shell:
         self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is no peer, while that is waited for
         self.free = False  # it has let go of its device, or given that up
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
+        self.told: Callable[[Event], None] = lambda _event: None  # what has happened, as it is written down
+        self.orders: Orders | None = None  # where they come in, if it takes any
         self._share_ns = int(endpoint.own.dt_ns * SHARE)
+
+    def go_on(self, endpoint: Endpoint, recorder: RecordWriter, counts: EndCounts) -> None:
+        """Go on with another endpoint of the same session, grid and device: see `teleop.live.turning`."""
+        self.endpoint = self.connection.endpoint = endpoint
+        self.scene, self.recorder, self.counts = endpoint.scene, recorder, counts
+        endpoint.witness = recorder.inputs
+        self.live_line.go_on(endpoint)
 
     def so_far(self) -> float:
         """The time of the run (s) up to which this end has come."""
@@ -125,11 +135,16 @@ class Shell:
         for event in self.connection.events():
             if isinstance(event, SessionBegun):
                 begun = True
-                self.recorder.note(Event(self.counts.ran, "met", f"session {event.number:016x}"))
+                self.note(Event(self.counts.ran, "met", f"session {event.number:016x}"))
                 self.security.tell_relayed(self.endpoint.session.in_the_open)
             else:
-                self.recorder.note(event)
+                self.note(event)
         return begun
+
+    def note(self, event: Event) -> None:
+        """Write down what has happened, and tell whoever gives this end its orders."""
+        self.recorder.note(event)
+        self.told(event)
 
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end, which runs `late` ns late."""

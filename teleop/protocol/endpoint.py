@@ -300,12 +300,12 @@ class Endpoint:
         if x != starts and not self.stepped:
             self._away = tuple([a - b for a, b in zip(x, starts, strict=True)])
 
-    def join(self, k: int) -> None:
+    def join(self, k: int, why: str = "the other end was running already") -> None:
         """The first tick of this end will be k: the run has been going on without it."""
         if not self.stepped:
             self._tick = k - 1
             self.inbox = Inbox(self.scene.played_as, self.scene.dt_ns, tick=k - 1)
-            self.guard.tell(k, "joined", "the other end was running already")
+            self.guard.tell(k, "joined", why)
             self._met = 0
 
     def _begin(self, k: int, reading: Reading) -> None:

@@ -87,6 +87,7 @@ class Session:
         self.met = 0
         self.joined = False  # was the other end running already when this one came
         self.in_the_open = False  # has a relay said so by `INSECURE`: nothing proves it, nor that there is none
+        self.renews = True  # may another session follow one that is over: not while a person holds the clutch open
         self.zero_force = True  # does this end's device hold no force: before that no session follows one that is over
         self.start_rtt_ns = 0  # at most as long took the round trip with which a slave was started
         self.clock = ClockExchange()
@@ -211,7 +212,7 @@ class Session:
         if self.state is SessionState.RUNNING and now <= self.liveness.sound_ns:
             return []  # nearly always
         self.judge(now)
-        if self.master and self.zero_force and self.take(SessionEvent.ZERO_FORCE):
+        if self.master and self.zero_force and self.renews and self.take(SessionEvent.ZERO_FORCE):
             self._renew()
         kind = self._repeated.get(self.state)
         if kind is None or (self._next_ns is not None and now < self._next_ns):
@@ -232,7 +233,7 @@ class Session:
 
     def _is_free(self, now: int) -> bool:
         """True if another session may be begun with this slave."""
-        return self.number is None or (self.zero_force and self.silent(now))
+        return self.number is None or (self.zero_force and self.renews and self.silent(now))
 
     def _is_renewed_by(self, hello: Packet) -> bool:
         """True if this HELLO is of the master of this session, who begins another."""

@@ -10,6 +10,7 @@ from channel.flow import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
 from channel.introduction import EACH_MOST
 from teleop.protocol.packet import Kind
 from teleop.protocol.secure.dtls_record import MTU
+from teleop.scene.loading import load_scene
 from tests.channel.site import MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
 
 # In the open
@@ -121,6 +122,19 @@ def test_the_next_session_has_a_link_of_its_own_and_all_stay_counted() -> None:
     for way in (0, 1):
         counts = site.router.counts(way)
         assert counts.received == counts.delivered == 2 * (10 + 2)
+
+
+def test_a_relay_that_is_turned_has_the_other_link_in_the_next_session_and_counts_both() -> None:
+    site = Site()
+    site.run(7)
+    lossy = load_scene("hard_wall", link="bernoulli(1.0)")
+    site.router.turn(lossy)
+    site.run(7)  # which both ends are about to end: it keeps its link
+    site.meet(8)
+    for k in range(5):
+        assert not site.takes(site.session(8)(Kind.FORTH, k), MASTER)
+    counts = site.router.counts(0)
+    assert (counts.lost, counts.received) == (5, counts.delivered + 5)
 
 
 def test_a_slave_that_answers_from_another_address_is_heard_there_and_the_next_session_asks_the_first_again(

@@ -245,8 +245,8 @@ def test_a_parent_that_was_there_or_is_in_use_stays(tmp_path: Path) -> None:
 
 def test_a_folder_that_was_kept_stays_whatever_happens_then(tmp_path: Path) -> None:
     def work() -> Any:
-        with fresh_folder(tmp_path / "mine") as (_, keep):
-            keep()
+        with fresh_folder(tmp_path / "mine") as folder:
+            folder.keep()
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):

@@ -190,6 +190,8 @@ def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tu
     check_fits(scene, header, record.ticks, folder)
     last = _last(record)
     status, sentence = "stopped", f"the process ended without a word after tick {last}; this is made from its record"
+    if turned := next((event["why"] for event in read_events(folder) if event["what"] == "turned"), None):
+        status, sentence = "ok", f"ran to t = {(last + 1) * scene.dt:.3f} s, and was turned to {turned}"
     if running:
         status, sentence, notes = RUNNING, f"still running: this is its record up to tick {last}", []
     every = header.get("every", 1)

@@ -24,7 +24,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.summary_shape import EVENT
 from teleop.simulation.trace import EndRecord, ForceSource
 from teleop.storage.files import open_regular, read_bytes
-from teleop.storage.folder import claim
+from teleop.storage.folder import Claim, claim
 from teleop.storage.strict_json import Misshapen, parse_line
 
 FILE = "record.bin"
@@ -36,8 +36,11 @@ EVERY_NS = 250_000_000  # and so much time, by the scene's clock
 class RecordWriter:
     """Appends an end's rows to `folder/record.bin`. A full disk stops the record, never the loop."""
 
-    def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any]) -> None:
-        """`about` says which run this is, as `merge` reads it: scene, knobs, seed, mode, command."""
+    def __init__(self, scene: Scene, e: str, folder: Path, about: Mapping[str, Any], every: int = EVERY) -> None:
+        """`about` says which run this is, as `merge` reads it: scene, knobs, seed, mode, command.
+
+        `every`: rows between two writes at most, for whoever follows the record as it grows.
+        """
         self.trouble: str | None = None
         self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about, **own_law(scene)}
         self._scene, self._e, self._folder = scene, e, folder
@@ -45,7 +48,8 @@ class RecordWriter:
         self._pack: Callable[..., bytes] | None = None  # of one row, whose width the first one tells
         self._count = 0
         self._file: BinaryIO | None = None
-        self._every = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
+        self._all = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
+        self._every = min(every, self._all)
         self.inputs = InputWriter(scene, e, folder, self._about)
 
     def begin(self, force: ForceSource) -> None:
@@ -63,7 +67,10 @@ class RecordWriter:
         self._rows += self._pack(k, late_ns, played, *row)  # at once: floats kept until the next write cost cache
         self._count += 1
         if self._count % self._every == 0:
-            self.flush()
+            if self._count // self._every % (self._all // self._every):
+                self._flush_rows()  # of what it was told nobody follows the record
+            else:
+                self.flush()
 
     def note(self, event: Event) -> None:
         """Write down that something has happened; on the disk at once."""
@@ -78,6 +85,9 @@ class RecordWriter:
     def flush(self) -> None:
         """Hand what there is to the system."""
         self.inputs.flush()
+        self._flush_rows()
+
+    def _flush_rows(self) -> None:
         rows, self._rows = self._rows, bytearray()
         if self.trouble is not None or self._file is None:
             return
@@ -151,18 +161,41 @@ def never_met(one: Path, other: Path) -> bool:
     return all(met) and not met[0] & met[1]
 
 
-@contextmanager
-def fresh_folder(out: Path | str | None, stem: str = "run") -> Iterator[tuple[Path, Callable[[], None]]]:
-    """The folder of a live run, claimed as `teleop.storage.folder.claim` does, and what to call to have it kept.
+class RunFolder:
+    """The folder that a live run writes into, `path`; it is gone again in the end unless it was told to be kept."""
 
-    Without that call it is gone again in the end. It cannot be written beside and moved as a whole: what a killed
-    process leaves has to be found.
+    def __init__(self, claimed: Claim) -> None:
+        self._claimed, self._kept = claimed, False
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+        return self._claimed.path
+
+    def keep(self) -> None:
+        """There is something in it to keep."""
+        self._kept = True
+
+    def go_on(self, claimed: Claim) -> None:
+        """Go on in another folder; the one before is whole, and is kept."""
+        self._claimed.close()
+        self._claimed, self._kept = claimed, False
+
+    def close(self) -> None:
+        """Remove it if nothing is to be kept, and let go of it."""
+        if not self._kept:
+            self._claimed.drop()
+        self._claimed.close()
+
+
+@contextmanager
+def fresh_folder(out: Path | str | None, stem: str = "run") -> Iterator[RunFolder]:
+    """The folder of a live run, claimed as `teleop.storage.folder.claim` does.
+
+    It cannot be written beside and moved as a whole: what a killed process leaves has to be found.
     """
-    claimed = claim(out, stem)
-    kept: list[bool] = []
+    folder = RunFolder(claim(out, stem))
     try:
-        yield claimed.path, lambda: kept.append(True)
+        yield folder
     finally:
-        if not kept:
-            claimed.drop()
-        claimed.close()
+        folder.close()

@@ -364,3 +364,37 @@ def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_t
         assert master.ended is None
     master.judge(master.liveness.begun_ns + 2 * FIRST_NS + 1)
     assert str(master.ended).endswith("nothing of this end arrives at the other")
+
+
+# A turn, and the clutch
+
+
+@pytest.mark.parametrize("first", ["master", "slave"])
+def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first: str) -> None:
+    """Nothing stops, however long the other takes: a manifest that differs is no reason to leave a run."""
+    talk = Talk()
+    talk.run(2000 * MS)
+    other = "slave" if first == "master" else "master"
+    for end, until in ((first, 5000), (other, 8000)):
+        session = getattr(talk, end)
+        session.end("a turn")
+        session.manifest = {**MANIFEST, "law": "another"}
+        talk.run(until * MS)
+        assert (talk.master.met, talk.slave.met) == ((1, 1) if end == first else (2, 2))
+    assert talk.master.failure is talk.slave.failure is None
+    assert talk.master.farewell is talk.slave.farewell is None
+    assert talk.master.number == talk.slave.number
+
+
+@pytest.mark.parametrize("holds", ["master", "slave"])
+def test_no_session_follows_while_either_end_may_not_renew_it(holds: str) -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    getattr(talk, holds).renews = False
+    for end in (talk.master, talk.slave):
+        end.end("the clutch is open")
+    talk.run(9000 * MS)
+    assert (talk.master.met, talk.slave.met) == (1, 1)
+    getattr(talk, holds).renews = True
+    talk.run(11_000 * MS)
+    assert (talk.master.met, talk.slave.met) == (2, 2)

@@ -119,8 +119,9 @@ for turn in sys.stdin:  # all start at the same line
             made.close()
             path = made.path
         elif how == "live":
-            with fresh_folder(out, name) as (path, keep):
-                keep()
+            with fresh_folder(out, name) as folder:
+                path = folder.path
+                folder.keep()
                 (path / "of").write_text(sys.argv[1])
         else:
             with new_folder(out, name) as new:

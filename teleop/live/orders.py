@@ -1,0 +1,92 @@
+"""Orders to a live process: lines of JSON on its standard input, from the process that started it.
+
+A live page is the parent of the three processes that it shows, and steers them so: no port and no token between them.
+What an order may be is below; `teleop.live.turning` and `channel.shell` carry them out.
+"""
+
+from __future__ import annotations
+
+import os
+from argparse import ArgumentParser
+from collections.abc import Callable
+from typing import Any
+
+from teleop.storage.strict_json import (
+    Check,
+    Misshapen,
+    each,
+    named,
+    one_of,
+    optional,
+    parse,
+    real,
+    record,
+    text,
+    truth,
+    written,
+)
+
+STDIN = 0
+LONGEST = 1 << 16  # bytes of a line
+_MOST_AXES = 16
+_place = optional(each(real, most=_MOST_AXES))
+_TURN = {"order": one_of("turn"), "knobs": named(text)}
+SHAPES: dict[str, Check] = {
+    "hand": record({"order": one_of("hand"), "to": _place}),
+    "clutch": record({"order": one_of("clutch"), "open": truth}),
+    "turn": record({**_TURN, "out": text}, {"again": truth, "align": _place}),
+}
+"""By the word behind `order`: what an end takes."""
+OF_THE_RELAY: dict[str, Check] = {"turn": record(_TURN)}
+"""What the relay takes."""
+
+
+def orders_option(parser: ArgumentParser) -> None:
+    """Let a live process take --orders."""
+    parser.add_argument("--orders", action="store_true", help="take orders on standard input, a line of JSON each, as "
+                        "`teleop demo --page` gives them (see teleop/live/README.md); its end ends this process")
+
+
+class Orders:
+    """The lines that come on `fd`, read without waiting. `over`: there will be no more."""
+
+    def __init__(self, shapes: dict[str, Check], take: Callable[[dict[str, Any]], None], fd: int = STDIN) -> None:
+        self.fd, self.over = fd, False
+        self._shapes, self._take = shapes, take
+        self._rest = b""
+        os.set_blocking(fd, False)
+
+    def read(self) -> None:
+        """Hand over each order that has come since this was called last; what is none is refused, in a sentence."""
+        try:
+            data = os.read(self.fd, LONGEST)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        self.over = not data
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > LONGEST:
+            self._rest = b""
+            refuse(f"an order is a line of at most {LONGEST} bytes; this one is longer")
+        for line in lines:
+            try:
+                order = parse(line)
+                word = order.get("order") if isinstance(order, dict) else None
+                if word not in self._shapes:
+                    raise Misshapen(f"`order` must be one of {', '.join(self._shapes)}")
+                self._shapes[word](order, "it")
+            except Misshapen as error:
+                refuse(f"an order is a line of JSON such as {{\"order\": \"clutch\", \"open\": true}}: {error}")
+            else:
+                self._take(order)
+
+
+def refuse(sentence: str) -> None:
+    """Say that an order was not carried out, and why."""
+    tell("refused", sentence=sentence)
+
+
+def tell(event: str, **fields: Any) -> None:
+    """Say an event as a line of JSON on standard output, as all events of a live process are said."""
+    print(written({"event": event, **fields}), flush=True)

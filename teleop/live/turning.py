@@ -1,0 +1,177 @@
+"""A turn: a live end goes on with another law, link or environment, in the same process and on the same grid of ticks.
+
+    order "turn" -> the session is over for this end: its force falls along the watchdog's ramp
+                 -> at zero force: the scene with its new knobs, an endpoint and a record of their own
+                 -> the next session, for which both ends compare the new manifests
+                 -> released by the guard, as after every session that was over
+
+Both ends are given the order, in any order in time: who is turned first asks the other again and again, or does not
+answer it, until that one is turned too. No message of the former law is read as one of the next, since a session that
+is over carries none and the next has another number.
+
+A person presses a wall, and the force falls: the hand slides on, and the law would begin from there, with a wall that
+is no longer felt. So an order may say where the slave is (`align`): before the next session a device that can (see
+`master.steered`) brings the master there, and then lets the hand go on to where it wants to be.
+
+The order "clutch" ends the session in the same way and begins none until it is closed again: positions count from where
+each end is by then.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from teleop.errors import Refused
+from teleop.live.devices.guarded_device import deadline_of
+from teleop.live.orders import refuse, tell
+from teleop.live.records.record import RecordWriter, RunFolder
+from teleop.live.shell import EndCounts, Shell
+from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.guard import Event
+from teleop.scene.scene import Scene
+from teleop.storage.folder import claim
+
+LOOK = 0.004  # s between two looks at how far a turn has come
+CLUTCH, TURN = "the clutch is open", "a turn"
+
+Load = Callable[[dict[str, str]], tuple[Scene, dict[str, str], dict[str, str]]]
+"""From knobs as texts to the scene, the knobs of its record and its manifest. Raises `Refused`."""
+
+
+class Turning:
+    """Carries out orders at the end that `shell` owns. `load` makes the scene; `record` the writer of its record.
+
+    `device`: what stands at the end. It may have `steer`, `align` and `aligned`, `turn` and `record`, as the simulated
+    ones have; of any other a turn changes the law alone.
+    """
+
+    def __init__(self, shell: Shell, device: Any, folder: RunFolder, load: Load,
+                 record: Callable[[Scene, dict[str, str]], RecordWriter]) -> None:
+        self._shell, self._folder, self._load, self._record = shell, folder, load, record
+        self._device = device
+        self._waits: set[str] = set()  # for these no next session is begun
+        self._next: dict[str, Any] | None = None  # the turn that is under way, before zero force
+        self._newest: dict[str, Any] | None = None  # the turn that came meanwhile
+        self._met = 0  # sessions, when the turn was made
+        self._turned = False  # is it made, and not released yet
+        self._record_hand()
+
+    def take(self, order: dict[str, Any]) -> None:
+        """Carry out one order, as `teleop.live.orders.SHAPES` has them."""
+        word = order["order"]
+        if word == "hand":
+            self._hand(order["to"])
+        elif word == "clutch":
+            self._clutch(order["open"])
+        elif self._next is None and not self._turned:
+            self._begin(order)
+        else:
+            self._newest = order  # of several that came meanwhile the last one counts
+
+    def _hand(self, to: list[float] | None) -> None:
+        if not hasattr(self._device, "steer"):
+            refuse("this end's device has no hand that can be moved; orders `hand` are for a simulated master")
+            return
+        try:
+            self._device.steer(None if to is None else tuple(map(float, to)))
+        except Refused as refused:
+            refuse(str(refused))
+
+    def _clutch(self, is_open: bool) -> None:
+        if is_open:
+            self._shell.endpoint.session.end(CLUTCH)
+            self._wait(CLUTCH)
+        else:
+            self._go_on(CLUTCH)
+
+    def _begin(self, order: dict[str, Any]) -> None:
+        self._next = order
+        self._wait(TURN)
+        self._shell.endpoint.session.end(TURN)
+        self._look()
+
+    def _wait(self, why: str) -> None:
+        self._waits.add(why)
+        self._shell.endpoint.session.renews = False
+
+    def _go_on(self, why: str) -> None:
+        self._waits.discard(why)
+        self._shell.endpoint.session.renews = not self._waits
+
+    def _look(self) -> None:
+        """See how far the turn has come, and look again until it is done."""
+        if self._shell.outcome.over.is_set():
+            return
+        if self._next is not None and self._shell.endpoint.session.zero_force:
+            order, self._next = self._next, None
+            self._turn(order)
+        elif self._turned and TURN in self._waits:
+            if getattr(self._device, "aligned", True):
+                self._go_on(TURN)
+        elif self._turned and self._is_released():
+            self._turned = False
+            self._align(None)
+        if self._next is None and not self._turned:
+            if self._newest is not None:
+                order, self._newest = self._newest, None
+                self._begin(order)
+            return
+        asyncio.get_running_loop().call_later(LOOK, self._shell.guarded, self._look)
+
+    def _is_released(self) -> bool:
+        """True if the law's force is on again, or another turn or the clutch has ended the session meanwhile."""
+        endpoint = self._shell.endpoint
+        session = endpoint.session
+        return self._newest is not None or (session.met > self._met and (
+            session.ended is not None or not endpoint.guard.safe))
+
+    def _turn(self, order: dict[str, Any]) -> None:
+        """The end holds no force: make it one of the scene that is asked for."""
+        shell = self._shell
+        try:
+            scene, knobs, manifest = self._load(order["knobs"])
+            _check_alike(shell.scene, scene)
+            endpoint = Endpoint(scene, shell.endpoint.e, shell.endpoint.session)
+            endpoint.senses(bool(shell.device.sensor))
+            deadline = deadline_of(self._device, endpoint)
+            claimed = claim(order["out"])
+        except Refused as refused:
+            refuse(str(refused))
+            self._go_on(TURN)
+            return
+        if hasattr(self._device, "turn"):
+            self._device.turn(scene, again=order.get("again", False))
+        k = shell.counts.last + shell.endpoint.every
+        why = ", ".join(f"{name}={value}" for name, value in order["knobs"].items()) or "the scene's own knobs"
+        shell.recorder.note(Event(shell.counts.ran, "turned", why))
+        shell.recorder.close()
+        self._folder.go_on(claimed)
+        self._folder.keep()
+        recorder = self._record(scene, knobs)
+        recorder.begin(shell.device.force_source)
+        endpoint.session.manifest = manifest
+        if deadline is not None:
+            endpoint.guard.lapse_after(deadline)
+        endpoint.join(k, TURN)
+        shell.go_on(endpoint, recorder, EndCounts(last=shell.counts.last, first=k, ran=shell.counts.last))
+        self._record_hand()
+        self._met, self._turned = endpoint.session.met, True
+        self._align(order.get("align"))
+        tell("turned", k=k, out=order["out"])
+
+    def _record_hand(self) -> None:
+        if hasattr(self._device, "record"):
+            self._device.record(self._folder.path)
+
+    def _align(self, to: list[float] | None) -> None:
+        if hasattr(self._device, "align"):
+            self._device.align(None if to is None else tuple(map(float, to)))
+
+
+def _check_alike(before: Scene, after: Scene) -> None:
+    """Refuse a scene that the running end cannot go on with: its grid of ticks and its axes stay."""
+    if (before.dt_ns, before.axes) != (after.dt_ns, after.axes):
+        raise Refused(f"a turn keeps the tick and the axes of the run, dt={before.dt:g} s and {before.axes}, and this "
+                      f"one asks for dt={after.dt:g} s and {after.axes}; start both ends anew for that")

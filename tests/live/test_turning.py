@@ -1,0 +1,223 @@
+"""Orders to running ends: a turn to another law, link or environment, and the clutch; one run tells of all of them."""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop.__main__ import main
+from teleop.live.orders import OF_THE_RELAY, SHAPES, Orders
+from teleop.live.records.merge import load_result, merge, scene_of
+from teleop.live.records.record import read_events
+from tests.live.ordered import Ordered
+
+KNOBS = {"duration": "120"}
+
+
+class Story:
+    """What was ordered of one run, and the folders of its parts by what they were turned to."""
+
+    def __init__(self, out: Path) -> None:
+        self.parts: dict[str, Path] = {"start": out / "01"}
+        self.clutch: dict[str, int] = {}
+        run = self.run = Ordered("hard_wall", out, KNOBS)
+        try:
+            run.happens("ms", "met")
+            for e in "ms":  # the hand presses the wall
+                run.event(e, lambda event: event["event"] == "live" and event["f"] > 1.0)
+            since = run.now()
+            self.parts["pp"] = run.turn(law="wave_position", link="delay(0.02) | uniform(0.01)")
+            run.happens("ms", "released", since)
+            self.halves(run)
+            self.pause(run)
+            self.refuse(run)
+            since = run.now()
+            run.turn(law="wave")
+            run.turn(law="p_d")
+            self.parts["newest"] = run.turn(law="wave", k_e="500")
+            run.happens("ms", "turned", since)
+            run.event("m", lambda event: event["event"] == "turned" and event["out"].startswith(
+                str(self.parts["newest"])), since["m"])
+            since = run.now()
+            run.happens("ms", "released", since)
+        finally:
+            run.close()
+
+    def halves(self, run: Ordered) -> None:
+        """One end is turned, and the other well after it."""
+        since = run.now()
+        self.parts["halves"] = run.turn("cm", law="pd_d")
+        run.happens("m", "turned", since)
+        self.alone = [each for each in run.events["m"][since["m"]:] if each.get("what") == "met"]
+        run.turn("s", law="pd_d")
+        run.happens("ms", "released", since)
+
+    def pause(self, run: Ordered) -> None:
+        """The clutch is opened, and closed again."""
+        since = run.now()
+        run.order("ms", order="clutch", open=True)
+        run.happens("ms", "safe", since)
+        since = run.now()
+        for e in "ms":
+            self.clutch[f"open {e}"] = run.event(e, lambda event: event["event"] == "live", since[e])["k"]
+            quiet = run.event(e, lambda event, e=e: event["event"] == "live" and (  # type: ignore[misc]
+                event["k"] > self.clutch[f"open {e}"] + 200), since[e])
+            self.clutch[f"close {e}"] = quiet["k"]
+            assert quiet["f"] == 0.0
+        self.met_while_open = [each for e in "ms" for each in run.events[e][since[e]:] if each.get("what") == "met"]
+        run.order("ms", order="clutch", open=False)
+        run.happens("ms", "released", since)
+
+    def refuse(self, run: Ordered) -> None:
+        """Orders that cannot be carried out, and lines that are none."""
+        since = run.now()
+        run.order("ms", order="turn", knobs={**KNOBS, "law": "no_such_law"}, out="nowhere")
+        run.order("ms", order="turn", knobs={**KNOBS, "dt": "0.002"}, out="nowhere")
+        run.order("c", order="turn", knobs={"law": "no_such_law"})
+        run.order("m", '{"order": "fly"}')
+        run.order("s", "what is this")
+        run.happens("c", "refused", since)
+        for e in "ms":
+            run.event(e, lambda event: "no_such_law" in event.get("sentence", ""), since[e])
+            run.event(e, lambda event: "a turn keeps the tick" in event.get("sentence", ""), since[e])
+        run.happens("ms", "released", since)  # the ends go on with what they had
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory: pytest.TempPathFactory) -> Story:
+    return Story(tmp_path_factory.mktemp("turned"))
+
+
+def _column(folder: Path, name: str) -> tuple[Any, Any]:
+    trace = load_result(folder).trace
+    return np.rint(np.asarray(trace["t"]) * 1e3).astype(int), np.asarray(trace[name])
+
+
+@pytest.mark.live
+def test_each_turn_has_a_record_of_its_own_and_says_what_it_was_turned_to(story: Story) -> None:
+    for name, law in (("start", "Wave("), ("pp", "WavePosition("), ("halves", "PdD"), ("newest", "Wave(")):
+        for end in ("master", "slave"):
+            scene = scene_of(story.parts[name] / end)
+            assert str(scene.law).lower().replace("_", "").startswith(law.lower()), name
+    assert scene_of(story.parts["newest"] / "slave").knobs["k_e"] == 500.0
+    last = [each for each in read_events(story.parts["start"] / "master") if each["what"] == "turned"]
+    assert "law=wave_position" in last[0]["why"]
+
+
+@pytest.mark.live
+def test_the_parts_follow_each_other_on_one_grid_of_ticks(story: Story) -> None:
+    for e in ("master", "slave"):
+        spans = [_column(folder / e, "t")[0] for folder in sorted(story.run.out.iterdir()) if (folder / e).is_dir()]
+        for before, after in pairwise(spans):
+            assert before[-1] < after[0]
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_the_force_is_zero_at_a_turn_and_no_step_is_more_than_the_slew_limit(story: Story, e: str) -> None:
+    end = {"m": "master", "s": "slave"}[e]
+    last = 0.0
+    for folder in sorted(story.run.out.iterdir()):
+        ticks, force = _column(folder / end, f"f_{e}")
+        if folder.name != "01":
+            assert last == 0.0
+            assert force[0] == 0.0
+        steps = np.abs(np.diff(force)) / np.diff(ticks)  # N a tick, ticks that were left out counted
+        assert steps.max(initial=0.0) <= 2.0 + 1e-9  # 2000 N/s
+        last = force[-1] if folder.name != f"{story.run.part:02}" else 0.0
+
+
+@pytest.mark.live
+def test_the_law_of_every_part_is_replayed_to_the_bit(story: Story) -> None:
+    for name in ("start", "pp", "halves", "newest"):
+        assert main(["replay", str(story.parts[name] / "master"), str(story.parts[name] / "slave")]) == 0, name
+
+
+@pytest.mark.live
+def test_the_two_records_of_a_part_make_one_run(story: Story) -> None:
+    for name in ("start", "pp", "halves", "newest"):
+        master, slave = (story.parts[name] / end for end in ("master", "slave"))
+        result = merge(scene_of(master), master, slave)
+        assert result.status == "ok" if name != "newest" else "stopped"
+        assert len(result.trace["t"]) > 100
+    assert "was turned to" in merge(scene_of(story.parts["pp"] / "master"), story.parts["pp"] / "master",
+                                    story.parts["pp"] / "slave").sentence
+
+
+@pytest.mark.live
+def test_an_end_that_was_turned_first_begins_no_session_before_the_other_is_turned_too(story: Story) -> None:
+    assert story.alone == []
+
+
+@pytest.mark.live
+def test_no_session_begins_while_the_clutch_is_open(story: Story) -> None:
+    assert story.met_while_open == []
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_there_is_no_force_while_the_clutch_is_open(story: Story, e: str) -> None:
+    ticks, force = _column(story.parts["halves"] / {"m": "master", "s": "slave"}[e], f"f_{e}")
+    inside = (ticks > story.clutch[f"open {e}"]) & (ticks < story.clutch[f"close {e}"])
+    assert np.count_nonzero(inside) > 50
+    assert not force[inside][60:].any()  # the ramp takes 50 ticks
+
+
+@pytest.mark.live
+def test_positions_count_anew_when_the_clutch_is_closed(story: Story) -> None:
+    for end in ("master", "slave"):
+        begun = [each["k"] for each in read_events(story.parts["halves"] / end) if each["what"] == "session"]
+        assert any(k > story.clutch[f"close {end[0]}"] for k in begun)
+
+
+@pytest.mark.live
+def test_a_master_whose_orders_end_leaves_in_order(story: Story) -> None:
+    for who in "ms":
+        done = story.run.event(who, lambda event: event["event"] == "done")
+        assert done["summary"]["status"] == "stopped"
+    assert story.run.processes["m"].returncode == 0
+    assert "gave it orders" in story.run.event("m", lambda event: event["event"] == "done")["summary"]["sentence"]
+
+
+def _taken(lines: bytes, shapes: dict[str, Any] = SHAPES) -> list[dict[str, Any]]:
+    reads, writes = os.pipe()
+    got: list[dict[str, Any]] = []
+    orders = Orders(shapes, got.append, reads)
+    try:
+        orders.read()  # there is nothing yet
+        for i in range(0, len(lines), 7):  # in pieces, as a pipe may give them
+            os.write(writes, lines[i : i + 7])
+            orders.read()
+        assert not orders.over
+        os.close(writes)
+        orders.read()
+        assert orders.over
+    finally:
+        os.close(reads)
+    return got
+
+
+def test_orders_come_whole_however_the_pipe_cuts_them() -> None:
+    lines = b'{"order": "hand", "to": [0.01]}\n{"order": "hand", "to": null}\n{"order": "clutch", "open": true}\n'
+    assert [each["order"] for each in _taken(lines)] == ["hand", "hand", "clutch"]
+
+
+@pytest.mark.parametrize("line", [
+    b"", b"{", b"[]", b"null", b'{"order": 3}', b'{"order": "hand"}', b'{"order": "hand", "to": ["x"]}',
+    b'{"order": "hand", "to": [NaN]}', b'{"order": "turn", "knobs": {}, "out": 7}', b'{"order": "clutch", "open": 1}',
+    b"\xff\xfe", b"[" * 5000, b"x" * 200_000,
+])
+def test_a_line_that_is_no_order_is_refused_in_a_sentence(line: bytes, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _taken(line + b'\n{"order": "clutch", "open": false}\n')[-1] == {"order": "clutch", "open": False}
+    said = capsys.readouterr().out.splitlines()
+    assert said
+    assert all('"refused"' in each for each in said)
+
+
+def test_the_relay_takes_a_turn_without_a_folder() -> None:
+    assert _taken(b'{"order": "turn", "knobs": {"delay": "0.1"}}\n', OF_THE_RELAY)[0]["knobs"] == {"delay": "0.1"}
