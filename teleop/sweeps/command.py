@@ -23,7 +23,7 @@ from teleop.sweeps.pictures.report import (
     write,
 )
 from teleop.terminal.answer import Answer
-from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
+from teleop.terminal.options import DONE, INTERRUPTED, complain, knobs_from
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import RowsProgress
 from teleop.terminal.table import facts
@@ -145,7 +145,7 @@ def carry_out(
     def tell(sentence: str) -> None:
         if line is not None and stream is not None:
             line.end()
-            print("teleop:", sentence, file=stream, flush=True)
+            complain(sentence, DONE)
 
     interrupted = False
     with _workers(cluster, tell) as pool:

@@ -148,9 +148,11 @@ def _warn(python: Callable[..., None], message: Warning | str, category: type[Wa
 
 def complain(sentence: str, code: int) -> int:
     """Say `sentence` on stderr; returns `code`."""
+    from teleop.terminal import colour
     from teleop.terminal.printable import printable
 
-    print("teleop:", printable(" ".join(sentence.splitlines())), file=sys.stderr)
+    ours = colour.painted("teleop:", colour.NOTICE if code == DONE else colour.BAD, sys.stderr)
+    print(ours, printable(" ".join(sentence.splitlines())), file=sys.stderr)
     return code
 
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import TextIO
 
 from teleop.errors import plural
+from teleop.terminal import colour
 from teleop.terminal.units import duration, grouped, two_digits
 
 Show = Callable[[float, str], None]  # how much is done, and a text
@@ -22,7 +23,7 @@ class Progress:
     """One line on `stream` that says how far something of size `total` has come.
 
     On a terminal the line is written over itself; elsewhere there is a plain line now and then, and none for
-    what takes no longer. There is no colour anywhere, so NO_COLOR has nothing to switch off.
+    what takes no longer. The safe state in its text is in a colour, where the terminal has any.
     """
 
     __slots__ = ("_first", "_line", "_total")
@@ -156,7 +157,7 @@ class _StatusLine:
             room = _columns(self._stream) - 1
             fitting = [text for text in (*[bar + texts[0]] * (room >= BAR_FROM), *texts) if len(text) <= room]
             line = (fitting or [texts[-1][:room]])[0]
-            self._stream.write("\r" + line.ljust(self._width))
+            self._stream.write("\r" + colour.live_line(line, self._stream) + " " * (self._width - len(line)))
             self._width = len(line)
         self._stream.flush()
 

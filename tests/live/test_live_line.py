@@ -37,6 +37,7 @@ class Terminal(io.StringIO):
 
 def shown(monkeypatch: pytest.MonkeyPatch, *ends: dict[str, Any], done: float = 5000.0) -> str:
     """What stands on a terminal of 80 columns of a run of 10,000 ticks, five seconds after its beginning."""
+    monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((80, 24)))
     stream = Terminal()
     progress = Progress(stream, 10_000)
