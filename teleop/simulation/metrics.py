@@ -128,7 +128,7 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
     out |= _summed(scene, trace, dt)
     for ledger in ("E_link", "E_port", "E_law"):
         if ledger in trace:
-            energy = trace[ledger]
+            energy = _begun(trace[ledger])
             out |= {f"{ledger}_min": float(energy.min()), f"{ledger}_end": float(energy[-1])}
     if "E_port_min" in out:
         out["energy_out"] = given_out(out["E_port_min"])
@@ -137,6 +137,13 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
             out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
     out |= {f"{g}_min": float(trace[g].min()) for g in ("g_m", "g_s") if g in trace}
     return out
+
+
+def _begun(energy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A ledger without the NaN that it begins with where a live run ended with another session than it began with."""
+    import numpy as np
+
+    return energy[np.argmin(np.isnan(energy)):] if np.isnan(energy[0]) else energy
 
 
 def of_plan(way: str, play: Sequence[int], dt: float) -> dict[str, float]:

@@ -345,10 +345,13 @@ def test_what_two_ends_counted_that_ran_together_is_told(tmp_path: Path) -> None
     assert not any("without the other" in note for note in result.notes)
 
 
-def test_an_end_that_met_twice_in_the_ticks_of_both_has_no_ledger_of_it_all(tmp_path: Path) -> None:
+def test_two_ends_that_met_twice_have_the_link_energy_of_their_last_session_alone(tmp_path: Path) -> None:
     ends = [end_of(tmp_path / e, e, range(1000), LONG, counted=990) for e in ("m", "s")]
     result = merge(SCENE, *ends)
-    assert "E_link" not in result.trace
+    assert np.isnan(result.trace["E_link"][:700]).all()
+    assert np.isfinite(result.trace["E_link"][700:]).all()
+    assert "E_link_min" in result.metrics
+    assert any("E_link is that of the last session, from t = 0.700 s on" in note for note in result.notes)
     assert result.packets["fwd"].sent == 990
 
 

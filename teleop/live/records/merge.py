@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,9 +106,10 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(prepared := prepare(scene), records)
     within = span[1:]  # at its first tick there is nothing yet that another session has summed up
-    again = any(one.get("what") == "session" and one.get("k") in within for noted in events.values() for one in noted)
-    if again:
-        trace.makers.pop("E_link", None)  # each end's sums begin anew with a session, at a tick of its own
+    again = max((one["k"] for noted in events.values() for one in noted
+                 if one["what"] == "session" and one["k"] in within), default=0)
+    if again and "E_link" in trace:  # each end's sums begin anew with a session, at a tick of its own
+        trace.makers["E_link"] = partial(_from_tick, trace.makers["E_link"], trace.makers["t"], (again - 0.5) * scene.dt)
     came = _verdict(ends, prepared, trace, records, stepped)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = [*[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
@@ -124,12 +126,20 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
     extra = {**own, "channel": channel}
     if again:
-        notes.append("the two met anew in between, and their ledgers began anew: there is no E_link of it all")
+        notes.append("the two met anew in between, and their ledgers began anew: E_link is that of the last session, "
+                     f"from t = {again * scene.dt:.3f} s on")
     notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *faded(scene, trace), *came.notes,
               *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
     return Result.make(
         scene, seed=ours["seed"], mode=ours["mode"], status=came.status, sentence=came.sentence, ticks=len(trace["t"]),
         run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra, at_rest=came.at_rest)
+
+
+def _from_tick(column: Callable[[], Any], times: Callable[[], Any], t: float) -> Any:
+    """`column` from the time `t` (s) on, NaN before."""
+    out = column()
+    out[times() < t] = float("nan")
+    return out
 
 
 def needs_recovery(folder: Path) -> bool:
