@@ -109,7 +109,8 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     again = max((one["k"] for noted in events.values() for one in noted
                  if one["what"] == "session" and one["k"] in within), default=0)
     if again and "E_link" in trace:  # each end's sums begin anew with a session, at a tick of its own
-        trace.makers["E_link"] = partial(_from_tick, trace.makers["E_link"], trace.makers["t"], (again - 0.5) * scene.dt)
+        began = (again - 0.5) * scene.dt
+        trace.makers["E_link"] = partial(_from_time, trace.makers["E_link"], trace.makers["t"], began)
     came = _verdict(ends, prepared, trace, records, stepped)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = [*[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
@@ -135,7 +136,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra, at_rest=came.at_rest)
 
 
-def _from_tick(column: Callable[[], Any], times: Callable[[], Any], t: float) -> Any:
+def _from_time(column: Callable[[], Any], times: Callable[[], Any], t: float) -> Any:
     """`column` from the time `t` (s) on, NaN before."""
     out = column()
     out[times() < t] = float("nan")
