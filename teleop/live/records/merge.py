@@ -105,12 +105,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     if scene.link is None:
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(prepared := prepare(scene), records)
-    within = span[1:]  # at its first tick there is nothing yet that another session has summed up
-    again = max((one["k"] for noted in events.values() for one in noted
-                 if one["what"] == "session" and one["k"] in within), default=0)
-    if again and "E_link" in trace:  # each end's sums begin anew with a session, at a tick of its own
-        began = (again - 0.5) * scene.dt
-        trace.makers["E_link"] = partial(_from_time, trace.makers["E_link"], trace.makers["t"], began)
+    again = _in_last_session(trace, events, span, scene.dt)
     came = _verdict(ends, prepared, trace, records, stepped)
     own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = [*[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
@@ -134,6 +129,20 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     return Result.make(
         scene, seed=ours["seed"], mode=ours["mode"], status=came.status, sentence=came.sentence, ticks=len(trace["t"]),
         run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra, at_rest=came.at_rest)
+
+
+def _in_last_session(trace: Columns, events: dict[str, list[dict[str, Any]]], span: range, dt: float) -> int:
+    """Keep the link energy of the last session alone; the tick at which that began in `span`, 0 if there was one only.
+
+    Each end's sums begin anew with a session, at a tick of its own.
+    """
+    within = span[1:]  # at its first tick there is nothing yet that another session has summed up
+    again = max((one["k"] for noted in events.values() for one in noted
+                 if one["what"] == "session" and one["k"] in within), default=0)
+    if again and "E_link" in trace:
+        began = (again - 0.5) * dt
+        trace.makers["E_link"] = partial(_from_time, trace.makers["E_link"], trace.makers["t"], began)
+    return again
 
 
 def _from_time(column: Callable[[], Any], times: Callable[[], Any], t: float) -> Any:
