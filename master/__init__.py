@@ -20,14 +20,16 @@ if TYPE_CHECKING:
     from master.device import SimulatedMaster
     from master.hand import Grip, Reach, Rest, Sine
     from master.recording import Recording
+    from master.steered import SteeredMaster
 
 __all__ = [
-    "Grip", "Reach", "Recording", "Rest", "SimulatedMaster", "Sine",
+    "Grip", "Reach", "Recording", "Rest", "SimulatedMaster", "Sine", "SteeredMaster",
 ]
 _HOMES = {  # the module of each name, under this package
     "device": ("SimulatedMaster",),
     "hand": ("Grip", "Reach", "Rest", "Sine"),
     "recording": ("Recording",),
+    "steered": ("SteeredMaster",),
 }
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from teleop.physics.plant import grip_force, move_free, move_gripped
+from teleop.physics.plant import Plant, grip_force, move_free, move_gripped
 from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
-from teleop.simulation.bodies import held_master, master_plant, reference_samples
+from teleop.simulation.bodies import WHOLE, check_turn, held_master, master_plant, path_of
 from teleop.simulation.structure import structure_of
 
 
@@ -17,25 +18,26 @@ class SimulatedMaster:
 
     A force that is not renewed within its deadline lapses: the motion goes on without it.
     It has a force sensor if the scene's law reads f_h and the scene has no observer of it, and if the motion has an
-    inner state, since the hand's force cannot be computed afterwards then.
+    inner state, since the hand's force cannot be computed afterwards then; `senses`: it has one whatever the scene, or
+    none.
     """
 
     deadline = DEADLINE
     scene_body = True
+    whole = WHOLE  # ticks of a reference that is not sampled as it goes, see `teleop.simulation.bodies.path_of`
 
-    def __init__(self, scene: Scene) -> None:
-        has = structure_of(scene).m.has
-        self._held = held_master(scene) if has.inner else None
-        self._c: Any = master_plant(scene) if self._held is None else self._held.c
-        self._z = [None if self._held is None else self._held.start] * scene.axes
-        self._reference = reference_samples(scene)
-        self._x = list(scene.vector("start_m", scene.start_m))
-        self._v = [0.0] * scene.axes
-        self._f = [0.0] * scene.axes
-        self._dt = scene.dt_ns / 1e9
-        self._sensor = has.felt
-        self._k = self._renewed = 0
-        self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # ticks
+    def __init__(self, scene: Scene, senses: bool | None = None) -> None:
+        self._senses = senses
+        self._k = self._renewed = self._since = 0  # the tick, that of the newest force, and that of the scene's start
+        self._scene: Scene | None = None
+        self._held: Plant | None = None
+        self._x: list[float] = []
+        self._v: list[float] = []
+        self._f: list[float] = []
+        self._z: list[Any] = []
+        self._reference: tuple[Sequence[float], ...] | None = None
+        self._r, self._before = [0.0] * scene.axes, [0.0] * scene.axes  # the hand's reference at this tick and the last
+        self._take(scene, again=True)
 
     def read(self, k: int) -> Reading:
         """Position, velocity and hand force, the left limit at tick k. Ticks may be left out, not taken twice.
@@ -45,7 +47,7 @@ class SimulatedMaster:
         while self._k < k:
             if self._k - self._renewed >= self._lapse:
                 self._f = [0.0] * len(self._f)
-            self._move(self._k)
+            self._move()
             self._k += 1
         return Reading(tuple(self._x), tuple(self._v), self._hand() if self._sensor else None)
 
@@ -53,21 +55,73 @@ class SimulatedMaster:
         """Hold `force` (N, against the hand) from now on."""
         self._f, self._renewed = list(force), self._k
 
-    def _move(self, k: int) -> None:
-        for i, (x, v, f) in enumerate(zip(self._x, self._v, self._f, strict=True)):
+    def turn(self, scene: Scene, *, again: bool = False) -> None:
+        """Go on with the bodies and the hand of `scene`, at the same tick, from the same position and velocity.
+
+        The ticks are counted on, also those of the hand's own motion. `again`: at rest where the new scene starts, with
+        no force held, and the hand's own motion begins anew. Raises `Refused`, and changes nothing, where dt or axes
+        are others.
+        """
+        check_turn(self._scene, scene)
+        self._take(scene, again)
+
+    def _take(self, scene: Scene, again: bool) -> None:
+        """Be the master of `scene`; what it refuses, it refuses before anything is changed."""
+        has = structure_of(scene).m.has
+        held = held_master(scene) if has.inner else None
+        c: Any = master_plant(scene) if held is None else held.c
+        kept = self._keeps_path(scene)
+        reference = self._reference if kept else None if scene.hand is None else path_of(
+            scene.hand.reference, scene.axes, scene.ticks + 1, scene.dt_ns, self.whole)
+        goes_on = not again and self._held is not None and held is not None and held.move is self._held.move
+        x = list(scene.vector("start_m", scene.start_m))
+        self._z = self._z if goes_on else [None if held is None else held.start] * scene.axes
+        self._scene, self._held, self._c, self._reference = scene, held, c, reference
+        self._dt, self._lapse = scene.dt_ns / 1e9, max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # s, ticks
+        self._sensor = has.felt if self._senses is None else self._senses
+        if again:
+            self._x, self._v, self._f = x, [0.0] * scene.axes, [0.0] * scene.axes
+            self._since = self._renewed = self._k
+        if reference is None:
+            self._r = self._before = [0.0] * scene.axes
+        else:
+            self._settle(again, kept)
+
+    def _keeps_path(self, scene: Scene) -> bool:
+        """True if the hand's own motion is the same in `scene`, so that its samples serve on."""
+        old = self._scene
+        if old is None or old.hand is None or scene.hand is None or scene.ticks != old.ticks:
+            return False
+        try:
+            return bool(scene.hand.reference == old.hand.reference)
+        except ValueError:  # arrays have no one answer
+            return False
+
+    def _settle(self, again: bool, kept: bool) -> None:
+        """Find the hand's reference at this tick and the one before, having taken a scene; `kept`: it is the same."""
+        self._r, self._before = self._own(self._k), self._own(max(self._k - 1, self._since))
+
+    def _own(self, k: int) -> list[float]:
+        """The hand's own motion at tick k, m, per axis."""
+        assert self._reference is not None
+        k -= self._since
+        return [r[k] if k < len(r) else r[-1] for r in self._reference]
+
+    def _ahead(self) -> list[float]:
+        """The hand's reference at the next tick, m, per axis."""
+        return self._own(self._k + 1)
+
+    def _move(self) -> None:
+        """Move all axes over one tick, with the hand's reference."""
+        there = self._ahead() if self._reference is not None else self._r
+        for i, (x, v, f, r0, r1) in enumerate(zip(self._x, self._v, self._f, self._r, there, strict=True)):
             if self._held is not None:
-                r0, r1 = (0.0, 0.0) if self._reference is None else (self._at(i, k), self._at(i, k + 1))
                 self._x[i], self._v[i], self._z[i] = self._held.move(self._c, x, v, f, r0, r1, self._z[i])
             elif self._reference is None:
                 self._x[i], self._v[i], _ = move_free(self._c, x, v, -f)
             else:
-                self._x[i], self._v[i] = move_gripped(self._c, x, v, f, self._at(i, k), self._at(i, k + 1))
-
-    def _at(self, i: int, k: int) -> float:
-        """The hand's reference at tick k, m."""
-        assert self._reference is not None
-        r = self._reference[i]
-        return r[k] if k < len(r) else r[-1]
+                self._x[i], self._v[i] = move_gripped(self._c, x, v, f, r0, r1)
+        self._before, self._r = self._r, there
 
     def _hand(self) -> Axes:
         if self._reference is None:
@@ -75,9 +129,8 @@ class SimulatedMaster:
         return tuple([self._grip(i) for i in range(len(self._x))])
 
     def _grip(self, i: int) -> float:
-        k = self._k
-        r = self._at(i, k)
-        state = self._c, self._x[i], self._v[i], self._f[i], r, (r - self._at(i, k - 1)) / self._dt if k else 0.0
+        r = self._r[i]
+        state = self._c, self._x[i], self._v[i], self._f[i], r, (r - self._before[i]) / self._dt
         if self._held is None:
             return grip_force(*state)
-        return self._held.force(*state, self._z[i])
+        return float(self._held.force(*state, self._z[i]))

@@ -51,13 +51,13 @@ class Sine:
         vector("amplitude", self.amplitude)
         number("frequency", self.frequency, low=0.0)
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
-        """For each axis the position (m) at the ticks 0 .. count-1."""
+    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> tuple[array[float], ...]:
+        """For each axis the position (m) at the ticks first .. first+count-1."""
         if self.frequency * dt_ns > 0.5e9:
             raise Refused(f"a sine of {self.frequency:g} Hz is more than half the tick rate, {0.5e9 / dt_ns:g} Hz; "
                           "write a frequency of at most that, or a smaller dt")
         omega = 2.0 * pi * self.frequency
-        wave = array("d", (sin(omega * (k * dt_ns / 1e9)) for k in range(count)))
+        wave = array("d", (sin(omega * (k * dt_ns / 1e9)) for k in range(first, first + count)))
         return tuple(array("d", (a * y for y in wave)) for a in along("amplitude", self.amplitude, axes))
 
 
@@ -82,9 +82,9 @@ class Reach:
         number("duration", self.duration, above=0.0)
         vector("origin", self.origin)
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
-        """For each axis the position (m) at the ticks 0 .. count-1."""
-        times = ((k * dt_ns / 1e9 - self.start) / self.duration for k in range(count))
+    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> tuple[array[float], ...]:
+        """For each axis the position (m) at the ticks first .. first+count-1."""
+        times = ((k * dt_ns / 1e9 - self.start) / self.duration for k in range(first, first + count))
         path = array("d", (min(s * s * s * (10.0 + s * (6.0 * s - 15.0)), 1.0) if 0.0 < s < 1.0 else float(s > 0.0)
                            for s in times))
         ends = zip(along("origin", self.origin, axes), along("to", self.to, axes), strict=True)
@@ -101,8 +101,9 @@ class Rest:
     def __post_init__(self) -> None:
         vector("at", self.at)
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
-        """For each axis the position (m) at the ticks 0 .. count-1."""
+    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0
+                ) -> tuple[array[float], ...]:
+        """For each axis the position (m) at the ticks first .. first+count-1."""
         return tuple(array("d", [a]) * count for a in along("at", self.at, axes))
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from math import isfinite
+from operator import itemgetter
 from zlib import crc32
 
 from teleop.errors import Refused, number, number_of
@@ -38,16 +40,17 @@ class Recording:
         object.__setattr__(self, "_rows", rows)
         object.__setattr__(self, "crc", crc32(repr(rows).encode()))
 
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[array[float], ...]:
-        """For each axis the position (m) at the ticks 0 .. count-1."""
+    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> tuple[array[float], ...]:
+        """For each axis the position (m) at the ticks first .. first+count-1."""
         rows, scale = self._rows, float(self.scale)
         had = len(rows[0]) - 1
         if had not in (1, axes):
             raise Refused(f"{self.path} holds a motion along {had} axes, the scene has axes={axes}; set "
                           f"axes={had}, or keep only the columns t and x")
         out: tuple[array[float], ...] = tuple(array("d") for _ in range(had))
-        at, last = 0, len(rows) - 1  # rows[at] is the newest row that is not ahead of the tick
-        for k in range(count):
+        last = len(rows) - 1
+        at = max(0, bisect_right(rows, first * dt_ns / 1e9, key=itemgetter(0)) - 1)
+        for k in range(first, first + count):  # rows[at] is the newest row that is not ahead of the tick
             t = k * dt_ns / 1e9
             while at < last and rows[at + 1][0] <= t:
                 at += 1

@@ -24,6 +24,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, number
+from teleop.physics.path import Path, Speeds
 from teleop.physics.plant import Force, MassDamper, Move, Plant, bound
 
 
@@ -31,8 +32,8 @@ class Carried(NamedTuple):
     """The coefficients of `move_carried` and `carried_force`."""
 
     c: Any  # of the still environment
-    path: list[float]  # at the ticks 0 .. last, and the last place once more
-    speeds: list[float]  # on the left of the ticks 0 .. last, and 0 once more
+    path: Any  # at the ticks 0 .. last, and the last place once more: a list, or a `Path`
+    speeds: Any  # on the left of the ticks 0 .. last, and 0 once more: a list, or `Speeds`
     b: float
     last: int
 
@@ -41,7 +42,8 @@ def carried(plant: Plant, path: Sequence[float], body: MassDamper, dt: float) ->
     """`plant`, which is `body` in an environment that stays put, with that environment carried along `path`.
 
     `path` is where the environment is (m) at the ticks 0, 1, ..., added to the places that it has of its own:
-    one entry more than there are ticks. Whoever goes on beyond finds the environment resting at the last one.
+    one entry more than there are ticks. Whoever goes on beyond finds the environment resting at the last one. A
+    `teleop.physics.path.Path` is read as the body goes, and what is not finite in it comes out at its tick.
 
     `f_env` at a tick is the left limit, like all that is read there: the damper of an environment still feels
     the speed of the piece just ended. Before the first tick everything rests, so there that speed is 0,
@@ -55,6 +57,8 @@ def carried(plant: Plant, path: Sequence[float], body: MassDamper, dt: float) ->
     if told and len(signature(plant.move).parameters) < 6:
         raise Refused(f"a body with friction={body.friction:g} N is not followed in this environment while it moves: "
                       "friction is with the ground, not with what moves; write friction=0 or let it rest")
+    if isinstance(path, Path):
+        return _along(plant, Carried(plant.c, path, Speeds(path, dt), body.damping, len(path) - 1), told)
     places = list(path)
     if set(map(type, places)) != {float} or not all(map(isfinite, places)):
         places = [number(f"the path at tick {k}", place) for k, place in enumerate(places)]
@@ -63,7 +67,10 @@ def carried(plant: Plant, path: Sequence[float], body: MassDamper, dt: float) ->
     speeds = [0.0, *[(there - here) / dt for here, there in pairwise(places)], 0.0]
     if not all(map(isfinite, speeds)):
         raise Refused(f"the path moves faster than numbers go in ticks of dt={dt:g} s; check its units: m")
-    c = Carried(plant.c, [*places, places[-1]], speeds, body.damping, len(places) - 1)
+    return _along(plant, Carried(plant.c, [*places, places[-1]], speeds, body.damping, len(places) - 1), told)
+
+
+def _along(plant: Plant, c: Carried, told: bool) -> Plant:
     if plant.start is None:
         return Plant(bound(move_carried, plant.move), bound(carried_force, plant.force), tuple(c), (0,))
     report = None if plant.report is None else partial(_report, plant.report)

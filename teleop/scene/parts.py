@@ -36,7 +36,12 @@ SHAPES = {  # of each part of a scene: the attributes that a run uses, and an ex
 
 
 class Reference(Protocol):
-    """The motion that a hand follows, or that carries an environment along."""
+    """The motion that a hand follows, or that carries an environment along.
+
+    One whose `samples` has a parameter `first` more, 0 if it is left out, gives the positions at the ticks first ..
+    first+count-1: a live end then samples it as it goes. Of one without it a live end takes the first 3.6 million
+    samples, an hour at 1 kHz, and after that it stays where it is.
+    """
 
     def samples(self, axes: int, count: int, dt_ns: int) -> tuple[Sequence[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.errors import Refused
+from teleop.errors import Refused, number_of
+from teleop.physics.path import Blocks, Path
 from teleop.scene.parts import Environment, Reference
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
     from teleop.physics.plant import Force, MassDamper, Move, Plant
+
+
+WHOLE = 3_600_000  # ticks, an hour at 1 kHz: so much of a reference that is sampled as a whole, before a run begins
 
 
 class Held(NamedTuple):
@@ -83,18 +88,21 @@ def held_master(scene: Scene) -> Plant:
     return relaxing_master(scene.master, *grip, dt, b_e=scene.electrical.b, cutoff=scene.electrical.cutoff)
 
 
-def slave_plants(scene: Scene) -> list[Plant]:
-    """The slave's motion in what it touches, for each axis."""
+def slave_plants(scene: Scene, *, as_it_goes: bool = False) -> list[Plant]:
+    """The slave's motion in what it touches, for each axis.
+
+    `as_it_goes`: the path of what moves is sampled while the slave does, see `path_of`, and not all of it before.
+    """
     body = scene.slave
     if body is None:
         return []
-    plants = [_slave(scene, body, one) for one in scene.environments]
+    plants = [_slave(scene, body, one, as_it_goes) for one in scene.environments]
     if any(plant.start is not None for plant in plants):  # they share the lines of the tick
         return [plant if plant.start is not None else with_inner(plant) for plant in plants]
     return plants
 
 
-def _slave(scene: Scene, body: MassDamper, environment: Environment | None) -> Plant:
+def _slave(scene: Scene, body: MassDamper, environment: Environment | None, as_it_goes: bool) -> Plant:
     """The slave in one environment, which may be carried along a path."""
     dt = scene.dt_ns / 1e9
     path: Reference | None = getattr(environment, "path", None)
@@ -111,7 +119,8 @@ def _slave(scene: Scene, body: MassDamper, environment: Environment | None) -> P
         return plant
     from teleop.physics.carried import carried
 
-    places, = path.samples(1, scene.ticks + 1, scene.dt_ns)
+    sampled = path_of if as_it_goes else _whole
+    places, = sampled(path, 1, scene.ticks + 1, scene.dt_ns)
     return carried(plant, places, body, dt)
 
 
@@ -146,3 +155,30 @@ def reference_samples(scene: Scene) -> tuple[Sequence[float], ...] | None:
     if scene.hand is None:
         return None
     return scene.hand.reference.samples(scene.axes, scene.ticks + 1, scene.dt_ns)
+
+
+def path_of(reference: Reference, axes: int, count: int, dt_ns: int, most: int = WHOLE) -> tuple[Sequence[float], ...]:
+    """A reference at the ticks 0 .. count-1, for each axis, to be read in the order of the ticks and as it is needed.
+
+    One whose `samples` takes `first` is sampled a block at a time. Of one without it `most` samples are taken here, and
+    after these it stays where it is.
+    """
+    if "first" in signature(reference.samples).parameters:
+        blocks = Blocks(lambda first, some: reference.samples(axes, some, dt_ns, first=first))  # type: ignore[call-arg]
+        paths = tuple([Path(blocks, axis, count) for axis in range(axes)])
+        for path in paths:  # what it refuses, it refuses here
+            path[0]
+        return paths
+    return _whole(reference, axes, min(count, most), dt_ns)
+
+
+def _whole(reference: Reference, axes: int, count: int, dt_ns: int) -> tuple[Sequence[float], ...]:
+    return reference.samples(axes, count, dt_ns)
+
+
+def check_turn(old: Scene | None, new: Scene) -> None:
+    """Refuse that a simulated device goes on with a scene whose ticks or axes are others; None: it has had no scene."""
+    if old is not None and (old.dt_ns, old.axes) != (new.dt_ns, new.axes):
+        was, to = (f"dt={scene.dt:g} s and {number_of(scene.axes, 'axis', 'axes')}" for scene in (old, new))
+        raise Refused(f"a simulated device goes on with another scene in the same ticks and axes: it has {was}, and "
+                      f"scene {new.name} has {to}; take one with the same dt and axes, or start the end anew")

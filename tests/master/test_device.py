@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from master.device import SimulatedMaster
 from master.hand import Grip, Reach, Sine
+from teleop.errors import Refused
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
@@ -139,3 +140,81 @@ def test_a_force_that_is_renewed_at_every_tick_never_lapses_however_long_a_tick_
         device.hold((1.5,))
         still.read(k)
     assert device.read(3) != still.read(3)
+
+
+# -- turning to another scene -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("other", [
+    {"law": Wave()}, {"master": MassDamper(mass=0.3, damping=2.0)}, {"hand": replace(HAND, k=90.0)}, {"hand": None},
+    {"master": MassDamper(mass=0.1, friction=0.4)},
+], ids=["another law", "another body", "another hand", "no hand", "friction"])
+def test_turned_to_another_scene_it_goes_on_from_the_same_place_and_speed_to_the_bit(other: dict[str, Any]) -> None:
+    """And from then on it moves as a master of that scene does from there, under the same reference."""
+    device = SimulatedMaster(scene())
+    held = forces(200)
+    readings(device, held[:90])
+    before = device.read(90)
+    device.turn(scene(**other))
+    assert device.read(90)[:2] == before[:2]
+    fresh = SimulatedMaster(scene(**other))
+    fresh.read(90)
+    fresh._x, fresh._v, fresh._f = list(before.x), list(before.v), list(held[89])
+    for k in range(91, 200):
+        assert device.read(k) == fresh.read(k)
+        device.hold(held[k])
+        fresh.hold(held[k])
+
+
+def test_started_again_it_is_at_rest_at_the_new_scenes_start_and_its_hand_begins_anew() -> None:
+    device, fresh = SimulatedMaster(scene()), SimulatedMaster(scene(start_m=0.02))
+    readings(device, forces(101))
+    device.turn(scene(start_m=0.02), again=True)
+    assert device.read(100) == fresh.read(0) == device.read(100)
+    assert [device.read(100 + k) for k in range(250)] == [fresh.read(k) for k in range(250)]
+
+
+@pytest.mark.parametrize(("other", "said"), [
+    ({"dt": 2e-3}, r"it has dt=0.001 s and 1 axis, and scene scene has dt=0.002 s and 1 axis"),
+    ({"axes": 3, "environment": (None,) * 3}, "dt=0.001 s and 3 axes"),
+])
+def test_a_turn_to_other_ticks_or_axes_is_refused_and_changes_nothing(other: dict[str, Any], said: str) -> None:
+    device, alone = SimulatedMaster(scene()), SimulatedMaster(scene())
+    device.read(20)
+    with pytest.raises(Refused, match=said):
+        device.turn(scene(**other))
+    assert device.read(60) == alone.read(60)
+
+
+def test_a_turn_to_what_has_no_exact_step_changes_nothing() -> None:
+    device, alone = SimulatedMaster(scene()), SimulatedMaster(scene())
+    device.read(20)
+    with pytest.raises(Refused, match="no finite step"):
+        device.turn(scene(law=Wave(), hand=replace(HAND, k=1e308), master=MassDamper(mass=1e-9)))
+    assert device.read(60) == alone.read(60)
+
+
+def test_a_sensor_may_be_asked_for_or_be_done_without() -> None:
+    assert SimulatedMaster(scene(law=Wave()), senses=True).read(5).f == SimulatedMaster(scene()).read(5).f
+    assert SimulatedMaster(scene(), senses=False).read(5).f is None
+
+
+class Known:
+    """A reference that can be sampled from any tick on, and notes how many samples were asked of it at most at once."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> tuple[Any, ...]:
+        self.asked.append(count)
+        return HAND.reference.samples(axes, count, dt_ns, first=first)  # type: ignore[call-arg]
+
+
+def test_a_run_of_a_day_begins_with_few_samples_and_moves_as_a_short_one_does() -> None:
+    reference = Known()
+    day = SimulatedMaster(scene(hand=replace(HAND, reference=reference), duration=86_400.0))
+    assert sum(reference.asked) < 1000
+    short = SimulatedMaster(scene(duration=2.0))
+    assert [day.read(k) for k in range(2000)] == [short.read(k) for k in range(2000)]
+    assert max(reference.asked) < 1000
+    assert sum(reference.asked) < 3000

@@ -1,0 +1,187 @@
+"""Steered master: a simulated master whose hand goes where it is told to, by a pointer for example."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, exp, expm1, hypot
+from pathlib import Path
+from typing import NamedTuple
+
+from master.device import SimulatedMaster
+from master.hand_record import HandWriter
+from teleop.errors import Refused, number, number_of
+from teleop.scene.scene import Scene
+
+BANDWIDTH = 30.0  # rad/s: the reference follows a slow motion of the target by 2/30 s = 67 ms
+MOST_SPEED = 1.0  # m/s
+WORKSPACE = 10.0  # m from 0, in each axis
+WHOLE_S = 60.0  # s of a scene's own motion that cannot be sampled as it goes
+NEAR, SLOW, ENOUGH = 5e-4, 5e-3, 0.6  # m, m/s, s: when an alignment is over
+
+
+class Follower(NamedTuple):
+    """One tick of a critically damped second-order filter, in closed form: `following` makes it.
+
+    The reference r goes towards a target p, which stays where it is within the tick: with w = r',
+
+        r'' = omega^2 (p - r) - 2 omega r'.
+
+    With y = r - p both roots are -omega, so y(t) = (y0 + (w0 + omega y0) t) exp(-omega t), and with e = p - r0,
+    h = omega dt, E = exp(-h), after a tick
+
+        r1 = r0 + (1 - (1 + h) E) e + dt E w0,        w1 = omega h E e + (1 - h) E w0.
+
+    Where p is further away than `reach` = 2 V/omega, V being the greatest speed, a point at that distance stands for
+    it. Then |e| <= 2 V/omega, so |w0| <= V gives |w1| <= (2 h + |1 - h|) E V, which is no more than V at any h > 0: the
+    speed stays below V. What is faster to begin with falls below it by the same step.
+    """
+
+    to: float  # of e in r1 - r0
+    on: float  # s, of w0 in r1 - r0
+    pull: float  # 1/s, of e in w1
+    keep: float  # of w0 in w1
+    reach: float  # m
+
+    def step(self, r: Sequence[float], w: Sequence[float], p: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Place (m) and speed (m/s) a tick later, per axis; the distance of all axes together is held to `reach`."""
+        e = [there - here for here, there in zip(r, p, strict=True)]
+        far = hypot(*e)
+        if far > self.reach:
+            e = [each * (self.reach / far) for each in e]
+        return ([here + self.to * each + self.on * speed for here, each, speed in zip(r, e, w, strict=True)],
+                [self.pull * each + self.keep * speed for each, speed in zip(e, w, strict=True)])
+
+
+def following(dt: float, bandwidth: float = BANDWIDTH, most_speed: float = MOST_SPEED) -> Follower:
+    """The `Follower` of ticks of dt (s), for a bandwidth omega (rad/s) and a greatest speed (m/s)."""
+    h = bandwidth * dt
+    decay = exp(-h)
+    return Follower(-expm1(-h) - h * decay, dt * decay, bandwidth * h * decay, (1.0 - h) * decay,
+                    2.0 * most_speed / bandwidth)
+
+
+class SteeredMaster(SimulatedMaster):
+    """Simulated master whose hand moves as the scene says until it is steered, and then where it is told to.
+
+    What is moved is the hand's reference, through a `Follower` of 30 rad/s and at most 1 m/s; the hand's spring and
+    damper pull the handle along, and the handle is pushed back, so that a force is seen. The reference and its speed go
+    on through every order, so neither place nor force jumps. An order holds from the tick that was read last. The
+    force between hand and handle is always sensed.
+
+    A scene's own motion whose `samples` has no `first` is taken for at most 60 s, and stays where it is then.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._follow = following(scene.dt_ns / 1e9)
+        self._own_motion = True  # the reference is the scene's, and no filter's
+        self._w = [0.0] * scene.axes  # the speed of the filtered reference, m/s
+        self._target: tuple[float, ...] | None = None  # of `steer`
+        self._steered = False
+        self._place: tuple[float, ...] | None = None  # of `align`
+        self._asked = 0  # the tick of that
+        self._writer: HandWriter | None = None
+        self.whole = max(1, round(WHOLE_S * 1e9) // scene.dt_ns)
+        super().__init__(_held_by_hand(scene), senses=True)
+
+    def steer(self, to: Sequence[float] | None) -> None:
+        """Move the hand's reference towards `to`, m, a finite number per axis within 10 m of 0.
+
+        None: the hand lets go. The reference then follows the handle itself, so the spring's force fades. Raises
+        `Refused`, and changes nothing, where `to` is no such place.
+        """
+        self._target = None if to is None else self._checked(to)
+        self._steered = True
+        self._leave_own()
+
+    def align(self, to: Sequence[float] | None) -> None:
+        """Bring the handle to `to` (m, as in `steer`) before anything else, until it is called with None.
+
+        After that the hand does again what it was told to, or what the scene says. See `aligned`.
+        """
+        self._place = None if to is None else self._checked(to)
+        self._asked = self._k
+        if to is not None:
+            self._leave_own()
+
+    @property
+    def aligned(self) -> bool:
+        """True if the handle is within 0.5 mm of the place of `align` and slower than 5 mm/s, or 0.6 s have passed.
+
+        The time is counted in ticks. False where it is not being aligned.
+        """
+        if self._place is None:
+            return False
+        off = hypot(*[x - p for x, p in zip(self._x, self._place, strict=True)])
+        return (off < NEAR and hypot(*self._v) < SLOW) or self._k - self._asked >= ceil(ENOUGH / self._dt)
+
+    def turn(self, scene: Scene, *, again: bool = False) -> None:
+        """As `SimulatedMaster.turn`; the hand goes on with what it was told to, and its reference moves without a jump.
+
+        Where it was told nothing yet and the scene's own motion is another, the reference goes over to that. `again`:
+        the hand moves as the scene says, until it is steered anew.
+        """
+        super().turn(_held_by_hand(scene), again=again)
+
+    def record(self, folder: Path | str | None) -> None:
+        """Write the reference to `folder`/hand.bin from this tick on, one row a tick; None: close what is written.
+
+        See `master.hand_record` for the file. Raises `OSError` where it cannot be begun; a disk that is full later
+        ends the record and not the motion: see `trouble`.
+        """
+        if self._writer is not None:
+            self._writer.add(self._k, self._r)
+            self._writer.close()
+        self._writer = None if folder is None else HandWriter(Path(folder), round(self._dt * 1e9), len(self._x))
+
+    @property
+    def trouble(self) -> str | None:
+        """Why the record of the hand stopped, as a sentence; None while nothing is wrong with it."""
+        return None if self._writer is None else self._writer.trouble
+
+    def _checked(self, to: Sequence[float]) -> tuple[float, ...]:
+        if isinstance(to, str) or not isinstance(to, Sequence) or len(to) != len(self._x):
+            raise Refused(f"the hand goes to a place with one number for each of "
+                          f"{number_of(len(self._x), 'axis', 'axes')}, in m, not {str(to)[:99]!r}; send for example "
+                          f"{[0.03] + [0.0] * (len(self._x) - 1)}")
+        place = tuple([number(f"to[{i}]", each) for i, each in enumerate(to)])
+        if not all(abs(each) <= WORKSPACE for each in place):
+            raise Refused(f"the hand reaches {WORKSPACE:g} m from 0 in each axis, and is told to go to {list(place)}; "
+                          "send a place within, in m")
+        return place
+
+    def _leave_own(self) -> None:
+        """Go on through the filter, with the speed that the scene's own motion has."""
+        if self._own_motion:
+            self._w = [(r - before) / self._dt for r, before in zip(self._r, self._before, strict=True)]
+            self._own_motion = False
+
+    def _settle(self, again: bool, kept: bool) -> None:
+        if again:
+            super()._settle(again, kept)
+            self._own_motion, self._steered, self._target, self._place = True, False, None, None
+        elif not kept:
+            self._leave_own()
+
+    def _ahead(self) -> list[float]:
+        if self._own_motion:
+            return self._own(self._k + 1)
+        if self._place is not None:
+            target: Sequence[float] = self._place
+        elif not self._steered:
+            target = self._own(self._k + 1)
+        else:
+            target = self._x if self._target is None else self._target
+        there, self._w = self._follow.step(self._r, self._w, target)
+        return there
+
+    def _move(self) -> None:
+        if self._writer is not None:
+            self._writer.add(self._k, self._r)
+        super()._move()
+
+
+def _held_by_hand(scene: Scene) -> Scene:
+    if scene.hand is None or not scene.hand.k > 0.0:
+        raise Refused(f"scene {scene.name} has no hand with a spring, by which an order could move the master; take a "
+                      "scene with one, for example canonical")
+    return scene

@@ -1,0 +1,407 @@
+"""The steered master: a hand that goes where it is told to, and the force that is felt on the way."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from math import exp, hypot, inf, nan
+from pathlib import Path
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from master.device import SimulatedMaster
+from master.hand import Grip, Reach, Rest, Sine
+from master.steered import BANDWIDTH, ENOUGH, MOST_SPEED, SteeredMaster, following
+from teleop.errors import Refused
+from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper
+from teleop.scene.scene import Scene
+
+BODY = MassDamper(mass=0.1, damping=0.5)
+HAND = Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=1.0))
+STILL = replace(HAND, reference=Rest())
+DAY = 86_400.0
+
+
+def scene(**other: Any) -> Scene:
+    return Scene(**{"law": Wave(), "hand": HAND, "master": BODY, "slave": BODY, "duration": DAY, **other})
+
+
+def felt(device: SteeredMaster, until: int, force: float = 0.0) -> list[tuple[float, float, float, float]]:
+    """Reference, place, speed and hand force of the first axis, from the next tick on; `force`: the motor's."""
+    out = []
+    for k in range(device._k + 1, until + 1):
+        device.hold((force,))
+        got = device.read(k)
+        assert got.f is not None
+        out.append((device._r[0], got.x[0], got.v[0], got.f[0]))
+    return out
+
+
+# -- the filter -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dt", [1e-6, 1e-3, 0.02, 0.1])
+def test_a_tick_of_the_filter_is_the_matrix_exponential_of_its_equation(dt: float) -> None:
+    """r'' = omega^2 (p - r) - 2 omega r', for a target that stays where it is within the tick; by mpmath, 40 digits."""
+    with mpmath.workdps(40):
+        omega = mpmath.mpf(BANDWIDTH)
+        exact = mpmath.expm(mpmath.matrix([[0, 1], [-omega**2, -2 * omega]]) * mpmath.mpf(dt))
+        for r, w, p in ((0.0, 0.0, 0.01), (0.02, -0.3, 0.03), (-0.01, 0.8, 0.04)):
+            y = exact * mpmath.matrix([mpmath.mpf(r) - mpmath.mpf(p), w])
+            there, speed = following(dt).step([r], [w], [p])
+            assert there[0] == pytest.approx(float(y[0] + mpmath.mpf(p)), rel=1e-14, abs=1e-17)
+            assert speed[0] == pytest.approx(float(y[1]), rel=1e-12, abs=1e-15)
+
+
+def test_many_ticks_of_the_filter_are_one_long_motion_of_its_equation() -> None:
+    def rate(_t: float, s: Any) -> list[float]:
+        return [s[1], BANDWIDTH**2 * (0.05 - s[0]) - 2.0 * BANDWIDTH * s[1]]
+
+    r, w, step = [0.0], [0.1], following(1e-3)
+    for _ in range(200):
+        r, w = step.step(r, w, [0.05])
+    end = solve_ivp(rate, (0.0, 0.2), (0.0, 0.1), method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+    assert (r[0], w[0]) == pytest.approx(tuple(end), abs=1e-11)
+
+
+@given(dt=st.sampled_from([1e-4, 1e-3, 1e-2, 0.05, 0.3]),
+       targets=st.lists(st.tuples(*[st.floats(-10.0, 10.0)] * 3), min_size=1, max_size=20),
+       ticks=st.integers(1, 40))
+def test_the_reference_never_goes_faster_than_a_metre_per_second(dt: float, targets: Any, ticks: int) -> None:
+    step, r, w = following(dt), [0.0] * 3, [0.0] * 3
+    for target in targets:
+        for _ in range(ticks):
+            before = r
+            r, w = step.step(r, w, target)
+            assert hypot(*w) <= MOST_SPEED * (1.0 + 1e-12)
+            assert hypot(*[b - a for a, b in zip(before, r, strict=True)]) <= MOST_SPEED * dt * (1.0 + 1e-12) + 1e-14
+
+
+def test_towards_a_place_far_away_it_comes_close_to_that_speed_and_arrives_without_going_beyond() -> None:
+    step, r, w, seen = following(1e-3), [0.0], [0.0], []
+    for _ in range(1500):
+        r, w = step.step(r, w, [1.0])
+        seen.append((r[0], w[0]))
+    assert max(speed for _, speed in seen) == pytest.approx(MOST_SPEED, rel=0.01)
+    assert max(place for place, _ in seen) <= 1.0
+    assert seen[-1] == pytest.approx((1.0, 0.0), abs=1e-5)
+
+
+def test_what_is_too_fast_to_begin_with_falls_below_the_limit() -> None:
+    step, r, w = following(1e-3), [0.0], [3.0]
+    for _ in range(300):
+        before = w
+        r, w = step.step(r, w, [10.0])
+        assert abs(w[0]) < max(abs(before[0]), MOST_SPEED + 1e-12)
+    assert abs(w[0]) <= MOST_SPEED
+
+
+# -- the device -------------------------------------------------------------------------------------------------------
+
+
+def test_until_it_is_steered_it_is_the_simulated_master_to_the_bit() -> None:
+    plain, steered = SimulatedMaster(scene(), senses=True), SteeredMaster(scene())
+    for k in range(700):
+        assert steered.read(k) == plain.read(k)
+        for device in (plain, steered):
+            device.hold((0.002 * k,))
+
+
+def test_steered_it_moves_as_master_and_hand_do_under_the_filtered_reference() -> None:
+    """M a + b v = k (r - x) + d (r' - v) - f_m with r straight between the ticks, integrated by DOP853."""
+    device = SteeredMaster(scene(hand=STILL))
+    device.hold((0.7,))
+    device.steer([0.03])
+    x, v, r, w = 0.0, 0.0, [0.0], [0.0]
+    for k in range(1, 60):
+        there, w = following(1e-3).step(r, w, [0.03])
+        slope = (there[0] - r[0]) / 1e-3
+
+        def rate(t: float, s: Any, r: float = r[0], slope: float = slope) -> list[float]:
+            return [s[1], (200.0 * (r + slope * t - s[0]) + 5.0 * (slope - s[1]) - 0.5 * s[1] - 0.7) / 0.5]
+
+        x, v = solve_ivp(rate, (0.0, 1e-3), (x, v), method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+        r = there
+        got = device.read(k)
+        device.hold((0.7,))
+        assert (got.x[0], got.v[0]) == pytest.approx((x, v), abs=1e-10)
+
+
+def test_ticks_that_are_left_out_are_caught_up() -> None:
+    every, some = SteeredMaster(scene()), SteeredMaster(scene())
+    for device in (every, some):
+        device.read(300)
+        device.steer([0.08])
+    step = {k: every.read(k) for k in range(301, 380)}
+    assert some.read(317) == step[317]
+    assert some.read(379) == step[379]
+
+
+def test_the_force_of_the_hand_is_sensed_whatever_the_law_reads() -> None:
+    assert SimulatedMaster(scene()).read(3).f is None
+    assert SteeredMaster(scene()).read(3).f is not None
+
+
+ORDERS = {
+    "steer": lambda device: device.steer([0.09]),
+    "let go": lambda device: device.steer(None),
+    "align": lambda device: device.align([0.0]),
+    "turn to the same hand": lambda device: device.turn(scene(environment=None)),
+    "turn to another motion of the hand": lambda device: device.turn(scene(hand=replace(HAND, reference=Rest(at=0.2)))),
+    "turn to a motion that begins here, at another speed": lambda device: device.turn(
+        scene(hand=replace(HAND, reference=Sine(amplitude=0.05, frequency=5.0)))),
+}
+
+
+@pytest.mark.parametrize("first", ["own", "steered", "let go", "aligned"])
+@pytest.mark.parametrize("order", ORDERS)
+def test_no_order_makes_the_force_of_the_hand_or_its_reference_jump(first: str, order: str) -> None:
+    """From tick to tick the force changes by no more than the filter's own acceleration makes it.
+
+    The reference's speed changes by at most (2 omega h + h omega) V = 0.09 m/s a tick, twice the limit's worth; the
+    force by the damper times that, by the spring times 1 m/s and by what the handle itself does.
+    """
+    device = SteeredMaster(scene())
+    device.read(200)
+    {"own": lambda: None, "steered": lambda: device.steer([0.02]), "let go": lambda: device.steer(None),
+     "aligned": lambda: device.align([0.01])}[first]()
+    device.hold((2.0,))
+    device.read(201)
+    before = felt(device, 230, 2.0)
+    ORDERS[order](device)
+    seen = [*before, *felt(device, 400, 2.0)]
+    most = max(abs(b[0] - a[0]) for a, b in pairwise(seen))
+    bends = max(abs(c[0] - 2.0 * b[0] + a[0]) for a, b, c in zip(seen, seen[1:], seen[2:], strict=False))
+    force = max(abs(b[3] - a[3]) for a, b in pairwise(seen))
+    assert most <= MOST_SPEED * 1e-3 * 1.001
+    assert bends <= 3.0 * BANDWIDTH * 1e-3 * MOST_SPEED * 1e-3
+    assert force <= 200.0 * 1e-3 + 5.0 * 0.09 + 0.1
+
+
+def test_the_test_before_would_see_a_jump_of_a_millimetre() -> None:
+    device = SteeredMaster(scene())
+    before = felt(device, 230)[-1]
+    device._r = [device._r[0] + 1e-3]
+    assert abs(device.read(230).f[0] - before[3]) > 1.0  # type: ignore[index]
+
+
+def test_a_hand_that_lets_go_has_no_force_soon_and_drives_nothing() -> None:
+    """The spring is drawn by 4 cm; let go, the force is gone within half a second and the handle comes to rest."""
+    device = SteeredMaster(scene(hand=STILL))
+    device.steer([0.05])
+    assert felt(device, 3000, 8.0)[-1][3] == pytest.approx(8.0, rel=1e-3)
+    device.steer(None)
+    seen = felt(device, 4500)
+    assert abs(seen[500][3]) < 0.02
+    assert abs(seen[-1][2]) < 1e-6, "at rest"
+    assert abs(seen[-1][3]) < 1e-5
+
+
+@settings(max_examples=25)
+@given(k=st.floats(1.0, 5e3), d=st.floats(0.0, 50.0), mass=st.floats(0.05, 2.0), b=st.floats(0.0, 5.0),
+       v=st.floats(-1.0, 1.0), off=st.floats(-0.02, 0.02))
+def test_let_go_in_any_motion_it_comes_to_rest(k: float, d: float, mass: float, b: float, v: float, off: float) -> None:
+    """Without damping of its own, too: a filter that follows the handle can only take energy out of it."""
+    device = SteeredMaster(scene(hand=Grip(mass=0.0, k=k, d=d, reference=Rest()), master=MassDamper(
+        mass=mass, damping=b)))
+    device._v, device._x = [v], [off]
+    device.steer(None)
+    least = 0.5 * mass * v * v + 0.5 * k * off * off
+    energies = [0.5 * mass * got.v[0] ** 2 + 0.5 * k * (device._r[0] - got.x[0]) ** 2
+                for got in map(device.read, range(0, 60_000, 200))]
+    assert max(energies) <= 1.5 * least + 1e-12
+    slow = 2.0 * mass * BANDWIDTH**2 / k  # of the slowest pole, about
+    assert energies[-1] <= max(0.01, exp(-60.0 / (slow + 1.0))) * least + 1e-12
+
+
+# -- aligning ---------------------------------------------------------------------------------------------------------
+
+
+def test_it_brings_the_handle_to_the_place_and_says_when_it_is_there() -> None:
+    device = SteeredMaster(scene(hand=replace(HAND, d=20.0, reference=Reach(to=0.05, duration=0.5))))
+    device.read(1000)
+    assert not device.aligned, "nothing was asked"
+    device.align([0.03])
+    assert not device.aligned
+    took = next(k for k in range(1001, 1700) if (device.read(k), device.aligned)[1])
+    assert took < 1600, "before its time is up"
+    assert device.read(took).x[0] == pytest.approx(0.03, abs=5e-4)
+    assert abs(device.read(took).v[0]) < 5e-3
+    device.align(None)
+    assert not device.aligned
+    assert device.read(3000).x[0] == pytest.approx(0.05, abs=1e-4), "the hand does again what the scene says"
+
+
+@pytest.mark.parametrize("every", [1, 7])
+def test_an_alignment_that_does_not_come_to_an_end_is_over_after_its_time_in_ticks(every: int) -> None:
+    device = SteeredMaster(scene(hand=STILL))
+    device.align([0.05])
+    for k in range(0, 700, every):
+        device.read(k)
+        device.hold((30.0,))  # which holds it back
+        assert device.aligned == (k >= round(ENOUGH * 1e3))
+
+
+def test_what_is_ordered_during_an_alignment_is_done_after_it() -> None:
+    device = SteeredMaster(scene(hand=STILL))
+    device.align([0.02])
+    device.read(300)
+    device.steer([0.07])
+    assert device.read(1500).x[0] == pytest.approx(0.02, abs=1e-4)
+    device.align(None)
+    assert device.read(4000).x[0] == pytest.approx(0.07, abs=1e-4)
+
+
+# -- turning ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_turn_keeps_place_speed_and_what_the_hand_was_told_to_the_bit() -> None:
+    turned, other = SteeredMaster(scene()), SteeredMaster(scene())
+    for device in (turned, other):
+        device.read(150)
+        device.steer([0.06])
+        device.read(220)
+        device.hold((1.0,))
+    before = turned.read(220)
+    turned.turn(scene(observer=None, duration=DAY))
+    assert turned.read(220) == before
+    assert [turned.read(k) for k in range(221, 300)] == [other.read(k) for k in range(221, 300)]
+
+
+def test_started_again_the_hand_moves_as_the_scene_says_from_its_start() -> None:
+    device, fresh = SteeredMaster(scene()), SteeredMaster(scene(start_m=0.01))
+    device.read(150)
+    device.steer([0.06])
+    device.align([0.03])
+    device.read(431)
+    device.hold((3.0,))
+    device.turn(scene(start_m=0.01), again=True)
+    assert [device.read(431 + k) for k in range(300)] == [fresh.read(k) for k in range(300)]
+    assert not device.aligned
+
+
+@pytest.mark.parametrize("to", [[0.1, 0.2], [], 0.1, "0", None, {"x": 1.0}])
+def test_a_place_with_other_axes_is_refused_with_one_that_is_right(to: Any) -> None:
+    device = SteeredMaster(scene())
+    if to is not None:
+        with pytest.raises(Refused, match=r"one number for each of 1 axis.*send for example \[0.03\]"):
+            device.steer(to)
+    with pytest.raises(Refused):
+        device.align([0.1, 0.2] if to is None else to)
+
+
+@pytest.mark.parametrize("to", [nan, inf, -inf, "x", None, True, 10.1, -1e300])
+def test_a_place_that_is_no_number_or_out_of_reach_is_refused_and_changes_nothing(to: Any) -> None:
+    device, other = SteeredMaster(scene()), SteeredMaster(scene())
+    for order in (device.steer, device.align):
+        with pytest.raises(Refused, match=r"to\[0\] must be|10 m from 0"):
+            order([to])
+    assert device.read(300) == other.read(300)
+
+
+@pytest.mark.parametrize("hand", [None, replace(HAND, k=0.0)], ids=["no hand", "no spring"])
+def test_a_scene_whose_hand_cannot_pull_is_refused_also_by_a_turn(hand: Any) -> None:
+    with pytest.raises(Refused, match="no hand with a spring"):
+        SteeredMaster(scene(hand=hand))
+    device, other = SteeredMaster(scene()), SteeredMaster(scene())
+    device.read(10)
+    with pytest.raises(Refused, match="no hand with a spring"):
+        device.turn(scene(hand=hand))
+    assert device.read(300) == other.read(300)
+
+
+def test_in_three_axes_each_goes_its_own_way_and_all_together_at_most_at_the_limit() -> None:
+    device = SteeredMaster(scene(axes=3, environment=(None,) * 3, hand=STILL))
+    device.steer([1.0, -2.0, 0.0])
+    steps = []
+    for k in range(1, 500):
+        before = list(device._r)
+        device.read(k)
+        steps.append(np.subtract(device._r, before))
+    assert max(np.linalg.norm(steps, axis=1)) == pytest.approx(1e-3, rel=0.01)
+    assert device._r[1] == pytest.approx(-2.0 * device._r[0])
+    assert device._r[2] == 0.0
+    assert device.read(8000).x == pytest.approx((1.0, -2.0, 0.0), abs=1e-6)
+
+
+# -- open-ended -------------------------------------------------------------------------------------------------------
+
+
+class Counted:
+    """A reference without `first`, which counts the samples that were asked of it."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+        self.asked += count
+        return tuple([[1e-6 * k for k in range(count)] for _ in range(axes)])
+
+
+def test_of_a_motion_that_cannot_be_sampled_as_it_goes_it_takes_a_minute() -> None:
+    reference = Counted()
+    device = SteeredMaster(scene(hand=replace(HAND, reference=reference)))
+    assert reference.asked == 60_000
+    device.read(61_000)
+    assert device._r[0] == pytest.approx(0.06 - 1e-6, rel=1e-9)
+    assert device._r == device._before, "it stays where it is"
+
+
+# -- its record -------------------------------------------------------------------------------------------------------
+
+
+def rows(path: Path, axes: int = 1) -> np.ndarray[Any, Any]:
+    data = path.read_bytes()
+    return np.frombuffer(data[data.index(b"\n") + 1:], dtype="<f8").reshape(-1, 1 + axes)
+
+
+def test_its_record_has_the_reference_of_every_tick_also_of_those_left_out(tmp_path: Path) -> None:
+    device = SteeredMaster(scene())
+    device.read(5)
+    device.record(tmp_path)
+    expected = [(5, device._r[0])]
+    device.steer([0.04])
+    for k in range(6, 900):
+        device.read(k)
+        expected.append((k, device._r[0]))
+    device.read(903)
+    device.record(None)
+    assert json.loads((tmp_path / "hand.bin").read_bytes().split(b"\n", 1)[0]) == {
+        "version": 1, "dt_ns": 1_000_000, "axes": 1}
+    got = rows(tmp_path / "hand.bin")
+    assert got[:, 0].tolist() == list(range(5, 904))
+    assert [tuple(row) for row in got[:len(expected)].tolist()] == expected
+
+
+def test_what_a_killed_process_leaves_of_it_is_all_but_the_last_quarter_second(tmp_path: Path) -> None:
+    device = SteeredMaster(scene())
+    device.record(tmp_path)
+    device.read(1130)
+    assert len(rows(tmp_path / "hand.bin")) == 1000
+
+
+def test_a_full_disk_ends_the_record_and_not_the_motion(tmp_path: Path) -> None:
+    device, other = SteeredMaster(scene()), SteeredMaster(scene())
+
+    class Full:
+        def write(self, _data: bytes) -> None:
+            raise OSError(28, "No space left on device")
+
+        def close(self) -> None:
+            pass
+
+    device.record(tmp_path)
+    assert device._writer is not None
+    device._writer._file.close()
+    device._writer._file = Full()  # type: ignore[assignment]
+    assert device.read(600) == other.read(600)
+    assert device.trouble == "the record of the hand stopped at row 250: No space left on device"
+    device.record(None)
