@@ -12,7 +12,7 @@ from contextlib import suppress
 from importlib import import_module
 from time import perf_counter, perf_counter_ns
 
-from teleop.terminal.commands import parser
+from teleop.terminal.commands import FIRST, parser
 from teleop.terminal.options import DONE, INTERRUPTED, guarded
 
 # Where each command is carried out: a function of the parsed arguments, which returns an `Answer`.
@@ -32,6 +32,7 @@ HOME = {
     "list": "teleop.terminal.listing:command",
     "show": "teleop.terminal.show:command",
     "doctor": "teleop.doctor:command",
+    "completion": "teleop.completion.command:command",
     "keygen": "teleop.live.command:keygen",
     "report": "teleop.report:command",
     "replay": "teleop.live.replay.command:command",
@@ -64,7 +65,9 @@ def _obey(typed: Sequence[str]) -> int:
     known = parser()
     args = known.parse_args(typed)
     if args.do is None:
-        known.print_help()
+        from teleop.terminal import colour
+
+        print(colour.answer(FIRST, sys.stdout), end="")
         return DONE
     from teleop.terminal.answer import say
 

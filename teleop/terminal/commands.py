@@ -16,6 +16,22 @@ from teleop.terminal.options import (
     whole,
 )
 
+FIRST = """\
+Move a robot far away and feel what it touches, although the network delays,
+jitters and loses: control laws for bilateral teleoperation, live and in
+virtual time.
+
+three things to try
+  teleop demo --page
+      in the browser: drag the master, press the wall, change law and delay
+  teleop demo
+      the same without a browser: ten seconds live, then a table and a record
+  teleop run soft_tissue --set law=direct --set delay=0.05
+      in virtual time: reflecting the force as it is diverges; law=wave stays
+
+all commands: teleop --help; all scenes, laws and effects: teleop list
+"""
+
 EXAMPLES = """\
 examples:
   teleop run hard_wall
@@ -297,6 +313,11 @@ def _keygen(added: ArgumentParser) -> None:
     _json(added)
 
 
+def _completion(added: ArgumentParser) -> None:
+    added.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish; the head of "
+                       "its script says where it belongs")
+
+
 COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "run": ("Run a scene in virtual time: the same seed gives the same bits.", _run),
     "demo": ("Run a scene live, slave, channel and master as three processes.", _demo),
@@ -322,6 +343,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "doctor": ("Show what is installed, what is kept, such as compiled kernels, and what the system gives a live end.",
                _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
+    "completion": ("Print the script with which a shell completes what is typed: commands, options, scenes, laws, "
+                   "knobs.", _completion),
     "report": ("Show a stored run or sweep again; --plot draws it.", _report),
     "replay": ("Run the law of each end of a live run again over what the end read and heard: the same to the bit, or "
                "where not; with --set, what another law would have commanded.", _replay),

@@ -168,7 +168,7 @@ def _knob(name: str, found: Declared) -> dict[str, Any]:
     default = found.default
     plain = default if isinstance(default, bool | int | float | str | None) else _shown(default)
     return {"name": name, "type": _kind(found.kind), "default": None if default is ... else plain,
-            "must_be_given": default is ..., "unit": knob.unit, "meaning": _meaning(found),
+            "must_be_given": default is ..., "unit": knob.unit, "meaning": meaning_of(found),
             "low": knob.low, "above": knob.above, "high": knob.high, "choices": list(knob.choices)}
 
 
@@ -203,10 +203,11 @@ def _shown(default: Any) -> str:
 
 def _remark(found: Declared) -> str:
     """Unit, meaning and bounds of a knob."""
-    return ", ".join(part for part in (found.knob.unit, _meaning(found), *_bounds(found.knob)) if part)
+    return ", ".join(part for part in (found.knob.unit, meaning_of(found), *_bounds(found.knob)) if part)
 
 
-def _meaning(found: Declared) -> str:
+def meaning_of(found: Declared) -> str:
+    """What a knob says that it is, or what all of its type are."""
     return found.knob.meaning or MEANINGS.get(_kind(found.kind), "")
 
 

@@ -22,6 +22,7 @@ from teleop import load_result, load_scene, run
 from teleop.__main__ import main
 from teleop.scene.library import ROOT
 from teleop.storage.folder import claim
+from teleop.terminal.commands import COMMANDS, parser
 
 SHORT = ("--set", "duration=0.2")
 
@@ -193,14 +194,35 @@ class TestDemo:
             assert typed("demo", "--plot").out.endswith("\nplot: runs/hard_wall-2/plot.png\n")
 
 
+class TestTheFirstWords:
+    """What `teleop` alone says."""
+
+    def test_fit_a_small_terminal_and_lead_to_the_rest(self, typed: Typed) -> None:
+        answer = typed()
+        assert (answer.code, answer.err) == (0, "")
+        lines = answer.out.splitlines()
+        assert len(lines) <= 20
+        assert max(map(len, lines)) < 80
+        assert "teleop --help" in lines[-1]
+
+    def test_are_three_things_to_try_that_can_be_typed(self, typed: Typed) -> None:
+        tried = [line.split()[1:] for line in typed().out.splitlines() if line.startswith("  teleop ")]
+        assert [words[0] for words in tried] == ["demo", "demo", "run"]
+        for words in tried[1:]:
+            assert parser().parse_args(words).scene
+
+    def test_say_of_the_third_what_it_comes_to(self) -> None:
+        assert run(load_scene("soft_tissue", law="direct", delay="0.05")).status == "diverged"
+        assert run(load_scene("soft_tissue", law="wave", delay="0.05")).status == "ok"
+
+
 class TestHelp:
-    def test_is_given_for_nothing_at_all_and_for_every_command(
-        self, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        assert main([]) == 0
+    def test_is_given_by_its_option_for_all_and_for_every_command(self, capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit):
+            main(["--help"])
         out = capsys.readouterr().out
-        for command in ("run", "demo", "list", "report"):
-            assert f"teleop {command}" in out
+        for command in COMMANDS:
+            assert f"\n    {command}" in out
             with pytest.raises(SystemExit) as ended:
                 main([command, "--help"])
             assert ended.value.code == 0

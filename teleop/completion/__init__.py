@@ -1,0 +1,1 @@
+"""`teleop completion`: a script with which bash, zsh or fish completes what is typed behind `teleop`."""
