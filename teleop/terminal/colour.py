@@ -18,6 +18,7 @@ GOOD, BAD, NOTICE, BOLD = "32", "31", "35", "1"  # green, red, magenta: SGR of E
 
 _OF = {"ok": GOOD, "stable": GOOD,
        "limit cycle": NOTICE, "stopped": NOTICE, "still running": NOTICE, "unsettled": NOTICE, "refused": NOTICE,
+       "poor": NOTICE,
        "unstable": BAD, "diverged": BAD, "unreleased": BAD}
 _STATUS = re.compile(rf"(?:(?<=  )|(?<=\d ))(?:{'|'.join(_OF)})(?=[:,;]|$|  )")  # a cell, or behind a count of them
 _LABEL = re.compile(r"(?:note|safe state|watchdog)(?= {3})")  # of a table of facts

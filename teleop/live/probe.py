@@ -1,0 +1,133 @@
+"""`python -m teleop.live.probe`: what this machine gives a live end, measured in a process like one; JSON on stdout.
+
+The timer and the loop are those of an end, without its work: first as all processes are scheduled, then with real-time
+scheduling where the system gives it. The datagrams go over loopback, through the sockets of an end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from teleop.live.net.wire import ROOM, STAMP, Wire
+from teleop.live.process.realtime import ask
+from teleop.live.process.tick_loop import in_tick_loop
+from teleop.live.process.ticker import Alarm
+from teleop.live.records.end_result import lateness, spread_us
+
+DT_NS = 1_000_000  # the tick of every scene that comes with the package
+TICKS = 900  # of each measurement of the timer
+TRIPS = 3000  # round trips
+MOST = 4000  # datagrams that are sent to see how many the receive buffer holds
+SIZE = 100  # bytes of a datagram, as those of a law in one axis
+GIVE_UP_NS = 50_000_000  # after which a datagram over loopback is lost
+
+
+@dataclass
+class _Ticks:
+    """The ticks that ran, and how late (ns)."""
+
+    start_ns: int
+    over: asyncio.Event
+    ran: list[int] = field(default_factory=list)
+    late: list[float] = field(default_factory=list)
+
+    def wake(self) -> None:
+        since = time.monotonic_ns() - self.start_ns
+        k = since // DT_NS
+        if not self.over.is_set() and k > (self.ran[-1] if self.ran else -1):
+            self.ran.append(k)
+            self.late.append(float(since - k * DT_NS))
+            if k >= TICKS - 1:
+                self.over.set()
+
+
+async def timer(told: dict[str, Any]) -> None:
+    """Tell how late the ticks of a second are, us; `left_out`: those that never ran, as the next was due by then."""
+    ticks = _Ticks(time.monotonic_ns() + 5 * DT_NS, asyncio.Event())
+    alarm = Alarm(asyncio.get_running_loop(), ticks.wake)
+    precise = alarm.precise
+    alarm.set(ticks.start_ns, DT_NS)
+    try:
+        await ticks.over.wait()
+    finally:
+        alarm.close()
+    spread = spread_us(lateness(ticks.ran, ticks.late, DT_NS))
+    told |= {"ticks": ticks.ran[-1] + 1, "left_out": ticks.ran[-1] + 1 - len(ticks.ran), "late_us": spread,
+             "precise": precise}
+
+
+def loopback() -> dict[str, Any]:
+    """Round trips between two sockets of this process (us), how many were lost, and what the receive buffer holds."""
+    here, there = _wire(), _wire()
+    try:
+        here.peer, there.peer = there.sock.getsockname(), here.sock.getsockname()
+        data, trips, lost = bytes(SIZE), [], 0
+        for _ in range(TRIPS):
+            began = time.monotonic_ns()
+            here.send(data)
+            if _come(there, began):
+                there.send(data)
+            if _come(here, began):
+                trips.append(float(time.monotonic_ns() - began))
+            else:
+                lost += 1
+        here.send(data)
+        stamps = any(kind == STAMP for _, kind, _ in _notes(there.sock))
+        for _ in range(MOST):
+            here.send(data)
+        held = 0
+        while there.receive() is not None:
+            held += 1
+        return {"sent": TRIPS, "lost": lost, "round_trip_us": spread_us(trips), "stamps": stamps,
+                "buffer": {"asked": ROOM, "given": there.sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF),
+                           "holds": held, "of": MOST}}
+    finally:
+        here.sock.close()
+        there.sock.close()
+
+
+def _wire() -> Wire:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind(("127.0.0.1", 0))
+    return Wire(sock, None)
+
+
+def _come(wire: Wire, began: int) -> bool:
+    """True if a datagram comes before it counts as lost."""
+    while wire.receive() is None:
+        if time.monotonic_ns() - began > GIVE_UP_NS:
+            return False
+    return True
+
+
+def _notes(sock: socket.socket) -> list[Any]:
+    """What the kernel says beside a datagram."""
+    try:
+        return sock.recvmsg(SIZE, 64)[1]
+    except OSError:  # it did not come
+        return []
+
+
+def measured() -> dict[str, Any]:
+    """All of it, as JSON can hold it; of the loopback that failed, its `error`."""
+    ordinary: dict[str, Any] = {}
+    first: dict[str, Any] = {}
+    in_tick_loop(timer(ordinary))
+    try:
+        over = loopback()
+    except OSError as error:
+        over = {"error": error.strerror or str(error)}
+    granted = ask()
+    if granted.priority is not None:
+        in_tick_loop(timer(first))
+    return {"scheduler": granted.scheduler, "memory": granted.memory, "ordinary": ordinary, "realtime": first or None,
+            "loopback": over}
+
+
+if __name__ == "__main__":
+    print(json.dumps(measured()))
