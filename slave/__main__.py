@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from slave.robot import SimulatedSlave
 from teleop.live.end import end_main
@@ -10,7 +11,7 @@ from teleop.live.end import end_main
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the slave's end; returns the exit code."""
-    return end_main("s", SimulatedSlave, argv)
+    return end_main("s", SimulatedSlave, argv, ordered=partial(SimulatedSlave, senses=True))
 
 
 if __name__ == "__main__":

@@ -56,6 +56,7 @@ class Turning:
         self._newest: dict[str, Any] | None = None  # the turn that came meanwhile
         self._met = 0  # sessions, when the turn was made
         self._turned = False  # is it made, and not released yet
+        self._aligning = False  # is the master on its way to where the next session begins
         self._record_hand()
 
     def take(self, order: dict[str, Any]) -> None:
@@ -108,7 +109,7 @@ class Turning:
             order, self._next = self._next, None
             self._turn(order)
         elif self._turned and TURN in self._waits:
-            if getattr(self._device, "aligned", True):
+            if not self._aligning or self._device.aligned:
                 self._go_on(TURN)
         elif self._turned and self._is_released():
             self._turned = False
@@ -166,8 +167,13 @@ class Turning:
             self._device.record(self._folder.path)
 
     def _align(self, to: list[float] | None) -> None:
-        if hasattr(self._device, "align"):
+        if not hasattr(self._device, "align"):
+            return
+        try:
             self._device.align(None if to is None else tuple(map(float, to)))
+            self._aligning = to is not None
+        except Refused as refused:
+            refuse(str(refused))
 
 
 def _check_alike(before: Scene, after: Scene) -> None:

@@ -55,13 +55,14 @@ class Ordered:
             pipe.write((json.dumps(order) if line is None else line) + "\n")
             pipe.flush()
 
-    def turn(self, who: str = "csm", **knobs: str) -> Path:
-        """Order a turn; the folder of the part that begins with it."""
+    def turn(self, who: str = "csm", align: float | None = None, *, again: bool = False, **knobs: str) -> Path:
+        """Order a turn; the folder of the part that begins with it. `align`: where the master is brought, m."""
         if "m" in who:
             self.part += 1
         part = self.out / f"{self.part:02}"
         for each in who:
-            more = {} if each == "c" else {"out": str(part / SHORT[each])}
+            more: dict[str, Any] = {} if each == "c" else {"out": str(part / SHORT[each]), "again": again}
+            more |= {} if each != "m" or align is None else {"align": [align]}
             self.order(each, order="turn", knobs={**self.knobs, **knobs}, **more)
         return part
 
@@ -80,6 +81,10 @@ class Ordered:
         """Wait until each of `who` tells of an event `what` (met, safe, released, ...)."""
         for each in who:
             self.event(each, lambda event: what in (event["event"], event.get("what")), (since or {}).get(each, 0))
+
+    def live(self, who: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Wait for live numbers from now on that show this."""
+        return self.event(who, lambda event: event["event"] == "live" and wanted(event), len(self.events[who]))
 
     def now(self) -> dict[str, int]:
         """How many events each has told of so far."""

@@ -16,7 +16,7 @@ from teleop.live.records.merge import load_result, merge, scene_of
 from teleop.live.records.record import read_events
 from tests.live.ordered import Ordered
 
-KNOBS = {"duration": "120"}
+KNOBS = {"duration": "86400"}
 
 
 class Story:
@@ -28,18 +28,21 @@ class Story:
         run = self.run = Ordered("hard_wall", out, KNOBS)
         try:
             run.happens("ms", "met")
-            for e in "ms":  # the hand presses the wall
-                run.event(e, lambda event: event["event"] == "live" and event["f"] > 1.0)
+            run.live("s", lambda event: event["f"] > 1.0)  # the hand presses the wall
             since = run.now()
-            self.parts["pp"] = run.turn(law="wave_position", link="delay(0.02) | uniform(0.01)")
+            self.wall = run.live("s", lambda event: event["f"] > 1.0)["x"]
+            self.parts["pp"] = run.turn(align=self.wall, law="wave_position", link="delay(0.02) | uniform(0.01)")
             run.happens("ms", "released", since)
+            self.pressed = run.live("m", lambda event: event["f"] > 1.0)
+            run.order("m", order="hand", to=[-0.02])
+            self.moved = run.live("m", lambda event: event["x"] < -0.005)
             self.halves(run)
             self.pause(run)
             self.refuse(run)
             since = run.now()
             run.turn(law="wave")
             run.turn(law="p_d")
-            self.parts["newest"] = run.turn(law="wave", k_e="500")
+            self.parts["newest"] = run.turn(again=True, law="wave", k_e="500")
             run.happens("ms", "turned", since)
             run.event("m", lambda event: event["event"] == "turned" and event["out"].startswith(
                 str(self.parts["newest"])), since["m"])
@@ -115,6 +118,25 @@ def test_the_parts_follow_each_other_on_one_grid_of_ticks(story: Story) -> None:
         spans = [_column(folder / e, "t")[0] for folder in sorted(story.run.out.iterdir()) if (folder / e).is_dir()]
         for before, after in pairwise(spans):
             assert before[-1] < after[0]
+
+
+@pytest.mark.live
+def test_a_master_that_is_brought_to_the_slave_feels_the_wall_again_under_the_next_law(story: Story) -> None:
+    begun = [each["k"] for each in read_events(story.parts["pp"] / "master") if each["what"] == "session"][-1]
+    ticks, x = _column(story.parts["pp"] / "master", "x_m")
+    assert abs(x[np.searchsorted(ticks, begun)] - story.wall) < 2e-3  # the slave goes on a little meanwhile
+    assert story.pressed["f"] > 1.0
+
+
+@pytest.mark.live
+def test_the_hand_goes_where_it_is_ordered_to(story: Story) -> None:
+    assert story.moved["x"] < -0.005
+
+
+@pytest.mark.live
+def test_what_begins_again_begins_where_the_scene_does(story: Story) -> None:
+    for end, e in (("master", "m"), ("slave", "s")):
+        assert _column(story.parts["newest"] / end, f"x_{e}")[1][0] == 0.0
 
 
 @pytest.mark.live
