@@ -41,7 +41,7 @@ from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.scene.trust import asks_for_trust
 from teleop.simulation.result import Result
-from teleop.terminal import colour
+from teleop.terminal import screen
 from teleop.terminal.options import (
     DONE,
     FAULT,
@@ -146,8 +146,8 @@ def _tell_result(args: Namespace, result: Result, folder: Path, command: list[st
         from teleop.terminal.run_table import table
 
         trust = " --trust" if asks_for_trust(args.scene, knobs_from(args)) else ""
-        print(colour.answer(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two "
-                            "ends together", sys.stdout))
+        print(screen.shown(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two "
+                           "ends together", sys.stdout))
 
 
 def _leaves_a_traceback(shell: Shell) -> bool:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.law import law_name
 from teleop.simulation.result import head, parameters
 from teleop.storage.strict_json import written
-from teleop.terminal import colour
 from teleop.terminal.options import DONE
 from teleop.terminal.printable import printable
+from teleop.terminal.screen import shown
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,14 +49,14 @@ class Answer(NamedTuple):
 
 
 def say(answer: Answer, *, json: bool) -> None:
-    """Print the answer: its document as one JSON object, or its text, in colours where the terminal has them.
+    """Print the answer: its document as one JSON object, or its text, in colours and folded on a terminal.
 
     What a terminal would obey, or its encoding does not know, is written out, and stops nothing.
     """
     text = written(answer.document) if json else answer.text
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     text = printable(text, lines=True).encode(encoding, "backslashreplace").decode(encoding)
-    print(text if json else colour.answer(text, sys.stdout))
+    print(text if json else shown(text, sys.stdout))
 
 
 def titled(scene: Scene) -> str:

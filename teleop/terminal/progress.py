@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from typing import TextIO
 
 from teleop.errors import plural
 from teleop.terminal import colour
+from teleop.terminal.screen import columns
 from teleop.terminal.units import duration, grouped, two_digits
 
 Show = Callable[[float, str], None]  # how much is done, and a text
@@ -154,7 +154,7 @@ class _StatusLine:
         else:
             filled = round(20 * part)
             bar = "[" + "#" * filled + "." * (20 - filled) + "]  "
-            room = _columns(self._stream) - 1
+            room = (columns(self._stream) or 80) - 1
             fitting = [text for text in (*[bar + texts[0]] * (room >= BAR_FROM), *texts) if len(text) <= room]
             line = (fitting or [texts[-1][:room]])[0]
             self._stream.write("\r" + colour.live_line(line, self._stream) + " " * (self._width - len(line)))
@@ -167,11 +167,3 @@ class _StatusLine:
             self._stream.write("\n")
             self._stream.flush()
             self._width = 0
-
-
-def _columns(stream: TextIO) -> int:
-    """The terminal's width; 80 where it cannot be told."""
-    try:
-        return os.get_terminal_size(stream.fileno()).columns or 80
-    except (OSError, ValueError):
-        return 80
