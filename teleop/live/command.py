@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 
 from teleop.terminal.answer import Answer
-from teleop.terminal.options import knobs_from
+from teleop.terminal.options import INTERRUPTED, knobs_from
 from teleop.terminal.plotting import asked_formats
 
 
@@ -19,6 +19,8 @@ def demo(args: Namespace) -> Answer:
                       json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime,
                       rate=args.rate, spin=args.spin)
     answer = answer_of(result, args.typed)
+    if result.status == "stopped":  # by a signal: a script that goes on with what the run came to must not
+        answer = answer._replace(code=INTERRUPTED)
     return answer if result.path is None else with_plot(answer, result, result.path, formats)
 
 
