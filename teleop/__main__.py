@@ -34,7 +34,7 @@ HOME = {
     "doctor": "teleop.doctor.command:command",
     "completion": "teleop.completion.command:command",
     "keygen": "teleop.live.command:keygen",
-    "report": "teleop.report:command",
+    "report": "teleop.report.command:command",
     "replay": "teleop.live.replay.command:command",
 }
 

@@ -13,7 +13,7 @@ from typing import IO, Any
 
 from teleop.errors import Refused, number_of
 from teleop.storage import strict_json as stored
-from teleop.storage.files import is_part, read_bytes
+from teleop.storage.files import is_part, open_regular, read_bytes
 from teleop.storage.folder import claim, lock, numbered
 from teleop.storage.strict_json import Misshapen, anything, each, either, named, parse, record, whole
 from teleop.sweeps.grid import plain
@@ -191,6 +191,15 @@ def _short(value: object) -> str:
 def no_link(path: str, flags: int) -> int:
     """What opens a file of the folder to be written: never another one that it may link to."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+def is_growing(folder: Path) -> bool:
+    """True if a process that lives adds rows to the sweep in `folder`."""
+    try:
+        with open_regular(folder / DEFINITION, links=False) as file:
+            return not lock(file.fileno(), shared=True)
+    except OSError:
+        return False
 
 
 def locked(path: Path, mode: str) -> IO[bytes]:

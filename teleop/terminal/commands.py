@@ -275,17 +275,21 @@ def _show(added: ArgumentParser) -> None:
 
 
 def _report(added: ArgumentParser) -> None:
-    added.add_argument("run", metavar="FOLDER",
-                       help="the folder that a run or a sweep wrote; or that of a master that ran by hand")
-    added.add_argument("slave", metavar="SLAVE", nargs="?",
-                       help="the folder of the slave of that master: puts the two ends together, as a new run")
-    added.add_argument("--out", metavar="DIR", help="with SLAVE: the new folder to write; default runs/SCENE-NUMBER")
+    added.add_argument("folders", metavar="FOLDER", nargs="+",
+                       help="the folder that a run, a page, a sweep, a comparison or a study wrote; several are shown "
+                       "side by side; those of a master and of its slave that ran by hand are put together, as a new "
+                       "run")
+    added.add_argument("--html", metavar="FILE", help="the file of the page; left out: report.html in the folder, of "
+                       "several in this one; a file of that name that differs stays, and the page is report-2.html")
+    added.add_argument("--open", action="store_true", help="open the page in the browser")
+    added.add_argument("--out", metavar="DIR", help="with MASTER SLAVE: the new folder of the run; default "
+                       "runs/SCENE-NUMBER")
     added.add_argument("--trust", action="store_true", help="run the scene's own file, and read the files, that the "
                        "folder names: for folders of your own, or that you have read")
     _plot(added, "plot.png or sweep.png")
     _picture(added, " a sweep")
     added.add_argument("--rows", metavar="N", type=whole, help="of a sweep: show its first N rows; left out: a few")
-    _json(added, "print the stored summary and nothing else")
+    _json(added, "print the stored summary and nothing else, and write a page only with --html or --open")
 
 
 def _replay(added: ArgumentParser) -> None:
@@ -345,7 +349,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
     "completion": ("Print the script with which a shell completes what is typed: commands, options, scenes, laws, "
                    "knobs.", _completion),
-    "report": ("Show a stored run or sweep again; --plot draws it.", _report),
+    "report": ("Show stored folders again, and write them as one page of HTML; --plot draws too.", _report),
     "replay": ("Run the law of each end of a live run again over what the end read and heard: the same to the bit, or "
                "where not; with --set, what another law would have commanded.", _replay),
 }

@@ -22,13 +22,18 @@ _COUNTS = (("lost", "lost"), ("late", "late"), ("overtaken", "overtaken"), ("dup
 
 def table(result: Result) -> str:
     """The run in a few lines: what it was, how it ended, and the metrics that its scene has."""
-    rows = [
-        ("run", f"{heading(result)}, {_MODE.get(result.mode, result.mode)}, seed {result.seed}"),
-        ("status", verdict(result)),
-        *((label, text) for label, tell in _ROWS for text in tell(result)),
-        *(("note", note) for note in result.notes),
-    ]
-    return facts(rows)
+    return facts([("run", what(result)), ("status", verdict(result)), *rows(result)])
+
+
+def rows(result: Result) -> Iterator[tuple[str, str]]:
+    """The figures of a run and its notes, each with its label."""
+    yield from ((label, text) for label, tell in _ROWS for text in tell(result))
+    yield from (("note", note) for note in result.notes)
+
+
+def what(result: Result) -> str:
+    """Scene and law, how it ran, and its seed."""
+    return f"{heading(result)}, {_MODE.get(result.mode, result.mode)}, seed {result.seed}"
 
 
 def heading(result: Result) -> str:

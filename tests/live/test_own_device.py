@@ -97,7 +97,7 @@ def test_a_device_that_senses_nothing_has_no_force_and_the_table_the_document_an
     assert ("f_err_rms" in whole.metrics) is (e == "m")
     assert {"f_h", "f_env"} - {column} <= set(whole.trace), "the other is the scene's own, and is worked out"
     monkeypatch.chdir(folders[0].parent)
-    monkeypatch.setattr("teleop.report.scene_of", lambda *_, **__: SCENE)
+    monkeypatch.setattr("teleop.report.command.scene_of", lambda *_, **__: SCENE)
     assert main(["report", "master", "slave", "--out", "both", "--plot"]) == 0
     out = capsys.readouterr().out
     assert f"{NAMES[e]}: the device has no force sensor" in out

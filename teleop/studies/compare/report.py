@@ -24,11 +24,10 @@ def table(found: Sequence[LawVerdict], width: int = 120) -> str:
 
     A figure that no law has, and packets that all laws send at every tick, have no column.
     """
-    shown = _shown(found)
+    shown = shown_columns(found)
     lines = [["", *[head for head, _ in ENDED], *[column.head for column in shown]],
              ["law", *["" for _ in ENDED], *[column.unit for column in shown]]]
-    lines += [[one.law, *[str(sum(one.ended.get(status, 0) for status in some)) for _, some in ENDED],
-               *[cell(column, one.figures[column.key]) for column in shown]] for one in found]
+    lines += [cells(one, shown) for one in found]
     parts: list[list[tuple[str, ...]]] = []
     first, *others = zip(*lines, strict=True)
     room = 0
@@ -42,7 +41,13 @@ def table(found: Sequence[LawVerdict], width: int = 120) -> str:
     return "\n\n".join(columns(zip(*part, strict=True)) for part in parts)
 
 
-def _shown(found: Sequence[LawVerdict]) -> list[Column]:
+def cells(one: LawVerdict, shown: Sequence[Column]) -> list[str]:
+    """The row of a law: its name, how many cases ended how, and its figures."""
+    return [one.law, *[str(sum(one.ended.get(status, 0) for status in some)) for _, some in ENDED],
+            *[cell(column, one.figures[column.key]) for column in shown]]
+
+
+def shown_columns(found: Sequence[LawVerdict]) -> list[Column]:
     """The columns that say anything."""
     told = {column: [one.figures[column.key] for one in found] for column in COLUMNS}
     return [column for column, some in told.items() if any(one.failed or not isnan(one.value) for one in some)
@@ -75,7 +80,7 @@ def text(found: Sequence[LawVerdict], ranked: Sequence[Ranking], cases: Sequence
 
 def legend(found: Sequence[LawVerdict], width: int) -> str:
     """What the columns that are shown mean, in short."""
-    shown = _shown(found)
+    shown = shown_columns(found)
     kinds = {FREE: " (free)", TOUCHED: " (in contact)"}
     told = "; ".join(f"{column.head}: {column.meaning}{kinds.get(column.where, '')}" for column in shown)
     return "\n".join(_wrapped("Each figure is the median over the cases, in which a run that did not end ok is worse "
@@ -87,13 +92,13 @@ def _ranked(ranked: Sequence[Ranking], width: int) -> list[str]:
     wide = max((len(one.column.question) for one in ranked), default=0)
     lines = ["best first; = where the difference is within the spread over seeds, or one percent"] if ranked else []
     for one in ranked:
-        best = ", ".join(_group(group, one.column) for group in one.groups)
+        best = ", ".join(group_text(group, one.column) for group in one.groups)
         failed = f"; half of the runs failed: {', '.join(one.failed)}" if one.failed else ""
         lines += _wrapped(f"{one.column.question:<{wide}}  {best} {one.column.unit}".rstrip() + failed, width, wide + 2)
     return lines
 
 
-def _group(group: Sequence[tuple[str, float]], column: Column) -> str:
+def group_text(group: Sequence[tuple[str, float]], column: Column) -> str:
     """Laws that tie, and the value of the first; that of each where some are below the best value and some above."""
     if column.better == ONE and len({value < 1.0 for _, value in group}) > 1:
         return " = ".join(f"{law} {digits(column.factor * value)}" for law, value in group)

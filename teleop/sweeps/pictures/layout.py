@@ -176,18 +176,26 @@ def text_of(value: Any) -> str:
 
 def scale(axes: Axes, which: str, values: tuple[Any, ...]) -> None:
     """A log axis where the values are spaced so; with a zero among them, linear up to the least above it."""
+    kind, linear = spaced(values)
+    if kind == "log":
+        getattr(axes, f"set_{which}scale")("log")
+    elif kind == "symlog":
+        getattr(axes, f"set_{which}scale")("symlog", linthresh=linear, linscale=0.5)
+
+
+def spaced(values: tuple[Any, ...]) -> tuple[str, float]:
+    """The scale on which values that rise are spaced evenly: linear, log or symlog, and up to where that is linear."""
     import numpy as np
 
     above = np.array([value for value in values if value > 0.0])
     if min(values) < 0.0 or len(above) < 2:
-        return
+        return "linear", 0.0
     ratios, steps = np.diff(np.log(above)), np.diff(np.array(values))
     log = above[-1] / above[0] >= 10.0 if len(above) == 2 else (
         ratios.std() / ratios.mean() < steps.std() / steps.mean() and above[-1] / above[0] > 4.0)
-    if log and len(above) == len(values):
-        getattr(axes, f"set_{which}scale")("log")
-    elif log:
-        getattr(axes, f"set_{which}scale")("symlog", linthresh=above[0], linscale=0.5)
+    if not log:
+        return "linear", 0.0
+    return ("log", 0.0) if len(above) == len(values) else ("symlog", float(above[0]))
 
 
 def spacing(values: NDArray[Any]) -> tuple[str, float]:

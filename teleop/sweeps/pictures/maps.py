@@ -45,7 +45,7 @@ def _edges(axis: Any, values: tuple[Any, ...]) -> NDArray[Any]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Found:
+class MapPoints:
     """What became of the rows at each point of a panel that has any."""
 
     x: NDArray[Any]  # (points,) the place of the value of each knob
@@ -55,7 +55,8 @@ class _Found:
     value: NDArray[Any]  # what colours it: the share, or the median of the metric over the rows that ended ok
 
 
-def _found(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob, metric: str | None) -> _Found:
+def map_points(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob, metric: str | None) -> MapPoints:
+    """What became of `rows` over the knobs x and y: how they ended, and the metric, if one is asked for."""
     import numpy as np
 
     at, where = np.unique(x.place[rows] * len(y.values) + y.place[rows], return_inverse=True)
@@ -68,7 +69,7 @@ def _found(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob, met
     one[np.unique(where[one[where] != status])] = ""
     value = share if metric is None else np.array(
         [np.median(each) if len(each) else np.nan for each in groups_of(table[metric][rows], where, ok, len(at))])
-    return _Found(x=at // len(y.values), y=at % len(y.values), status=one, share=share, value=value)
+    return MapPoints(x=at // len(y.values), y=at % len(y.values), status=one, share=share, value=value)
 
 
 def draw_maps(
@@ -85,7 +86,7 @@ def draw_maps(
     from matplotlib.lines import Line2D
 
     x, y = knobs
-    found = [_found(table, panel.rows, x, y, metric) for _, panel in shown]
+    found = [map_points(table, panel.rows, x, y, metric) for _, panel in shown]
     cells = len(x.values) * len(y.values)
     sampled = cells > CELLS or all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in found)
     by_status = metric is None and all((one.status != "").all() for one in found)
@@ -138,7 +139,7 @@ def _norm(values: NDArray[Any]) -> Any:
     return (LogNorm if scaled == "log" else Normalize)(low, high)
 
 
-def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, found: _Found, paint: NDArray[Any], sampled: bool) -> bool:
+def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, found: MapPoints, paint: NDArray[Any], sampled: bool) -> bool:
     """Colour the points: cells of a grid, with the boundary between them, or dots; True if there is a boundary."""
     import numpy as np
     from matplotlib.collections import LineCollection

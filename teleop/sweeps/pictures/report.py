@@ -134,10 +134,17 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], request: Pictur
 
     `trust`: the scene's own file may be run, for the units of its knobs.
     """
-    from teleop.scene.library import known_scenes
     from teleop.sweeps.pictures.picture import draw
 
     name = str(told["scene"])
+    words = words_of(told)
+    return draw(table, folder / "sweep", request.kind, metric=request.metric, title=Path(name).stem,
+                units=knob_units(told, table, trust=trust), words=words,
+                formats=formats)
+
+
+def words_of(told: Mapping[str, Any]) -> dict[str, str]:
+    """What a legend says of a status, with the bounds that all rows had."""
     limits = told.get("limits") or {}
     words = {}
     if "x_limit" in limits:
@@ -145,9 +152,15 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], request: Pictur
     if "duration" in limits:
         within = f"within {limits['x_limit']:g} m for " if "x_limit" in limits else ""
         words["ok"] = f"ok: {within}{limits['duration']:g} s"
-    return draw(table, folder / "sweep", request.kind, metric=request.metric, title=Path(name).stem,
-                units=units_of(name, table.knobs) if trust or name in known_scenes() else {}, words=words,
-                formats=formats)
+    return words
+
+
+def knob_units(told: Mapping[str, Any], table: Table, *, trust: bool) -> dict[str, str]:
+    """The units of the knobs of a sweep; of the scene of a user's own, whose file is run for it, only with `trust`."""
+    from teleop.scene.library import known_scenes
+
+    name = str(told["scene"])
+    return units_of(name, table.knobs) if trust or name in known_scenes() else {}
 
 
 def with_picture(answer: Answer, table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest,

@@ -131,7 +131,7 @@ class TestShow:
 class TestReport:
     def test_shows_the_table_of_the_run_again(self, typed: Typed) -> None:
         first = typed("run", "jittery_wan", *SHORT, "--out", "here").out
-        assert typed("report", "here") == (0, first, "")
+        assert typed("report", "here") == (0, f"{first}page: here/report.html\n", "")
 
     def test_draws_only_if_it_is_asked_to_and_names_the_file(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
@@ -141,12 +141,12 @@ class TestReport:
         with monkeypatch.context() as without:
             without.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
             typed("report", "here", "--plot").assert_refused("pip install")
-            assert typed("report", "here").out == first
-        assert typed("report", "here").out == first
+            assert typed("report", "here").out == f"{first}page: here/report.html\n"
         assert not Path("here/plot.png").exists()
-        assert typed("report", "here", "--plot").out == first + "plot: here/plot.png\n"
+        assert typed("report", "here", "--plot").out == first + "plot: here/plot.png\npage: here/report.html\n"
         assert json.loads(typed("report", "here", "--json", "--plot").out)["plots"] == ["here/plot.png"]
-        assert {path.name for path in Path("here").iterdir()} == {"summary.json", "trace.npz", "plot.png"}
+        assert {path.name for path in Path("here").iterdir()} == {
+            "summary.json", "trace.npz", "plot.png", "report.html"}
 
     def test_of_a_folder_that_may_only_be_read_is_given_without_a_figure(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch

@@ -120,14 +120,6 @@ def test_another_comparison_is_not_mixed_into_the_folder(capsys: pytest.CaptureF
     assert "holds another" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("small")
-def test_report_says_how_a_comparison_is_told_again(capsys: pytest.CaptureFixture[str]) -> None:
-    compare()
-    capsys.readouterr()
-    assert main(["report", "runs/small"]) == 2
-    assert "runs/small holds a comparison; type the teleop compare that wrote it again" in capsys.readouterr().err
-
-
 def test_what_is_refused_writes_nothing(small: Path) -> None:
     Path("small.toml").write_text(SMALL.replace("soft_tissue", "soft_tisue"))
     assert compare() == 2

@@ -1,0 +1,77 @@
+"""What kind of folder it is, what the terminal says of it, and its part of the page."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from teleop.errors import Refused
+from teleop.live.records.merge import load_result
+from teleop.report.of_runs import Run, of_one, of_several
+from teleop.report.page import Section
+from teleop.report.told import Told
+from teleop.simulation.result import RUNNING, Result, stored_summary
+from teleop.sweeps.pictures.report import PictureRequest, check_run
+from teleop.terminal.run import answer_of, with_plot
+
+MOST_FOLDERS = 24
+
+
+def read(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
+    """What `folder` holds, drawn in `formats`. Raises `Refused`."""
+    request = PictureRequest(args.picture, args.metric)
+    if (folder / "page.json").is_file():
+        from teleop.report.of_page import page_told
+
+        return page_told(folder, args, formats)
+    if (folder / "sweep.json").is_file():
+        from teleop.sweeps.definition import read_definition
+
+        if read_definition(folder).get("scene") == "compare":
+            from teleop.report.of_comparison import comparison_told
+
+            return comparison_told(folder, args)
+        from teleop.report.of_sweep import sweep_told
+
+        return sweep_told(folder, args, formats)
+    from teleop.report.of_study import is_study, study_told
+
+    if is_study(folder):
+        return study_told(folder, args)
+    check_run(folder, request)
+    if args.rows is not None:
+        raise Refused(f"{folder} holds a run, which has no rows to show; leave --rows out")
+    result = load_result(folder, trust=args.trust)
+    if result.status == RUNNING:
+        return Told(folder, answer_of(result, args.typed), running=True)
+    told = run_told(folder, result, args.typed, formats)
+    if args.json:  # as it is stored
+        document = {**stored_summary(folder), "path": str(result.path)}
+        plots = {key: told.answer.document[key] for key in ("plots",) if key in told.answer.document}
+        told = told._replace(answer=told.answer._replace(document={**document, **plots}))
+    return told
+
+
+def run_told(folder: Path, result: Result, typed: Sequence[str], formats: Sequence[str]) -> Told:
+    """A run that lies complete in `folder`."""
+    return Told(folder, with_plot(answer_of(result, typed), result, folder, formats), result=result)
+
+
+def run_of(told: Told) -> Run:
+    """A run as the page tells of it."""
+    assert told.result is not None
+    return Run(told.folder.resolve().name, told.result, stored_summary(told.folder))
+
+
+def sections_of(told: Sequence[Told]) -> list[Section]:
+    """The sections of the page: all runs side by side in one, each other folder in one of its own."""
+    runs = [run_of(each) for each in told if each.section is None]
+    found: list[Section] = []
+    for each in told:
+        if each.section is not None:
+            found.append(each.section())
+        elif runs:
+            found.append(of_one(runs[0]) if len(runs) == 1 else of_several(runs))
+            runs = []
+    return found

@@ -1,0 +1,151 @@
+"""What is said of a comparison's folder: the table and rankings of `teleop compare`, and how every case ended."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from teleop.errors import Refused, number_of
+from teleop.report import svg
+from teleop.report.markup import Markup, element, facts, table
+from teleop.report.page import Section, heading, made_by
+from teleop.report.scatter import Group, Plane, Point, scatter
+from teleop.report.style import STATUS
+from teleop.report.told import Told
+from teleop.storage import strict_json as stored
+from teleop.storage.files import read_bytes
+from teleop.storage.strict_json import Misshapen, parse
+from teleop.studies.compare.columns import BY_KEY, COLUMNS
+from teleop.studies.compare.judge import BAD, LawVerdict, endings, rankings, verdicts
+from teleop.studies.compare.report import cells, group_text, legend, shown_columns, text
+from teleop.sweeps.definition import is_growing
+from teleop.sweeps.store import Store
+from teleop.terminal.answer import Answer
+
+ENDED = ("ok", *BAD, "diverged", "refused")
+MOST_ACROSS = 3  # environments in a row
+CELL, WIDEST = 13.0, 26.0  # of a case: height, and width at most
+NOTES = 8
+_ROW = stored.record(
+    {"law": stored.text, "link": stored.text, "environment": stored.text, "ended": stored.one_of(*ENDED),
+     "seed": stored.whole(low=0), "row": stored.whole(low=0)},
+    dict.fromkeys((column.key for column in COLUMNS), stored.either(stored.real, stored.one_of("inf", "-inf", "nan"))))
+_SUMMARY = stored.record({}, {
+    "status": stored.text, "sentence": stored.text, "file": stored.text, "notes": stored.each(stored.text),
+    "command": stored.each(stored.text), "versions": stored.named(stored.text),
+    "conditions": stored.each(stored.record({"law": stored.text, "link": stored.text,
+                                             "sentences": stored.each(stored.text)}))})
+
+
+def comparison_told(folder: Path, args: Namespace) -> Told:
+    """A comparison. Raises `Refused`."""
+    asked = [name for name, value in (("--plot", args.plot or args.format), ("--picture", args.picture),
+                                      ("--metric", args.metric), ("--rows", args.rows)) if value]
+    if asked:
+        raise Refused(f"{folder} holds a comparison; for {asked[0]} type the teleop compare that wrote it again with "
+                      f"--plot, which runs no row twice, or read {folder / 'rows.csv'}")
+    rows = sorted(Store.look(folder).rows(), key=lambda row: row["row"])
+    document = _summary(folder)
+    try:
+        for row in rows:
+            _ROW(row, f"row {row['row']}")
+    except Misshapen as error:
+        raise Refused(f"{folder} holds a comparison of another version, or rows that are none of it ({error}); type "
+                      "the teleop compare that wrote it again with another --out") from error
+    if not rows:
+        raise Refused(f"{folder} holds a comparison without a row yet; type the teleop compare that wrote it again")
+    found = verdicts(rows, dict.fromkeys(row["law"] for row in rows))
+    links, places = (list(dict.fromkeys(row[name] for row in rows)) for name in ("link", "environment"))
+    said = (f"{number_of(len(found), 'law')}, {number_of(len(links), 'link')}, "
+            f"{number_of(len(places), 'environment')}; {number_of(len(rows), 'row')}")
+    notes = [*document.get("notes", ()), *[f"{one['law']} over {one['link']}: {one['sentences'][0]}" for one in
+                                           document.get("conditions", ()) if one["sentences"]]]
+    heading_ = f"compare   {document.get('file', folder)}: {said}"
+    answer = Answer(text(found, rankings(found), (), heading_, notes) + f"\nwritten to {folder}",
+                    {**document, "done": len(rows), "path": str(folder)})
+    return Told(folder, answer, running=is_growing(folder), section=lambda: _section(
+        folder.resolve().name, document, rows, found, said, notes))
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    """The summary of the last call; nothing where a kill has left none."""
+    try:
+        document: dict[str, Any] = parse(read_bytes(folder / "summary.json", links=False))
+        _SUMMARY(document, "summary.json")
+    except (OSError, Misshapen):
+        return {}
+    return document
+
+
+def _section(name: str, document: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], found: Sequence[LawVerdict],
+             said: str, notes: Sequence[str]) -> Section:
+    columns = shown_columns(found)
+    head = ["law", "ok", "osc", "div", *[f"{one.head} ({one.unit})" if one.unit else one.head for one in columns]]
+    ranked = [(one.column.question, " | ".join(group_text(group, one.column) for group in one.groups)
+               + (f"; half of the runs failed: {', '.join(one.failed)}" if one.failed else ""))
+              for one in rankings(found)]
+    more = [("", f"and {len(notes) - NOTES} more, which summary.json has")] * (len(notes) > NOTES)
+    blocks = [table(head, [cells(one, columns) for one in found]),
+              element("p", {"class": "sub small"}, legend(found, 10**6)), *_status(rows, found), *_tracking(found),
+              *([heading("Best first, = where they tie"), facts(ranked)] if ranked else []),
+              *([heading("Notes"), facts([*[("", note) for note in notes[:NOTES]], *more])] if notes else []),
+              *made_by(document)]
+    return Section(title="Comparison of laws", under=f"folder {name}", status=str(document.get("status", "")),
+                   sentence=said, blocks=blocks)
+
+
+def _status(rows: Sequence[Mapping[str, Any]], found: Sequence[LawVerdict]) -> list[Markup]:
+    """A map: laws down, links across, a block for each environment; the worst of a case's seeds."""
+    laws = [one.law for one in found]
+    links, places = (list(dict.fromkeys(str(row[name]) for row in rows)) for name in ("link", "environment"))
+    ended = {law: endings(row for row in rows if row["law"] == law) for law in laws}
+    left = 10.0 + svg.CHARACTER * min(24, max(map(len, laws)))
+    below = 8.0 + svg.CHARACTER * min(20, max(map(len, links)))
+    wide = max(CELL * len(links), 60.0)
+    across = max(1, min(MOST_ACROSS, len(places), int((svg.WIDTH - left) / (wide + 16.0))))
+    size = min(WIDEST, (svg.WIDTH - left - 16.0 * across) / across / len(links))
+    tall = CELL * len(laws)
+    parts = [svg.label(4.0, 11.0, "how the cases ended, the worst of the seeds", style="b")]
+    kinds: dict[str, list[str]] = {}
+    for i, place in enumerate(places):
+        x, y = left + (i % across) * (size * len(links) + 16.0), 36.0 + (i // across) * (tall + 20.0)
+        parts.append(svg.label(x, y - 5.0, place[:40], style="b"))
+        by_style: dict[str, list[tuple[float, float, float, float]]] = {}
+        for row, law in enumerate(laws):
+            if i % across == 0:
+                parts.append(svg.label(left - 4.0, y + CELL * (row + 0.78), law[:24], anchor="end"))
+            for column, link in enumerate(links):
+                status = ended[law].get((place, link))
+                if status is not None:
+                    style = STATUS[status]
+                    if status not in kinds.setdefault(style, []):
+                        kinds[style].append(status)
+                    high = 1.0 - (row + 0.06) / len(laws)
+                    by_style.setdefault(style, []).append(((column + 0.06) / len(links), (column + 0.94) / len(links),
+                                                           high - 0.88 / len(laws), high))
+        box = svg.Box(x, y, size * len(links), tall)
+        parts += [svg.cells(some, box, style) for style, some in by_style.items()]
+        if i + across >= len(places):
+            parts += [svg.label(x + size * (column + 0.7), y + tall + 6.0, link[:20], anchor="end", up=True)
+                      for column, link in enumerate(links)]
+    lines = -(-len(places) // across)
+    parts.append(svg.legend([(style, ", ".join(names)) for style, names in kinds.items()], svg.WIDTH - svg.RIGHT, 11.0))
+    counts = "; ".join(f"{one.law}: " + ", ".join(f"{n} {status}" for status, n in sorted(one.ended.items()))
+                       for one in found)
+    return [svg.figure("How the cases ended", f"Cases of each law. {counts}.",
+                       36.0 + lines * (tall + 20.0) + below, *parts)]
+
+
+def _tracking(found: Sequence[LawVerdict]) -> list[Markup]:
+    """Tracking error over felt drag: a law far to the right tracks because it holds the hand."""
+    error, drag = BY_KEY["x_err_rms"], BY_KEY["felt_drag"]
+    points = [Point(drag.factor * one.figures["felt_drag"].value, error.factor * one.figures["x_err_rms"].value,
+                    one.law[:24], True) for one in found
+              if isfinite(one.figures["felt_drag"].value) and isfinite(one.figures["x_err_rms"].value)]
+    if len(points) < 2:
+        return []
+    return scatter("Tracking against felt drag", [Plane(f"{drag.question} ({drag.unit})",
+                                                        f"{error.question} ({error.unit})", [Group("", "m", points)])])

@@ -1,0 +1,203 @@
+"""What is said of the folder of a study: of precision, tune, advise, stability, passivity, zwidth, reproduce, replay.
+
+Such a folder has a summary.json; whatever it holds in numbers and texts is shown as it is called there, with its units.
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from teleop.errors import Refused
+from teleop.report.markup import Markup, element, pairs, table
+from teleop.report.page import Section, cell, heading, made_by, parameters, said, with_unit
+from teleop.report.scatter import Group, Plane, Point, scatter
+from teleop.report.style import LINES
+from teleop.report.told import Told
+from teleop.storage import strict_json as stored
+from teleop.storage.files import read_bytes
+from teleop.storage.strict_json import Misshapen, parse
+from teleop.terminal.answer import Answer
+from teleop.terminal.printable import printable
+from teleop.terminal.table import columns, facts
+
+SUMMARY = "summary.json"
+MODES = ("precision", "tune", "advise", "stability", "passivity", "zwidth", "reproduce", "replay")
+HEAD = {"status", "sentence", "scene", "mode", "parameters", "seed", "versions", "command", "dt", "units", "path",
+        "notes", "meaning"}
+ROWS, COLUMNS, WIDE = 60, 9, 44  # of a table, and characters of a cell of it
+ON_PAGE, LONG = 24, 28  # rows of it on a page, and characters of what stands in a line of its own there
+_SHAPE = stored.record(
+    {"status": stored.text, "sentence": stored.text, "mode": stored.one_of(*MODES)},
+    {"scene": stored.optional(stored.text), "parameters": stored.record({}), "versions": stored.named(stored.text),
+     "command": stored.each(stored.text), "units": stored.named(stored.text), "notes": stored.each(stored.text)})
+
+
+class Block(NamedTuple):
+    """A table of the summary: its heading, its columns' names (none: facts), its rows."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+
+def is_study(folder: Path) -> bool:
+    """Does the folder hold a summary that names such a study? Nothing is said of one that is cut short: see `study`."""
+    return (folder / SUMMARY).is_file() and not (folder / "trace.npz").exists() and _mode(folder) in MODES
+
+
+def _mode(folder: Path) -> object:
+    try:
+        return parse(read_bytes(folder / SUMMARY, links=False)).get("mode")
+    except (OSError, Misshapen, AttributeError):
+        return None
+
+
+def study_told(folder: Path, args: Namespace) -> Told:
+    """A study. Raises `Refused`."""
+    try:
+        document: dict[str, Any] = parse(read_bytes(folder / SUMMARY, links=False))
+        _SHAPE(document, SUMMARY)
+    except (OSError, Misshapen) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise Refused(f"{folder} holds no complete study ({why}); type the command that wrote it again") from error
+    asked = [name for name, value in (("--plot", args.plot or args.format), ("--picture", args.picture),
+                                      ("--metric", args.metric), ("--rows", args.rows)) if value]
+    if asked:
+        raise Refused(f"{folder} holds what teleop {document['mode']} found, which has no {asked[0]} here; leave it "
+                      f"out, or type teleop {document['mode']} with --plot again")
+    told = blocks_of(document)
+    text = [facts([(document["mode"], str(document.get("scene") or "")), ("status", f"{document['status']}: "
+                                                                         f"{document['sentence']}")])]
+    for block in told:
+        text.append(columns([block.head, *block.rows], left=(0,)) if block.head else facts(
+            [(row[0], row[1]) for row in block.rows]))
+    return Told(folder, Answer("\n\n".join(text), {**document, "path": str(folder)}),
+                section=lambda: _section(folder.resolve().name, document, told))
+
+
+def blocks_of(document: Mapping[str, Any]) -> list[Block]:
+    """The numbers and texts of a document as tables: one of all that stand alone, and one for each list of objects."""
+    units = document.get("units") or {}
+    alone: list[tuple[str, ...]] = []
+    found: list[Block] = []
+    for name, value in document.items():
+        if name in HEAD:
+            continue
+        if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
+            found += _tables(name, [_shortened(each) for each in value], units)
+        elif isinstance(value, dict):
+            alone += [(f"{name}.{key}", with_unit(each, units.get(key, ""))) for key, each in value.items()
+                      if _plain(each)]
+            found += [block for key, each in value.items() if isinstance(each, list) and each and
+                      all(isinstance(one, dict) for one in each) for block in _tables(f"{name}.{key}", each, units)]
+        elif _plain(value):
+            alone.append((name, with_unit(value, units.get(name, ""))))
+    notes = [("note", note) for note in document.get("notes") or ()]
+    return [*([Block("Results", (), [*alone, *notes])] if alone or notes else []), *found]
+
+
+def _shortened(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """An entry of a list; of a method of precision what it is compared by."""
+    errors = entry.get("errors")
+    if not isinstance(errors, dict):
+        return dict(entry)
+    sizes = {f"{name}, at most": error.get("max") for name, error in errors.items() if isinstance(error, dict)}
+    return {"name": entry.get("name"), "ns_per_tick": entry.get("ns_per_tick"), **sizes, **{
+        key: entry.get(key) for key in ("status", "missed_contacts", "beaten_by")}}
+
+
+def _plain(value: object) -> bool:
+    """Can it stand in one cell?"""
+    if isinstance(value, list):
+        return 0 < len(value) <= 8 and all(isinstance(each, str | int | float) for each in value)
+    return value is not None and not isinstance(value, dict) and value != ""
+
+
+def _tables(name: str, entries: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> list[Block]:
+    """One of the objects' plain values; of lists of objects in each of them one more."""
+    names = [key for key in dict.fromkeys(key for each in entries for key in each)
+             if any(_plain(each.get(key)) for each in entries)]
+    short = [key for key in names if all(len(said(each.get(key, ""))) <= WIDE for each in entries)][:COLUMNS]
+    found = []
+    if short:
+        head = tuple(f"{key} ({units[key]})" if units.get(key, "1") != "1" else key for key in short)
+        rows = [tuple(printable(cell(each[key])) if _plain(each.get(key)) else "" for key in short)
+                for each in entries[:ROWS]]
+        more = f", the first {ROWS} of {len(entries)}" if len(entries) > ROWS else ""
+        found.append(Block(f"{name.replace('_', ' ').capitalize()}{more}", head, rows))
+    for each in entries[:ROWS]:
+        for key, inner in each.items():
+            if isinstance(inner, list) and inner and all(isinstance(one, dict) for one in inner) and len(found) < ROWS:
+                found += _tables(f"{each.get('name', name)} {key}", inner, units)
+    return found
+
+
+def _section(name: str, document: Mapping[str, Any], told: Sequence[Block]) -> Section:
+    mode = str(document["mode"])
+    figures: list[Markup] = []
+    if mode in FIGURES:
+        try:
+            figures = FIGURES[mode](document)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError):  # numbers that others wrote
+            figures = [element("p", {"class": "sub"}, "No figure: the numbers for it are not there.")]
+    parts: list[Markup] = []
+    for block in told:
+        short = [(row[0], row[1]) for row in block.rows if not block.head and len(row[1]) <= LONG]
+        rows = block.rows if block.head else [row for row in block.rows if len(row[1]) > LONG]
+        parts += [heading(block.title), *[pairs(short)] * bool(short),
+                  *[table(block.head, rows[:ON_PAGE], numbers=bool(block.head))] * bool(rows)]
+        if len(rows) > ON_PAGE:
+            parts.append(element("p", {"class": "sub"}, f"and {len(rows) - ON_PAGE} more, which {SUMMARY} has"))
+    return Section(
+        title=f"{document.get('scene') or mode}: {mode}", under=f"folder {name}", status=str(document["status"]),
+        sentence=str(document["sentence"]), blocks=[
+            *figures, *parts, *parameters(document.get("parameters") or {}), *made_by(document)])
+
+
+def _precision(document: Mapping[str, Any]) -> list[Markup]:
+    """The largest error of each method over its run time."""
+    methods = document["methods"]
+    kinds = list(dict.fromkeys(str(one["method"]) for one in methods))
+    planes = []
+    for series, what, unit in (("x_s", "largest error of the slave's position", "m"),
+                               ("f_env", "largest error of the force on the environment", "N")):
+        groups = []
+        for i, kind in enumerate(kinds):
+            points = [Point(float(one["ns_per_tick"]) * 1e-3, float(one["errors"][series]["max"] or 0.0),
+                            str(one["name"]), kind in ("exact", "default"))
+                      for one in methods if one["method"] == kind and one["status"] != "diverged"
+                      and one["errors"].get(series, {}).get("max")]
+            dash = ("", " y", " z")[i // len(LINES) % 3]
+            groups.append(Group(kind, f"{LINES[i % len(LINES)]}{dash}", sorted(points), lines=True))
+        planes.append(Plane("run time (us a tick)", f"{what} ({unit})", groups))
+    return scatter("Error over run time", planes)
+
+
+def _tune(document: Mapping[str, Any]) -> list[Markup]:
+    """Tracking error over drag of the points of the front; the one that was taken has its name."""
+    best = document["best"]
+    points = []
+    for one in document["front"]:
+        drag = (one["figures"].get("free") or one["figures"]["scene"])["f_m_max"]
+        taken = all(one.get(name) == value for name, value in best.items())
+        points.append(Point(float(drag), 1e3 * float(one["figures"]["scene"]["x_err_rms"]),
+                            "taken" if taken else "", taken))
+    points.sort()
+    return scatter("The front of tracking error against drag", [Plane(
+        "greatest force in free space (N)", "tracking error, rms (mm)", [Group("", "m", points, lines=True)])])
+
+
+def _zwidth(document: Mapping[str, Any]) -> list[Markup]:
+    """The greatest and the least impedance that can be rendered, over frequency."""
+    found = document["impedance"]
+    groups = []
+    for key, name, style in (("upper", "greatest", "m"), ("lower", "least", "s")):
+        some = [*zip(found["frequency"], found[key], strict=True)][::6]
+        groups.append(Group(name, style, [Point(float(f), float(z), "") for f, z in some if z is not None], True))
+    return scatter("Impedance that can be rendered", [Plane("frequency (Hz)", "impedance (N s/m)", groups)])
+
+
+FIGURES = {"precision": _precision, "tune": _tune, "zwidth": _zwidth}

@@ -1,0 +1,127 @@
+"""The page: one file of HTML without a script, without anything loaded, the same bytes for the same sections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from shlex import join
+from typing import Any
+
+from teleop.report.markup import Markup, element, empty, facts, pairs
+from teleop.report.style import DIGEST, STYLE
+from teleop.version import __version__
+
+GOOD = ("ok", "done", "feasible")  # what a status is called that nothing is wrong with
+POLICY = f"default-src 'none'; style-src 'sha256-{DIGEST}'; base-uri 'none'; form-action 'none'"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """What is said of one folder, or of several side by side."""
+
+    title: str
+    under: str = ""  # where it is from, in a line below the title
+    status: str = ""
+    sentence: str = ""  # the outcome
+    blocks: Sequence[Markup] = ()
+
+
+def page(sections: Sequence[Section]) -> bytes:
+    """The page of these sections, at least one, as UTF-8."""
+    title = sections[0].title if len(sections) == 1 else f"{len(sections)} reports"
+    top = [element("h1", None, title)] if len(sections) > 1 else []
+    body = [*top, *[_told(each, "h2" if top else "h1") for each in sections],
+            element("footer", None, f"Made by teleop report, bilateral-teleop {__version__}.")]
+    head = element(
+        "head", None, empty("meta", {"charset": "utf-8"}),
+        empty("meta", {"http-equiv": "Content-Security-Policy", "content": POLICY}),
+        empty("meta", {"name": "viewport", "content": "width=device-width, initial-scale=1"}),
+        empty("meta", {"name": "referrer", "content": "no-referrer"}),
+        element("title", None, title), element("style", None, Markup(STYLE)))
+    return f"<!DOCTYPE html>\n{element('html', {'lang': 'en'}, head, element('body', None, *body))}\n".encode()
+
+
+def _told(section: Section, heading: str) -> Markup:
+    parts = [element(heading, None, section.title)]
+    if section.under:
+        parts.append(element("p", {"class": "sub"}, section.under))
+    if section.status or section.sentence:
+        parts.append(outcome(section.status, section.sentence))
+    return element("section", None, *parts, *section.blocks)
+
+
+def outcome(status: str, sentence: str) -> Markup:
+    """A status and its sentence, which may begin with the status itself."""
+    rest = sentence.removeprefix(status).lstrip(": ") if status else sentence
+    kind = "good" if status in GOOD else "bad"
+    return element("p", {"class": "out"}, *[element("b", {"class": kind}, status)] * bool(status), rest)
+
+
+def heading(title: str) -> Markup:
+    """The heading of a part of a section."""
+    return element("h3", None, title)
+
+
+def parameters(values: Mapping[str, Any], units: Mapping[str, str] | None = None, title: str = "Parameters"
+               ) -> list[Markup]:
+    """Knobs and their values, those of a law among them; nothing of none."""
+    flat = flattened(values)
+    if not flat:
+        return []
+    known = units or {}
+    return [heading(title), pairs((name, with_unit(value, known.get(name, ""))) for name, value in flat.items())]
+
+
+def with_unit(value: object, unit: str) -> str:
+    """A value with its unit, where it is a number and has one.
+
+    >>> with_unit(0.05, "s"), with_unit(None, "W"), with_unit("wave", "")
+    ('0.05 s', 'none', 'wave')
+    """
+    number = isinstance(value, int | float) and not isinstance(value, bool) and unit not in ("", "1")
+    return f"{said(value)} {unit}" if number else said(value)
+
+
+def cell(value: object) -> str:
+    """A value in a table: a number to four digits.
+
+    >>> cell(0.00123456), cell(12345.6), cell("ok")
+    ('0.001235', '12346', 'ok')
+    """
+    if not isinstance(value, float):
+        return said(value)
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def flattened(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The knobs of a document by name; those of its law as `law.NAME`."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found[name] = value.get("name", "")
+            found |= {f"{name}.{key}": each for key, each in value.items() if key != "name"}
+        else:
+            found[name] = value
+    return found
+
+
+def said(value: object) -> str:
+    """A value of a document as a person reads it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(said, value))
+    return "none" if value is None else str(value)
+
+
+def made_by(document: Mapping[str, Any]) -> list[Markup]:
+    """The command and the versions that a document was made by, as far as it says."""
+    command, versions = document.get("command"), document.get("versions")
+    rows: list[tuple[str, str]] = []
+    if isinstance(command, list) and command:
+        rows.append(("command", element("code", None, join(map(str, command)))))
+    if isinstance(versions, Mapping) and versions:
+        rows.append(("versions", ", ".join(f"{name} {version}" for name, version in versions.items())))
+    return [heading("Made by"), facts(rows)] if rows else []

@@ -1,0 +1,89 @@
+"""A page of `teleop report` as a test reads it: elements, texts, figures and the points of their curves."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+SVG = "{http://www.w3.org/2000/svg}"
+ALONE = {"meta", "link", "br", "img", "input", "hr"}  # elements of HTML that have no end
+
+
+class Page(HTMLParser):
+    """The elements of a page with their attributes, and its texts; every element that begins ends."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(convert_charrefs=True)
+        self.source = data.decode()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self._open: list[str] = []
+        self.feed(self.source)
+        self.close()
+        assert self._open == []
+        self.figures = [ElementTree.fromstring(one) for one in re.findall(r"<svg.*?</svg>", self.source, re.S)]
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in ALONE:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self._open and self._open[-1] != "style":
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        """All that is read, one text after the other."""
+        return "\n".join(self.texts)
+
+    def figure(self, title: str) -> ElementTree.Element:
+        """The figure of this title."""
+        return next(one for one in self.figures if one.findtext(f"{SVG}title") == title)
+
+    def assert_needs_nothing_else(self) -> None:
+        """No script, nothing that is loaded, nothing that is sent, no style but that which the policy names."""
+        tags = {tag for tag, _ in self.elements}
+        assert not tags & {"script", "link", "img", "iframe", "object", "embed", "form", "base", "foreignobject", "use",
+                           "image", "a", "animate", "set"}
+        for _, attributes in self.elements:
+            assert not {"src", "href", "xlink:href", "style", "srcset", "action"} & attributes.keys()
+            assert not any(name.startswith("on") for name in attributes)
+        assert "url(" not in self.source
+        assert "@import" not in self.source
+        policy = next(attributes["content"] for tag, attributes in self.elements
+                      if attributes.get("http-equiv") == "Content-Security-Policy")
+        assert policy is not None
+        assert policy.startswith("default-src 'none'; style-src 'sha256-")
+
+
+def curves(figure: ElementTree.Element) -> dict[str, list[list[tuple[int, int]]]]:
+    """The curves of a figure by name: of each the pieces between its gaps, points in tenths of the drawing."""
+    found: dict[str, list[list[tuple[int, int]]]] = {}
+    for path in figure.iter(f"{SVG}path"):
+        name = path.findtext(f"{SVG}title")
+        if name is not None and "l" in str(path.get("class")).split():
+            found.setdefault(name, []).extend(points(str(path.get("d"))))
+    return found
+
+
+def points(path: str) -> list[list[tuple[int, int]]]:
+    """The points of a path of moves and relative lines."""
+    pieces = []
+    for piece in path.split("M")[1:]:
+        start, _, rest = piece.partition("l")
+        x, y = map(int, start.split())
+        told = [(x, y)]
+        numbers = [int(number) for number in re.findall(r"-?\d+", rest)]
+        for dx, dy in zip(numbers[::2], numbers[1::2], strict=True):
+            x, y = x + dx, y + dy
+            told.append((x, y))
+        pieces.append(told)
+    return pieces

@@ -1,0 +1,198 @@
+"""`teleop report` as somebody types it: the table as ever, and one page of HTML."""
+
+from __future__ import annotations
+
+import errno
+import json
+import shutil
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import teleop.report.command
+from teleop import load_scene, run, sweep
+from teleop.sweeps.store import Store
+from tests.teleop.report.read_page import SVG, Page
+
+Typed = Callable[..., Any]
+SHORT = ("--set", "duration=0.5")
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of two runs and of a sweep."""
+    at = tmp_path_factory.mktemp("stored")
+    run(load_scene("canonical", duration=0.5)).save(at / "a", ["teleop", "run", "canonical"])
+    run(load_scene("canonical", duration=0.5, law="pfra")).save(at / "b")
+    sweep("soft_tissue", {"delay": [0.0, 0.05, 0.1], "k_e": [1e2, 1e3]}, fixed={"duration": 0.1}, engine="plain",
+          out=at / "sweep")
+    return at
+
+
+@pytest.fixture
+def here(stored: Path, typed: Typed) -> Path:
+    """The same, in an empty folder where commands are typed."""
+    shutil.copytree(stored, Path(), dirs_exist_ok=True)
+    assert typed is not None
+    return Path()
+
+
+def no_room(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.usefixtures("here")
+class TestTheFile:
+    def test_lies_in_the_folder_and_the_table_is_as_ever(self, typed: Typed) -> None:
+        first = typed("run", "jittery_wan", *SHORT, "--out", "c").out
+        assert typed("report", "c") == (0, f"{first}page: c/report.html\n", "")
+        assert "jittery_wan, law wave" in Page(Path("c/report.html").read_bytes()).text
+
+    def test_is_the_same_when_it_is_asked_for_again_and_no_other_is_overwritten(self, typed: Typed) -> None:
+        typed("report", "a")
+        before = Path("a/report.html").read_bytes()
+        assert typed("report", "a").out.endswith("page: a/report.html\n")
+        Path("a/report.html").write_text("my own notes")
+        assert typed("report", "a").out.endswith("page: a/report-2.html\n")
+        assert Path("a/report.html").read_text() == "my own notes"
+        assert Path("a/report-2.html").read_bytes() == before
+
+    def test_of_several_lies_here_or_where_it_is_named(self, typed: Typed) -> None:
+        assert typed("report", "a", "b").out.endswith("page: report.html\n")
+        assert typed("report", "a", "b", "--html", "both.html").out.endswith("page: both.html\n")
+        assert Path("report.html").read_bytes() == Path("both.html").read_bytes()
+        assert not Path("a/report.html").exists()
+
+    def test_that_a_link_stands_for_is_not_written_through_it(self, typed: Typed) -> None:
+        Path("precious").write_text("precious")
+        Path("a/report.html").symlink_to(Path("precious").resolve())
+        assert typed("report", "a").out.endswith("page: a/report-2.html\n")
+        assert Path("precious").read_text() == "precious"
+
+    def test_that_cannot_be_written_is_said_after_the_table_and_nothing_half_written_is_left(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        before = {*Path("a").iterdir()}
+        monkeypatch.setattr(teleop.report.command, "replacing", no_room)
+        answer = typed("report", "a")
+        assert answer.code == 0
+        assert answer.out.startswith("run ")
+        assert answer.out.endswith("no page: could not write a/report.html (No space left on device); name another "
+                                   "file, --html FILE\n")
+        assert {*Path("a").iterdir()} == before
+
+    def test_that_was_asked_for_by_name_and_cannot_be_written_is_a_refusal(self, typed: Typed) -> None:
+        typed("report", "a", "--html", "nowhere/page.html").assert_refused("could not write nowhere/page.html")
+
+    def test_is_not_written_with_json_alone(self, typed: Typed) -> None:
+        document = json.loads(Path("a/summary.json").read_text())
+        assert json.loads(typed("report", "a", "--json").out) == document | {"path": "a"}
+        assert not Path("a/report.html").exists()
+        got = json.loads(typed("report", "a", "--json", "--html", "page.html").out)
+        assert got == document | {"path": "a", "page": "page.html"}
+        assert [one["path"] for one in json.loads(typed("report", "a", "b", "--json").out)["folders"]] == ["a", "b"]
+
+    def test_is_opened_if_that_is_asked_for(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        opened: list[str] = []
+        monkeypatch.setattr(webbrowser, "open", lambda address: opened.append(address) or True)
+        typed("report", "a", "--open")
+        assert opened == [Path("a/report.html").resolve().as_uri()]
+        monkeypatch.setattr(webbrowser, "open", lambda _: False)
+        typed("report", "a", "--open").assert_refused("open a/report.html yourself")
+
+
+@pytest.mark.usefixtures("here")
+class TestFolders:
+    def test_of_another_kind_or_none_are_refused_before_anything_is_written(self, typed: Typed) -> None:
+        Path("empty").mkdir()
+        typed("report", "nowhere").assert_refused("there is no folder nowhere")
+        typed("report", "empty").assert_refused("empty holds no run and no sweep")
+        typed("report", "a", "empty").assert_refused("empty holds no run and no sweep")
+        assert not [*Path().rglob("*.html")]
+
+    def test_that_are_half_written_are_refused(self, typed: Typed) -> None:
+        Path("a/summary.json").unlink()
+        typed("report", "a").assert_refused("a holds no complete run")
+        Path("b/trace.npz").write_bytes(Path("b/trace.npz").read_bytes()[:2000])
+        typed("report", "b").assert_refused("b holds no complete run")
+        assert not [*Path().rglob("*.html")]
+
+    def test_of_an_older_version_say_what_they_lack_and_with_all_of_it_are_shown_with_their_version(
+        self, typed: Typed
+    ) -> None:
+        summary = json.loads(Path("a/summary.json").read_text())
+        Path("a/summary.json").write_text(json.dumps({**summary, "versions": {"bilateral-teleop": "0.0.3"}}))
+        typed("report", "a")
+        assert "bilateral-teleop 0.0.3" in Page(Path("a/report.html").read_bytes()).text
+        del summary["notes"]
+        Path("a/summary.json").write_text(json.dumps(summary))
+        typed("report", "a").assert_refused("summary.json has no notes")
+
+    def test_of_several_kinds_have_a_section_each(self, typed: Typed) -> None:
+        typed("report", "a", "sweep", "b")
+        shown = Page(Path("report.html").read_bytes())
+        assert [tag for tag, _ in shown.elements].count("section") == 2
+        assert shown.texts[:2] == ["2 reports", "2 reports"]
+        assert "canonical: 2 runs" in shown.texts
+        assert "soft_tissue: sweep of delay, k_e" in shown.texts
+        shown.assert_needs_nothing_else()
+
+    def test_beyond_what_a_page_can_show_are_refused(self, typed: Typed) -> None:
+        typed("report", *["a"] * 25).assert_refused("give at most 24")
+
+    def test_that_are_no_ends_have_no_new_folder(self, typed: Typed) -> None:
+        typed("report", "a", "--out", "new").assert_refused("--out names the new folder", "--html FILE")
+
+
+@pytest.mark.usefixtures("here")
+class TestASweep:
+    def test_that_grows_has_its_table_and_a_sentence_in_place_of_a_page(self, typed: Typed) -> None:
+        definition = json.loads(Path("sweep/sweep.json").read_text())
+        with Store.open("sweep", definition):
+            answer = typed("report", "sweep")
+            assert answer.code == 0
+            assert answer.out.endswith("no page: sweep is still being written; ask again when that is over\n")
+            assert not Path("sweep/report.html").exists()
+            typed("report", "sweep", "--html", "page.html").assert_refused("no page is made", "still being written")
+        assert typed("report", "sweep").out.endswith("page: sweep/report.html\n")
+
+    def test_has_its_map_its_knobs_and_its_first_rows(self, typed: Typed) -> None:
+        typed("report", "sweep")
+        shown = Page(Path("sweep/report.html").read_bytes())
+        shown.assert_needs_nothing_else()
+        assert [figure.findtext(f"{SVG}title") for figure in shown.figures] == ["x_err_rms over delay and k_e"]
+        assert {"3 values: 0, 0.05, 0.1", "2 values: 100, 1000"} <= {*shown.texts}
+        assert "Rows" in shown.texts
+
+    def test_with_rows_that_diverged_shows_where_and_draws_the_boundary(self, typed: Typed) -> None:
+        axes = {"delay": [0.0, 0.1], "k_e": [1e2, 5e3]}
+        sweep("soft_tissue", axes, fixed={"duration": 2.0, "law": "direct", "x_limit": 0.3}, engine="plain", out="map")
+        typed("report", "map")
+        (figure,) = Page(Path("map/report.html").read_bytes()).figures
+        styles = [one.get("class") for one in figure.iter(f"{SVG}path")]
+        assert {"aok", "adiverged", "edge"} <= {*styles}
+        assert {"ok", "diverged"} <= {one.text for one in figure.iter(f"{SVG}text")}
+
+    def test_over_one_knob_has_curves_with_a_point_a_value(self, typed: Typed) -> None:
+        axes = {"delay": [0.0, 0.05, 0.1], "law": ["wave", "pp"]}
+        sweep("soft_tissue", axes, fixed={"duration": 0.1}, engine="plain", out="line")
+        typed("report", "line")
+        (figure,) = Page(Path("line/report.html").read_bytes()).figures
+        assert len([*figure.iter(f"{SVG}circle")]) == 6
+
+    def test_of_a_sample_is_drawn_as_points(self, typed: Typed) -> None:
+        typed("sweep", "soft_tissue", "--grid", "delay=0:0.1", "k_e=1e2:1e3", "--latin", "9", "--set", "duration=0.1",
+              "--out", "drawn")
+        typed("report", "drawn")
+        (figure,) = Page(Path("drawn/report.html").read_bytes()).figures
+        assert len([*figure.iter(f"{SVG}circle")]) == 9
+
+    def test_of_seeds_alone_has_no_figure_and_says_why(self, typed: Typed) -> None:
+        sweep("jittery_wan", {}, fixed={"duration": 0.1}, seeds=2, engine="plain", out="seeds")
+        assert typed("report", "seeds").code == 0
+        shown = Page(Path("seeds/report.html").read_bytes())
+        assert shown.figures == []
+        assert "No figure: " in shown.text

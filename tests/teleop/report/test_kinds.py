@@ -1,0 +1,166 @@
+"""A page of each kind of folder that a command leaves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop import load_scene, run
+from tests.teleop.report.read_page import SVG, Page
+
+Typed = Callable[..., Any]
+SMALL = """
+seeds = 1
+set = {x_limit = 0.3}
+[[link]]
+name = "10 ms"
+link = "delay(0.01)"
+[[link]]
+name = "200 ms"
+link = "delay(0.2)"
+[[environment]]
+name = "tissue"
+scene = "soft_tissue"
+set = {duration = 0.4}
+[[environment]]
+name = "free"
+scene = "free_motion"
+set = {duration = 0.4}
+"""
+
+
+def titles(page: Page) -> list[str | None]:
+    return [figure.findtext(f"{SVG}title") for figure in page.figures]
+
+
+def of(folder: str) -> Page:
+    shown = Page(Path(folder, "report.html").read_bytes())
+    shown.assert_needs_nothing_else()
+    return shown
+
+
+class TestAComparison:
+    @pytest.fixture
+    def small(self, typed: Typed) -> Path:
+        Path("small.toml").write_text(SMALL)
+        typed("compare", "small.toml", "--laws", "wave,direct", "--workers", "1")
+        return Path("runs/small")
+
+    def test_has_the_table_of_compare_and_a_map_of_how_cases_ended(self, typed: Typed, small: Path) -> None:
+        again = typed("compare", "small.toml", "--laws", "wave,direct", "--workers", "1").out
+        told = typed("report", str(small)).out
+        assert again.split("\n\n")[1] == told.split("\n\n")[1]  # the table
+        shown = of("runs/small")
+        assert titles(shown)[0] == "How the cases ended"
+        assert "200 ms" in {one.text for one in shown.figures[0].iter(f"{SVG}text")}
+        assert {"wave", "direct", "tracking error"} <= {*shown.texts}
+
+    @pytest.mark.parametrize("option", [("--plot",), ("--rows", "3"), ("--metric", "x_err_rms")])
+    def test_has_no_picture_of_a_sweep(self, typed: Typed, small: Path, option: tuple[str, ...]) -> None:
+        typed("report", str(small), *option).assert_refused("holds a comparison", option[0], "teleop compare")
+
+    def test_of_rows_that_are_none_of_it_is_refused(self, typed: Typed, small: Path) -> None:
+        rows = [json.loads(line) for line in (small / "rows.jsonl").read_text().splitlines()]
+        for wrong in ({"ended": "nowhere"}, {"law": 3}, {"x_err_rms": "much"}):
+            changed = [{**rows[0], **wrong}, *rows[1:]]
+            (small / "rows.jsonl").write_text("".join(json.dumps(row) + "\n" for row in changed))
+            typed("report", str(small)).assert_refused("another version", "teleop compare")
+
+
+class TestAStudy:
+    def test_of_precision_has_its_methods_and_error_over_run_time(self, typed: Typed) -> None:
+        pytest.importorskip("mpmath")
+        typed("precision", "canonical", "--set", "duration=0.1", "--rounds", "1", "--out", "p")
+        told = typed("report", "p")
+        assert told.out.startswith("precision")
+        shown = of("p")
+        assert titles(shown) == ["Error over run time"]
+        assert {"exact", "rk4/1", "semi_implicit_euler/4"} <= {*shown.texts}
+
+    def test_of_tune_has_its_front(self, typed: Typed) -> None:
+        typed("tune", "wave", "--scene", "hard_wall", "--budget", "12", "--out", "t")
+        typed("report", "t")
+        shown = of("t")
+        assert titles(shown) == ["The front of tracking error against drag"]
+        assert "best.law.b" in shown.texts
+
+    def test_of_an_analysis_has_its_figures_with_their_units(self, typed: Typed) -> None:
+        typed("stability", "soft_tissue", "--out", "s")
+        said = typed("report", "s").out
+        summary = json.loads(Path("s/summary.json").read_text())
+        assert "dominant.frequency" in said
+        assert f"{summary['dominant']['frequency']:.6g} Hz" in of("s").texts
+
+    def test_of_numbers_that_are_none_has_no_figure_and_says_so(self, typed: Typed) -> None:
+        Path("t").mkdir()
+        Path("t/summary.json").write_text(json.dumps({
+            "status": "done", "sentence": "<script>", "mode": "tune", "front": [{"figures": 3}], "best": {}}))
+        assert typed("report", "t").code == 0
+        shown = of("t")
+        assert shown.figures == []
+        assert "No figure: the numbers for it are not there." in shown.texts
+        assert "<script>" in shown.texts
+
+    def test_that_is_none_is_refused(self, typed: Typed) -> None:
+        Path("t").mkdir()
+        Path("t/summary.json").write_text(json.dumps({"status": 3, "sentence": "done", "mode": "tune"}))
+        typed("report", "t").assert_refused("holds no complete study (summary.json.status must be a text", "type the")
+        Path("t/summary.json").write_text(json.dumps({"mode": "another"}))
+        typed("report", "t").assert_refused("holds no run and no sweep")
+
+    def test_has_no_rows_and_no_plot_of_a_sweep(self, typed: Typed) -> None:
+        typed("stability", "soft_tissue", "--out", "s")
+        typed("report", "s", "--rows", "3").assert_refused("what teleop stability found", "leave it out")
+
+
+class TestAPage:
+    """A folder of `teleop demo --page`: a part for each turn."""
+
+    @pytest.fixture
+    def pg(self, typed: Typed) -> Path:
+        assert typed is not None
+        parts = []
+        for i, law in enumerate(("wave", "direct", "tdpa"), 1):
+            run(load_scene("hard_wall", duration=0.5, law=law)).save(Path("pg") / f"{i:02}")
+            parts.append({"folder": f"{i:02}", "knobs": {}, "k": 500 * (i - 1), "why": "turn" if i > 1 else "start"})
+        index = {"version": 1, "scene": "hard_wall", "seed": 0, "command": ["teleop", "demo", "--page"], "parts": parts}
+        Path("pg/page.json").write_text(json.dumps(index))
+        return Path("pg")
+
+    def test_has_its_parts_in_order(self, typed: Typed, pg: Path) -> None:
+        said = typed("report", str(pg)).out
+        lines = said.splitlines()
+        assert lines[0] == "page   hard_wall, 3 parts"
+        assert [line.split()[:2] for line in lines[2:5]] == [["1", "start"], ["2", "turned"], ["3", "turned"]]
+        shown = of("pg")
+        assert "hard_wall, 3 parts on the page" in shown.texts
+        frames = [one for one in shown.figure("position").iter(f"{SVG}rect") if one.get("class") == "f"]
+        assert len(frames) == 3
+        assert "teleop demo --page" in shown.texts
+
+    def test_whose_part_cannot_be_read_has_the_others_and_says_why(self, typed: Typed, pg: Path) -> None:
+        (pg / "02/trace.npz").unlink()
+        said = typed("report", str(pg))
+        assert said.code == 0
+        assert "left out   pg/02 holds no complete run" in said.out
+        assert "tdpa" in said.out
+
+    @pytest.mark.parametrize(("change", "words"), [
+        ({"version": 2}, "version"), ({"parts": []}, "names no part"), ({"scene": 3}, "scene must be a text"),
+        ({"parts": [{"folder": "../elsewhere", "k": 0, "why": "start"}]}, "a part is a number"),
+    ])
+    def test_with_an_index_that_is_none_is_refused(
+        self, typed: Typed, pg: Path, change: dict[str, Any], words: str
+    ) -> None:
+        index = json.loads((pg / "page.json").read_text())
+        (pg / "page.json").write_text(json.dumps({**index, **change}))
+        typed("report", str(pg)).assert_refused("holds no page that can be read", words)
+
+    def test_whose_part_is_a_link_does_not_follow_it(self, typed: Typed, pg: Path) -> None:
+        (pg / "03").rename("elsewhere")
+        (pg / "03").symlink_to(Path("elsewhere").resolve())
+        assert "pg/03 is a link" in typed("report", str(pg)).out

@@ -1,0 +1,47 @@
+"""A page in a real browser: it prints on two sheets at most, and its browser has nothing to say against it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from teleop import load_scene, run
+from teleop.report.of_runs import Run, of_one, of_several
+from teleop.report.page import page
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+pytestmark = [pytest.mark.live, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to print with")]
+
+
+def printed(html: bytes, at: Path) -> tuple[int, str]:
+    """The sheets of a page that is printed, and what the browser's console says."""
+    (at / "page.html").write_bytes(html)
+    done = subprocess.run(
+        [str(CHROMIUM), "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={at / 'profile'}",
+         "--enable-logging=stderr", "--v=0", "--no-pdf-header-footer", f"--print-to-pdf={at / 'page.pdf'}",
+         (at / "page.html").as_uri()], capture_output=True, text=True, check=True, timeout=120)
+    console = "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
+    return len(re.findall(rb"/Type\s*/Page\b(?!s)", (at / "page.pdf").read_bytes())), console
+
+
+@pytest.mark.parametrize("scene", ["hard_wall", "jittery_wan"])
+def test_a_run_is_printed_on_two_sheets_at_most(scene: str, tmp_path: Path) -> None:
+    result = run(load_scene(scene, duration=3.0))
+    told = Run("here", result, result.summary(["teleop", "run", scene]))
+    sheets, console = printed(page([of_one(told)]), tmp_path)
+    assert 1 <= sheets <= 2
+    assert console == ""
+
+
+def test_six_runs_are_printed_on_three_sheets_at_most(tmp_path: Path) -> None:
+    results = [run(load_scene("hard_wall", duration=2.0, law=law)) for law in ("wave", "direct", "pp", "p_d", "iss",
+                                                                              "tdpa")]
+    told = [Run(f"run-{i}", result, result.summary(["teleop", "run"])) for i, result in enumerate(results)]
+    sheets, console = printed(page([of_several(told)]), tmp_path)
+    assert 1 <= sheets <= 3
+    assert console == ""
