@@ -19,15 +19,17 @@ except ImportError as error:  # another project's package has the same name
 if TYPE_CHECKING:
     from master.device import SimulatedMaster
     from master.hand import Grip, Reach, Rest, Sine
+    from master.hand_record import HandRecording
     from master.recording import Recording
     from master.steered import SteeredMaster
 
 __all__ = [
-    "Grip", "Reach", "Recording", "Rest", "SimulatedMaster", "Sine", "SteeredMaster",
+    "Grip", "HandRecording", "Reach", "Recording", "Rest", "SimulatedMaster", "Sine", "SteeredMaster",
 ]
 _HOMES = {  # the module of each name, under this package
     "device": ("SimulatedMaster",),
     "hand": ("Grip", "Reach", "Rest", "Sine"),
+    "hand_record": ("HandRecording",),
     "recording": ("Recording",),
     "steered": ("SteeredMaster",),
 }

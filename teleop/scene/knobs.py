@@ -17,9 +17,10 @@ from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
 from teleop.laws.around.names import LawText, arguments_of_law, around, law_text, read_stage
 from teleop.scene.own_law import file_law, file_named
 from teleop.scene.playout import Playout, Zero, read_playout
-from teleop.scene.wide import WIDE, read_link
+from teleop.scene.wide import WIDE, read_hand, read_link
 
 _PLAIN = Declared(float, ..., UNDECLARED)  # a number of which nothing else is known
+PARTS: dict[str, Callable[[object], tuple[str, Any]]] = {"link": read_link, "hand": read_hand}  # of `WIDE`
 _TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
 
@@ -79,13 +80,15 @@ def settle(
     of_scene: dict[str, tuple[object, Any]] = {}
     of_law = {key.removeprefix("law."): value for key, value in given.items() if key.startswith("law.")}
     of_law = of_law if "law" in known else {}
+    left = known.keys() - given.keys()
     for key, value in given.items():
         if key == "law" and of_law and isinstance(value, str):
             values[key] = _named_law(value, of_law)
         elif key in known:
             values[key] = read_knob(key, value, known[key])
-        elif key == "link":
-            of_scene[key] = read_link(value)
+        elif key in PARTS:
+            of_scene[key] = PARTS[key](value)
+            values |= {"duration": of_scene[key][1].duration} if key == "hand" and "duration" in left else {}
         elif key in WIDE:
             of_scene[key] = (found := read_knob(key, value, WIDE[key])), found
         elif key.removeprefix("law.") not in of_law:
@@ -116,8 +119,8 @@ def check_text(key: str, text: str, known: Mapping[str, Declared]) -> None:
         for stage in parts.stages:
             read_stage(stage)
         _arguments(parts)
-    elif key == "link" and key not in known:
-        read_link(text)
+    elif key in PARTS and key not in known:
+        PARTS[key](text)
     elif key.startswith("law."):
         _number(key, text, _PLAIN, whole=False, vector=False)
     elif (own := known.get(key) or WIDE.get(key)) is not None:

@@ -18,8 +18,9 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
 
     `law` may be a law, a law's name, or "FILE.py:CLASS" for one in a file; `law.FIELD` sets one of the law's own
     numbers. Knobs of every scene are `x_limit` (m), beyond which a run has diverged, `scale_x` and `scale_f`, the
-    slave's metres and newtons for one of the master's, and `link`, which takes a link or its text and replaces the
-    scene's. Values may be texts, as on the command line. Raises `Refused`.
+    slave's metres and newtons for one of the master's, `link`, which takes a link or its text and replaces the
+    scene's, and `hand`, the folder of a live page (or a `master.HandRecording`) whose hand the scene's moves as. Values
+    may be texts, as on the command line. Raises `Refused`.
 
     >>> load_scene("canonical", delay=0.1).name
     'canonical'

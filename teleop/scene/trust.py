@@ -57,6 +57,7 @@ def _check_no_file(name: str, knobs: Mapping[str, object]) -> None:
         if isinstance(value, str) and file_named(value):  # of a law, whatever its knob is called
             raise Refused(f"the folder's scene {name} has {key}={value[:200]}, which is a file with code, so it is not "
                           f"run; {CURE}")
-        if Path in kinds.get(key, ()) or (key == "link" and import_bundled("channel.link").names_a_file(str(value))):
+        if Path in kinds.get(key, ()) or (key == "hand" and key not in kinds) or (
+                key == "link" and import_bundled("channel.link").names_a_file(str(value))):
             raise Refused(f"the folder's scene {name} has {key}={str(value)[:200]}, which names a file of this "
                           f"machine, so it is not read; {CURE}")

@@ -32,6 +32,8 @@ WIDE = {
         "", "message that a tick plays, where there is a link: see `teleop list playout`")),
     "link": Declared("Link | None", "the scene's", Knob(
         "", "link in place of the scene's, where there is a slave, as --link takes it; none: no link")),
+    "hand": Declared("HandRecording", "the scene's", Knob(
+        "", "folder of a live page whose hand the scene's moves as, for as long where duration is not set")),
 }
 
 
@@ -44,6 +46,13 @@ def read_link(value: object) -> tuple[str, Any]:
         link = module.parse_link(value)
         return module.shown(value, link), link
     return module.describe(value), value  # what is no link, the scene refuses
+
+
+def read_hand(value: object) -> tuple[str, Any]:
+    """The folder of a recorded hand, and the reference that it holds. Raises `Refused`."""
+    kind = import_bundled("master.hand_record").HandRecording
+    reference = value if isinstance(value, kind) else kind(value)
+    return reference.path, reference
 
 
 def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
@@ -63,6 +72,13 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
         k = parts.pop("deadband")
         parts["deadband"] = None if k == 0.0 else replace(scene.deadband or Deadband(), k=k)
+    if "hand" in parts:
+        if scene.hand is None:
+            raise Refused(f"hand={parts['hand'].path} moves nothing in a scene without a hand; leave it out, or take "
+                          "a scene with one")
+        parts["hand"].check(scene.axes, scene.dt_ns)
+        own = scene.hand
+        parts["hand"] = import_bundled("master.hand").Grip(mass=own.mass, k=own.k, d=own.d, reference=parts["hand"])
     made = replace(scene, **parts)
     along = made.has_waves and integrates(made.played_as)  # what waves have come to is sent without a link too
     if "playout" in parts and made.link is None and not along:

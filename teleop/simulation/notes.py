@@ -12,6 +12,7 @@ from teleop.simulation.packets import Packets
 
 SHARE = 0.99  # of the packets that come, which a longer playout is to play
 FADES = 0.001  # of the ticks: where so many are gaps, a steady force has lost a twentieth of itself in ten seconds
+ENOUGH = 1_000_000  # packets that tell how late those of a link come: an open-ended live run has 86 million
 MARGIN = 0.01  # s, live: what the machine adds to the link
 
 
@@ -92,7 +93,8 @@ def _longer(scene: Scene, direction: int, seed: int, live: bool) -> str:
     """What to type for a playout that is long enough for nearly all packets that the scene's link lets through."""
     import numpy as np
 
-    arrivals = scene.link.arrivals(direction, scene.ticks, scene.dt_ns, seed, scene.wire_size)  # type: ignore[union-attr]  # packets came late on one
+    count = min(scene.ticks, ENOUGH)
+    arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)  # type: ignore[union-attr]  # packets came late on one
     ages = arrivals.time_ns - arrivals.packet * scene.dt_ns
     enough = float(np.quantile(ages, SHARE, method="higher")) / 1e9 + MARGIN * live if len(ages) else 0.0
     ticks = max(1, int(np.ceil(round(enough / scene.dt, 6)))) * scene.dt

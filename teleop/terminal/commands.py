@@ -97,6 +97,9 @@ def _run(added: ArgumentParser) -> None:
     scene_options(added)
     added.add_argument("--bodies", metavar="METHOD:N", help="move the bodies by N sub-steps a tick of a fixed-step "
                        "method, for example semi_implicit_euler:40 (see `teleop list bodies`); left out: exactly")
+    added.add_argument("--hand", metavar="FOLDER", help="move the scene's hand as the pointer moved that of a live "
+                       "page, whose folder this is (or one of its parts), for as long unless --set duration= says "
+                       "otherwise; left out: as the scene says")
     _out(added, "SCENE")
     _json(added)
     _plot(added, "plot.png")

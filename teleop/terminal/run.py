@@ -21,7 +21,7 @@ PLOT = "plot"  # and the suffix of its format
 
 def command(args: Namespace) -> Answer:
     """Run the scene in virtual time and leave its folder. Raises `Refused`."""
-    scene = load_scene(args.scene, **knobs_from(args))
+    scene = load_scene(args.scene, **knobs_from(args), **({} if args.hand is None else {"hand": args.hand}))
     formats: Sequence[str] = ()
     if args.plot or args.format:
         from teleop.terminal.plotting import asked_formats
