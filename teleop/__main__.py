@@ -36,6 +36,8 @@ HOME = {
     "keygen": "teleop.live.command:keygen",
     "report": "teleop.report.command:command",
     "replay": "teleop.live.replay.command:command",
+    "export": "teleop.export.command:export",
+    "stream": "teleop.export.command:stream",
 }
 
 

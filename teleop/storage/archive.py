@@ -1,20 +1,24 @@
 """The arrays of a run in a file of numpy's (npz), read without trusting what the file says of itself.
 
 The sizes in the head of the archive and in the heads of its arrays are compared with each other and with the number of
-rows that the run has before room is made for any array. Objects, which would be pickles, are refused.
+rows that the run has before room is made for any array. Objects, which would be pickles, are refused. Whoever needs no
+array as a whole reads all of them side by side, some rows at a time: `open_arrays`.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, BinaryIO
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 from teleop.storage.files import open_regular
 from teleop.storage.strict_json import Misshapen
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
 MOST_ARRAYS = 256
@@ -30,44 +34,92 @@ def read_arrays(path: Path, rows: int) -> dict[str, NDArray[Any]]:
     Raises `OSError`, `Misshapen`, or what `zipfile` and numpy raise of a broken archive. A link is not followed.
     """
     with open_regular(path, links=False) as file, ZipFile(file) as archive:
-        parts = archive.infolist()
-        size = file.seek(0, 2)
-        whole = sum(part.file_size for part in parts)
-        if len(parts) > MOST_ARRAYS:
-            raise Misshapen(f"it has {len(parts)} arrays, more than {MOST_ARRAYS}")
-        if whole > max(size, INFLATED):
-            raise Misshapen(f"its {size} bytes would inflate to {whole}")
-        arrays: dict[str, NDArray[Any]] = {}
-        for part in parts:
-            name = _NAME.fullmatch(part.filename)
-            if name is None or name[1] in arrays or part.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-                raise Misshapen(f"{part.filename[:80]!r} in it is no array of its own")
-            arrays[name[1]] = _array(archive, part, name[1], rows)
-        return arrays
+        return {name: _array(archive, part, name, rows) for name, part in _parts(archive, file)}
+
+
+class StoredArray:
+    """An array of an archive that is open: `shape` and `dtype`, and its rows, read once from the first to the last."""
+
+    def __init__(self, stream: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self.shape, self.dtype = shape, dtype
+        self._stream = stream
+
+    def read(self, rows: int) -> NDArray[Any]:
+        """The next `rows` rows, of shape (rows,) or (rows, axes). Raises `Misshapen` if there are fewer."""
+        import numpy as np
+
+        out: NDArray[Any] = np.empty((rows, *self.shape[1:]), self.dtype)
+        _fill(self._stream, out.reshape(-1).view(np.uint8), last=False)
+        return out
+
+
+@contextmanager
+def open_arrays(path: Path, rows: int) -> Iterator[dict[str, StoredArray]]:
+    """The same arrays, open to be read some rows at a time. Raises what `read_arrays` does.
+
+    Refused too is an array that is stored column by column, which this package never writes.
+    """
+    with ExitStack() as opened:
+        file = opened.enter_context(open_regular(path, links=False))
+        archive = opened.enter_context(ZipFile(file))
+        arrays = {}
+        for name, part in _parts(archive, file):
+            stream = opened.enter_context(archive.open(part))
+            shape, by_columns, dtype = _head(stream, part, name, rows)
+            if by_columns and len(shape) > 1:
+                raise Misshapen(f"{name} is stored column by column")
+            arrays[name] = StoredArray(stream, shape, dtype)
+        yield arrays
+
+
+def _parts(archive: ZipFile, file: BinaryIO) -> list[tuple[str, ZipInfo]]:
+    """The arrays in the archive by name, if they are few, of a size that it can have, and each is there once."""
+    parts = archive.infolist()
+    size = file.seek(0, 2)
+    whole = sum(part.file_size for part in parts)
+    if len(parts) > MOST_ARRAYS:
+        raise Misshapen(f"it has {len(parts)} arrays, more than {MOST_ARRAYS}")
+    if whole > max(size, INFLATED):
+        raise Misshapen(f"its {size} bytes would inflate to {whole}")
+    found: dict[str, ZipInfo] = {}
+    for part in parts:
+        name = _NAME.fullmatch(part.filename)
+        if name is None or name[1] in found or part.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            raise Misshapen(f"{part.filename[:80]!r} in it is no array of its own")
+        found[name[1]] = part
+    return [*found.items()]
+
+
+def _head(stream: IO[bytes], part: ZipInfo, name: str, rows: int) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, is it stored column by column, and type of an array; leaves `stream` at its numbers."""
+    from numpy.lib.format import read_array_header_1_0, read_magic
+
+    if read_magic(stream) != (1, 0):
+        raise Misshapen(f"{name} is no array of numpy's format 1.0")
+    shape, by_columns, dtype = read_array_header_1_0(stream, max_header_size=_HEAD)
+    if dtype.kind not in "fiub" or not (4 if dtype.kind == "f" else 1) <= dtype.itemsize <= 8:
+        raise Misshapen(f"{name} holds {dtype}, and a trace holds numbers")
+    if shape[:1] != (rows,) or len(shape) > 2 or not all(1 <= each <= MOST_AXES for each in shape[1:]):
+        raise Misshapen(f"{name} is of shape {shape}, and the run has {rows} rows")
+    count = rows * (shape[1] if len(shape) == 2 else 1)
+    if part.file_size - stream.tell() != count * dtype.itemsize:
+        raise Misshapen(f"{name} is of another size than its head says")
+    return shape, by_columns, dtype
 
 
 def _array(archive: ZipFile, part: ZipInfo, name: str, rows: int) -> NDArray[Any]:
     import numpy as np
-    from numpy.lib.format import read_array_header_1_0, read_magic
 
     with archive.open(part) as stream:
-        if read_magic(stream) != (1, 0):
-            raise Misshapen(f"{name} is no array of numpy's format 1.0")
-        shape, by_columns, dtype = read_array_header_1_0(stream, max_header_size=_HEAD)
-        if dtype.kind not in "fiub" or not (4 if dtype.kind == "f" else 1) <= dtype.itemsize <= 8:
-            raise Misshapen(f"{name} holds {dtype}, and a trace holds numbers")
-        if shape[:1] != (rows,) or len(shape) > 2 or not all(1 <= each <= MOST_AXES for each in shape[1:]):
-            raise Misshapen(f"{name} is of shape {shape}, and the run has {rows} rows")
-        count = rows * (shape[1] if len(shape) == 2 else 1)
-        if part.file_size - stream.tell() != count * dtype.itemsize:
-            raise Misshapen(f"{name} is of another size than its head says")
-        flat: NDArray[Any] = np.empty(count, dtype)
-        _fill(stream, flat.view(np.uint8))
+        shape, by_columns, dtype = _head(stream, part, name, rows)
+        flat: NDArray[Any] = np.empty(rows * (shape[1] if len(shape) == 2 else 1), dtype)
+        _fill(stream, flat.view(np.uint8), last=True)
     got = flat.reshape(shape[::-1]).T if by_columns else flat.reshape(shape)
     return np.asarray(got)
 
 
-def _fill(stream: Any, room: NDArray[Any]) -> None:
+def _fill(stream: IO[bytes], room: NDArray[Any], *, last: bool) -> None:
+    """Read as many bytes as there is `room` for; of the `last` ones the checksum is looked at."""
     import numpy as np
 
     at = 0
@@ -77,4 +129,5 @@ def _fill(stream: Any, room: NDArray[Any]) -> None:
             raise Misshapen("it ends in the middle of an array")
         room[at : at + len(block)] = np.frombuffer(block, np.uint8)
         at += len(block)
-    stream.read(1)  # has the checksum looked at
+    if last:
+        stream.read(1)

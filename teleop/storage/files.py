@@ -75,6 +75,29 @@ def replacing(path: Path, *, settle: bool = False) -> Iterator[BinaryIO]:
 
 
 @contextmanager
+def creating(path: Path) -> Iterator[BinaryIO]:
+    """A new file to write into that gets the name `path` when all went well, and is gone when it did not.
+
+    Raises `OSError`: a `FileExistsError` if there is such a name already, at the begin or by the end.
+    """
+    _check_free(path)
+    part, file = _new_beside(path)
+    try:
+        with file:
+            yield file
+        try:
+            os.link(part, path, follow_symlinks=False)  # unlike a rename it never takes the place of a file
+        except FileExistsError:
+            raise
+        except (OSError, NotImplementedError):  # a file system without hard links
+            _check_free(path)
+            os.rename(part, path)
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+@contextmanager
 def replacing_text(path: Path) -> Iterator[IO[str]]:
     """The same for text in UTF-8, whose line ends stay as they are written."""
     with replacing(path) as file:
@@ -86,6 +109,11 @@ def replacing_text(path: Path) -> Iterator[IO[str]]:
 def is_part(path: Path, name: str) -> bool:
     """True if it is what a killed process left of a file `name` that was written by `replacing`."""
     return path.name.startswith(f".{name}.") and path.name.endswith(".part")
+
+
+def _check_free(path: Path) -> None:
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, "it is there already", str(path))
 
 
 def _new_beside(path: Path) -> tuple[Path, BinaryIO]:

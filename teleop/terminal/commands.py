@@ -52,6 +52,8 @@ examples:
   teleop list hard_wall
   teleop report runs/hard_wall-1 --plot --format pdf
   teleop replay runs/hard_wall-1 --set law.b=4
+  teleop export runs/hard_wall-1 --mcap hard_wall.mcap --csv hard_wall.csv
+  teleop stream runs/hard_wall-2 --plotjuggler 127.0.0.1:9870
 """
 
 
@@ -310,6 +312,27 @@ def _replay(added: ArgumentParser) -> None:
     _plot(added, "replay.png")
 
 
+def _export(added: ArgumentParser) -> None:
+    added.add_argument("run", metavar="FOLDER", help="the folder of a run that is over: of teleop run, of a demo, of a "
+                       "live end, or one with parts")
+    added.add_argument("--mcap", metavar="FILE", help="a new file for Foxglove and all that reads MCAP: JSON messages "
+                       "with their schemas (needs the extra `log`)")
+    added.add_argument("--csv", metavar="FILE", help="a new file for pandas and all that reads CSV; beside it "
+                       "FILE-metadata.json with the units")
+    added.add_argument("--trust", action="store_true", help="where a killed process left the folder: run the scene's "
+                       "own file, and read the files, that it names")
+    _json(added)
+
+
+def _stream(added: ArgumentParser) -> None:
+    added.add_argument("run", metavar="FOLDER", help="the folder that a live end or a demo is writing, or has written")
+    added.add_argument("--plotjuggler", metavar="HOST:PORT", required=True, help="where PlotJuggler's UDP Server "
+                       "listens, for example 127.0.0.1:9870; rows go there as JSON, neither encrypted nor answered")
+    added.add_argument("--rows", metavar="N", type=whole, default=16, help="rows a datagram, at most; left out: 16; 1 "
+                       "for PlotJuggler before 3.16.0")
+    _json(added)
+
+
 def _doctor(added: ArgumentParser) -> None:
     added.add_argument("--clear", action="store_true", help="remove the compiled kernels")
     _json(added)
@@ -355,6 +378,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "report": ("Show stored folders again, and write them as one page of HTML; --plot draws too.", _report),
     "replay": ("Run the law of each end of a live run again over what the end read and heard: the same to the bit, or "
                "where not; with --set, what another law would have commanded.", _replay),
+    "export": ("Write a run that is over as a file for other tools: MCAP for Foxglove, CSV for pandas.", _export),
+    "stream": ("Send a live run to PlotJuggler as it grows, from a process of its own.", _stream),
 }
 
 

@@ -48,6 +48,14 @@ def load_result(folder: Path | str, *, trust: bool = False) -> Result:
     files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.scene.trust`.
     """
     at = Path(folder)
+    return settle(at, trust=trust) or read_result(at)
+
+
+def settle(at: Path, *, trust: bool = False) -> Result | None:
+    """Make whole what a killed process left in the folder `at`, as `load_result` does; None if all is there now.
+
+    Of a live run that goes on the result so far, with the status `RUNNING`.
+    """
     try:
         if not has_record(at):
             if is_being_written(at):
@@ -60,7 +68,7 @@ def load_result(folder: Path | str, *, trust: bool = False) -> Result:
         raise
     except Exception as error:  # files of another kind, or cut short
         raise incomplete(at, error) from error
-    return read_result(at)
+    return None
 
 
 def scene_of(folder: Path, *, trust: bool = False) -> Scene:

@@ -1,0 +1,1 @@
+"""Runs for the tools that people have: MCAP for Foxglove, CSV for pandas, UDP for PlotJuggler."""

@@ -1,0 +1,135 @@
+"""What the columns of a trace are: unit, meaning, topic, and by which names their numbers go in other tools.
+
+Foxglove draws an array as one curve and has no names for its entries, so what has axes is an object with the fields x,
+y, z there, in one axis too: a layout made for one run fits the others. A CSV has a column for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+AXES = ("x", "y", "z")
+TOPICS = {
+    "master": "the master's end: the device in the hand",
+    "slave": "the slave's end: the robot, and what it touches",
+    "link": "what the link does: packets played, and queues of waves",
+    "energy": "ledgers of energy, each from the begin of the run",
+}
+
+
+class Quantity(NamedTuple):
+    """What a column is. `unit`: in SI, 1 for a number without one, empty where a law of its own has no word for it."""
+
+    unit: str
+    meaning: str
+    topic: str  # one of `TOPICS`; empty: none, as of the time
+    axes: bool = False  # does it have a number for each axis
+
+
+def _of_end(e: str) -> dict[str, Quantity]:
+    """The columns of one end, m or s."""
+    own, out, back = ("master", "forward", "backward") if e == "m" else ("slave", "backward", "forward")
+    ways = ("fwd", "bwd") if e == "m" else ("bwd", "fwd")
+    return {
+        f"x_{e}": Quantity("m", f"position of the {own}", own, True),
+        f"v_{e}": Quantity("m/s", f"velocity of the {own}", own, True),
+        f"q_{e}": Quantity("m", f"position of the {own} as its encoder reads it", own, True),
+        f"v_hat_{e}": Quantity("m/s", f"velocity of the {own} as it is estimated from its readings", own, True),
+        f"g_{e}": Quantity("1", f"gain of the {own}'s watchdog: 1 lets the law's force through, 0 none of it", own),
+        f"late_{e}": Quantity("s", f"how late the {own}'s tick ran", own),
+        f"E_left_{e}": Quantity("J", f"what is left of the {own}'s energy budget", own),
+        f"seq_{e}": Quantity("1", f"number of the {back} message that the {own} played, which is the tick that sent "
+                             "it; -1 where it had no fresh one", "link"),
+        f"sent_{e}": Quantity("1", f"1 where the {own}'s deadband let a {out} message be sent, 0 where not", "link"),
+        f"queue_{e}": Quantity("s", f"queue of {back} waves at the {own}: the time that is still to be played", "link",
+                               True),
+        f"E_in_{ways[0]}": Quantity("J", f"energy that the {own}'s waves have brought into the link, {out}", "energy"),
+        f"E_out_{ways[1]}": Quantity("J", f"energy that the waves played at the {own} have taken out of the link, "
+                                     f"{back}", "energy"),
+        f"E_port_{e}": Quantity("J", f"work of the stack's force over the motion of the {own}", "energy"),
+        f"E_law_{e}": Quantity("J", f"energy that the law says it keeps at the {own}", "energy"),
+    }
+
+
+KNOWN: Mapping[str, Quantity] = {
+    "t": Quantity("s", "time since tick 0", ""),
+    **_of_end("m"),
+    **_of_end("s"),
+    "f_m": Quantity("N", "force of the stack against the hand", "master", True),
+    "f_h": Quantity("N", "force of the hand on the master", "master", True),
+    "f_h_hat": Quantity("N", "force of the hand as the observer estimates it", "master", True),
+    "E_po": Quantity("J", "energy that the passivity observer has counted at the master's port", "energy", True),
+    "f_s": Quantity("N", "force of the stack on the slave", "slave", True),
+    "f_env": Quantity("N", "force of the slave on its environment", "slave", True),
+    "E_link": Quantity("J", "energy stored in the link", "energy"),
+    "E_port": Quantity("J", "energy that law and link have taken up at the ports", "energy"),
+    "E_law": Quantity("J", "energy that the law keeps, both ends together", "energy"),
+}
+
+
+def quantity(name: str) -> Quantity:
+    """What the column `name` of a trace is. One that is not `KNOWN` is a field of its law's state, which a law shows.
+
+    >>> quantity("f_env").unit, quantity("H_s").meaning
+    ('N', "H of the state of the slave's law, in its own unit")
+    """
+    found = KNOWN.get(name)
+    if found is not None:
+        return found
+    field, _, e = name.rpartition("_")
+    own = "slave" if e == "s" else "master"
+    return Quantity("", f"{field or name} of the state of the {own}'s law, in its own unit", own, True)
+
+
+class Field(NamedTuple):
+    """A column with so many numbers in each row: `axes`, 1 of a scalar."""
+
+    name: str
+    quantity: Quantity
+    axes: int
+
+    @property
+    def flat(self) -> tuple[str, ...]:
+        """The name of each number where there are no objects, as in a CSV: of several axes one for each."""
+        return (self.name,) if self.axes == 1 else tuple([f"{self.name}_{axis}" for axis in names_of(self.axes)])
+
+    def described(self) -> str:
+        """Meaning and unit."""
+        return f"{self.quantity.meaning}{f' ({self.quantity.unit})' if self.quantity.unit else ''}"
+
+
+def names_of(axes: int) -> tuple[str, ...]:
+    """The names of so many axes: x, y, z, and beyond them numbers.
+
+    >>> names_of(2), names_of(4)
+    (('x', 'y'), ('x', 'y', 'z', '3'))
+    """
+    return tuple([AXES[i] if i < len(AXES) else str(i) for i in range(axes)])
+
+
+def field(name: str, axes: int) -> Field:
+    """The column `name` with so many numbers in each row."""
+    return Field(name, quantity(name), axes)
+
+
+def paths_of(one: Field, *, topic: bool = True) -> list[tuple[str, ...]]:
+    """Where the numbers of a column are in an object, with its `topic` or beneath it.
+
+    >>> paths_of(field("f_env", 1)), paths_of(field("E_link", 1), topic=False)
+    ([('slave', 'f_env', 'x')], [('E_link',)])
+    """
+    base = (one.quantity.topic, one.name) if topic else (one.name,)
+    return [(*base, axis) for axis in names_of(one.axes)] if one.quantity.axes or one.axes > 1 else [base]
+
+
+def numbers(columns: Iterable[NDArray[Any]]) -> list[list[float]]:
+    """Columns of shape (rows,) or (rows, axes) as lists of Python's numbers, one list for each axis of each."""
+    cells: list[list[float]] = []
+    for column in columns:
+        plain = column.astype(int) if column.dtype.kind == "b" else column
+        cells += [plain.tolist()] if plain.ndim == 1 else plain.T.tolist()
+    return cells

@@ -1,0 +1,136 @@
+"""Which folders can be exported, and what is said of those that cannot."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from teleop import Refused, load_result
+from teleop.export.stored import BLOCK, all_fields, read_parts
+from teleop.simulation.result import write_arrays
+from teleop.storage.folder import claim
+from tests.teleop.export.conftest import LiveEnd
+
+Stored = Callable[[str], Path]
+
+
+def read(folder: Path) -> int:
+    return sum(len(block["t"]) for part in read_parts(folder, trust=False) for block in part.blocks())
+
+
+def refused(folder: Path) -> str:
+    with pytest.raises(Refused) as why:
+        read(folder)
+    return str(why.value)
+
+
+@pytest.fixture
+def copy(tmp_path: Path, stored: Stored) -> Path:
+    return Path(shutil.copytree(stored("canonical"), tmp_path / "run"))
+
+
+def test_one_end_alone_can_be_exported(demo: Path) -> None:
+    part, = read_parts(demo / "slave", trust=False)
+    assert part.ticks == 390
+    assert {"x_s", "late_s"} <= part.fields.keys()
+    assert "x_m" not in part.fields
+
+
+def test_rows_come_in_blocks_that_do_not_grow_with_the_run(tmp_path: Path) -> None:
+    LiveEnd(tmp_path / "end", "m", range(2 * BLOCK + 5)).close()
+    part, = read_parts(tmp_path / "end", trust=False)
+    blocks = list(part.blocks())
+    assert [len(block["t"]) for block in blocks] == [BLOCK, BLOCK, 5]
+    trace = load_result(tmp_path / "end").trace
+    for name in trace:
+        assert np.array_equal(np.concatenate([block[name] for block in blocks]), trace[name])
+
+
+def test_what_a_killed_process_left_is_made_whole_first(demo: Path) -> None:
+    assert not (demo / "summary.json").exists()
+    part, = read_parts(demo, trust=False)
+    assert part.summary["status"] == "stopped"
+    assert (demo / "summary.json").is_file()
+
+
+def test_a_run_that_goes_on_is_to_be_followed_instead(demo: Path) -> None:
+    shutil.move(demo / "master", demo.parent / "kept")
+    claimed = claim(demo / "master")
+    shutil.copytree(demo.parent / "kept", demo / "master", dirs_exist_ok=True)
+    assert f"teleop stream {demo} --plotjuggler" in refused(demo)
+    assert not (demo / "summary.json").exists()
+    claimed.close()
+    assert read_parts(demo, trust=False)[0].ticks == 390
+
+
+def test_parts_of_which_one_goes_on_are_not_exported_yet(turned_run: Path) -> None:
+    shutil.move(turned_run / "03" / "master", turned_run / "kept")
+    claimed = claim(turned_run / "03" / "master")
+    shutil.copytree(turned_run / "kept", turned_run / "03" / "master", dirs_exist_ok=True)
+    assert "is of a run that goes on" in refused(turned_run)
+    claimed.close()
+    assert [part.number for part in read_parts(turned_run, trust=False)] == [1, 2, 3]
+
+
+def test_columns_of_all_parts_are_there_once(turned_run: Path) -> None:
+    names = [one.name for one in all_fields(read_parts(turned_run, trust=False))]
+    assert len(names) == len({*names})
+    assert {"E_in_fwd", "G_m", "x_m"} <= {*names}
+
+
+def test_no_folder(tmp_path: Path) -> None:
+    assert refused(tmp_path / "none").startswith(f"there is no folder {tmp_path / 'none'}")
+
+
+def test_a_folder_of_something_else(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text('{"status": "done", "mode": "zwidth"}')
+    assert "holds no complete run" in refused(tmp_path)
+
+
+def test_a_sweep(tmp_path: Path) -> None:
+    (tmp_path / "sweep.json").write_text("{}")
+    assert "holds a sweep" in refused(tmp_path)
+
+
+def test_a_run_without_its_trace(copy: Path) -> None:
+    (copy / "trace.npz").unlink()
+    assert "trace.npz: No such file" in refused(copy)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.9])
+def test_a_trace_that_was_cut_off(copy: Path, share: float) -> None:
+    data = (copy / "trace.npz").read_bytes()
+    (copy / "trace.npz").write_bytes(data[: int(len(data) * share)])
+    assert "holds no complete run" in refused(copy)
+
+
+def test_a_trace_whose_bits_have_turned(copy: Path) -> None:
+    data = bytearray((copy / "trace.npz").read_bytes())
+    data[len(data) // 2] ^= 1
+    (copy / "trace.npz").write_bytes(data)
+    assert "holds no complete run (BadZipFile" in refused(copy)
+
+
+def test_times_that_do_not_grow(copy: Path) -> None:
+    trace = dict(load_result(copy).trace)
+    trace["t"] = trace["t"][::-1].copy()
+    with (copy / "trace.npz").open("wb") as file:
+        write_arrays(file, trace)
+    assert "no times t that grow" in refused(copy)
+
+
+def test_a_summary_of_another_length(copy: Path) -> None:
+    summary = json.loads((copy / "summary.json").read_text())
+    (copy / "summary.json").write_text(json.dumps({**summary, "ticks": 5}))
+    assert "the run has 5 rows" in refused(copy)
+
+
+def test_a_trace_that_is_a_link(copy: Path) -> None:
+    shutil.move(copy / "trace.npz", copy / "other.npz")
+    (copy / "trace.npz").symlink_to(copy / "other.npz")
+    assert "holds no complete run" in refused(copy)
