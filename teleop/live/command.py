@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from argparse import Namespace
 
+from teleop.errors import Refused
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import INTERRUPTED, knobs_from
 from teleop.terminal.plotting import asked_formats
 
 
 def demo(args: Namespace) -> Answer:
-    """Run the scene live, as three processes, leave its folder, and draw it if asked to. Raises `Refused`."""
+    """Run the scene live, as three processes, leave its folder, and draw it if asked to; or show it as a page.
+
+    Raises `Refused`.
+    """
+    if args.page:
+        from teleop.live.page.command import command
+
+        return command(args)
+    if args.port is not None or args.open:
+        raise Refused("--port and --open are of the page; add --page")
     from teleop.live.demo import demo as run_live
     from teleop.terminal.run import answer_of, stem, with_plot
 

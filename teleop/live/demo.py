@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import os
-import signal
 import sys
 import time
-from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +12,7 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.live import fault
+from teleop.live.child import Child, arguments_of
 from teleop.live.live_line import live_text
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
@@ -24,112 +21,11 @@ from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
 from teleop.live.records.record import fresh_folder, read_noted
-from teleop.scene.library import ROOT
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
 
-START_TIMEOUT = 15.0  # s for a process to come up
 FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
-LONGEST_LINE = 1 << 20  # bytes of an event; a longer line is a scene's own print
-KEPT = 1 << 16  # bytes, the last ones, of what a process writes to its standard error
-
-
-class Child:
-    """One process of the demo; its events are lines of JSON on its standard output."""
-
-    def __init__(self, name: str, process: asyncio.subprocess.Process) -> None:
-        self.name, self.process = name, process
-        self.listening: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-        self.listening.add_done_callback(lambda port: port.exception())  # there may be no task left that waits for it
-        self.done: dict[str, Any] | None = None
-        self.realtime: dict[str, str] | None = None  # what the system gave it
-
-    @classmethod
-    async def start(cls, name: str, arguments: list[str]) -> Child:
-        """Start `python -m name arguments`, found beside this package whatever the current folder holds."""
-        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-P", "-m", name, *arguments, "--json", stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE, env={**os.environ, "PYTHONPATH": path},
-            limit=LONGEST_LINE, start_new_session=True,  # Ctrl-C reaches them through us, once
-            preexec_fn=_die_with_parent,
-        )
-        return cls(name, process)
-
-    async def watch(self, live: dict[str, dict[str, Any]]) -> tuple[int, str]:
-        """Read its events until it ends; its exit code and what it said on stderr."""
-        assert self.process.stdout is not None
-        assert self.process.stderr is not None
-        trouble = asyncio.create_task(_last_of(self.process.stderr))
-        async for line in _lines(self.process.stdout):
-            event = _event(line)
-            if event["event"] == "listening" and not self.listening.done():
-                self.realtime = event["realtime"]
-                self.listening.set_result(event["port"])
-            elif event["event"] == "live":
-                live[event["end"]] = event
-            elif event["event"] == "done":
-                self.done = event["summary"]
-        errors = (await trouble).decode(errors="replace").strip()
-        code = await self.process.wait()
-        if not self.listening.done():
-            self.listening.set_exception(self.failed(code, errors))
-        return code, errors
-
-    async def port(self) -> int:
-        """The port that it listens on, as soon as it does. Raises `Refused` if it never does."""
-        try:
-            return await asyncio.wait_for(asyncio.shield(self.listening), START_TIMEOUT)
-        except TimeoutError:
-            raise Refused(f"the {self.name} did not come up in {START_TIMEOUT:g} s; give this machine some rest, and "
-                          "try again") from None
-
-    def failed(self, code: int, errors: str) -> Refused:
-        """Why it ended with `code`, having said so much on stderr."""
-        return Refused(errors.removeprefix("teleop: ") or f"the {self.name} ended with exit code {code} and no word")
-
-    def interrupt(self, name: str = "SIGTERM") -> None:
-        """Ask it to stop cleanly, with the signal that asked us."""
-        if self.process.returncode is None:
-            self.process.send_signal(getattr(signal, name, signal.SIGTERM))
-
-
-async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[bytes]:
-    """The lines of a stream, without those longer than `LONGEST_LINE`."""
-    while True:
-        try:
-            line = await stream.readline()
-        except ValueError:  # too long, and thrown away
-            continue
-        if not line:
-            return
-        yield line
-
-
-async def _last_of(stream: asyncio.StreamReader) -> bytes:
-    """The last `KEPT` bytes of a stream, which is read to its end."""
-    last = b""
-    while part := await stream.read(KEPT):
-        last = (last + part)[-KEPT:]
-    return last
-
-
-def _event(line: bytes) -> dict[str, Any]:
-    """The event in a line; a scene's own prints are none."""
-    try:
-        event = json.loads(line)
-    except ValueError:
-        event = None
-    return event if isinstance(event, dict) and "event" in event else {"event": None}
-
-
-def _die_with_parent() -> None:
-    """Have the system end this process, cleanly, should the demo be killed; only Linux can."""
-    import ctypes
-
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
 
 
 def demo(
@@ -143,10 +39,7 @@ def demo(
     """
     scene = both_ends(load_scene(scene_name, **(knobs if lockstep else live_knobs(scene_name, knobs))))
     ticks_of(scene, rate, lockstep=lockstep, spin=spin)  # refused here, before a process is started
-    options = [scene_name, "--seed", str(seed)]
-    options += [part for key, value in knobs.items() for part in
-                (("--link", value) if key == "link" else ("--set", f"{key}={value}"))]
-    options += [] if realtime else ["--no-realtime"]
+    options = arguments_of(scene_name, seed, knobs, realtime=realtime)
     ticking = ["--lockstep"] * lockstep + ["--spin"] * spin + ([] if rate is None else ["--rate", repr(rate)])
     with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as claimed:
         folder = claimed.path
@@ -172,12 +65,16 @@ async def _conduct(
     children: list[Child] = []
     watches: list[asyncio.Task[tuple[int, str]]] = []
 
+    def note(event: dict[str, Any]) -> None:
+        if event["event"] == "live":
+            live[event["end"]] = event
+
     async def start(name: str, *arguments: str) -> Child:
         if interrupt.name is not None:
             raise Refused("interrupted")
         child = await Child.start(name, [*options, *arguments])
         children.append(child)
-        watches.append(asyncio.create_task(child.watch(live)))
+        watches.append(asyncio.create_task(child.watch(note)))
         return child
 
     async def pass_on() -> None:

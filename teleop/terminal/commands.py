@@ -114,6 +114,10 @@ def _demo(added: ArgumentParser) -> None:
     _plot(added, "plot.png")
     added.add_argument("--lockstep", action="store_true",
                        help="step both ends together over UDP: bit for bit what `teleop run` gives")
+    added.add_argument("--page", action="store_true", help="show it in a browser, on a page where the hand is moved "
+                       "and law, link and wall are turned while it runs, until Ctrl-C (needs the extra `page`)")
+    added.add_argument("--port", metavar="N", type=whole, help="of the page; left out: one that is free")
+    added.add_argument("--open", action="store_true", help="open the page in the browser")
     tick_options(added)
     realtime_option(added)
 

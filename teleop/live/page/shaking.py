@@ -1,0 +1,85 @@
+"""Says when a loop shakes, by a rule on its forces alone, second by second.
+
+It is judged only where nobody has moved the hand for those seconds. It shakes when the force of an end came to its cap
+in each of two seconds, and in each swung by half of the cap and more; or when its swing was greater in each of four
+seconds than in the one before, by a tenth and more, and is above `LEAST` by then. It is over when the swing was below
+half of what it was for two seconds, whoever moves the hand.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import pairwise
+
+from teleop.live.page.rows import Extremes
+
+AT_CAP, OF_CAP = 0.98, 0.5  # of the cap: what counts as being there; the swing
+LEAST = 1.0  # N of swing
+GROWS = 1.1  # from one second to the next
+SECONDS = 4  # that are compared
+CALM = 2  # s
+
+Swings = dict[tuple[str, int], tuple[float, float]]  # by end and axis: the least and the greatest force, N
+
+
+class Shaking:
+    """`f_max`: the cap, N; None: there is none. Times are in s."""
+
+    def __init__(self, f_max: float | None) -> None:
+        self.shakes = False
+        self._f_max = f_max
+        self._seconds: deque[Swings] = deque(maxlen=SECONDS)
+        self._now: Swings = {}  # of the second that goes on
+        self._since: float | None = None  # when it began
+        self._still = 0  # whole seconds in which nobody moved the hand
+        self._moved = False  # somebody did in this one
+        self._was = 0.0  # N of swing when it began to shake
+        self._calm = 0  # s
+
+    def moved(self) -> None:
+        """Somebody moves the hand now, or the law begins anew."""
+        self._moved = True
+
+    def sentence(self, now: float, forces: dict[str, Extremes]) -> str | None:
+        """What there is to say after these forces (N) of the ends have come."""
+        if self._since is None:
+            self._since = now
+        said = None
+        if now - self._since >= 1.0:
+            said = self._second()
+            self._since, self._now, self._moved = now, {}, False
+        for e, (lows, highs) in forces.items():
+            for axis, (low, high) in enumerate(zip(lows, highs, strict=True)):
+                least, most = self._now.get((e, axis), (low, high))
+                self._now[e, axis] = min(least, low), max(most, high)
+        return said
+
+    def _second(self) -> str | None:
+        """Judge by the seconds that are over."""
+        self._seconds.append(self._now)
+        self._still = 0 if self._moved else self._still + 1
+        swing = max((high - low for low, high in self._now.values()), default=0.0)
+        if self.shakes:
+            self._calm = self._calm + 1 if swing < self._was / 2.0 else 0
+            self.shakes = self._calm < CALM
+            return None if self.shakes else "stable again"
+        for which in self._now:
+            seconds = [each[which] for each in self._seconds if which in each]
+            capped = self._still >= 2 and len(seconds) >= 2 and all(map(self._comes_to_cap, seconds[-2:]))
+            if capped or (self._still >= SECONDS and _grow([high - low for low, high in seconds])):
+                self.shakes, self._was, self._calm = True, swing, 0
+                how = ("comes to its cap again and again, and the cap holds it" if capped
+                       else f"swings by {swing:.1f} N, more each second")
+                return (f"unstable: while nobody moves the hand the force {how}; another law, less delay or a "
+                        "softer environment ends it")
+        return None
+
+    def _comes_to_cap(self, second: tuple[float, float]) -> bool:
+        low, high = second
+        return (self._f_max is not None and max(high, -low) >= AT_CAP * self._f_max
+                and high - low >= OF_CAP * self._f_max)
+
+
+def _grow(swings: list[float]) -> bool:
+    return len(swings) == SECONDS and swings[-1] > LEAST and all(
+        after > GROWS * before for before, after in pairwise(swings))

@@ -1,0 +1,239 @@
+"""Strangers, floods, garbage and slow readers: a sentence each, and those who behave are not disturbed."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from teleop.live.page.requests import Requests
+from teleop.scene.library import ROOT
+from tests.live.page.conftest import HTML, TOKEN, Browser, Served
+from tests.waiting import PATIENCE
+
+pytestmark = pytest.mark.live
+Serve = Callable[..., Served]
+HOST = "127.0.0.1:4000"
+
+
+def status(target: str, **headers: str) -> int | None:
+    answer = Requests(HTML, TOKEN).answer(target, {"Host": HOST, **headers})
+    return None if answer is None else int(answer.status)
+
+
+def socket(**headers: str) -> int | None:
+    return status(f"/ws?token={TOKEN}", **{"Origin": f"http://{HOST}", "Upgrade": "websocket", **headers})
+
+
+def test_the_page_is_served_to_who_has_its_address_with_a_policy_for_its_own_lines() -> None:
+    answer = Requests(HTML, TOKEN).answer(f"/?token={TOKEN}", {"Host": HOST})
+    assert answer is not None
+    assert (answer.status, answer.body) == (200, HTML)
+    policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert "script-src 'sha256-" in policy
+    assert f"ws://{HOST}" in policy
+    assert "unsafe" not in policy
+    assert answer.headers["Referrer-Policy"] == "no-referrer"
+    assert answer.headers["Cache-Control"] == "no-store"
+    assert answer.headers["X-Content-Type-Options"] == "nosniff"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:4000", "localhost:1", "[::1]:4000", "LOCALHOST", "127.0.0.1"])
+def test_a_host_of_this_machine_may_have_any_port(host: str) -> None:
+    assert status(f"/?token={TOKEN}", Host=host) == 200
+    assert socket(Host=host, Origin=f"http://{host}") is None
+
+
+@pytest.mark.parametrize("host", ["evil.example:4000", "127.0.0.1.evil.example", "", "127.0.0.1:4000@evil", "0.0.0.0",
+                                  "localhost:123456", "127.0.0.1:4000 "])
+def test_another_host_is_forbidden(host: str) -> None:
+    assert status(f"/?token={TOKEN}", Host=host) == 403
+    assert socket(Host=host) == 403
+
+
+@pytest.mark.parametrize("target", ["/", "/?token=", "/?token=b-token", "/?other=a-token", "/?token=%ff",
+                                    f"/?token={TOKEN}x"])
+def test_without_the_token_it_is_forbidden(target: str) -> None:
+    assert status(target) == 403
+    assert status(target.replace("/", "/ws", 1), Origin=f"http://{HOST}", Upgrade="websocket") == 403
+
+
+@pytest.mark.parametrize("target", ["/favicon.ico", "/page.html", "/../page.py", "/ws/", "//", "/etc/passwd"])
+def test_there_is_no_other_file(target: str) -> None:
+    assert status(f"{target}?token={TOKEN}") == 404
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "", "https://127.0.0.1:4000",
+                                    "http://127.0.0.1:4001", "http://127.0.0.1"])
+def test_a_socket_is_for_the_page_itself_alone(origin: str) -> None:
+    assert socket() is None
+    assert socket(Origin=origin) == 403
+    assert status(f"/ws?token={TOKEN}", Upgrade="websocket") == 403
+
+
+async def get(page: Served, text: str) -> str:
+    reader, writer = await asyncio.open_connection("127.0.0.1", page.port)
+    writer.write(text.encode("latin-1"))
+    async with asyncio.timeout(PATIENCE):
+        answer = await reader.read()
+    writer.close()
+    return answer.decode("latin-1")
+
+
+def test_over_a_socket_too_strangers_get_a_sentence_and_the_page_goes_on(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            whole = await get(page, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\n\r\n")
+            assert whole.startswith("HTTP/1.1 200")
+            assert whole.endswith(HTML.decode())
+            for lines, code in (
+                (f"GET /?token={TOKEN} HTTP/1.1\r\nHost: evil.example", "403"),
+                (f"GET /x HTTP/1.1\r\nHost: {page.host}", "404"),
+                (f"GET /?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\nHost: {page.host}", "403"),
+                (f"GET /ws?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\nOrigin: http://{page.host}", "426"),
+            ):
+                assert (await get(page, f"{lines}\r\n\r\n")).split()[1] == code
+            for garbage in ("POST / HTTP/1.1\r\n\r\n", "\x16\x03\x01\x02", "GET " + "a" * 100_000 + "\r\n\r\n"):
+                await get(page, garbage + "\r\n\r\n")
+            with pytest.raises(InvalidStatus):
+                async with page.open(additional_headers={"Origin": "http://evil.example"}):
+                    pass
+            await browser.until("rows")
+
+    served(scenario)
+
+
+async def closed(browser: Browser) -> int:
+    """The code with which the page is closed; what it was told before is in `got`."""
+    async with asyncio.timeout(PATIENCE):
+        with suppress(ConnectionClosed):
+            while True:
+                browser.got.append(json.loads(await browser.socket.recv()))
+    assert browser.socket.close_code is not None
+    return browser.socket.close_code
+
+
+def said(browser: Browser) -> list[str]:
+    return [message["text"] for message in browser.got if message["type"] == "said"]
+
+
+def test_a_page_that_floods_is_told_once_and_closed_while_another_is_shown_its_rows(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser, page.open() as flood:
+            await browser.until("rows")
+
+            async def pour() -> None:
+                text = json.dumps({"type": "hand", "to": [0.01]})
+                while True:
+                    await flood.socket.send(text)
+
+            pouring = asyncio.create_task(pour())
+            assert await closed(flood) == 1008
+            pouring.cancel()
+            assert len([text for text in said(flood) if "200 messages a second" in text]) == 1
+            before = len(page.orders("master"))
+            assert before < 10
+            await browser.until("rows", lambda rows: rows["xm"] == [0.01])
+
+    served(scenario)
+
+
+def test_garbage_is_told_once_of_each_kind_and_then_the_page_is_closed(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            for i in range(25):
+                await browser.socket.send("{" if i % 2 else '{"type": "quit"}')
+            assert await closed(browser) == 1008
+            assert len(said(browser)) == 2
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.socket.send("x" * 5000)
+            assert await closed(browser) == 1009
+        assert page.orders("master") == [{"order": "hand", "to": None}][:len(page.orders("master"))]
+
+    served(scenario)
+
+
+def test_eight_pages_may_be_open_and_the_ninth_is_told_so(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with asyncio.TaskGroup() as group:
+            ready, over = asyncio.Semaphore(0), asyncio.Event()
+
+            async def look() -> None:
+                async with page.open() as browser:
+                    await browser.until("rows")
+                    ready.release()
+                    await over.wait()
+                    await browser.until("rows")
+
+            for _ in range(8):
+                group.create_task(look())
+            for _ in range(8):
+                await ready.acquire()
+            async with page.open() as ninth:
+                assert await closed(ninth) == 1013
+            over.set()
+
+    served(scenario)
+
+
+def test_a_page_that_reads_nothing_loses_pictures_and_neither_time_nor_memory(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        assert page.page.clients is not None
+        async with page.open() as browser, page.open(max_queue=1) as slow:
+            await browser.until("rows")
+            await slow.until("hello")
+            slow.socket.transport.pause_reading()
+            clients = page.page.clients
+            text = "x" * 60_000
+            for _ in range(500):  # 30 MB, more than the system holds for a socket
+                clients.show(text)
+                await asyncio.sleep(0)
+                async with asyncio.timeout(PATIENCE):
+                    while (await browser.socket.recv()) != text:
+                        pass
+            assert clients.waiting <= 200_000
+            slow.socket.transport.resume_reading()
+
+    served(scenario)
+
+
+def test_a_port_in_use_is_refused_before_a_process_is_started(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        server = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "teleop", "demo", "--page", "--port", str(port), cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+        out, err = await asyncio.wait_for(process.communicate(), PATIENCE)
+        assert (process.returncode, out) == (2, b"")
+        assert err.count(b"\n") == 1
+        assert f"127.0.0.1:{port}".encode() in err
+        assert b"--port" in err
+        server.close()
+
+    asyncio.run(scenario())
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("words", "why"), [
+    (["--lockstep"], "by the clock"), (["--plot"], "in the browser"), (["--set", "duration=3"], "until Ctrl-C"),
+    (["--port", "70000"], "at most 65535"), (["--set", "law=wavee"], "did you mean"), (["virtual_wall"], "slave"),
+])
+def test_what_a_page_cannot_show_is_refused_in_a_sentence(tmp_path: Path, words: list[str], why: str) -> None:
+    done = subprocess.run([sys.executable, "-m", "teleop", "demo", "--page", *words], cwd=tmp_path, check=False,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert why in done.stderr
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,136 @@
+"""What is lost is told, started anew and told again; a turn that fails leaves the three as they were. Fakes again."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from teleop.errors import Refused
+from tests.live.page.conftest import Served
+
+pytestmark = pytest.mark.live
+Serve = Callable[..., Served]
+
+
+def kill(name: str) -> None:
+    """Kill the child of this process that is `name`."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        words = (folder / "cmdline").read_bytes().split(b"\0")
+        if f"fake.py {name}".encode() in b" ".join(words) and int(
+                (folder / "stat").read_text().rsplit(")", 1)[1].split()[1]) == os.getpid():
+            os.kill(int(folder.name), signal.SIGKILL)
+            return
+    pytest.fail(f"there is no {name}")
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is lost soon after it was started is mended by itself too."""
+    monkeypatch.setattr("teleop.live.page.page.SOON", 0.0)
+
+
+def test_a_channel_that_is_killed_comes_back_and_the_part_goes_on(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            kill("channel")
+            await browser.told("the channel is lost")
+            await browser.told("the channel is back")
+            await browser.until("status", lambda status: status["lost"] is None)
+            await browser.until("rows")
+
+    assert len(served(scenario).index()["parts"]) == 1
+
+
+@pytest.mark.parametrize("name", ["master", "slave"])
+def test_an_end_that_is_killed_begins_a_part_of_its_own(served: Serve, name: str) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("turn", law="direct")
+            await browser.told("turned")
+            kill(name)
+            await browser.told(f"the {name} is lost")
+            hello = await browser.until("hello", lambda hello: hello["state"] != "lost")
+            assert hello["law"] == "direct"
+            await browser.told("are back")
+            before = browser.got[-1]
+            after = await browser.until("rows")
+            assert after is not before
+
+    parts = served(scenario).index()["parts"]
+    assert [part["why"] for part in parts] == ["start", "turn", "lost"]
+    assert parts[2]["knobs"] == parts[1]["knobs"]
+
+
+def test_what_is_lost_again_at_once_waits_for_a_person(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("teleop.live.page.page.SOON", 1e9)
+
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            kill("slave")
+            assert "press start again" in (await browser.told("the slave is lost"))["text"]
+            await browser.until("status", lambda status: status["lost"] == "the slave")
+            await browser.say("again")
+            await browser.told("are back")
+            await browser.until("rows")
+
+    served(scenario)
+
+
+@pytest.mark.parametrize("name", ["master", "slave", "channel"])
+def test_a_turn_that_one_of_the_three_refuses_leaves_them_as_they_were(
+    served: Serve, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv(f"FAKE_{name.upper()}", "refuses")
+
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("turn", law="direct")
+            assert "as they were" in (await browser.told("the fake does not like it"))["text"]
+            assert (await browser.until("hello"))["law"] == "wave"
+            await browser.told("are back")
+
+    served(scenario)
+
+
+def test_a_turn_that_nobody_answers_is_given_up(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE_SLAVE", "deaf")
+    monkeypatch.setattr("teleop.live.page.turns.PATIENCE", 0.3)
+
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("turn", law="direct")
+            await browser.told("did not all turn in time")
+            assert (await browser.until("hello"))["law"] == "wave"
+
+    served(scenario)
+
+
+def test_children_that_do_not_come_up_end_it_with_their_sentence(
+    served: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_CHANNEL", "fails")
+
+    async def scenario(page: Served) -> None:
+        await page.until(lambda: False)
+
+    with pytest.raises(Refused, match="the fake never comes up"):
+        served(scenario)
+
+
+def test_in_the_end_all_have_left(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+
+    served(scenario)
+    with pytest.raises(pytest.fail.Exception, match="there is no master"):
+        kill("master")

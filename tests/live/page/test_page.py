@@ -1,0 +1,157 @@
+"""The page's server as a whole: what is shown, who moves the hand, what is turned. Its children are fakes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.live.page.conftest import Served
+
+pytestmark = pytest.mark.live
+Serve = Callable[..., Served]
+
+
+def test_a_page_is_told_what_it_shows_then_shown_the_rows_of_both_ends(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            hello = await browser.until("hello")
+            assert (hello["scene"], hello["axes"], hello["law"]) == ("hard_wall", 1, "wave")
+            assert {slider["name"]: slider["value"] for slider in hello["sliders"]} == {
+                "delay": 0.05, "jitter": 0.0, "loss": 0.0, "k_e": 2e4}
+            assert {law["name"] for law in hello["laws"]} >= {"direct", "wave", "pfra"}
+            rows = await browser.until("rows", lambda rows: None not in rows["age"])
+            assert (rows["xm"], rows["fm"], rows["fe"]) == ([0.0], [1.5], [0.5])
+            assert rows["fm_lo"] == rows["fm_hi"] == [1.5]
+            assert rows["E"] == pytest.approx(4.0)
+            assert rows["age"] == pytest.approx([0.05, 0.05])
+            assert rows["queue"] == pytest.approx([0.002, 0.002])
+            status = await browser.until("status", lambda message: message["m"] and message["s"])
+            assert status["lost"] is None
+            assert status["m"]["rtt"] == 0.1
+
+    served(scenario)
+
+
+def test_a_page_that_is_opened_later_is_shown_what_has_passed(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as first:
+            seen = [await first.until("rows") for _ in range(20)]
+        async with page.open() as second:
+            past = await second.until("past")
+            assert [row["t"] for row in past["rows"]][:20] == [row["t"] for row in seen]
+
+    served(scenario)
+
+
+def test_the_pointer_moves_the_hand_and_lets_it_go(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("hand", to=[0.02])
+            await browser.until("rows", lambda rows: rows["xm"] == [0.02])
+            await browser.say("hand", to=None)
+            await page.until(lambda: page.orders("master")[-1] == {"order": "hand", "to": None})
+            assert page.orders("slave") == []
+
+    served(scenario)
+
+
+def test_a_page_that_vanishes_in_mid_drag_lets_go_of_the_hand(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("hand", to=[0.02])
+            await page.until(lambda: page.orders("master"))
+            browser.socket.transport.abort()
+        await page.until(lambda: page.orders("master")[-1] == {"order": "hand", "to": None})
+        assert page.orders("master")[0] == {"order": "hand", "to": [0.02]}
+
+    served(scenario)
+
+
+def test_a_turn_tells_all_three_and_each_part_has_its_folder(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("turn", law="pfra", jitter=0.02, k_e=5e3)
+            hello = await browser.until("hello", lambda message: message["law"] == "pfra")
+            assert hello["link"] == "delay(0.05) | uniform(0.02)"
+            await browser.until("rows")
+        [order] = page.orders("master")
+        assert order["knobs"]["law"] == "pfra"
+        assert order["knobs"]["link"] == "delay(0.05) | uniform(0.02)"
+        assert float(order["knobs"]["k_e"]) == 5e3
+        assert order["align"] == [0.0]
+        assert page.orders("slave")[0]["out"] == str(page.folder / "02" / "slave")
+
+    page = served(scenario)
+    index = page.index()
+    assert [(part["folder"], part["why"]) for part in index["parts"]] == [("01", "start"), ("02", "turn")]
+    assert index["parts"][1]["k"] > 0
+    assert index["parts"][1]["knobs"]["law"] == "pfra"
+
+
+def test_of_many_turns_of_a_slider_few_are_told_and_the_last_one_is(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            for i in range(1, 101):
+                await browser.say("turn", delay=i / 1000)
+                await asyncio.sleep(0.005)
+            await browser.until("hello", lambda message: message["link"] == "delay(0.1)")
+        assert len(page.orders("master")) < 10
+
+    served(scenario)
+
+
+@pytest.mark.parametrize(("turn", "words"), [
+    ({"law": "wavee"}, "did you mean wave"),
+    ({"law": "/tmp/mine.py"}, "no law"),
+    ({"delay": -1.0}, "delay must be at least 0 s"),
+    ({"loss": 2.0}, "loss must be at most 0.5"),
+    ({"law": "virtual_wall"}, "no law"),
+])
+def test_what_cannot_be_turned_to_is_refused_before_an_end_is_told(
+    served: Serve, turn: dict[str, Any], words: str
+) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("turn", **turn)
+            assert (await browser.told(words))["level"] == "error"
+            await browser.say("hand", to=[0.01])
+            await page.until(lambda: page.orders("master"))
+        assert page.orders("master")[0]["order"] == "hand"
+
+    served(scenario)
+
+
+def test_the_clutch_is_open_while_it_is_held_and_a_turn_waits_for_it(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("clutch", open=True)
+            await browser.until("status", lambda status: status["clutch"])
+            await browser.say("turn", law="direct")
+            await browser.say("clutch", open=False)
+            await browser.until("hello", lambda message: message["law"] == "direct")
+        for name in ("master", "slave"):
+            orders = [(order["order"], order.get("open")) for order in page.orders(name)]
+            assert orders == [("clutch", True), ("clutch", False), ("turn", None)]
+
+    served(scenario)
+
+
+def test_again_is_a_part_that_begins_at_the_scenes_start(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("again")
+            await browser.told("started again")
+        [order] = page.orders("master")
+        assert (order["order"], order["again"], order["align"]) == ("turn", True, None)
+
+    assert served(scenario).index()["parts"][1]["why"] == "again"

@@ -1,0 +1,202 @@
+"""The page's rules without a clock or a socket: who drags, who says too much, when to turn, when a loop shakes."""
+
+from __future__ import annotations
+
+import pytest
+
+from teleop.live.page.allowance import GARBAGE, MOST, SECONDS, Allowance
+from teleop.live.page.controls import Choice, Controls, Link
+from teleop.live.page.drag import HOLDS, Drag
+from teleop.live.page.messages import LONGEST, Garbage, place, read
+from teleop.live.page.rows import Extremes
+from teleop.live.page.shaking import Shaking
+from teleop.live.page.turns import NAMES, PATIENCE, REST, Turns
+
+FAST = Choice(law="pfra")
+
+
+def test_of_two_pointers_the_one_that_moved_last_drags() -> None:
+    drag = Drag()
+    drag.move("a", (0.1,), 0.0)
+    drag.move("b", (0.2,), 0.1)
+    drag.move("a", (0.1,), 0.2)  # still, and says so
+    assert drag.target(0.2) == (0.2,)
+    drag.move("a", (0.3,), 0.3)
+    assert drag.target(0.3) == (0.3,)
+    drag.let_go("a")
+    assert drag.target(0.3) == (0.2,)
+
+
+def test_a_pointer_that_says_nothing_holds_for_a_while_and_then_lets_go() -> None:
+    drag = Drag()
+    drag.move("a", (0.1,), 0.0)
+    assert drag.target(HOLDS) == (0.1,)
+    assert drag.target(HOLDS + 0.01) is None
+
+
+def test_a_page_that_says_as_much_as_it_may_is_heard_for_ever() -> None:
+    allowed = Allowance()
+    assert all(allowed.takes(second + i / 1000) for second in range(20) for i in range(MOST))
+    assert not allowed.floods
+
+
+def test_what_is_more_is_dropped_told_once_and_after_some_seconds_the_page_floods() -> None:
+    allowed, told = Allowance(), 0
+    for second in range(SECONDS + 1):
+        assert not allowed.floods
+        for i in range(2 * MOST):
+            taken = allowed.takes(second + i / 1000)
+            assert taken == (i < MOST)
+            told += allowed.begins
+    assert told == 1
+    assert allowed.dropped == (SECONDS + 1) * MOST
+    assert allowed.floods
+
+
+def test_a_page_that_keeps_quiet_for_a_second_begins_anew() -> None:
+    allowed = Allowance()
+    for second in (0, 1, 2, 3, 4, 6):
+        for i in range(2 * MOST):
+            allowed.takes(second + i / 1000)
+    assert not allowed.floods
+
+
+def test_garbage_is_told_once_of_each_kind_and_counted() -> None:
+    allowed = Allowance()
+    assert [allowed.garbage(kind) for kind in ("json", "json", "type")] == [True, False, True]
+    assert not allowed.talks_nonsense
+    for _ in range(GARBAGE - 3):
+        allowed.garbage("json")
+    assert allowed.talks_nonsense
+
+
+@pytest.mark.parametrize(("data", "kind"), [
+    (b"\x00", "binary"), ("", "json"), ("[1", "json"), ("[]", "type"), ("{}", "type"), ('{"type": "quit"}', "type"),
+    ('{"type": ["hand"]}', "type"), ('{"type": "hand"}', "hand"), ('{"type": "hand", "to": "up"}', "hand"),
+    ('{"type": "hand", "to": [NaN]}', "json"), ('{"type": "hand", "to": [1e999]}', "json"),
+    ('{"type": "hand", "to": [0, 0, 0, 0]}', "hand"), ('{"type": "turn", "b": 3}', "turn"),
+    ('{"type": "turn", "delay": "0.1"}', "turn"), ('{"type": "turn", "delay": true}', "turn"),
+    ('{"type": "clutch", "open": 1}', "clutch"), ('{"type": "again", "now": true}', "again"),
+    ("[" * 2000, "json"), ('{"type": "again", "type": "hand"}', "json"),
+])
+def test_what_is_no_message_is_garbage_with_a_sentence(data: str | bytes, kind: str) -> None:
+    with pytest.raises(Garbage) as caught:
+        read(data)
+    assert caught.value.kind == kind
+    assert 10 < len(str(caught.value)) < LONGEST
+
+
+def test_a_hand_goes_to_a_number_for_each_axis_within_reach() -> None:
+    assert place([1, -2.5], 2) == (1.0, -2.5)
+    for to in ([0.0], [0.0, 11.0], [0.0, 0.0, 0.0]):
+        with pytest.raises(Garbage):
+            place(to, 2)
+
+
+def test_one_turn_at_a_time_and_of_what_is_asked_meanwhile_the_newest() -> None:
+    turns = Turns(Choice())
+    turns.ask(FAST)
+    first = turns.next(1.0)
+    assert first is not None
+    assert first.choice == FAST
+    for k_e in (1.0, 2.0, 3.0):
+        turns.ask(turns.wanted._replace(k_e=k_e))
+    assert turns.next(1.1) is None
+    assert [turns.answered(name, 1.2) for name in sorted(NAMES)] == [None, None, first]
+    assert turns.next(1.2 + REST / 2) is None
+    second = turns.next(1.2 + 2 * REST)
+    assert second is not None
+    assert second.choice == FAST._replace(k_e=3.0)
+
+
+def test_that_it_is_to_begin_again_is_not_lost_over_a_slider() -> None:
+    turns = Turns(Choice())
+    turns.ask(turns.wanted, again=True)
+    turns.ask(FAST)
+    turn = turns.next(1.0)
+    assert turn is not None
+    assert turn.again
+    assert turn.choice == FAST
+
+
+def test_what_is_asked_for_and_taken_back_is_no_turn() -> None:
+    turns = Turns(Choice())
+    turns.ask(FAST)
+    turns.ask(Choice())
+    assert turns.next(1.0) is None
+
+
+def test_a_turn_without_all_answers_is_late_and_given_up_for_what_was_before() -> None:
+    turns = Turns(Choice())
+    turns.ask(FAST)
+    turns.next(1.0)
+    turns.answered("channel", 1.1)
+    assert not turns.late(1.0 + PATIENCE)
+    assert turns.late(1.1 + PATIENCE)
+    turns.give_up()
+    assert turns.choice == Choice()
+
+
+def seconds(shaking: Shaking, *swings: tuple[float, float], start: int = 0) -> list[str]:
+    """Sixty messages a second, each swing (N) held for one; what is said."""
+    said = []
+    for i, (low, high) in enumerate(swings):
+        for j in range(60):
+            forces = {"m": Extremes((low,), (high,)), "s": Extremes((0.0,), (0.0,))}
+            said.append(shaking.sentence(start + i + j / 60, forces))
+    return [each for each in said if each is not None]
+
+
+def test_a_force_at_its_cap_again_and_again_is_told_of_and_that_it_is_over() -> None:
+    shaking = Shaking(20.0)
+    [first, last] = seconds(shaking, *[(0.0, 20.0)] * 5, *[(3.0, 4.0)] * 5)
+    assert first.startswith("unstable: ")
+    assert "cap" in first
+    assert last == "stable again"
+
+
+def test_a_swing_that_grows_is_told_of_where_there_is_no_cap() -> None:
+    [said] = seconds(Shaking(None), *[(-a, a) for a in (0.3, 0.5, 1.0, 2.0, 4.0, 8.0)])
+    assert "more each second" in said
+
+
+@pytest.mark.parametrize("swings", [
+    [(3.5, 3.5)] * 8,  # a wall that is pressed
+    [(-5.0, 5.0)] * 8,  # a swing that stays, off the cap
+    [(20.0, 20.0)] * 8,  # pressed as hard as the cap lets it
+    [(-a, a) for a in (0.01, 0.02, 0.04, 0.08, 0.16, 0.3)],  # grows, but is nothing yet
+])
+def test_a_force_that_does_neither_is_left_alone(swings: list[tuple[float, float]]) -> None:
+    assert seconds(Shaking(20.0), *swings) == []
+
+
+def test_what_a_person_does_is_not_called_unstable() -> None:
+    shaking = Shaking(20.0)
+    said = []
+    for i in range(8):
+        shaking.moved()
+        said += seconds(shaking, (-20.0, 20.0), start=i)
+    assert said == []
+
+
+def test_a_link_is_written_without_what_is_nothing() -> None:
+    assert Link(0.05, 0.0, 0.1).text == "delay(0.05) | bernoulli(0.1)"
+    assert Link().text == "delay(0.0)"
+
+
+def test_a_law_takes_its_own_numbers_and_the_scenes_own_law_those_that_were_typed() -> None:
+    controls = Controls("hard_wall", {"law.b": "7", "delay": "0.1"})
+    other = controls.chosen(Choice(), {"law": "pfra"})
+    assert "law.b" not in controls.knobs(other)
+    back = controls.chosen(other, {"law": "wave"})
+    assert controls.knobs(back)["law.b"] == "7"
+    assert controls.scene(back).law.b == 7.0
+
+
+def test_the_scenes_own_link_stays_until_a_slider_of_it_is_moved() -> None:
+    controls = Controls("jittery_wan", {})
+    assert "link" not in controls.knobs(controls.chosen(Choice(), {"k_e": 1e3}))
+    moved = controls.chosen(Choice(), {"loss": 0.1})
+    assert moved.link is not None
+    assert controls.knobs(moved)["link"] == "delay(0.04) | uniform(0.02) | bernoulli(0.1)"
+    controls.scene(moved)
