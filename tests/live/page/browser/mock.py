@@ -1,0 +1,233 @@
+"""A server that speaks as `teleop demo --page` does, over a small simulated scene: for states that are hard to reach.
+
+`python tests/live/page/browser/mock.py [AXES]` serves it for one's own eyes. `Mock.heard` has what the page sent.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import random
+import re
+import sys
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from http import HTTPStatus
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.sync.server import Server, ServerConnection, serve
+
+PAGE = Path(__file__).parents[4] / "teleop" / "live" / "page" / "page.html"
+LAWS = {
+    "direct": "Position forth, measured force back, nothing in between.",
+    "wave": "Wave variables with a spring-damper slave solved in closed form.",
+}
+SLIDERS = [
+    {"name": "delay", "label": "Delay, each way", "unit": "s", "low": 0.0, "high": 0.3, "log": False},
+    {"name": "jitter", "label": "Jitter", "unit": "s", "low": 0.0, "high": 0.05, "log": False},
+    {"name": "loss", "label": "Loss", "unit": "", "low": 0.0, "high": 0.5, "log": False},
+    {"name": "k_e", "label": "Wall stiffness", "unit": "N/m", "low": 50.0, "high": 1e5, "log": True},
+]
+DT, F_MAX, WALL, B = 1e-3, 20.0, 0.03, 20.0
+
+
+def policy(page: str) -> str:
+    """A content security policy that lets this page's one style and one script in, and nothing else."""
+    def allowed(tag: str) -> str:
+        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        return "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
+
+    return (f"default-src 'none'; script-src {allowed('script')}; style-src {allowed('style')}; connect-src 'self'; "
+            "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'")
+
+
+class World:
+    """A hand, a master, a link with delay and a slave that meets a wall in its first axis; all else is as without."""
+
+    def __init__(self, axes: int, knobs: dict[str, Any]) -> None:
+        self.axes, self.knobs, self.t, self.clutch = axes, knobs, 0.0, False
+        self.target: list[float] | None = None
+        self.steered = False
+        self.again()
+
+    def again(self) -> None:
+        n = self.axes
+        self.since = 0.0
+        self.xm, self.vm, self.xs, self.vs = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
+        self.ref, self.refv, self.desired = [0.0] * n, [0.0] * n, [0.0] * n
+        self.steered, self.target = False, None
+        self.fm, self.fs, self.fe = [0.0] * n, [0.0] * n, [0.0] * n
+        self.settle()
+
+    def settle(self) -> None:
+        """Fill the link with rest."""
+        late = max(1, round(self.knobs["delay"] / DT))
+        self.fwd = deque([[0.0] * self.axes] * late)
+        self.bwd = deque([[0.0] * self.axes] * late)
+        self.energy = 0.0
+
+    def step(self) -> None:
+        self.t += DT
+        self.since += DT
+        s = min(1.0, max(0.0, (self.since - 0.5) / 1.5))
+        own = 0.06 * s**3 * (10 - 15 * s + 6 * s * s)
+        to, back, wave = self.fwd.popleft(), self.bwd.popleft(), self.knobs["law"] != "direct"
+        out, answer = [0.0] * self.axes, [0.0] * self.axes
+        for i in range(self.axes):
+            goal = own if i == 0 else 0.0
+            if self.steered:
+                goal = self.xm[i] if self.target is None else self.target[i]
+            a = 900 * (goal - self.ref[i]) - 60 * self.refv[i]
+            self.refv[i] = max(-1.0, min(1.0, self.refv[i] + a * DT))
+            self.ref[i] += self.refv[i] * DT
+            f = B * self.vm[i] - sqrt(2 * B) * back[i] if wave else back[i]
+            f = 0.0 if self.clutch else max(-F_MAX, min(F_MAX, f))
+            pull = 200 * (self.ref[i] - self.xm[i]) + 5 * (self.refv[i] - self.vm[i])
+            self.vm[i] += (pull - f - 0.5 * self.vm[i]) / 0.5 * DT
+            self.xm[i] += self.vm[i] * DT
+            self.fm[i] = f
+            out[i] = (B * self.vm[i] + f) / sqrt(2 * B) if wave else self.xm[i]
+            if wave:
+                fs = (1000 * (self.desired[i] - self.xs[i]) + 20 * (sqrt(2 / B) * to[i] - self.vs[i])) / 2
+                self.desired[i] += (sqrt(2 / B) * to[i] - fs / B) * DT
+                answer[i] = to[i] - sqrt(2 / B) * fs
+                self.energy += 0.5 * (out[i] ** 2 - back[i] ** 2 + answer[i] ** 2 - to[i] ** 2) * DT
+            else:
+                self.desired[i] = to[i]
+                fs = 1000 * (to[i] - self.xs[i]) - 20 * self.vs[i]
+                answer[i] = self.fe[i]
+            deep = self.xs[i] - WALL if i == 0 else -1.0
+            self.fe[i] = max(0.0, self.knobs["k_e"] * deep + 10 * self.vs[i]) if deep > 0 else 0.0
+            self.vs[i] += (fs - self.fe[i] - self.vs[i]) / 0.5 * DT
+            self.xs[i] += self.vs[i] * DT
+            self.fs[i] = fs
+        self.fwd.append(out)
+        self.bwd.append(answer)
+
+    def rows(self) -> dict[str, Any]:
+        """The row of a sixtieth of a second."""
+        forces = []
+        for _ in range(16):
+            self.step()
+            forces.append([*self.fm])
+        lo, hi = [*map(min, zip(*forces, strict=True))], [*map(max, zip(*forces, strict=True))]
+        delay = max(DT, self.knobs["delay"]) + random.random() * self.knobs["jitter"]
+        hand = None if self.steered and self.target is None else list(self.ref)
+        return {"t": self.t, "xm": [*self.xm], "xs": [*self.xs], "hand": hand, "fm": [*self.fm], "fs": [*self.fs],
+                "fh": [0.0] * self.axes, "fe": [*self.fe], "fm_lo": lo, "fm_hi": hi,
+                "fs_lo": [*self.fs], "fs_hi": [*self.fs], "E": self.energy,
+                "queue": [self.knobs["jitter"], self.knobs["jitter"] / 2], "age": [delay, delay], "gain": [1.0, 1.0]}
+
+
+class Mock:
+    """The server of one page address, `url`; its scene runs in a thread until `stop`."""
+
+    def __init__(self, axes: int = 1, port: int = 0) -> None:
+        self.knobs: dict[str, Any] = {"law": "wave", "delay": 0.05, "jitter": 0.0, "loss": 0.0, "k_e": 2e4}
+        self.world, self.heard, self.past = World(axes, self.knobs), [], deque(maxlen=600)
+        well = {"gain": 1.0, "cause": None}
+        self.status: dict[str, Any] = {"lost": None, "m": well, "s": well}
+        self.clients: set[ServerConnection] = set()
+        self.parts, self.lock, self.over = 1, threading.RLock(), threading.Event()
+        self.page = PAGE.read_text()
+        self.server: Server = serve(self._client, "127.0.0.1", port, process_request=self._request,
+                                    open_timeout=2, close_timeout=0.2)
+        self.port = self.server.socket.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}/?token=mock"
+        self._threads = [threading.Thread(target=self.server.serve_forever), threading.Thread(target=self._run)]
+        for thread in self._threads:
+            thread.start()
+
+    def hello(self) -> dict[str, Any]:
+        return {"type": "hello", "scene": "hard_wall", "axes": self.world.axes, "dt": DT, "law": self.knobs["law"],
+                "laws": [{"name": name, "says": says} for name, says in LAWS.items()], "wall": WALL, "f_max": F_MAX,
+                "sliders": [{**one, "value": self.knobs[one["name"]]} for one in SLIDERS], "span": 0.12,
+                "link": f"delay({self.knobs['delay']:g})", "energy": "link"}
+
+    def say(self, level: str, text: str) -> None:
+        self.send({"type": "said", "level": level, "text": text})
+
+    def send(self, message: dict[str, Any]) -> None:
+        with self.lock:
+            for client in list(self.clients):
+                with suppress(ConnectionClosed, OSError):
+                    client.send(json.dumps(message))
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        """What was heard of this type."""
+        return [message for message in list(self.heard) if message["type"] == kind]
+
+    def stop(self) -> None:
+        self.over.set()
+        self.server.shutdown()
+        for client in list(self.clients):
+            client.close()
+        for thread in self._threads:
+            thread.join()
+
+    def _request(self, _connection: ServerConnection, request: Request) -> Response | None:
+        if request.path.startswith("/ws"):
+            return None
+        headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Security-Policy": policy(self.page)})
+        return Response(HTTPStatus.OK, "OK", headers, self.page.encode())
+
+    def _client(self, client: ServerConnection) -> None:
+        with self.lock:
+            client.send(json.dumps(self.hello()))
+            client.send(json.dumps({"type": "past", "rows": list(self.past)}))
+            self.clients.add(client)
+        try:
+            for text in client:
+                self._take(json.loads(text))
+        except ConnectionClosed:
+            pass
+        finally:
+            self.clients.discard(client)
+
+    def _take(self, message: dict[str, Any]) -> None:
+        with self.lock:
+            self.heard.append(message)
+            if message["type"] == "hand":
+                self.world.target, self.world.steered = message["to"], True
+            elif message["type"] == "clutch":
+                self.world.clutch = message["open"]
+            else:
+                if message["type"] == "again":
+                    self.world.again()
+                self.knobs.update({name: value for name, value in message.items() if name != "type"})
+                self.world.settle()
+                self.parts += 1
+                self.send(self.hello())
+                self.say("info", f"{self.knobs['law']}, {1e3 * self.knobs['delay']:.0f} ms: a new session.")
+                if self.knobs["law"] == "direct" and self.knobs["delay"] > 0.05:
+                    self.say("warn", "The swing grows: over this delay direct reflection feeds it.")
+
+    def _run(self) -> None:
+        due, count = time.monotonic(), 0
+        while not self.over.wait(max(0.0, due - time.monotonic())):
+            due, count = due + 1 / 60, count + 1
+            with self.lock:
+                row = self.world.rows()
+                self.past.append(row)
+                self.send({"type": "rows", **row})
+                if count % 15 == 0:
+                    link = {name: self.knobs[name] for name in ("delay", "jitter", "loss")}
+                    self.send({"type": "status", **link, "clutch": self.world.clutch, "parts": self.parts,
+                               **self.status})
+
+
+if __name__ == "__main__":
+    mock = Mock(int(sys.argv[1]) if len(sys.argv) > 1 else 1, 8800)
+    print(mock.url, flush=True)
+    try:
+        mock.over.wait()
+    except KeyboardInterrupt:
+        mock.stop()

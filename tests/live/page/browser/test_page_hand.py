@@ -1,0 +1,185 @@
+"""The page's hand: what mouse, touch, keys and a gamepad send, and what stays when they rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.browser import Page
+from tests.live.page.browser.mock import WALL, Mock
+from tests.waiting import until
+
+pytestmark = pytest.mark.live
+
+
+def asked(mock: Mock) -> list[float | None]:
+    """The places on the first axis that the hand was sent to, None: it let go."""
+    return [None if message["to"] is None else message["to"][0] for message in mock.of("hand")]
+
+
+def scale(page: Page) -> float:
+    """How many px a metre of the scene has."""
+    return float(page.evaluate("place().scale"))
+
+
+def at_rest(page: Page) -> None:
+    """The scene's own motion is over."""
+    page.until("row.t > 3")
+
+
+def test_a_drag_moves_the_hand_by_as_much_as_the_pointer_moves(mock: Mock, page: Page) -> None:
+    at_rest(page)
+    start = page.evaluate("row.hand[0]")
+    page.drag(page.place("#stage"), (-150.0, 20.0))
+    until(lambda: asked(mock) and asked(mock)[-1] == pytest.approx(start - 150.0 / scale(page), abs=2e-4))
+    page.until(f"Math.abs(row.hand[0] - {asked(mock)[-1]}) < 1e-3")
+
+
+def test_a_press_without_a_motion_does_not_move_the_hand(mock: Mock, page: Page) -> None:
+    page.click("#stage")
+    page.until("drag === null")
+    page.click("#again")
+    until(lambda: mock.of("again"))
+    assert [to for to in asked(mock) if to is not None] == []
+
+
+def test_the_invitation_goes_at_the_first_drag(page: Page) -> None:
+    assert page.text("#invite") == "Drag the handle into the wall"
+    assert page.evaluate("document.getElementById('invite').getBoundingClientRect().height") > 0
+    page.drag(page.place("#stage"), (40.0, 0.0))
+    assert page.evaluate("document.getElementById('invite').getBoundingClientRect().height") == 0
+
+
+def test_a_wall_that_is_pressed_stays_pressed_when_the_pointer_goes_up(mock: Mock, page: Page) -> None:
+    at_rest(page)
+    start = page.evaluate("row.hand[0]")
+    page.drag(page.place("#stage"), (-(start + 0.02) * scale(page), 0.0))
+    page.until("row.xs[0] < 0")
+    page.drag(page.place("#stage"), (0.07 * scale(page), 0.0))
+    page.until(f"row.xs[0] > {WALL} && row.fm[0] > 1")
+    heard, t = len(asked(mock)), page.evaluate("row.t")
+    page.until(f"row.t > {t} + 2 && row.fm[0] > 1")
+    assert len(asked(mock)) > heard  # it says so again, so that a page that is gone is missed
+    assert set(asked(mock)[heard:]) == {asked(mock)[-1]}
+
+
+@pytest.mark.parametrize("how", ["Escape", "double click", "button"])
+def test_the_hand_lets_go(mock: Mock, page: Page, how: str) -> None:
+    page.drag(page.place("#stage"), (40.0, 0.0))
+    if how == "Escape":
+        page.key("Escape")
+    elif how == "button":
+        page.click("#go")
+    else:
+        x, y = page.place("#stage")
+        for count in (1, 2):
+            page.mouse("mousePressed", x, y, clickCount=count)
+            page.mouse("mouseReleased", x, y, clickCount=count)
+    until(lambda: None in asked(mock))
+    t = page.evaluate("row.t")
+    page.until(f"row.t > {t} + 1")
+    assert asked(mock)[-1] is None  # nothing holds it any more
+
+
+def test_a_flood_of_pointer_events_becomes_at_most_sixty_messages_a_second(page: Page) -> None:
+    page.evaluate("""(() => {
+      window.times = [];
+      const send = socket.send.bind(socket);
+      socket.send = text => { if (text.includes('"hand"')) times.push(performance.now()); send(text); };
+      window.flood = setInterval(() => { for (let i = 0; i < 20; i++) steer([.02 + .0001 * Math.random()]); }, 1);
+    })()""")
+    page.until("times.length > 120")
+    span = page.evaluate("clearInterval(flood), (times[120] - times[0]) / 1e3")
+    assert 120 / span <= 61.0  # a second; the stamps are taken within the frame, a little after it is decided
+
+
+def test_a_finger_drags(mock: Mock, tab: Callable[..., Page]) -> None:
+    page = tab(mock.url, width=360, height=800, mobile=True)
+    at_rest(page)
+    page.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    x, y = page.place("#stage")
+    page.touch("touchStart", (x, y))
+    for i in range(1, 9):
+        page.touch("touchMove", (x - 8 * i, y + 10 * i))  # downwards too: the page must not scroll instead
+    page.touch("touchEnd")
+    until(lambda: asked(mock) and asked(mock)[-1] == pytest.approx(0.06 - 64 / scale(page), abs=1e-3))
+
+
+def test_arrow_keys_move_the_hand_and_shift_moves_it_finely(mock: Mock, page: Page) -> None:
+    at_rest(page)
+    page.key("Tab")
+    assert page.evaluate("document.activeElement.id + document.activeElement.matches(':focus-visible')") == "stagetrue"
+    for _ in range(3):
+        page.key("ArrowLeft")
+    until(lambda: asked(mock) and asked(mock)[-1] == pytest.approx(0.06 - 3 * 0.12 / 60, abs=2e-4))
+    before = asked(mock)[-1]
+    page.key("ArrowRight", shift=True)
+    until(lambda: asked(mock)[-1] != before)
+    assert asked(mock)[-1] == pytest.approx(before + 0.12 / 600, abs=1e-6)
+
+
+def test_three_axes_are_a_plane_and_a_wheel(server: Callable[..., Mock], tab: Callable[..., Page]) -> None:
+    mock = server(axes=3)
+    page = tab(mock.url)
+    at_rest(page)
+    page.drag(page.place("#stage"), (-30.0, -40.0))
+    until(lambda: mock.of("hand"))
+    x, y = page.place("#stage")
+    page.mouse("mouseWheel", x, y, deltaX=0, deltaY=-120)
+    page.key("PageUp")
+    want = [0.06 - 30 / scale(page), 40 / scale(page), 120 * 0.12 / 3e3 + 0.12 / 60]
+    until(lambda: mock.of("hand")[-1]["to"] == pytest.approx(want, abs=5e-4), f"{want}")
+    assert page.evaluate("scrollY") == 0
+
+
+def test_a_gamepad_moves_the_hand_and_its_button_is_the_clutch(mock: Mock, page: Page) -> None:
+    at_rest(page)
+    page.evaluate("""(() => {
+      window.fake = {axes: [-1, 0, 0, 0], buttons: [{pressed: true}]};
+      navigator.getGamepads = () => [null, fake];
+      window.dispatchEvent(new Event('gamepadconnected'));
+    })()""")
+    until(lambda: len(asked(mock)) > 5)
+    assert asked(mock)[5] < asked(mock)[0] < 0.06
+    until(lambda: mock.of("clutch") == [{"type": "clutch", "open": True}])
+    page.evaluate("fake.buttons[0].pressed = false")
+    until(lambda: mock.of("clutch")[1:] == [{"type": "clutch", "open": False}])
+
+
+@pytest.mark.parametrize("how", ["mouse", "key C", "space on the button"])
+def test_the_clutch_is_open_while_it_is_held(mock: Mock, page: Page, how: str) -> None:
+    x, y = page.place("#clutch")
+    key = {"key C": "c", "space on the button": " "}.get(how)
+    if how == "space on the button":
+        page.evaluate("document.getElementById('clutch').focus()")
+    if key is None:
+        page.mouse("mousePressed", x, y)
+    else:
+        page.key(key, "down")
+        page.key(key, "down", repeat=True)
+    until(lambda: mock.of("clutch") == [{"type": "clutch", "open": True}])
+    page.until("document.getElementById('clutch').getAttribute('aria-pressed') === 'true'")
+    if key is None:
+        page.mouse("mouseReleased", x, y)
+    else:
+        page.key(key, "up")
+    until(lambda: mock.of("clutch")[1:] == [{"type": "clutch", "open": False}])
+    page.until("document.getElementById('clutch').getAttribute('aria-pressed') === 'false'")
+
+
+def test_a_clutch_that_is_held_is_let_go_when_the_window_loses_the_keyboard(mock: Mock, page: Page) -> None:
+    page.key("c", "down")
+    until(lambda: mock.of("clutch"))
+    page.evaluate("window.dispatchEvent(new Event('blur'))")
+    until(lambda: mock.of("clutch")[1:] == [{"type": "clutch", "open": False}])
+
+
+def test_start_again_lets_go_and_begins_the_scene_anew(mock: Mock, page: Page) -> None:
+    page.drag(page.place("#stage"), (40.0, 0.0))
+    until(lambda: asked(mock))
+    page.key("r")
+    until(lambda: mock.of("again"))
+    page.until("row.hand[0] < .001 && row.xm[0] < .01")
+    page.until("row.hand[0] > .05")  # the scene's own motion
+    assert asked(mock)[-1] is None

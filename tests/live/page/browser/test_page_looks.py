@@ -1,0 +1,141 @@
+"""How the page looks: at every width, light and dark, with reduced motion, to a keyboard and to a screen reader."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.browser import Page
+from tests.live.page.browser.mock import PAGE, Mock
+
+pytestmark = pytest.mark.live
+
+DARK = {"prefers_color_scheme": "dark"}
+LIGHT = {"prefers_color_scheme": "light"}
+PAINTED = """(name => {
+  const [r, g_, b] = [1, 3, 5].map(i => parseInt(C[name].slice(i, i + 2), 16));
+  const data = stage.getContext('2d').getImageData(0, 0, stage.width, stage.height).data;
+  let n = 0;
+  for (let i = 0; i < data.length; i += 4)
+    if (data[i] === r && data[i + 1] === g_ && data[i + 2] === b && data[i + 3] === 255) n++;
+  return n;
+})"""
+CONTRAST = """(() => {
+  const light = c => { const [r, g, b] = [1, 3, 5].map(i => parseInt(c.slice(i, i + 2), 16) / 255)
+    .map(v => v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4); return .2126 * r + .7152 * g + .0722 * b; };
+  const css = getComputedStyle(document.documentElement);
+  const of = name => { const c = css.getPropertyValue('--' + name).trim();
+    return light(c.length === 4 ? '#' + [...c.slice(1)].map(d => d + d).join('') : c); };
+  const found = {};
+  for (const [ink, paper] of [['ink', 'card'], ['soft', 'card'], ['soft', 'paper'], ['master', 'card'],
+      ['slave', 'card'], ['wall', 'card'], ['bad', 'card'], ['bad', 'paper'], ['warn', 'warnbg'], ['bad', 'badbg']]) {
+    const [a, b] = [of(ink), of(paper)].sort((x, y) => y - x);
+    found[ink + ' on ' + paper] = (a + .05) / (b + .05);
+  }
+  return found;
+})()"""
+
+
+def test_the_page_is_one_small_file_that_names_no_other() -> None:
+    text = PAGE.read_text()
+    assert len(text.encode()) < 40_000
+    assert text.count("<script>") == text.count("<style>") == 1
+    for other in ("src=", "@import", "url(", "http://", "https://", " style=", "eval(", "innerHTML"):
+        assert other not in text, other
+
+
+@pytest.mark.parametrize("media", [LIGHT, DARK], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [360, 768, 1280])
+@pytest.mark.parametrize("axes", [1, 3])
+def test_nothing_goes_beyond_the_width(
+    server: Callable[..., Mock], tab: Callable[..., Page], axes: int, width: int, media: dict[str, str]
+) -> None:
+    mock = server(axes=axes)
+    page = tab(mock.url, media=media, width=width, height=900, mobile=width < 500)
+    mock.status = {"lost": "the channel", "m": {"gain": 0.0, "cause": "silence: no fresh packet came for 0.2 s"},
+                   "s": {"gain": 0.0, "cause": "no answer: the other end has heard nothing of this one"}}
+    mock.say("warn", "The swing grows " * 12)
+    page.until("lost !== null && document.getElementById('said').className === 'warn'")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    beyond = page.evaluate("""[...document.querySelectorAll('body *')].filter(one => {
+      const b = one.getBoundingClientRect();
+      return !one.closest('noscript, script, option') && b.width && (b.right > innerWidth + .5 || b.left < -.5);
+    }).map(one => one.outerHTML.slice(0, 80))""")
+    assert beyond == []
+    assert page.console == []
+    page.until(f"{PAINTED}('master') > 100 && {PAINTED}('slave') > 100 && {PAINTED}('wall') > 100")
+
+
+@pytest.mark.parametrize("media", [LIGHT, DARK], ids=["light", "dark"])
+def test_every_text_has_the_contrast_of_aa(mock: Mock, tab: Callable[..., Page], media: dict[str, str]) -> None:
+    found = tab(mock.url, media=media).evaluate(CONTRAST)
+    assert {name: ratio for name, ratio in found.items() if ratio < 4.5} == {}
+
+
+def test_light_and_dark_differ_and_change_while_the_page_is_open(mock: Mock, tab: Callable[..., Page]) -> None:
+    page = tab(mock.url, media=LIGHT)
+    light = page.evaluate("[C.master, getComputedStyle(document.body).backgroundColor]")
+    page.media(**DARK)
+    page.until(f"C.master !== {light[0]!r}")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") != light[1]
+    page.until(f"{PAINTED}('master') > 100")
+
+
+def test_packets_travel_both_ways_and_lost_ones_fall_out(mock: Mock, page: Page) -> None:
+    page.until("new Set(dots.map(dot => dot.way)).size === 2")
+    mock.knobs["loss"] = 0.5
+    page.until("dots.some(dot => dot.fall > 0)")
+
+
+def test_with_reduced_motion_no_packet_moves_and_the_strips_go_in_steps(mock: Mock, tab: Callable[..., Page]) -> None:
+    page = tab(mock.url, media={"prefers_reduced_motion": "reduce"})
+    page.evaluate("window.steps = []; setInterval(() => { if (steps.at(-1) !== stripped) steps.push(stripped); }, 1)")
+    page.until("steps.length > 6")
+    gaps = page.evaluate("steps.slice(2).map((t, i) => t - steps[i + 1])")
+    assert min(gaps) >= 249.0  # ms
+    assert page.evaluate("dots.length") == 0
+    page.until(f"{PAINTED}('master') > 100")
+
+
+def test_every_control_is_reached_by_tab_with_a_visible_focus_and_has_a_name(page: Page) -> None:
+    order = []
+    for _ in range(9):
+        page.key("Tab")
+        order.append(page.evaluate("document.activeElement.id"))
+        assert page.evaluate("parseFloat(getComputedStyle(document.activeElement).outlineWidth)") >= 2.0
+    assert order == ["stage", "clutch", "again", "go", "law", "k_delay", "k_jitter", "k_loss", "k_k_e"]
+    tree = page.call("Accessibility.getFullAXTree")["nodes"]
+    named = {node["role"]["value"]: node["name"]["value"] for node in tree if "name" in node and "role" in node}
+    assert {"application", "button", "combobox", "slider"} <= set(named)
+    roles = ("application", "button", "combobox", "slider")
+    assert [node for node in tree if node.get("role", {}).get("value") in roles and not node["name"]["value"]] == []
+
+
+def test_a_quiet_visit_leaves_no_console_message(page: Page) -> None:
+    page.drag(page.place("#stage"), (60.0, 0.0))
+    page.key("c")
+    page.key("r")
+    page.until("row.t > 2")
+    assert page.console == []
+
+
+def test_the_strips_draw_the_same_as_they_scroll_and_at_once(page: Page) -> None:
+    page.until("row.t > 3")
+    # The newest rows were drawn as they came; drawn once more as a whole the picture is the same, but for rounding.
+    differ = page.evaluate("""(() => strips.map(one => {
+      const {canvas, c} = one, read = () => c.getImageData(0, 0, canvas.width, canvas.height).data;
+      const edge = one.edge, scrolled = read(), keep = rows;
+      rows = rows.filter(r => r.t <= edge);
+      const last = rows[rows.length - 1].t;
+      rows[rows.length - 1] = {...rows[rows.length - 1], t: edge};
+      one.whole = true;
+      drawStrip(one);
+      rows = keep;
+      const whole = read();
+      one.whole = true;
+      let n = 0;
+      for (let i = 3; i < whole.length; i += 4) if (Math.abs(whole[i] - scrolled[i]) > 64) n++;
+      return n / (whole.length / 4);
+    }))()""")
+    assert max(differ) < 0.02

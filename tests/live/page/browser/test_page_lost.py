@@ -1,0 +1,90 @@
+"""What is lost is said, and that it came back; a reload and a second tab show the last ten seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.browser import Browser, Page
+from tests.live.page.browser.mock import Mock
+
+pytestmark = pytest.mark.live
+
+
+def test_a_server_that_is_gone_is_said_and_so_is_its_return(
+    server: Callable[..., Mock], tab: Callable[..., Page]
+) -> None:
+    mock = server()
+    page = tab(mock.url)
+    page.drag(page.place("#stage"), (40.0, 0.0))
+    mock.stop()
+    page.until("document.getElementById('said').className === 'error'")
+    assert "The server does not answer" in page.text("#said")
+    assert page.text("#conn").startswith("not connected")
+    t = page.evaluate("row.t")
+    server(port=mock.port)
+    page.until("document.getElementById('conn').textContent === 'connected'")
+    assert page.text("#said") == "The server is back; this page shows the run again."
+    page.until(f"row.t !== {t} && rows.length > 10")
+    assert page.evaluate("target") is None  # it does not take the hand of a run that it did not drag
+
+
+@pytest.mark.parametrize("who", ["the channel", "the master", "the slave"])
+def test_a_part_that_is_lost_is_said_where_one_looks(mock: Mock, page: Page, who: str) -> None:
+    assert page.text("#conn") == "connected"
+    safe = {"gain": 0.0, "cause": "silence: nothing heard for 0.2 s"}
+    mock.status = {"lost": who, "m": safe, "s": {"gain": 1.0, "cause": None}}
+    page.until(f"document.getElementById('conn').textContent === '{who} is lost'")
+    assert page.evaluate("document.getElementById('conn').className") == "lost"
+    assert page.text("#gm") == "master SAFE, 0 % of its force: silence: nothing heard for 0.2 s"
+    mock.status = {"lost": None, "m": {"gain": 1.0, "cause": None}, "s": {"gain": 1.0, "cause": None}}
+    page.until("document.getElementById('conn').textContent === 'connected'")
+    page.until("document.getElementById('gm').className === ''")
+
+
+def test_sentences_of_the_server_are_shown_as_text(mock: Mock, page: Page) -> None:
+    mock.say("error", "<b>the slave</b> is gone")
+    page.until("document.getElementById('said').textContent.includes('<b>the slave</b> is gone')")
+
+
+def test_a_reload_and_a_second_tab_show_the_last_ten_seconds(mock: Mock, page: Page, tab: Callable[..., Page]) -> None:
+    page.until("rows.length > 90")
+    page.evaluate("window.old = true")
+    page.call("Page.reload")
+    page.until("!window.old && document.readyState === 'complete' && row !== null")
+    other = tab(mock.url)
+    for one in (page, other):
+        assert one.evaluate("rows[0].t") < 0.1
+        assert one.evaluate("rows.length") > 90
+        assert one.console == []
+
+
+def test_a_part_of_the_run_that_begins_anew_in_time_empties_the_strips(mock: Mock, page: Page) -> None:
+    page.until("rows.length > 60")
+    mock.world.t = 0.0
+    page.until("rows[0].t < .1 && row.t < 5")
+    page.until("rows.length > 5")
+
+
+def test_a_browser_without_websockets_is_told_so(mock: Mock, browser: Browser) -> None:
+    page = browser.page(width=800, height=600)
+    page.call("Page.addScriptToEvaluateOnNewDocument", source="delete window.WebSocket")
+    page.go(mock.url)
+    page.until("document.getElementById('said').className === 'error'")
+    assert "This browser has no WebSocket" in page.text("#said")
+    assert page.console == []
+    page.close()
+
+
+def test_a_browser_without_javascript_is_told_so(mock: Mock, browser: Browser) -> None:
+    page = browser.page(width=800, height=600)
+    page.call("Emulation.setScriptExecutionDisabled", value=True)
+    page.call("Page.navigate", url=mock.url)
+    document = page.call("DOM.getDocument")
+    while "noscript" not in str(page.call("DOM.getOuterHTML", nodeId=document["root"]["nodeId"])):
+        document = page.call("DOM.getDocument")
+    at = page.call("DOM.querySelector", nodeId=document["root"]["nodeId"], selector="noscript p")["nodeId"]
+    assert page.call("DOM.getBoxModel", nodeId=at)["model"]["height"] > 20
+    assert "needs JavaScript" in page.call("DOM.getOuterHTML", nodeId=at)["outerHTML"]
+    page.close()
