@@ -300,13 +300,21 @@ def _within(
 
 
 def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[str, Packets]:
-    """What the two ends and the channel counted of each direction."""
-    packets = {}
+    """What the two ends and the channel counted of each direction.
+
+    Where no channel has told what it lost, that is what the hearing end missed, less what was never sent: the ticks
+    that the sender left out, and what its deadband saved.
+    """
+    packets, counts = {}, channel.get("counts")
     for e, peer in (("m", "s"), ("s", "m")):
         way = WAYS[e][0]
         sent, saved = (ends[e]["packets"][way].get(name, 0) for name in ("sent", "saved"))
         heard = Packets(**ends[peer]["packets"][way])
-        lost = channel.get("counts", {}).get(way, {}).get("lost", 0)
+        if counts is None:
+            missed = ends[peer][NAMES[peer]].get("lost", 0) - ends[e][NAMES[e]].get("skipped", 0) - saved
+            lost = max(0, min(missed, sent - heard.received))
+        else:
+            lost = counts.get(way, {}).get("lost", 0)
         packets[way] = replace(heard, sent=sent, saved=saved, lost=lost, in_flight=max(0, sent - heard.received - lost))
     return packets
 
