@@ -24,7 +24,6 @@ UNWATCHED = ("the device has neither a deadline nor a watchdog: if this process 
              "stays on; see teleop/live/devices/README.md")
 MISSED = 0.01  # share of the ticks, from which on a note says that they were left out
 FEWEST_NS = 3_000_000_000  # of two clocks beside each other, before their rates are judged
-UNTOLD = "what the other end's deadband did not send is among the packets that this end counts as missing"
 
 
 def write_end(shell: Shell, folder: Path, seed: int, command: list[str]) -> Result:
@@ -74,8 +73,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         status=shell.outcome.status, sentence=shell.outcome.sentence, facts=facts,
         packets={sends: Packets(sent=shell.counts.data_sent, saved=endpoint.saved), hears: heard},
         first=shell.counts.first, every=endpoint.every,
-        notes=[*old, *cut, *[UNTOLD] * (scene.deadband is not None),
-               *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),
+        notes=[*old, *cut, *[INSECURE] * shell.security.insecure, *[UNWATCHED] * holds_on(shell),
                *filter(None, [shell.recorder.trouble, shell.recorder.inputs.trouble, clock_note(endpoint.link),
                               sums_note(endpoint.rejected["integrals"], NAMES["s" if endpoint.e == "m" else "m"]),
                               missed_note(shell.counts.skipped, shell.counts.skipped + shell.counts.ticks,

@@ -134,11 +134,13 @@ def _watchdog(result: Result) -> Iterator[str]:
 
 
 def _link(result: Result) -> Iterator[str]:
+    # An end does not know what the other end's deadband did not send, but that there is one.
+    missing = "missing or not sent" if any(each.saved for each in result.packets.values()) else "missing"
     for end, own in _live_ends(result):
         rtt, clock = own.get("rtt"), own.get("peer_clock") or {}
         if not rtt:
             continue
-        text = f"{end}: round trip {si(rtt['mean'], 's')}, jitter {si(own['jitter'], 's')}, {own['lost']} missing, "
+        text = f"{end}: round trip {si(rtt['mean'], 's')}, jitter {si(own['jitter'], 's')}, {own['lost']} {missing}, "
         text += f"{own['reordered']} out of order"
         drift = clock.get("drift")
         yield text + ("" if drift is None else f"; the peer's clock goes {drift * 1e6:+.0f} ppm")

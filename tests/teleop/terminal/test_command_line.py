@@ -208,7 +208,7 @@ class TestTheFirstWords:
     def test_are_three_things_to_try_that_can_be_typed(self, typed: Typed) -> None:
         tried = [line.split()[1:] for line in typed().out.splitlines() if line.startswith("  teleop ")]
         assert [words[0] for words in tried] == ["demo", "demo", "run"]
-        for words in tried[1:]:
+        for words in tried:
             assert parser().parse_args(words).scene
 
     def test_say_of_the_third_what_it_comes_to(self) -> None:

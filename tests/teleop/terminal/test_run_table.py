@@ -115,6 +115,17 @@ class TestTable:
         assert told["time per tick"] == ["50.0 us master of processor time"]
         assert "late ticks" not in rows(replace(wave, mode="lockstep", extra=extra))
 
+    def test_calls_missing_what_may_never_have_been_sent_by_that_name_where_there_is_a_deadband(
+        self, wave: Result
+    ) -> None:
+        """It said "2557 missing" of a link that lost nothing."""
+        own = {"rtt": {"mean": 0.1}, "jitter": 1e-4, "lost": 2557, "reordered": 0}
+        live = replace(wave, mode="live", extra={"master": own})
+        assert rows(live)["link seen"] == ["master: round trip 100 ms, jitter 100 us, 2557 missing, 0 out of order"]
+        saved = {way: replace(each, saved=2600) for way, each in live.packets.items()}
+        assert rows(replace(live, packets=saved))["link seen"] == [
+            "master: round trip 100 ms, jitter 100 us, 2557 missing or not sent, 0 out of order"]
+
     def test_tells_what_each_live_end_was_given_of_real_time_scheduling(self, wave: Result) -> None:
         given = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}}
         told = rows(replace(wave, mode="live", extra={"master": given, "slave": given}))
