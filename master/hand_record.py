@@ -48,12 +48,16 @@ class HandWriter:
         self._pack = Struct(f"<{1 + axes}d").pack
         self._rows = bytearray()
         self._count = 0
+        self.newest = -1  # the tick of the last row; before the first -1
         self._file: BinaryIO = (folder / FILE).open("xb")
         self._file.write(json.dumps({"version": VERSION, "dt_ns": dt_ns, "axes": axes}).encode() + b"\n")
         self._file.flush()
 
     def add(self, k: int, r: Sequence[float]) -> None:
-        """Append the row of tick k: the reference r, m, per axis."""
+        """Append the row of tick k, if it has none yet: the reference r, m, per axis."""
+        if k <= self.newest:
+            return
+        self.newest = k
         self._rows += self._pack(k, *r)
         self._count += 1
         if self._count % EVERY == 0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, exp, expm1, hypot
+from math import ceil, exp, expm1, hypot, sqrt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +16,8 @@ BANDWIDTH = 30.0  # rad/s: the reference follows a slow motion of the target by 
 MOST_SPEED = 1.0  # m/s
 WORKSPACE = 10.0  # m from 0, in each axis
 WHOLE_S = 60.0  # s of a scene's own motion that cannot be sampled as it goes
+ALIGNING = 60.0  # rad/s of an alignment, in which the hand damps the handle besides, to ...
+RATIO = 0.8  # ... this damping ratio of the masses on its spring
 NEAR, SLOW, ENOUGH = 5e-4, 5e-3, 0.6  # m, m/s, s: when an alignment is over
 
 
@@ -73,6 +75,8 @@ class SteeredMaster(SimulatedMaster):
 
     def __init__(self, scene: Scene) -> None:
         self._follow = following(scene.dt_ns / 1e9)
+        self._bring = following(scene.dt_ns / 1e9, ALIGNING)
+        self._lead = 0.0  # s, of an alignment
         self._own_motion = True  # the reference is the scene's, and no filter's
         self._w = [0.0] * scene.axes  # the speed of the filtered reference, m/s
         self._target: tuple[float, ...] | None = None  # of `steer`
@@ -96,7 +100,10 @@ class SteeredMaster(SimulatedMaster):
     def align(self, to: Sequence[float] | None) -> None:
         """Bring the handle to `to` (m, as in `steer`) before anything else, until it is called with None.
 
-        After that the hand does again what it was told to, or what the scene says. See `aligned`.
+        The reference goes there by the same filter, at 60 rad/s. Masses on a hand's spring swing (that of most scenes
+        is damped to 0.28 of critical), so the target is taken back by the speed of the handle times a lead, under
+        which they are damped to 0.8. After it the hand does again what it was told to, or what the scene says. See
+        `aligned`.
         """
         self._place = None if to is None else self._checked(to)
         self._asked = self._k
@@ -120,6 +127,8 @@ class SteeredMaster(SimulatedMaster):
         Where it was told nothing yet and the scene's own motion is another, the reference goes over to that. `again`:
         the hand moves as the scene says, until it is steered anew.
         """
+        if self._writer is not None and self._writer.newest >= 0:
+            self._writer.add(self._k, self._r)  # where it was, of which this tick is the end
         super().turn(_held_by_hand(scene), again=again)
 
     def record(self, folder: Path | str | None) -> None:
@@ -156,6 +165,7 @@ class SteeredMaster(SimulatedMaster):
             self._own_motion = False
 
     def _settle(self, again: bool, kept: bool) -> None:
+        self._lead = _lead(self._scene)
         if again:
             super()._settle(again, kept)
             self._own_motion, self._steered, self._target, self._place = True, False, None, None
@@ -166,12 +176,11 @@ class SteeredMaster(SimulatedMaster):
         if self._own_motion:
             return self._own(self._k + 1)
         if self._place is not None:
-            target: Sequence[float] = self._place
-        elif not self._steered:
-            target = self._own(self._k + 1)
-        else:
-            target = self._x if self._target is None else self._target
-        there, self._w = self._follow.step(self._r, self._w, target)
+            short = [p - self._lead * v for p, v in zip(self._place, self._v, strict=True)]
+            there, self._w = self._bring.step(self._r, self._w, short)
+            return there
+        told = self._x if self._target is None else self._target
+        there, self._w = self._follow.step(self._r, self._w, told if self._steered else self._own(self._k + 1))
         return there
 
     def _move(self) -> None:
@@ -185,3 +194,17 @@ def _held_by_hand(scene: Scene) -> Scene:
         raise Refused(f"scene {scene.name} has no hand with a spring, by which an order could move the master; take a "
                       "scene with one, for example canonical")
     return scene
+
+
+def _lead(scene: Scene | None) -> float:
+    """The time (s) of an alignment's lead, for the damping ratio `RATIO` of the masses on the hand's spring.
+
+    None where they swing by themselves at more than half of `ALIGNING`: the filter is too slow for those, and the lead
+    would feed the swing. Below that all poles have negative real parts, whatever the dampers.
+    """
+    assert scene is not None
+    assert scene.hand is not None
+    hand, mass = scene.hand, scene.master.mass + scene.hand.mass
+    if sqrt(hand.k / mass) > 0.5 * ALIGNING:
+        return 0.0
+    return max(0.0, (2.0 * RATIO * sqrt(hand.k * mass) - scene.master.damping - hand.d) / hand.k)

@@ -98,9 +98,11 @@ def _run(
             shell.realtime = scheduling
             last.stand_by(shell)
             shell.security.insecure = insecure
+            turning = None
             if args.orders:
                 shell.told = partial(_told, e)
-                shell.orders = Orders(SHAPES, Turning(shell, made, folder, partial(_turned, args), recorder_of).take)
+                turning = Turning(shell, made, folder, partial(_turned, args), recorder_of)
+                shell.orders = Orders(SHAPES, turning.take)
             if not (args.json or args.quiet):
                 shell.hint = partial(_hint, NAMES[e])
             if holds_on(shell):
@@ -110,6 +112,8 @@ def _run(
                 in_tick_loop(run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0))
             finally:
                 scheduling.give_back()  # what is left to do has time
+                if turning is not None:
+                    turning.close()
                 progress.end()
             if shell.counts.ticks or _leaves_a_traceback(shell):
                 folder.keep()

@@ -71,6 +71,11 @@ class Turning:
         else:
             self._newest = order  # of several that came meanwhile the last one counts
 
+    def close(self) -> None:
+        """The run is over: what the device writes down of its hand is whole."""
+        if hasattr(self._device, "record"):
+            self._device.record(None)
+
     def _hand(self, to: list[float] | None) -> None:
         if not hasattr(self._device, "steer"):
             refuse("this end's device has no hand that can be moved; orders `hand` are for a simulated master")
@@ -138,12 +143,17 @@ class Turning:
             endpoint.senses(bool(shell.device.sensor))
             deadline = deadline_of(self._device, endpoint)
             claimed = claim(order["out"])
+            try:
+                if hasattr(self._device, "turn"):
+                    self._device.turn(scene, again=order.get("again", False))
+            except Refused:
+                claimed.drop()
+                claimed.close()
+                raise
         except Refused as refused:
             refuse(str(refused))
             self._go_on(TURN)
             return
-        if hasattr(self._device, "turn"):
-            self._device.turn(scene, again=order.get("again", False))
         k = shell.counts.last + shell.endpoint.every
         why = ", ".join(f"{name}={value}" for name, value in order["knobs"].items()) or "the scene's own knobs"
         shell.recorder.note(Event(shell.counts.ran, "turned", why))

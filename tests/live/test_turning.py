@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from master.hand_record import HandRecording
 from teleop.__main__ import main
 from teleop.live.orders import OF_THE_RELAY, SHAPES, Orders
 from teleop.live.records.merge import load_result, merge, scene_of
@@ -89,6 +90,10 @@ class Story:
             run.event(e, lambda event: "no_such_law" in event.get("sentence", ""), since[e])
             run.event(e, lambda event: "a turn keeps the tick" in event.get("sentence", ""), since[e])
         run.happens("ms", "released", since)  # the ends go on with what they had
+        since = run.now()
+        run.order("s", order="turn", knobs={**KNOBS, "k_e": "1e308"}, out="nowhere")  # which its device refuses
+        run.event("s", lambda event: "no finite step" in event.get("sentence", ""), since["s"])
+        run.happens("ms", "released", since)
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +136,19 @@ def test_a_master_that_is_brought_to_the_slave_feels_the_wall_again_under_the_ne
 @pytest.mark.live
 def test_the_hand_goes_where_it_is_ordered_to(story: Story) -> None:
     assert story.moved["x"] < -0.005
+
+
+@pytest.mark.live
+def test_what_the_hand_did_is_written_down_from_the_first_tick_of_each_part_to_the_last(story: Story) -> None:
+    for folder in sorted(story.run.out.iterdir()):
+        if (folder / "master" / "record.bin").is_file():
+            data = (folder / "master" / "hand.bin").read_bytes()
+            rows = np.frombuffer(data[data.index(b"\n") + 1:], dtype="<f8").reshape(-1, 2)
+            ticks = _column(folder / "master", "t")[0]
+            assert rows[0, 0] <= ticks[0]
+            assert rows[-1, 0] >= ticks[-1]
+            np.testing.assert_array_equal(np.diff(rows[:, 0]), 1.0)
+    assert HandRecording(str(story.parts["pp"])).ticks > 100
 
 
 @pytest.mark.live
