@@ -35,7 +35,8 @@ def export(args: Namespace) -> Answer:
     if args.mcap is not None and args.csv is not None and Path(args.mcap) in (Path(args.csv),
                                                                               metadata_of(Path(args.csv))):
         raise Refused(f"--mcap and --csv would both write {args.mcap}; give two names")
-    parts = read_parts(Path(args.run), trust=args.trust)
+    left_out: list[str] = []
+    parts = read_parts(Path(args.run), trust=args.trust, left_out=left_out)
     rows: list[tuple[str, str]] = [("export", _what(args.run, parts))]
     document: dict[str, Any] = {}
     with ExitStack() as files:
@@ -53,7 +54,8 @@ def export(args: Namespace) -> Answer:
             rows.append(("mcap", f"{path}, times from tick 0"))
             rows += [("", f"{topic}: {grouped(count)} {plural(count, 'message')}") for topic, count in topics.items()]
             document["mcap"] = {"file": str(path), "topics": topics}
-    return Answer(facts(rows), {**_head(args, parts), **document})
+    rows += [("note", note) for note in left_out]
+    return Answer(facts(rows), {**_head(args, parts), **document, "notes": left_out})
 
 
 def stream(args: Namespace) -> Answer:

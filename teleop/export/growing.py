@@ -11,7 +11,7 @@ from teleop.errors import Refused
 from teleop.export.columns import Field, field
 from teleop.export.stored import parts_in, turned
 from teleop.live.records.end_result import NAMES
-from teleop.live.records.following import Follower, Row
+from teleop.live.records.following import GrowingRecord, Row
 from teleop.live.records.header import OWN
 from teleop.live.records.record import FILE
 from teleop.storage.folder import is_being_written
@@ -33,14 +33,14 @@ class GrowingEnd:
         self.number = number
         self.over = False  # is all read, and is nobody writing any more
         self.last: int | None = None  # tick
-        self._followed = Follower(folder)
+        self._record = GrowingRecord(folder)
         self._waiting: deque[Row] = deque()
 
     @property
     def header(self) -> dict[str, Any]:
         """Header of its record, which there is once there are rows."""
-        assert self._followed.header is not None
-        return self._followed.header
+        assert self._record.header is not None
+        return self._record.header
 
     @property
     def fields(self) -> list[Field]:
@@ -48,18 +48,18 @@ class GrowingEnd:
         names, e = self.header["columns"][len(OWN):], self.header["end"]
         found = [field(name, names.count(name)) for name in dict.fromkeys(names)]
         if [one.name for one in found for _ in range(one.axes)] != names or {f"late_{e}", f"seq_{e}"} & {*names}:
-            raise Refused(f"{self._followed.folder / FILE} has columns in an order that no record has; give another "
+            raise Refused(f"{self._record.folder / FILE} has columns in an order that no record has; give another "
                           "folder")
         return found
 
     def take(self, most: int) -> list[Row]:
         """The next rows, at most so many. Raises `Refused` if the record is damaged."""
         if not self._waiting and not self.over:
-            written = is_being_written(self._followed.folder)  # first: what is read then may be the last
+            written = is_being_written(self._record.folder)  # first: what is read then may be the last
             self._waiting.extend(self._read())
             if not self._waiting and not written:
                 self.over = True
-                self._followed.close()
+                self._record.close()
         taken = [self._waiting.popleft() for _ in range(min(most, len(self._waiting)))]
         if taken:
             self.last = int(taken[-1][0])
@@ -67,12 +67,12 @@ class GrowingEnd:
 
     def close(self) -> None:
         """Let go of the record."""
-        self._followed.close()
+        self._record.close()
 
     def _read(self) -> list[Row]:
-        at = self._followed.folder / FILE
+        at = self._record.folder / FILE
         try:
-            return self._followed.read()
+            return self._record.read()
         except (OSError, Misshapen) as error:
             why = error.strerror if isinstance(error, OSError) else error
             raise Refused(f"{at} is no sound record of a live end ({why}); what was read before is sent") from error

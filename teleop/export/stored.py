@@ -120,26 +120,48 @@ def _ends_of(times: StoredArray, ticks: int) -> tuple[float | None, float | None
     return first, last
 
 
-def read_parts(folder: Path, *, trust: bool) -> list[Part]:
+def read_parts(folder: Path, *, trust: bool, left_out: list[str] | None = None) -> list[Part]:
     """The run that lies in `folder`, in order of time. Raises `Refused` if there is none, or it still goes on.
 
     What a killed process left is made whole first, as `teleop report` does; `trust` is that of `load_result`.
+    `left_out`: gets a sentence for each part that cannot be read, as of an end that came to no tick; without it, and
+    where no part is left, that is refused.
     """
-    at = [folder] if not turned(folder) else [one for _, one in parts_in(folder)]
     _check_kind(folder)
-    for one in at:
-        result = settle(one, trust=trust)
-        if (result is not None and result.status == RUNNING) or (at != [folder] and is_being_written(folder)):
-            raise Refused(f"{folder} is of a run that goes on; export it when it is over, or follow it meanwhile: "
-                          f"teleop stream {folder} --plotjuggler 127.0.0.1:9870")
-    parts = [Part(one, 0 if at == [folder] else number) for number, one in enumerate(at, 1)]
+    at = parts_in(folder) if turned(folder) else [(0, folder)]
+    going_on = Refused(f"{folder} is of a run that goes on; export it when it is over, or follow it meanwhile: "
+                       f"teleop stream {folder} --plotjuggler 127.0.0.1:9870")
+    parts: list[Part] = []
+    for i, (number, one) in enumerate(at):
+        if number and is_being_written(folder):
+            raise going_on
+        try:
+            result = settle(one, trust=trust)
+            if result is None or result.status != RUNNING:
+                parts.append(Part(one, number))
+                continue
+        except Refused as refused:
+            if left_out is None or (i == len(at) - 1 and not parts):
+                raise
+            left_out.append(f"part {number:02d} is left out: {refused}")
+            continue
+        raise going_on
+    if not parts:
+        raise Refused(f"{folder} holds no part in which an end came to its first tick")
+    _on_one_axis(folder, parts)
+    return parts
+
+
+def _on_one_axis(folder: Path, parts: Sequence[Part]) -> None:
+    """Put a part behind the one before whose ends were started anew, and so have begun to count their ticks anew."""
     reached = -1
-    for part in parts:  # one whose ends were started anew has begun to count its ticks anew
+    for part in parts:
         if part.first is not None and part.last is not None:
             if part.ns(part.first) <= reached:
                 part.shift_ns = reached + round(part.summary["dt"] * 1e9) - part.ns(part.first)
             reached = part.ns(part.last)
-    return parts
+    if reached >= 1 << 63:
+        raise Refused(f"{folder} lasts longer than a time in nanoseconds can tell; export its parts one by one")
 
 
 def turned(folder: Path) -> bool:

@@ -21,7 +21,7 @@ MOST = 1 << 18  # bytes that are read at a time: 2 s of a scene with three axes
 Row = tuple[float, ...]  # tick, lateness (ns), packet played, and the end's columns
 
 
-class Follower:
+class GrowingRecord:
     """The record in `folder`, from its header on, as soon as it is there; a row that is cut off waits for its rest."""
 
     def __init__(self, folder: Path) -> None:
@@ -39,7 +39,7 @@ class Follower:
         assert self._file is not None
         data = os.pread(self._file.fileno(), MOST, self._offset)
         whole = len(data) - len(data) % self._row.size
-        rows = list(self._row.iter_unpack(memoryview(data)[:whole]))
+        rows: list[Row] = list(self._row.iter_unpack(memoryview(data)[:whole]))
         for row in rows:
             if not (self._last < row[0] < MOST_TICKS and row[0].is_integer() and row[2].is_integer()):
                 raise Misshapen(f"it is damaged: after tick {self._last:g} comes a row that is no tick of a run")

@@ -77,6 +77,23 @@ def test_parts_of_which_one_goes_on_are_not_exported_yet(turned_run: Path) -> No
     assert [part.number for part in read_parts(turned_run, trust=False)] == [1, 2, 3]
 
 
+def test_a_part_of_which_an_end_left_nothing_is_left_out_with_a_sentence(turned_run: Path) -> None:
+    shutil.rmtree(turned_run / "02" / "slave")
+    said: list[str] = []
+    assert [part.number for part in read_parts(turned_run, trust=False, left_out=said)] == [1, 3]
+    (sentence,) = said
+    assert sentence.startswith("part 02 is left out: ")
+    with pytest.raises(Refused, match="holds no record"):
+        read_parts(turned_run, trust=False)
+
+
+def test_parts_of_which_none_can_be_read(turned_run: Path) -> None:
+    for number in (1, 2, 3):
+        shutil.rmtree(turned_run / f"{number:02d}" / "slave")
+    with pytest.raises(Refused, match="holds no record"):
+        read_parts(turned_run, trust=False, left_out=[])
+
+
 def test_columns_of_all_parts_are_there_once(turned_run: Path) -> None:
     names = [one.name for one in all_fields(read_parts(turned_run, trust=False))]
     assert len(names) == len({*names})
