@@ -30,7 +30,7 @@ FILE = "hand.bin"
 PAGE = "page.json"
 VERSION = 1
 ANEW = ("again", "lost")  # why a part began whose bodies were not where those of the part before were
-EVERY = 250  # rows between two writes
+EVERY = 16  # rows between two writes: a live page follows them
 LONGEST = 1 << 10  # bytes of a header
 FARTHEST = 1e6  # m, of a place: with more a scene has diverged
 _VERSION = whole(low=VERSION, high=VERSION)

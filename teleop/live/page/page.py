@@ -13,7 +13,7 @@ from teleop.live.page.clients import Clients
 from teleop.live.page.clutch import Clutch
 from teleop.live.page.controls import Choice, Controls
 from teleop.live.page.drag import Drag
-from teleop.live.page.following import Follower, Row
+from teleop.live.page.following import Follower, Hand, Row
 from teleop.live.page.messages import place, said
 from teleop.live.page.parts import Parts
 from teleop.live.page.requests import Requests
@@ -27,6 +27,7 @@ from teleop.storage.strict_json import Misshapen, written
 PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at least
 STATUS = 0.25  # s between two words on how the link is
 SILENT = 1.0  # s without a row, and an end is said to be lost, though its process lives
+AT_REST = 1.0  # s after a session began, until the slave has come to rest
 SOON = 5.0  # s after it was started anew: what is lost again then waits for a person
 ENDS = ("slave", "master")
 OURS = ("a turn", "a new session", "the clutch is open")  # why an end is safe that is no news here
@@ -44,6 +45,8 @@ class Page:
         self._children = Children(start, self._hear, self._ended)
         self._followers: dict[str, Follower] = {}
         self._next: dict[str, Follower] = {}  # of the part that begins
+        self._hand: Hand | None = None  # where its reference is
+        self._align_at: float | None = None  # when the master is to be brought to the slave once more; inf: it was
         self._unreadable: set[str] = set()  # ends whose record is damaged
         self._live: dict[str, dict[str, Any]] = {}
         self._safe: set[str] = set()  # ends of which it was said that their force goes to zero
@@ -91,6 +94,8 @@ class Page:
         await self.clients.close("the page was stopped where it was started")
         for follower in [*self._followers.values(), *self._next.values()]:
             follower.close()
+        if self._hand is not None:
+            self._hand.close()
 
     # what the pages say
 
@@ -108,11 +113,11 @@ class Page:
         elif kind == "clutch":
             self._clutch.hold(page, held=message["open"])
         elif kind == "turn":
-            choice = self._controls.chosen(self._turns.wanted, message)
-            self._controls.scene(choice)  # what cannot be made is refused before any end is told
-            self._turns.ask(choice)
+            self._turns.ask(self._controls.chosen(self._turns.wanted, message))
         else:
             self._turns.ask(self._turns.wanted, again=True)
+        if kind in ("turn", "again"):
+            self._align_at = None
         if kind in ("turn", "again") and self._lost and self._mending is None:
             self._mend()
 
@@ -149,11 +154,12 @@ class Page:
         t = self._began + max(each.newest[-1][0] for each in self._followers.values()
                                        if each.newest) * self._scene.dt
         self._rows.gain.update({e: numbers["gain"] for e, numbers in self._live.items() if "gain" in numbers})
-        shown = self._rows.message(t, self._followers, new, self._sent)
+        shown = self._rows.message(t, self._followers, new, None if self._hand is None else self._hand.newest())
         if shown is None or self.clients is None:
             return
         self.clients.show(shown.text)
-        self._clutch.measure(self._followers)
+        if self._clutch.measure(self._followers) and self._align_at is None:
+            self._align_at = now + AT_REST
         if (sentence := self._shaking.sentence(now, shown.forces)) is not None:
             self._tell("warn" if self._shaking.shakes else "info", sentence)
 
@@ -165,12 +171,19 @@ class Page:
             if e in self._next and (rows := self._next[e].read()):
                 self._followers[e].close()
                 self._followers[e] = self._next.pop(e)
+                if e == "m":
+                    self._follow_hand()
                 return rows
             return self._followers[e].read() if e in self._followers else []
         except (OSError, Misshapen) as error:
             self._unreadable.add(e)
             self._tell("error", f"the record of the {NAMES[e]} cannot be shown: {error}")
             return []
+
+    def _follow_hand(self) -> None:
+        if self._hand is not None:
+            self._hand.close()
+        self._hand = Hand(self._followers["m"].folder)
 
     def _steer(self, now: float) -> None:
         """Tell the master where the hand is to go, if that has changed."""
@@ -186,14 +199,22 @@ class Page:
         if self._turns.under_way is None and self._clutch.changes():
             self._children.order({"order": "clutch", "open": self._clutch.is_open}, *ENDS)
             self._shaking.moved()
+        if self._align_at is not None and now >= self._align_at:
+            self._align_at = float("inf")
+            self._turns.ask(self._turns.wanted, align=True)
         if self._turns.late(now):
             self._fail("the three did not all turn in time")
         elif not self._clutch.is_open and (turn := self._turns.next(now)) is not None:
             self._begin_turn(turn)
 
     def _begin_turn(self, turn: Turn) -> None:
-        knobs = self._controls.knobs(turn.choice)
-        self._scene = self._controls.scene(turn.choice)
+        try:  # what cannot be made is refused before any end is told
+            knobs, scene = self._controls.knobs(turn.choice), self._controls.scene(turn.choice)
+        except Refused as refused:
+            self._turns.give_up()
+            self._tell("error", str(refused))
+            return
+        self._scene = scene
         newest = self._followers["m"].newest if "m" in self._followers else None
         folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, "again" if turn.again else "turn")
         align = None if turn.again else self._clutch.aligned(self._followers)
@@ -254,6 +275,7 @@ class Page:
     def _ended(self, name: str, sentence: str) -> None:
         """One of the three has ended."""
         self._lost[name] = sentence
+        self._clutch.turned(again=False)  # the session that heals the run is no clutch's: a turn follows it
         only_just = self._now() - self._mended < SOON
         self._tell("error", f"the {name} is lost: {sentence}{'; press start again' * only_just}")
         if not only_just and self._mending is None:
@@ -277,6 +299,9 @@ class Page:
                 self._mended = self._now()
                 self._lost.pop("channel")
                 self._answered("channel")  # to a turn that it did not live to see
+                # Without a force the hand has slid on, and a wall that was pressed would no longer be felt.
+                self._turns.ask(self._turns.wanted, align=True)
+                self._align_at = None
                 self._tell("info", "the channel is back")
             else:
                 await self._children.stop()
@@ -300,8 +325,9 @@ class Page:
         for follower in [*self._followers.values(), *self._next.values()]:
             follower.close()
         self._followers, self._next = {e: Follower(folders[e]) for e in NAMES}, {}
+        self._follow_hand()
         self._live, self._heard, self._safe, self._unreadable = {}, {}, set(), set()
-        self._sent = self._began = None
+        self._sent = self._began = self._align_at = None
         self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
         try:
             await self._children.start(knobs, folders)

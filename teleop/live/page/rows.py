@@ -76,19 +76,25 @@ class Rows:
             row = follower.newest[-1]
             queues.append(_of(row, follower, name, None))
             ages.append((row[0] - row[2]) * self.dt if row[2] >= 0.0 else None)
-        return f'"queue":{_list(queues) if queues[0] is not None else "null"},"age":{_list(ages)}'
+        return f'"queue":{"null" if None in queues else _list(queues)},"age":{_list(ages)}'
 
 
 def _energy(m: Follower, s: Follower) -> float | None:
-    """What is stored in the link (J), or else taken up at the two ports, at the newest tick that both ends have."""
+    """What is stored in the link (J), or else taken up at the two ports, at the newest tick that both ends have.
+
+    None where the two do not have the same: no ledger, or one of them is turned already and the other is not.
+    """
     common = min(m.newest[-1][0], s.newest[-1][0])
     ours, theirs = m.at(common), s.at(common)
-    if ours is None or theirs is None or "E_port_m" not in m.places or "E_port_s" not in s.places:
+    if ours is None or theirs is None:
         return None
-    if "E_in_fwd" not in m.places:
-        return _first(ours, m, "E_port_m") - _first(theirs, s, "E_port_s")
-    stored = _first(ours, m, "E_in_fwd") - _first(theirs, s, "E_out_fwd")
-    return stored + (_first(theirs, s, "E_in_bwd") - _first(ours, m, "E_out_bwd"))
+    waves = "E_in_fwd" in m.places, "E_in_bwd" in s.places
+    if all(waves):
+        stored = _first(ours, m, "E_in_fwd") - _first(theirs, s, "E_out_fwd")
+        return stored + (_first(theirs, s, "E_in_bwd") - _first(ours, m, "E_out_bwd"))
+    if any(waves) or "E_port_m" not in m.places or "E_port_s" not in s.places:
+        return None
+    return _first(ours, m, "E_port_m") - _first(theirs, s, "E_port_s")
 
 
 def _first(row: Row, follower: Follower, name: str) -> float:

@@ -38,10 +38,13 @@ class Turns:
         """What has been asked for last."""
         return self.choice if self._waiting is None else self._waiting.choice
 
-    def ask(self, choice: Choice, *, again: bool = False) -> None:
-        """Ask for a turn; that it is to begin again is not forgotten over a later one."""
+    def ask(self, choice: Choice, *, again: bool = False, align: bool = False) -> None:
+        """Ask for a turn; that it is to begin again is not forgotten over a later one.
+
+        `align`: turn though nothing is another, for the master to be brought to the slave.
+        """
         again = again or (self._waiting is not None and self._waiting.again)
-        self._waiting = Turn(choice, again) if again or choice != self.choice else None
+        self._waiting = Turn(choice, again) if again or align or choice != self.choice else None
 
     def next(self, now: float) -> Turn | None:
         """The turn that is to be told now, if there is one; it is under way from then on."""

@@ -35,13 +35,13 @@ class Fake:
 
     def __init__(self, name: str, manner: str, out: str | None, knobs: dict[str, str]) -> None:
         self.name, self.manner, self.knobs = name, manner, knobs
-        self.k, self.at, self.said, self.rest = 0, 0.0, 0.0, b""
-        self.began = time.monotonic()
+        self.k = int(time.monotonic() * 1e3)  # both ends count by one clock
+        self.at, self.said, self.rest = 0.0, 0.0, b""
         self.told: TextIO | None = None
         if out is not None:
             self.begin(out)
             self.told = (Path(out).parent.parent / f"orders-{name}.jsonl").open("a")
-            tell("event", end=name[0], k=0, what="met", why="session 0")
+            tell("event", end=name[0], k=self.k, what="met", why="session 0")
 
     def begin(self, out: str) -> None:
         folder = Path(out)
@@ -54,7 +54,7 @@ class Fake:
 
     def tick(self) -> None:
         """Write the rows that are due, and say how it goes four times a second."""
-        now = time.monotonic() - self.began
+        now = time.monotonic()
         while self.k + FLUSH <= now * 1e3:
             for _ in range(FLUSH):
                 self.file.write(struct.pack("<12d", self.k, 0.0, max(-1, self.k - 50), self.at, 0.0, 0.5, 1.5, 0.002,

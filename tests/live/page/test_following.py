@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.live.page.following import KEPT, Follower
+from teleop.live.page.following import KEPT, Follower, Hand
 from teleop.storage.strict_json import Misshapen
 
 HEADER = json.dumps({"end": "m", "dt_ns": 1_000_000, "axes": 2, "scene": "hard_wall", "knobs": {}, "seed": 0,
@@ -83,3 +83,22 @@ def test_a_row_of_before_is_found_by_its_tick_as_long_as_it_is_kept(tmp_path: Pa
     follower.read()
     assert follower.at(4) is None
     follower.close()
+
+
+def test_of_the_hand_the_last_whole_row_counts(tmp_path: Path) -> None:
+    hand, path = Hand(tmp_path), tmp_path / "hand.bin"
+    assert hand.newest() is None
+    path.write_bytes(b'{"version":1,"dt_ns"')
+    assert hand.newest() is None
+    path.write_bytes(b'{"version":1,"dt_ns":1000000,"axes":2}\n')
+    assert hand.newest() is None
+    with path.open("ab") as file:
+        file.write(struct.pack("<6d", 0.0, 0.1, 0.2, 1.0, 0.3, 0.4) + b"\0" * 5)
+    assert hand.newest() == (0.3, 0.4)
+    hand.close()
+
+
+@pytest.mark.parametrize("header", [b"hello\n", b"[]\n", b'{"axes": "two"}\n', b'{"axes": null}\n'])
+def test_a_hand_that_is_none_is_not_shown(tmp_path: Path, header: bytes) -> None:
+    (tmp_path / "hand.bin").write_bytes(header + b"\0" * 100)
+    assert Hand(tmp_path).newest() is None

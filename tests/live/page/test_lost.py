@@ -19,9 +19,12 @@ Serve = Callable[..., Served]
 def kill(name: str) -> None:
     """Kill the child of this process that is `name`."""
     for folder in Path("/proc").glob("[0-9]*"):
-        words = (folder / "cmdline").read_bytes().split(b"\0")
-        if f"fake.py {name}".encode() in b" ".join(words) and int(
-                (folder / "stat").read_text().rsplit(")", 1)[1].split()[1]) == os.getpid():
+        try:
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:  # it has just ended
+            continue
+        if f"fake.py {name}".encode() in b" ".join(words) and parent == os.getpid():
             os.kill(int(folder.name), signal.SIGKILL)
             return
     pytest.fail(f"there is no {name}")
@@ -33,17 +36,21 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("teleop.live.page.page.SOON", 0.0)
 
 
-def test_a_channel_that_is_killed_comes_back_and_the_part_goes_on(served: Serve) -> None:
+def test_a_channel_that_is_killed_comes_back_and_the_master_is_brought_to_the_slave(served: Serve) -> None:
     async def scenario(page: Served) -> None:
         async with page.open() as browser:
             await browser.until("rows")
             kill("channel")
             await browser.told("the channel is lost")
             await browser.told("the channel is back")
+            await browser.told("turned")
             await browser.until("status", lambda status: status["lost"] is None)
             await browser.until("rows")
+        [order] = page.orders("master")
+        assert (order["order"], order["again"], order["align"]) == ("turn", False, [0.0])
 
-    assert len(served(scenario).index()["parts"]) == 1
+    first, second = served(scenario).index()["parts"]
+    assert (second["why"], second["knobs"]) == ("turn", first["knobs"])
 
 
 @pytest.mark.parametrize("name", ["master", "slave"])

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from teleop.errors import Refused
+from teleop.live.page.controls import Controls
 from tests.live.page.conftest import Served
 
 pytestmark = pytest.mark.live
@@ -22,7 +24,7 @@ def test_a_page_is_told_what_it_shows_then_shown_the_rows_of_both_ends(served: S
             assert {slider["name"]: slider["value"] for slider in hello["sliders"]} == {
                 "delay": 0.05, "jitter": 0.0, "loss": 0.0, "k_e": 2e4}
             assert {law["name"] for law in hello["laws"]} >= {"direct", "wave", "pfra"}
-            rows = await browser.until("rows", lambda rows: None not in rows["age"])
+            rows = await browser.until("rows", lambda rows: rows["E"] is not None)
             assert (rows["xm"], rows["fm"], rows["fe"]) == ([0.0], [1.5], [0.5])
             assert rows["fm_lo"] == rows["fm_hi"] == [1.5]
             assert rows["E"] == pytest.approx(4.0)
@@ -155,3 +157,24 @@ def test_again_is_a_part_that_begins_at_the_scenes_start(served: Serve) -> None:
         assert (order["order"], order["again"], order["align"]) == ("turn", True, None)
 
     assert served(scenario).index()["parts"][1]["why"] == "again"
+
+
+def test_a_scene_that_cannot_be_made_is_refused_before_an_end_is_told(
+    served: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise Refused("this law asks for more than the scene has")
+
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            with monkeypatch.context() as without:
+                without.setattr(Controls, "scene", refuse)
+                await browser.say("turn", law="direct")
+                await browser.told("asks for more")
+            await browser.say("turn", delay=0.1)
+            hello = await browser.until("hello", lambda hello: hello["link"] == "delay(0.1)")
+            assert hello["law"] == "wave"
+        assert len(page.orders("master")) == 1
+
+    assert len(served(scenario).index()["parts"]) == 2
