@@ -16,8 +16,8 @@ pytestmark = pytest.mark.live
 Serve = Callable[..., Served]
 
 
-def kill(name: str) -> None:
-    """Kill the child of this process that is `name`."""
+def kill(name: str, number: signal.Signals = signal.SIGKILL) -> None:
+    """Send a signal to the child of this process that is `name`."""
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             words = (folder / "cmdline").read_bytes().split(b"\0")
@@ -25,7 +25,7 @@ def kill(name: str) -> None:
         except OSError:  # it has just ended
             continue
         if f"fake.py {name}".encode() in b" ".join(words) and parent == os.getpid():
-            os.kill(int(folder.name), signal.SIGKILL)
+            os.kill(int(folder.name), number)
             return
     pytest.fail(f"there is no {name}")
 
@@ -72,6 +72,21 @@ def test_an_end_that_is_killed_begins_a_part_of_its_own(served: Serve, name: str
     parts = served(scenario).index()["parts"]
     assert [part["why"] for part in parts] == ["start", "turn", "lost"]
     assert parts[2]["knobs"] == parts[1]["knobs"]
+
+
+def test_an_end_that_stands_still_is_told_of_and_that_it_goes_on(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            kill("slave", signal.SIGSTOP)
+            try:
+                await browser.told("the slave stands still")
+                await browser.until("status", lambda status: status["lost"] == "the slave")
+            finally:
+                kill("slave", signal.SIGCONT)
+            await browser.told("the slave goes on")
+
+    served(scenario)
 
 
 def test_what_is_lost_again_at_once_waits_for_a_person(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
