@@ -6,8 +6,8 @@ import sys
 from argparse import ArgumentParser
 from importlib import import_module
 
-BENCHES = ("virtual", "playout", "laws", "sweep", "scale", "own_laws", "rivals", "live", "cost", "secure", "flood",
-           "timing", "watchdog")
+BENCHES = ("virtual", "playout", "laws", "sweep", "scale", "own_laws", "rivals", "live", "page", "cost", "secure",
+           "flood", "timing", "watchdog")
 """Functions in modules of their names, loaded when they run."""
 
 
