@@ -102,11 +102,12 @@ class SteeredMaster(SimulatedMaster):
 
         The reference goes there by the same filter, at 60 rad/s. Masses on a hand's spring swing (that of most scenes
         is damped to 0.28 of critical), so the target is taken back by the speed of the handle times a lead, under
-        which they are damped to 0.8. After it the hand does again what it was told to, or what the scene says. See
-        `aligned`.
+        which they are damped to 0.8. Called again meanwhile, it goes on to another place, and its time counts from the
+        first. After it the hand does again what it was told to, or what the scene says. See `aligned`.
         """
+        if self._place is None:
+            self._asked = self._k
         self._place = None if to is None else self._checked(to)
-        self._asked = self._k
         if to is not None:
             self._leave_own()
 

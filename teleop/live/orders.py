@@ -33,6 +33,7 @@ _place = optional(each(real, most=_MOST_AXES))
 _TURN = {"order": one_of("turn"), "knobs": named(text)}
 SHAPES: dict[str, Check] = {
     "hand": record({"order": one_of("hand"), "to": _place}),
+    "align": record({"order": one_of("align"), "to": each(real, most=_MOST_AXES)}),
     "clutch": record({"order": one_of("clutch"), "open": truth}),
     "turn": record({**_TURN, "out": text}, {"again": truth, "align": _place}),
 }

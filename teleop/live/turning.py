@@ -11,7 +11,8 @@ is over carries none and the next has another number.
 
 A person presses a wall, and the force falls: the hand slides on, and the law would begin from there, with a wall that
 is no longer felt. So an order may say where the slave is (`align`): before the next session a device that can (see
-`master.steered`) brings the master there, and then lets the hand go on to where it wants to be.
+`master.steered`) brings the master there, and then lets the hand go on to where it wants to be. Orders "align" follow
+a slave that moves on meanwhile.
 
 The order "clutch" ends the session in the same way and begins none until it is closed again: positions count from where
 each end is by then.
@@ -64,6 +65,9 @@ class Turning:
         word = order["order"]
         if word == "hand":
             self._hand(order["to"])
+        elif word == "align":
+            if self._aligning:  # the slave has moved on meanwhile
+                self._align(order["to"])
         elif word == "clutch":
             self._clutch(order["open"])
         elif self._next is None and not self._turned:
