@@ -1,4 +1,4 @@
-"""Folders of runs, live ends and sweeps, and hostile variants of them, to be opened by `teleop report`.
+"""Folders of all kinds that commands leave, and hostile variants of them, to be opened by `teleop report`.
 
 `serve` opens them in a process whose address space is limited. A case is made by a number alone, so that what failed
 can be opened again: `python -c "from tests.fuzz.folders import serve; serve('FOLDER', FIRST, COUNT, 1)"`.
@@ -31,7 +31,7 @@ SECONDS = 30  # that a case may take, on a machine that has other things to do
 NASTY_TEXTS = (
     "\x1b]0;owned\x07\x1b[2J", "a\nstatus   ok\r", "\u202egnp", "\ud800", "\x00", "$\\frac$", "x" * 5000, "", "../../x",
     "/dev/zero", "evil.py", "./evil.py", "evil", "delay(0.1) | mahimahi('/dev/zero')", "ping_log('secret')", "nan",
-    "none", "1e999", "%s%n", "{0.__class__}", "wave", "m", "s", "m\udcff",
+    "none", "1e999", "<script>alert(1)</script>", "</style><img src=x onerror=alert(2)>", "%s%n", "{0.__class__}", "wave", "m", "s", "m\udcff",
 )
 NASTY_NUMBERS = (0, -1, 1, 2**31, 2**53, 2**63, 2**64, -(2**63), 10**30, 1e308, -1e308, 5e-324, 1e-9, 0.5, 1e9, 1e12)
 NASTY: tuple[Any, ...] = (
@@ -115,7 +115,8 @@ class Hostile:
 
     def links_beside(self, path: Path) -> None:
         """Links out of the folder where `report` writes, and the summary gone, so that it does write."""
-        for name in ("trace.npz", "summary.json", "plot.png", "sweep.png", ".plot.png.part", ".sweep.png.part"):
+        for name in ("trace.npz", "summary.json", "plot.png", "sweep.png", "report.html", ".plot.png.part",
+                     ".sweep.png.part", ".report.html.part"):
             if self.dice.random() < 0.6:
                 (path.parent / name).unlink(missing_ok=True)
                 if name != "summary.json" or self.dice.random() < 0.3:
@@ -236,6 +237,7 @@ def serve(folder: str, first: int, count: int, draw_each: int) -> None:
     os.chdir(place)
     with redirect_stdout(io.StringIO()):
         main(["report", str(place / "sound" / kinds[0]), "--plot"])  # what is imported is no matter of a case
+    (place / "sound" / kinds[0] / "report.html").unlink()
     began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     for number in range(first, first + count):
         troubles = _opened(main, place, kinds[number % len(kinds)], number, draw_each)
@@ -283,6 +285,10 @@ def _opened(main: Callable[[Any], int], place: Path, kind: str, number: int, dra
         troubles.append("it gave the terminal orders")
     if "Memory" in said or "out of memory" in said:
         troubles.append(f"it ran out of memory: {said[-300:]}")
+    for page in case.glob("report*.html"):
+        written = page.is_file() and not page.is_symlink() and page.stat().st_size < 1 << 24
+        if written and any(begin in page.read_bytes() for begin in (b"<script", b"<img", b"\x1b")):
+            troubles.append("a text became markup in its page")
     if _contents(outside) != before or (place / "ran").exists():
         troubles.append("it touched what is outside")
         (place / "ran").unlink(missing_ok=True)

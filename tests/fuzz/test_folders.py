@@ -1,6 +1,6 @@
 """Whatever stands in a folder that others have sent, `teleop report` ends in a table or in one sentence.
 
-Folders of runs, live ends and sweeps are changed by bytes, by the structure of their JSON, rows and arrays, and by what
+Folders of runs, live ends, pages, sweeps, comparisons and studies are changed by bytes, by the structure of their JSON, rows and arrays, and by what
 stands in place of a file. Every case ends with exit code 0 and a table, or 2 and a sentence; in bounded memory; nothing
 outside of the folder is touched, and no code of the folder is run. A few hundred cases always, many with `-m fuzz`.
 """
@@ -25,6 +25,20 @@ from tests.live.conftest import Pair
 SLICES = 4
 EACH = 60  # cases of a slice; the long form has thousands
 LONG = 10_000
+COMPARED = """
+seeds = 1
+[[link]]
+name = "10 ms"
+link = "delay(0.01)"
+[[environment]]
+name = "free"
+scene = "free_motion"
+set = {duration = 0.1}
+[[environment]]
+name = "wall"
+scene = "hard_wall"
+set = {duration = 0.1}
+"""
 EVIL = "from pathlib import Path\nPath('ran').touch()\nfrom scenarios.hard_wall import scene\n"
 
 
@@ -50,6 +64,15 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (killed / name / "events.jsonl").write_text(json.dumps({"k": 3, "what": "safe", "why": "silence"}) + "\n")
     (sound / "end").mkdir()
     (sound / "end" / "record.bin").write_bytes((sound / "ends" / "slave" / "record.bin").read_bytes())
+    for part, law in (("01", "wave"), ("02", "direct")):
+        run(load_scene("hard_wall", duration=0.1, law=law)).save(sound / "page" / part)
+    parts = [{"folder": part, "knobs": {}, "k": 0, "why": "turn"} for part in ("01", "02")]
+    (sound / "page" / "page.json").write_text(json.dumps({"version": 1, "scene": "hard_wall", "parts": parts}))
+    (at / "small.toml").write_text(COMPARED)
+    for words in (["compare", str(at / "small.toml"), "--laws", "wave,direct", "--workers", "1", "--out", "comparison"],
+                  ["tune", "wave", "--scene", "hard_wall", "--budget", "6", "--out", "tune"],
+                  ["zwidth", "virtual_wall", "--out", "zwidth"]):
+        assert main([*words[:-1], str(sound / words[-1])]) == 0
     (at / "outside").mkdir()
     for name in ("precious", "summary.json", "trace.npz", "record.bin", "rows.jsonl", "sweep.json"):
         (at / "outside" / name).write_text("precious")
