@@ -27,7 +27,7 @@ INDEX = "page.json"
 SHOWN = 6  # parts that the figures have
 MOST = 500  # parts
 Begun = tuple[int, str]  # the first tick of a part, and why it began
-WHY = {"start": "start", "turn": "turned", "again": "started again"}
+WHY = {"start": "start", "turn": "turned", "again": "started again", "lost": "a process had ended"}
 _SHAPE = stored.record({
     "version": stored.whole(low=1, high=1), "scene": stored.text,
     "parts": stored.each(stored.record({"folder": stored.text, "k": stored.whole(low=-1), "why": stored.text}),
@@ -51,8 +51,8 @@ def page_told(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
                       si(got["f_m_max"], "N") if "f_m_max" in got else "-"))
     rows = [("page", f"{document['scene']}, {number_of(len(parts), 'part')}"), *[("left out", why) for why in left]]
     answer = Answer(f"{facts(rows)}\n{columns(lines, left=(0, 1, 2, 4))}\nwritten to {folder}", {
-        **document, "path": str(folder), "parts": [{**entry, **dict(run.document)} for entry, (_, run) in
-                                                   zip(document["parts"], parts, strict=False)]})
+        **document, "path": str(folder), "parts": [
+            {"folder": run.name, "k": k, "why": why, **run.document} for (k, why), run in parts]})
     for _, run in parts if formats else ():
         from teleop.terminal.run_plot import draw
 

@@ -12,6 +12,7 @@ from teleop.report.style import DIGEST, STYLE
 from teleop.version import __version__
 
 GOOD = ("ok", "done", "feasible")  # what a status is called that nothing is wrong with
+ENDED = ("stopped", "interrupted")  # by somebody
 POLICY = f"default-src 'none'; style-src 'sha256-{DIGEST}'; base-uri 'none'; form-action 'none'"
 
 
@@ -53,7 +54,7 @@ def _told(section: Section, heading: str) -> Markup:
 def outcome(status: str, sentence: str) -> Markup:
     """A status and its sentence, which may begin with the status itself."""
     rest = sentence.removeprefix(status).lstrip(": ") if status else sentence
-    kind = "good" if status in GOOD else "bad"
+    kind = "good" if status in GOOD else None if status in ENDED else "bad"
     return element("p", {"class": "out"}, *[element("b", {"class": kind}, status)] * bool(status), rest)
 
 

@@ -31,7 +31,8 @@ SECONDS = 30  # that a case may take, on a machine that has other things to do
 NASTY_TEXTS = (
     "\x1b]0;owned\x07\x1b[2J", "a\nstatus   ok\r", "\u202egnp", "\ud800", "\x00", "$\\frac$", "x" * 5000, "", "../../x",
     "/dev/zero", "evil.py", "./evil.py", "evil", "delay(0.1) | mahimahi('/dev/zero')", "ping_log('secret')", "nan",
-    "none", "1e999", "<script>alert(1)</script>", "</style><img src=x onerror=alert(2)>", "%s%n", "{0.__class__}", "wave", "m", "s", "m\udcff",
+    "none", "1e999", "<script>alert(1)</script>", "</style><img src=x onerror=alert(2)>", "%s%n",
+    "{0.__class__}", "wave", "m", "s", "m\udcff",
 )
 NASTY_NUMBERS = (0, -1, 1, 2**31, 2**53, 2**63, 2**64, -(2**63), 10**30, 1e308, -1e308, 5e-324, 1e-9, 0.5, 1e9, 1e12)
 NASTY: tuple[Any, ...] = (
@@ -250,7 +251,9 @@ def serve(folder: str, first: int, count: int, draw_each: int) -> None:
     print("done", flush=True)
 
 
-def _opened(main: Callable[[Any], int], place: Path, kind: str, number: int, draw_each: int) -> list[str]:
+def _opened(  # noqa: PLR0912 (a branch for each thing that may go wrong)
+    main: Callable[[Any], int], place: Path, kind: str, number: int, draw_each: int
+) -> list[str]:
     """One case; what went wrong with it."""
     dice, outside = random.Random(number), place / "outside"
     case = place / "case"

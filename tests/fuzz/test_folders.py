@@ -1,8 +1,9 @@
 """Whatever stands in a folder that others have sent, `teleop report` ends in a table or in one sentence.
 
-Folders of runs, live ends, pages, sweeps, comparisons and studies are changed by bytes, by the structure of their JSON, rows and arrays, and by what
-stands in place of a file. Every case ends with exit code 0 and a table, or 2 and a sentence; in bounded memory; nothing
-outside of the folder is touched, and no code of the folder is run. A few hundred cases always, many with `-m fuzz`.
+Folders of runs, live ends, pages, sweeps, comparisons and studies are changed by bytes, by the structure of their
+JSON, rows and arrays, and by what stands in place of a file. Every case ends with exit code 0 and a table, or 2 and a
+sentence; in bounded memory; nothing outside of the folder is touched, and no code of the folder is run. A few hundred
+cases always, many with `-m fuzz`.
 """
 
 from __future__ import annotations
