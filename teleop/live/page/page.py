@@ -13,7 +13,7 @@ from teleop.live.page.clients import Clients
 from teleop.live.page.clutch import Clutch
 from teleop.live.page.controls import Choice, Controls
 from teleop.live.page.drag import Drag
-from teleop.live.page.following import Follower, Hand, Row
+from teleop.live.page.following import Follower, Hand
 from teleop.live.page.messages import place, said
 from teleop.live.page.parts import Parts
 from teleop.live.page.requests import Requests
@@ -22,6 +22,7 @@ from teleop.live.page.shaking import Shaking
 from teleop.live.page.turns import Turn, Turns
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
+from teleop.live.records.following import Row
 from teleop.storage.strict_json import Misshapen, written
 
 PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at least

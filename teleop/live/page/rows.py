@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from math import isfinite
 from typing import NamedTuple
 
-from teleop.live.page.following import Follower, Row
+from teleop.live.page.following import Follower
+from teleop.live.records.following import Row
 
 PAST = 600  # messages that are kept: 10 s of them
 _LAST = {"m": ("x_m", "f_m", "f_h"), "s": ("x_s", "f_s", "f_env")}
