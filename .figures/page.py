@@ -1,7 +1,7 @@
 """Makes page.webp, the moving picture of the first page, from the real page: `.venv/bin/python .figures/page.py`.
 
 `teleop demo --page` runs, a Chromium without a window shows it, and a script drags the handle into the wall, turns the
-delay up, takes the law that shakes, and goes back. Needs Chromium, websockets and pillow. `--fps` prints instead what
+delay up, and takes the law that shakes. Needs Chromium, websockets and pillow. `--fps` prints instead what
 the page costs the browser: frames a second and the main thread's share over ten seconds, and what the server takes.
 """
 
@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 
 from tests.browser import Browser, Page  # noqa: E402
 
-SIZE, WIDTH, MOST = (820, 770), 720, 300_000  # px of the window; px and bytes of the picture
+SIZE, WIDTH, MOST = (820, 560), 640, 300_000  # px of the window; px and bytes of the picture
 RATE = 10  # frames a second
 SET = """((id, value) => {
   const at = document.getElementById(id);
@@ -59,11 +59,10 @@ def film(page: Page) -> list[tuple[float, bytes]]:
         (0.4, 1.6, hand(-0.01, 0.058)),
         (2.6, 2.6, lambda _p: slider(page, "delay", 0.2)),
         (4.6, 4.6, lambda _p: law(page, "direct")),
-        (8.2, 8.2, lambda _p: page.click("#again")),
     ]
     done: set[float] = set()
     shots, start = [], time.monotonic()
-    while (t := time.monotonic() - start) < 9.0:
+    while (t := time.monotonic() - start) < 8.2:
         for a, b, act in script:
             if t >= a and a not in done:
                 share = min(1.0, (t - a) / (b - a)) if b > a else 1.0
@@ -84,7 +83,7 @@ def picture(shots: list[tuple[float, bytes]], path: Path) -> None:
               for _t, png in shots]
     times = [t for t, _png in shots]
     lasts = [round(1e3 * (b - a)) for a, b in zip(times, [*times[1:], times[-1] + 1.2], strict=True)]
-    for quality in (80, 70, 60, 50, 40, 30, 20, 10):
+    for quality in (70, 55, 45, 35, 25, 18, 10):
         images[0].save(path, save_all=True, append_images=images[1:], duration=lasts, loop=0, quality=quality, method=4,
                        minimize_size=True)
         if path.stat().st_size < MOST:
