@@ -54,6 +54,15 @@ def test_the_first_page_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= LONGEST
 
 
+def test_the_first_page_moves_and_is_light_enough_for_a_phone() -> None:
+    picture = ROOT / ".figures" / "page.webp"
+    assert f"]({picture.relative_to(ROOT)})" in (ROOT / "README.md").read_text().partition("## ")[0]
+    data = picture.read_bytes()
+    assert len(data) < 300_000
+    assert data[8:12] == b"WEBP"
+    assert data.count(b"ANMF") > 1  # frames
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_every_command_of_a_page_can_be_typed(page: Path) -> None:
     command_line = parser()
