@@ -3,19 +3,16 @@
 While it is held the two ends have no session, and the hand moves the master alone. When it is let go, a new session
 counts the positions from where each end is: from then on the master is by an offset beside the slave.
 
-A turn keeps that offset: the master is brought beside the slave before it. A slave that was moving, with no force to
-hold it, has gone on by then, and the two are apart by that; the page turns once more when it has come to rest.
+A turn keeps that offset: the master is brought beside the slave before the next session.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from math import dist
 
 from teleop.live.page.following import Follower
 from teleop.scene.scene import Scene
 
-APART = 5e-3  # m
 Place = tuple[float, ...]  # m, per axis
 
 
@@ -29,8 +26,7 @@ class Clutch:
         self._held: set[Hashable] = set()
         self._offset = (0.0,) * scene.axes  # m, of the master
         self._turning = False  # the next session is that of a turn, which keeps the offset
-        self._met: float | None = None  # the tick at which a session began that was not looked at yet
-        self._kept = False  # it was that of a turn
+        self._met: float | None = None  # the tick at which a session began whose offset is not known yet
 
     def hold(self, page: Hashable, *, held: bool) -> None:
         """A page holds it, or lets it go; it is open while any does."""
@@ -51,24 +47,16 @@ class Clutch:
 
     def met(self, k: float) -> None:
         """The master has begun a session at tick k."""
-        self._met, self._kept, self._turning = k, self._turning, False
+        self._met, self._turning = None if self._turning else k, False
 
-    def measure(self, followers: Mapping[str, Follower]) -> bool:
-        """Take the offset as soon as the records have come to the session's begin.
-
-        True, and it stays as it was, if that was a turn's session, and the two are elsewhere by `APART` and more.
-        """
+    def measure(self, followers: Mapping[str, Follower]) -> None:
+        """Take the offset as soon as the records have come to the session's begin."""
         if self._met is None or any(not each.newest or each.newest[-1][0] < self._met for each in followers.values()):
-            return False
+            return
         places = self._places(followers, self._met)
         self._met = None
-        if places is None:
-            return False
-        found = tuple(a - b for a, b in zip(*places, strict=True))
-        if self._kept:
-            return dist(found, self._offset) > APART
-        self._offset = found
-        return False
+        if places is not None:
+            self._offset = tuple(a - b for a, b in zip(*places, strict=True))
 
     def aligned(self, followers: Mapping[str, Follower]) -> list[float] | None:
         """Where the master (m, per axis) is to be for the hand to feel what the slave touches; None: not known."""

@@ -28,7 +28,6 @@ from teleop.storage.strict_json import Misshapen, written
 PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at least
 STATUS = 0.25  # s between two words on how the link is
 SILENT = 1.0  # s without a row, and an end is said to be lost, though its process lives
-AT_REST = 1.0  # s after a session began, until the slave has come to rest
 SOON = 5.0  # s after it was started anew: what is lost again then waits for a person
 ENDS = ("slave", "master")
 OURS = ("a turn", "a new session", "the clutch is open")  # why an end is safe that is no news here
@@ -47,7 +46,7 @@ class Page:
         self._followers: dict[str, Follower] = {}
         self._next: dict[str, Follower] = {}  # of the part that begins
         self._hand: Hand | None = None  # where its reference is
-        self._align_at: float | None = None  # when the master is to be brought to the slave once more; inf: it was
+        self._aligns = False  # is the master being brought to the slave
         self._unreadable: set[str] = set()  # ends whose record is damaged
         self._live: dict[str, dict[str, Any]] = {}
         self._safe: set[str] = set()  # ends of which it was said that their force goes to zero
@@ -117,8 +116,6 @@ class Page:
             self._turns.ask(self._controls.chosen(self._turns.wanted, message))
         else:
             self._turns.ask(self._turns.wanted, again=True)
-        if kind in ("turn", "again"):
-            self._align_at = None
         if kind in ("turn", "again") and self._lost and self._mending is None:
             self._mend()
 
@@ -159,8 +156,8 @@ class Page:
         if shown is None or self.clients is None:
             return
         self.clients.show(shown.text)
-        if self._clutch.measure(self._followers) and self._align_at is None:
-            self._align_at = now + AT_REST
+        self._clutch.measure(self._followers)
+        self._align()
         if (sentence := self._shaking.sentence(now, shown.forces)) is not None:
             self._tell("warn" if self._shaking.shakes else "info", sentence)
 
@@ -200,9 +197,6 @@ class Page:
         if self._turns.under_way is None and self._clutch.changes():
             self._children.order({"order": "clutch", "open": self._clutch.is_open}, *ENDS)
             self._shaking.moved()
-        if self._align_at is not None and now >= self._align_at:
-            self._align_at = float("inf")
-            self._turns.ask(self._turns.wanted, align=True)
         if self._turns.late(now):
             self._fail("the three did not all turn in time")
         elif not self._clutch.is_open and (turn := self._turns.next(now)) is not None:
@@ -219,6 +213,7 @@ class Page:
         newest = self._followers["m"].newest if "m" in self._followers else None
         folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, "again" if turn.again else "turn")
         align = None if turn.again else self._clutch.aligned(self._followers)
+        self._aligns = align is not None
         self._clutch.turned(again=turn.again)
         self._children.order({"order": "turn", "knobs": knobs}, "channel")
         for e, name in NAMES.items():
@@ -226,6 +221,11 @@ class Page:
             self._children.order({"order": "turn", "knobs": knobs, "out": str(folders[e]), "again": turn.again,
                                   "align": align if e == "m" else None}, name)
         self._shaking.moved()
+
+    def _align(self) -> None:
+        """Tell a master that is being brought to the slave where that is by now: without force it moves on."""
+        if self._aligns and (to := self._clutch.aligned(self._followers)) is not None:
+            self._children.order({"order": "align", "to": to}, "master")
 
     # what the three say
 
@@ -258,6 +258,7 @@ class Page:
         """Something that an end's own record tells too."""
         what = event["what"]
         if what == "met" and name == "master":
+            self._aligns = False
             self._clutch.met(event["k"])
         if what == "safe" and event["why"] not in OURS and not self._lost:
             self._safe.add(name)
@@ -302,7 +303,6 @@ class Page:
                 self._answered("channel")  # to a turn that it did not live to see
                 # Without a force the hand has slid on, and a wall that was pressed would no longer be felt.
                 self._turns.ask(self._turns.wanted, align=True)
-                self._align_at = None
                 self._tell("info", "the channel is back")
             else:
                 await self._children.stop()
@@ -328,7 +328,8 @@ class Page:
         self._followers, self._next = {e: Follower(folders[e]) for e in NAMES}, {}
         self._follow_hand()
         self._live, self._heard, self._safe, self._unreadable = {}, {}, set(), set()
-        self._sent = self._began = self._align_at = None
+        self._sent = self._began = None
+        self._aligns = False
         self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
         try:
             await self._children.start(knobs, folders)

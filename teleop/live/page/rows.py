@@ -61,7 +61,8 @@ class Rows:
                 if name.startswith("f"):
                     forces[e] = extremes
             gains.append(_of(row, follower, _GAIN[e], self.gain[e]))
-        parts += [f'"gain":{_list(gains)}', f'"E":{_number(_energy(**ends))}', self._link(**ends)]
+        energy = _energy(**ends) if all(gains) else None  # without force what an end sends is no session's
+        parts += [f'"gain":{_list(gains)}', f'"E":{_number(energy)}', self._link(**ends)]
         text = f'{{"type":"rows",{",".join(parts)}}}'
         self.past.append(text)
         return Shown(text, forces)

@@ -73,7 +73,11 @@ class Served:
             yield Browser(socket)
 
     def orders(self, name: str) -> list[dict[str, Any]]:
-        """What an end was told."""
+        """What an end was told; not where a slave is that it is being brought to."""
+        return [order for order in self.all_orders(name) if order["order"] != "align"]
+
+    def all_orders(self, name: str) -> list[dict[str, Any]]:
+        """All that an end was told."""
         path = self.folder / f"orders-{name}.jsonl"
         return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 

@@ -24,6 +24,7 @@ COLUMNS = {
     "slave": [*OF_ALL, "x_s", "v_s", "f_env", "f_s", "queue_s", "g_s", "E_in_bwd", "E_out_fwd", "E_port_s"],
 }
 FLUSH = 16
+MEETS = 0.3  # s after a turn, until the next session begins
 
 
 def tell(event: str, **fields: Any) -> None:
@@ -37,6 +38,7 @@ class Fake:
         self.name, self.manner, self.knobs = name, manner, knobs
         self.k = int(time.monotonic() * 1e3)  # both ends count by one clock
         self.at, self.said, self.rest = 0.0, 0.0, b""
+        self.meets: float | None = None
         self.told: TextIO | None = None
         if out is not None:
             self.begin(out)
@@ -61,6 +63,9 @@ class Fake:
                                             1.0, 3.0, 1.0, 0.0))
                 self.k += 1
             self.file.flush()
+        if self.meets is not None and now > self.meets:
+            self.meets = None
+            tell("event", end=self.name[0], k=self.k, what="met", why="the next session")
         if now - self.said > 0.25:
             self.said = now
             tell("live", end=self.name[0], k=self.k, x=self.at, f=1.5, late_us=10.0, delay=0.05, gain=1.0, cause=None,
@@ -93,6 +98,7 @@ class Fake:
             self.knobs = order["knobs"]
             self.begin(order["out"])
             tell("turned", k=self.k, out=order["out"])
+            self.meets = time.monotonic() + MEETS
 
 
 def main() -> None:

@@ -11,6 +11,7 @@ import pytest
 from teleop.errors import Refused
 from teleop.live.page.controls import Controls
 from tests.live.page.conftest import Served
+from tests.live.page.fake import MEETS
 
 pytestmark = pytest.mark.live
 Serve = Callable[..., Served]
@@ -94,6 +95,25 @@ def test_a_turn_tells_all_three_and_each_part_has_its_folder(served: Serve) -> N
     assert [(part["folder"], part["why"]) for part in index["parts"]] == [("01", "start"), ("02", "turn")]
     assert index["parts"][1]["k"] > 0
     assert index["parts"][1]["knobs"]["law"] == "pfra"
+
+
+def test_a_master_is_told_where_the_slave_is_until_the_next_session_begins(served: Serve) -> None:
+    """A slave that coasted after a loop that shook was met where it had been: the wall was out of the hand's reach."""
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("turn", law="pfra")
+            await browser.told("turned")
+            await page.until(lambda: page.all_orders("master")[-1]["order"] == "align")
+            told = -1
+            while told < (told := len(page.all_orders("master"))):  # it ends, or the test does
+                await asyncio.sleep(MEETS)
+        turn, *aligns = page.all_orders("master")
+        assert (turn["order"], {each["order"] for each in aligns}) == ("turn", {"align"})
+        assert all(each["to"] == [0.0] for each in aligns)
+        assert not [each for each in page.all_orders("slave") if each["order"] == "align"]
+
+    served(scenario)
 
 
 def test_of_many_turns_of_a_slider_few_are_told_and_the_last_one_is(served: Serve) -> None:
