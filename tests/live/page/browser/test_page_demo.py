@@ -1,4 +1,4 @@
-"""The page of a running `teleop demo --page`: a wall is pressed and felt."""
+"""The page of a running `teleop demo --page`: a wall is pressed and felt, and a law is switched."""
 
 from __future__ import annotations
 
@@ -52,4 +52,18 @@ def test_a_drag_presses_the_wall_which_is_felt_and_stays_felt(demo: tuple[str, i
     page.until(f"row.t > {t} + 2 && {PRESSED}")
     page.key("Escape")
     page.until("Math.abs(row.fm[0]) < .5")
+    assert page.console == []
+
+
+def test_a_law_is_switched_while_the_wall_is_pressed_and_the_wall_is_felt_again(
+    demo: tuple[str, int], tab: Callable[..., Page]
+) -> None:
+    page = tab(demo[0])
+    press(page)
+    page.until(PRESSED)
+    page.evaluate("document.getElementById('law').focus()")
+    page.key("ArrowDown")  # the one below wave
+    page.until("hello.law === 'wave_filter' && document.getElementById('law').value === 'wave_filter'")
+    page.until("status.parts === 2")
+    page.until("row.gain[0] === 1 && row.gain[1] === 1 && row.fm[0] > .3 && row.fe[0] > .3")
     assert page.console == []
