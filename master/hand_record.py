@@ -150,8 +150,12 @@ def _read(folder: Path) -> _Part:
     import numpy as np
 
     found: _Part | None = None
+    empty: Path | None = None  # a part that ended before its first tick tells of no motion
     for inside in _folders(folder):
         part = _part(inside / FILE)
+        if not len(part.k):
+            empty = inside / FILE
+            continue
         if found is None:
             found = part
             continue
@@ -161,6 +165,8 @@ def _read(folder: Path) -> _Part:
         before = found.k < part.k[0]
         found = _Part(part.dt_ns, np.concatenate([found.k[before], part.k]),
                       np.concatenate([found.r[before], part.r]))
+    if found is None and empty is not None:
+        raise Refused(f"{empty} has no row yet; give another folder, or ask again when its run has ended")
     if found is None:
         raise Refused(f"{folder} holds no record of a steered hand ({FILE}); give the folder of a live page "
                       "(`teleop demo --page`), of one of its parts, or of its master")
@@ -218,8 +224,6 @@ def _part(path: Path) -> _Part:
                       "is lost", TruncatedRecord, stacklevel=2)
     table = np.frombuffer(data, dtype="<f8", count=rows * width).reshape(rows, width)
     k, r = table[:, 0], table[:, 1:]
-    if not rows:
-        raise Refused(f"{path} has no row yet; give another folder, or ask again when its run has ended")
     with np.errstate(invalid="ignore"):
         sound = (np.diff(k, prepend=-1.0) > 0.0) & (k == np.floor(k)) & (k < MOST_TICKS)
         sound &= (np.abs(r) <= FARTHEST).all(axis=1)

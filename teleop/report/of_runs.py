@@ -104,6 +104,8 @@ def _units(result: Result) -> dict[str, str]:
 def _differing(results: Sequence[Result]) -> list[dict[str, str]]:
     """Of each run the knobs in which not all are alike, with the scene where that differs; the law first."""
     flat = [{"scene": result.scene, **_told(result), "seed": str(result.seed)} for result in results]
+    for each in flat:  # by its name, as it is typed: its numbers are its own defaults
+        each["playout"] = each.get("playout", "").partition("(")[0].lower()
     if len({each.get("law") for each in flat}) > 1:  # of other laws the parameters are others
         for each in flat:
             own = {name: each.pop(name) for name in [*each] if name.startswith("law.")}

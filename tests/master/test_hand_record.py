@@ -49,6 +49,13 @@ def places(folder: Path) -> list[float]:
     return found.samples(1, found.ticks + 1, found.dt_ns)[0].tolist()
 
 
+def test_a_part_that_ended_before_its_first_tick_is_left_out_of_a_page(tmp_path: Path) -> None:
+    """Ctrl-C just after a turn left such a part, and the whole drag was refused."""
+    folder = page(tmp_path / "p", ("start", [(0, 0.1), (1, 0.2), (2, 0.3)]), ("turn", []))
+    written(folder / "02" / "master", [])
+    assert places(folder) == [0.1, 0.2, 0.3]
+
+
 def dragged(folder: Path, scene: str = "hard_wall", **knobs: object) -> tuple[list[float], Any]:
     """Drag the hand of a scene to and fro over 1.5 s, recorded in `folder`: its reference, tick by tick; the scene."""
     made = load_scene(scene, **knobs)

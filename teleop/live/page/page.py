@@ -334,7 +334,8 @@ class Page:
         try:
             await self._children.start(knobs, folders)
         finally:
-            self._mended = self._now()
+            if why != "start":  # what is lost just after the first start is mended like any other
+                self._mended = self._now()
             self._mending = None
         self._lost = {}
         if self.clients is not None:

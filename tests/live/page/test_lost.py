@@ -90,10 +90,14 @@ def test_an_end_that_stands_still_is_told_of_and_that_it_goes_on(served: Serve) 
 
 
 def test_what_is_lost_again_at_once_waits_for_a_person(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is lost soon after the first start does not wait: the channel that was killed then never came back."""
     monkeypatch.setattr("teleop.live.page.page.SOON", 1e9)
 
     async def scenario(page: Served) -> None:
         async with page.open() as browser:
+            await browser.until("rows")
+            kill("slave")
+            await browser.told("are back")
             await browser.until("rows")
             kill("slave")
             assert "press start again" in (await browser.told("the slave is lost"))["text"]

@@ -155,6 +155,15 @@ def test_a_force_at_its_cap_again_and_again_is_told_of_and_that_it_is_over() -> 
     assert last == "stable again"
 
 
+@pytest.mark.parametrize("slow", [
+    [(0.0, 20.0), (0.0, 0.0)], [(0.0, 20.0), (20.0, 20.0), (0.0, 20.0), (0.0, 0.0)],
+])
+def test_a_slow_swing_between_the_caps_is_told_of(slow: list[tuple[float, float]]) -> None:
+    """Direct reflection over half a second each way swung for ten seconds, and the page said nothing."""
+    said = seconds(Shaking(20.0), *slow * 6, *[(1.0, 1.0)] * 8)
+    assert [each.partition(":")[0] for each in said] == ["unstable", "stable again"]
+
+
 def test_a_swing_that_grows_is_told_of_where_there_is_no_cap() -> None:
     [said] = seconds(Shaking(None), *[(-a, a) for a in (0.3, 0.5, 1.0, 2.0, 4.0, 8.0)])
     assert "more each second" in said
