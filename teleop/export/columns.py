@@ -17,7 +17,7 @@ TOPICS = {
     "master": "the master's end: the device in the hand",
     "slave": "the slave's end: the robot, and what it touches",
     "link": "what the link does: packets played, and queues of waves",
-    "energy": "ledgers of energy, each from the begin of the run",
+    "energy": "ledgers of energy, each from the begin of a session",
 }
 
 

@@ -345,14 +345,26 @@ def test_what_two_ends_counted_that_ran_together_is_told(tmp_path: Path) -> None
     assert not any("without the other" in note for note in result.notes)
 
 
-def test_two_ends_that_met_twice_have_the_link_energy_of_their_last_session_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ledger", ["E_link", "E_port"])
+def test_two_ends_that_met_twice_have_the_ledgers_of_their_last_session_alone(tmp_path: Path, ledger: str) -> None:
+    """What the ports took up was below zero where one end's sum had begun anew and the other's had not: energy that
+    nobody gave out."""
     ends = [end_of(tmp_path / e, e, range(1000), LONG, counted=990) for e in ("m", "s")]
     result = merge(SCENE, *ends)
-    assert np.isnan(result.trace["E_link"][:700]).all()
-    assert np.isfinite(result.trace["E_link"][700:]).all()
-    assert "E_link_min" in result.metrics
-    assert any("E_link is that of the last session, from t = 0.700 s on" in note for note in result.notes)
+    assert np.isnan(result.trace[ledger][:700]).all()
+    assert np.isfinite(result.trace[ledger][700:]).all()
+    assert f"{ledger}_min" in result.metrics
+    assert any("those of the last session, from t = 0.700 s on" in note for note in result.notes)
     assert result.packets["fwd"].sent == 990
+
+
+def test_two_ends_that_met_for_the_first_time_after_a_turn_did_not_meet_anew(tmp_path: Path) -> None:
+    turned = [Event(300, "joined", "a turn"), Event(303, "session", "from rest"), Event(320, "met", "session 2"),
+              Event(321, "session", "from rest")]
+    result = merge(SCENE, *[end_of(tmp_path / e, e, range(300, 1000), turned, counted=690) for e in ("m", "s")])
+    assert np.isnan(result.trace["E_link"][:21]).all()
+    assert np.isfinite(result.trace["E_link"][21:]).all()
+    assert not any("anew" in note for note in result.notes)
 
 
 @pytest.mark.parametrize("inside", [[], ["x-1"], ["x-1/master", "x-1/slave"]])

@@ -72,11 +72,13 @@ class Rows:
         return f'{{"type":"past","rows":[{",".join(self.past)}]}}'
 
     def _link(self, m: Follower, s: Follower) -> str:
-        """The queues (s) and the ages (s) of what is played, forward at the slave and backward at the master."""
+        """The queues (s, of several axes the longest) and the ages (s) of what is played, forward at the slave and
+        backward at the master.
+        """
         queues, ages = [], []
         for follower, name in ((s, "queue_s"), (m, "queue_m")):
             row = follower.newest[-1]
-            queues.append(_of(row, follower, name, None))
+            queues.append(max(row[follower.places[name]]) if name in follower.places else None)
             ages.append((row[0] - row[2]) * self.dt if row[2] >= 0.0 else None)
         return f'"queue":{"null" if None in queues else _list(queues)},"age":{_list(ages)}'
 

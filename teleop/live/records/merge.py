@@ -35,6 +35,7 @@ from teleop.simulation.trace import UNKNOWN, Columns, EndRecord, assemble, far_a
 from teleop.storage.folder import BEGUN, is_being_written
 from teleop.storage.strict_json import Misshapen
 
+LEDGERS = ("E_link", "E_port", "E_law")  # of both ends together
 ALONE = 1.0  # s that one end may be there before or after the other, and what both counted still belongs together
 
 
@@ -129,9 +130,9 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     notes = [*law_notes(scene, delays["s"], delays["m"], lossy, held * scene.dt_ns / 1e9), *notes]
     run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
     extra = {**own, "channel": channel}
-    if again:
-        notes.append("the two met anew in between, and their ledgers began anew: E_link is that of the last session, "
-                     f"from t = {again * scene.dt:.3f} s on")
+    if again and _met_anew(events, span):
+        notes.append("the two met anew in between, and their ledgers of energy began anew: they are those of the last "
+                     f"session, from t = {again * scene.dt:.3f} s on")
     notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *faded(scene, trace), *came.notes,
               *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
     return Result.make(
@@ -140,17 +141,24 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
 
 
 def _in_last_session(trace: Columns, events: dict[str, list[dict[str, Any]]], span: range, dt: float) -> int:
-    """Keep the link energy of the last session alone; the tick at which that began in `span`, 0 if there was one only.
+    """Keep the ledgers of the last session alone; the tick at which that began in `span`, 0 if there was one only.
 
-    Each end's sums begin anew with a session, at a tick of its own.
+    Each end's sums begin anew with a session, at a tick of its own: in between, a difference of both is no energy.
     """
     within = span[1:]  # at its first tick there is nothing yet that another session has summed up
     again = max((one["k"] for noted in events.values() for one in noted
                  if one["what"] == "session" and one["k"] in within), default=0)
-    if again and "E_link" in trace:
-        began = (again - 0.5) * dt
-        trace.makers["E_link"] = partial(_from_time, trace.makers["E_link"], trace.makers["t"], began)
+    for ledger in LEDGERS if again else ():
+        if ledger in trace:
+            began = (again - 0.5) * dt
+            trace.makers[ledger] = partial(_from_time, trace.makers[ledger], trace.makers["t"], began)
     return again
+
+
+def _met_anew(events: dict[str, list[dict[str, Any]]], span: range) -> bool:
+    """True if an end met the other more than once in `span`, and not only at the begin of a part that was turned to."""
+    return any(sum(one["what"] == "met" and one["k"] in span for one in noted) > 1
+               for noted in events.values())
 
 
 def _from_time(column: Callable[[], Any], times: Callable[[], Any], t: float) -> Any:

@@ -77,6 +77,15 @@ def test_while_one_end_is_turned_and_the_other_is_not_there_is_no_energy(tmp_pat
     assert text["queue"] is None
 
 
+def test_the_queue_of_several_axes_is_the_longest_as_on_the_live_line(tmp_path: Path) -> None:
+    """It was that of the first axis."""
+    ends = {}
+    for e, queues in (("m", [0.0, 0.03, 0.01]), ("s", [0.002, 0.0, 0.04])):
+        columns = [*OWN, *[f"x_{e}"] * 3, *[f"f_{e}"] * 3, *[f"queue_{e}"] * 3]
+        ends[e] = end(tmp_path / e, e, columns, [0.0, 0.0, -1.0, *[0.0] * 6, *queues])
+    assert message(Rows(1e-3), ends)[1]["queue"] == pytest.approx([0.04, 0.03])
+
+
 def test_a_number_that_is_not_finite_is_null(tmp_path: Path) -> None:
     ends = {e: end(tmp_path / e, e, WAVES[e], waves(0, float("nan"))) for e in "ms"}
     assert message(Rows(1e-3), ends)[1]["fm"] == [None]

@@ -123,7 +123,7 @@ class World:
         hand = None if self.steered and self.target is None else list(self.ref)
         return {"t": self.t, "xm": [*self.xm], "xs": [*self.xs], "hand": hand, "fm": [*self.fm], "fs": [*self.fs],
                 "fh": [0.0] * self.axes, "fe": [*self.fe], "fm_lo": lo, "fm_hi": hi,
-                "fs_lo": [*self.fs], "fs_hi": [*self.fs], "E": self.energy,
+                "fs_lo": [*self.fs], "fs_hi": [*self.fs], "E": None if self.clutch else self.energy,
                 "queue": [self.knobs["jitter"], self.knobs["jitter"] / 2], "age": [delay, delay], "gain": [1.0, 1.0]}
 
 

@@ -53,6 +53,13 @@ def test_a_law_is_switched_on_the_running_system(mock: Mock, page: Page) -> None
     page.until("rows.some(one => one.mark)")  # a line in the strips
 
 
+def test_an_open_clutch_was_said_to_be_a_scene_that_keeps_no_energy(page: Page) -> None:
+    page.until("document.querySelector('#energy + span').textContent.endsWith('J')")
+    page.evaluate("socket.send(JSON.stringify({type: 'clutch', open: true}))")
+    page.until("rows.at(-1).E === null")
+    page.until("document.querySelector('#energy + span').textContent === '\u2013'")
+
+
 def test_what_shakes_is_called_so(page: Page) -> None:
     page.evaluate("socket.send(JSON.stringify({type: 'turn', law: 'direct', delay: .2}))")
     page.until("document.getElementById('said').className === 'warn'")
