@@ -96,12 +96,21 @@ class Child:
 
     def failed(self, code: int, errors: str) -> Refused:
         """Why it ended with `code`, having said so much on stderr."""
-        return Refused(errors.removeprefix("teleop: ") or f"the {self.name} ended with exit code {code} and no word")
+        how = f"was ended by the signal {_signal(-code)}" if code < 0 else f"ended with exit code {code}"
+        return Refused(errors.removeprefix("teleop: ") or f"the {self.name} {how} and no word")
 
     def interrupt(self, name: str = "SIGTERM") -> None:
         """Ask it to stop cleanly, with the signal that asked us."""
         if self.process.returncode is None:
             self.process.send_signal(getattr(signal, name, signal.SIGTERM))
+
+
+def _signal(number: int) -> str:
+    """Its name, or its number where it has none."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return str(number)
 
 
 async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[bytes]:

@@ -82,8 +82,8 @@ def claim(out: Path | str | None, stem: str = "run") -> Claim:
             unfinished = (path / PART).is_dir()
             there = "already" + ", not whole: another process writes it, or was killed while it did" * unfinished
             raise Refused(f"{path} is there {there}; give another folder with --out, or remove it") from None
-        except OSError as error:
-            why = error.strerror or error
+        except (OSError, ValueError) as error:  # ValueError: a name with a null byte, or with half a surrogate pair
+            why = getattr(error, "strerror", None) or error
             raise Refused(f"cannot write to {path} ({why}); give a folder you may write to with --out") from error
     raise AssertionError("numbers do not end")
 

@@ -161,7 +161,7 @@ def test_who_is_killed_is_said_and_the_others_stop_and_keep_their_records(
     one = command("scenarios", "demo", *LONG, "--out", "out")
     started = until_all_run(one, tmp_path)
     os.kill(started[name], signal.SIGKILL)
-    err = one.refused(f"the {name} ended with exit code -9", "what was recorded is in out")
+    err = one.refused(f"the {name} was ended by the signal SIGKILL", "what was recorded is in out")
     assert "Traceback" not in err
     for left in {"master", "slave"} - {name}:
         assert json.loads((tmp_path / "out" / left / "summary.json").read_text())["status"] == "stopped"

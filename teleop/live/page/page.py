@@ -249,6 +249,7 @@ class Page:
     def _answered(self, name: str) -> None:
         """One of the three has turned; when all have, say so."""
         if (turn := self._turns.answered(name, self._now())) is not None:
+            self._shaking = self._shaking_of()  # of what begins: another law that shakes is told of again
             self._tell("info", self._turned(turn))
             self._sent = None  # a hand that is back at the start is told again where to go
             if self.clients is not None:
@@ -328,7 +329,7 @@ class Page:
         self._followers, self._next = {e: Follower(folders[e]) for e in NAMES}, {}
         self._follow_hand()
         self._live, self._heard, self._safe, self._unreadable = {}, {}, set(), set()
-        self._sent = self._began = None
+        self._began = None
         self._aligns = False
         self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
         try:
@@ -337,6 +338,7 @@ class Page:
             if why != "start":  # what is lost just after the first start is mended like any other
                 self._mended = self._now()
             self._mending = None
+            self._sent = None  # what was told meanwhile has reached nobody
         self._lost = {}
         if self.clients is not None:
             self.clients.tell(self._hello())

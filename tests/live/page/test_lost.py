@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 from collections.abc import Callable
@@ -11,6 +12,7 @@ import pytest
 
 from teleop.errors import Refused
 from tests.live.page.conftest import Served
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live
 Serve = Callable[..., Served]
@@ -72,6 +74,40 @@ def test_an_end_that_is_killed_begins_a_part_of_its_own(served: Serve, name: str
     parts = served(scenario).index()["parts"]
     assert [part["why"] for part in parts] == ["start", "turn", "lost"]
     assert parts[2]["knobs"] == parts[1]["knobs"]
+
+
+def test_a_hand_that_is_held_holds_again_after_an_end_was_lost(served: Serve) -> None:
+    """What is told while the three start anew reaches no master: it was taken for told, and the wall was let go of."""
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await browser.say("hand", to=[0.05])
+            await page.until(lambda: page.orders("master"))
+            kill("slave")
+            await browser.told("the slave is lost")
+            told = len(page.orders("master"))
+            async with asyncio.timeout(PATIENCE):
+                while len(page.orders("master")) == told:
+                    await browser.say("hand", to=[0.05])  # as a page does that holds it
+                    await browser.until("status")
+            assert page.orders("master")[told] == {"order": "hand", "to": [0.05]}
+
+    assert len(served(scenario).index()["parts"]) == 2
+
+
+def test_a_law_is_judged_anew_after_a_turn(served: Serve) -> None:
+    """The next law shook too, and nothing was said of it, since the one before had shaken."""
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            page.page._shaking.shakes = True
+            page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]
+            await browser.until("status", lambda status: status["shakes"])
+            await browser.say("turn", law="direct")
+            await browser.told("turned")
+            await browser.until("status", lambda status: not status["shakes"])
+
+    served(scenario)
 
 
 def test_an_end_that_stands_still_is_told_of_and_that_it_goes_on(served: Serve) -> None:

@@ -38,6 +38,11 @@ class TestAClaim:
         with pytest.raises(Refused, match="x is there already; give another folder with --out, or remove it"):
             claim("x")
 
+    @pytest.mark.parametrize("name", ["a\0b", "\udc80\ud800"])
+    def test_of_a_name_that_no_folder_can_have_is_refused(self, name: str) -> None:
+        with pytest.raises(Refused, match="cannot write to"):
+            claim(name)
+
     def test_that_is_dropped_takes_the_parents_that_it_made_with_it_and_no_others(self, tmp_path: Path) -> None:
         first, second = claim("a/b/first"), claim("a/b/second")
         second.drop()

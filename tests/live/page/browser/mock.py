@@ -137,6 +137,8 @@ class Mock:
         self.status: dict[str, Any] = {"lost": None, "m": well, "s": well}
         self.clients: set[ServerConnection] = set()
         self.parts, self.lock, self.over = 1, threading.RLock(), threading.Event()
+        self.energy: str | None = "link"
+        self.silent = False  # it stands still, with its sockets open
         self.page = PAGE.read_text()
         self.server: Server = serve(self._client, "127.0.0.1", port, process_request=self._request,
                                     open_timeout=2, close_timeout=0.2)
@@ -150,7 +152,7 @@ class Mock:
         return {"type": "hello", "scene": "hard_wall", "axes": self.world.axes, "dt": DT, "law": self.knobs["law"],
                 "laws": [{"name": name, "says": says} for name, says in LAWS.items()], "wall": WALL, "f_max": F_MAX,
                 "sliders": [{**one, "value": self.knobs[one["name"]]} for one in SLIDERS], "span": 0.12,
-                "link": f"delay({self.knobs['delay']:g})", "energy": "link"}
+                "link": f"delay({self.knobs['delay']:g})", "energy": self.energy}
 
     def say(self, level: str, text: str) -> None:
         self.send({"type": "said", "level": level, "text": text})
@@ -214,6 +216,8 @@ class Mock:
         due, count = time.monotonic(), 0
         while not self.over.wait(max(0.0, due - time.monotonic())):
             due, count = due + 1 / 60, count + 1
+            if self.silent:
+                continue
             with self.lock:
                 row = self.world.rows()
                 self.past.append(row)

@@ -139,3 +139,24 @@ def test_the_strips_draw_the_same_as_they_scroll_and_at_once(page: Page) -> None
       return n / (whole.length / 4);
     }))()""")
     assert max(differ) < 0.02
+
+
+def test_energy_that_is_not_known_while_there_is_no_force_is_not_called_missing_in_the_scene(
+    mock: Mock, page: Page
+) -> None:
+    of_none = "(row.E = null, rescale(), document.querySelectorAll('figure')[2].querySelector('span').textContent)"
+    page.until("row !== null")
+    assert page.evaluate(of_none) == "\u2013"
+    mock.energy = None
+    mock.send(mock.hello())
+    page.until("hello.energy === null")
+    assert page.evaluate(of_none) == "not kept in this scene"
+
+
+def test_the_view_is_as_wide_as_before_once_what_flew_away_is_back(page: Page) -> None:
+    """A law that shook threw the slave a metre away; the handle is not to be drawn ten times smaller ever after."""
+    page.until("row !== null")
+    page.evaluate("take({...row, t: row.t + 1e-6, xs: [-1]})")
+    assert page.evaluate("view.span") > 1.0
+    page.evaluate("rows.splice(0, rows.length - 1), rows[0].t -= 30, 0")
+    page.until("view.span === hello.span")

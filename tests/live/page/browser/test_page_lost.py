@@ -8,6 +8,7 @@ import pytest
 
 from tests.browser import Browser, Page
 from tests.live.page.browser.mock import Mock
+from tests.waiting import until
 
 pytestmark = pytest.mark.live
 
@@ -28,6 +29,17 @@ def test_a_server_that_is_gone_is_said_and_so_is_its_return(
     assert page.text("#said") == "The server is back; this page shows the run again."
     page.until(f"row.t !== {t} && rows.length > 10")
     assert page.evaluate("target") is None  # it does not take the hand of a run that it did not drag
+
+
+def test_a_server_that_stands_still_is_not_called_connected(mock: Mock, page: Page) -> None:
+    page.until("rows.length > 10")
+    mock.silent = True
+    page.until("document.getElementById('conn').textContent === 'no answer'")
+    assert page.evaluate("document.getElementById('conn').className") == "lost"
+    assert "Nothing comes from the server" in page.text("#said")
+    mock.silent = False
+    page.until("document.getElementById('conn').textContent === 'connected'")
+    assert page.text("#said") == "The server answers again."
 
 
 @pytest.mark.parametrize("who", ["the channel", "the master", "the slave"])
@@ -81,9 +93,8 @@ def test_a_browser_without_javascript_is_told_so(mock: Mock, browser: Browser) -
     page = browser.page(width=800, height=600)
     page.call("Emulation.setScriptExecutionDisabled", value=True)
     page.call("Page.navigate", url=mock.url)
+    until(lambda: "'noscript'" in str(page.call("DOM.getDocument", depth=-1)), "the page did not come")
     document = page.call("DOM.getDocument")
-    while "noscript" not in str(page.call("DOM.getOuterHTML", nodeId=document["root"]["nodeId"])):
-        document = page.call("DOM.getDocument")
     at = page.call("DOM.querySelector", nodeId=document["root"]["nodeId"], selector="noscript p")["nodeId"]
     assert page.call("DOM.getBoxModel", nodeId=at)["model"]["height"] > 20
     assert "needs JavaScript" in page.call("DOM.getOuterHTML", nodeId=at)["outerHTML"]
