@@ -101,7 +101,7 @@ def _run(
             turning = None
             if args.orders:
                 shell.told = partial(_told, e)
-                turning = Turning(shell, made, folder, partial(_turned, args), recorder_of)
+                turning = Turning(shell, made, folder, knobs, partial(_turned, args), recorder_of)
                 shell.orders = Orders(SHAPES, turning.take)
             if not (args.json or args.quiet):
                 shell.hint = partial(_hint, NAMES[e])

@@ -48,9 +48,9 @@ class Turning:
     ones have; of any other a turn changes the law alone.
     """
 
-    def __init__(self, shell: Shell, device: Any, folder: RunFolder, load: Load,
+    def __init__(self, shell: Shell, device: Any, folder: RunFolder, knobs: dict[str, str], load: Load,
                  record: Callable[[Scene, dict[str, str]], RecordWriter]) -> None:
-        self._shell, self._folder, self._load, self._record = shell, folder, load, record
+        self._shell, self._folder, self._knobs, self._load, self._record = shell, folder, knobs, load, record
         self._device = device
         self._waits: set[str] = set()  # for these no next session is begun
         self._next: dict[str, Any] | None = None  # the turn that is under way, before zero force
@@ -159,8 +159,8 @@ class Turning:
             self._go_on(TURN)
             return
         k = shell.counts.last + shell.endpoint.every
-        why = ", ".join(f"{name}={value}" for name, value in order["knobs"].items()) or "the scene's own knobs"
-        shell.recorder.note(Event(shell.counts.ran, "turned", why))
+        shell.recorder.note(Event(shell.counts.ran, "turned", _changes(self._knobs, knobs)))
+        self._knobs = knobs
         shell.recorder.close()
         self._folder.go_on(claimed)
         self._folder.keep()
@@ -188,6 +188,16 @@ class Turning:
             self._aligning = to is not None
         except Refused as refused:
             refuse(str(refused))
+
+
+def _changes(before: dict[str, str], after: dict[str, str]) -> str:
+    """What of the knobs is another.
+
+    >>> _changes({"law": "pfra", "delay": "0.1"}, {"delay": "0.2"})
+    "delay=0.2, the scene's own law"
+    """
+    told = [f"{name}={value}" for name, value in after.items() if before.get(name) != value]
+    return ", ".join([*told, *[f"the scene's own {name}" for name in before if name not in after]]) or "the same again"
 
 
 def _check_alike(before: Scene, after: Scene) -> None:
