@@ -2,8 +2,8 @@
 
 The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`. The rest goes file by file to as
 many workers as `-n` says, and whatever starts processes and looks at the clock to one of them, one after the other, so
-that no two of these wait for each other. That worker sleeps most of its time, so there is one more than there are
-cores.
+that no two of these wait for each other. The pages before stand-ins of the ends, and the browsers before stand-ins of
+the page's server, go to another. These two sleep most of their time, so there is a worker more than there are cores.
 
 No example of hypothesis is judged by its time, which is the machine's. The examples are the same at every run, so that
 what falls falls again; only the tests marked `fuzz` draw new ones, and print what repeats a failure.
@@ -22,6 +22,9 @@ LONG = ("soak", "fuzz")
 TIMED = (
     "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/", "tests/teleop/sweeps/test_cluster.py",
 )
+
+STAND_INS = "tests/live/page/"
+REAL = ("test_real.py", "test_drag_again.py", "test_page_demo.py")  # of these files there: with the ends of a run
 
 settings.register_profile(
     "suite", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, database=None,
@@ -51,7 +54,10 @@ class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types
     """A file goes to one worker, all that are timed to the same."""
 
     def _split_scope(self, nodeid: str) -> str:
-        return "timed" if nodeid.startswith(TIMED) else nodeid.split("::", 1)[0]
+        file = nodeid.split("::", 1)[0]
+        if file.startswith(STAND_INS) and not file.endswith(REAL):
+            return "stand-ins"
+        return "timed" if file.startswith(TIMED) else file
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
