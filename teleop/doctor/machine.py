@@ -88,7 +88,7 @@ def link(told: Mapping[str, Any]) -> list[Finding]:
         "the kernel does not say when one came, so what is read late counts as late"
     took = f"half of the round trips under {_us(trip['p50'])}, 99 % under {_us(trip['p99'])}; " if trip else ""
     good = not lost and trip["p99"] < TRIP_US
-    says = f"{lost or 'none'} of {told['sent']} datagrams lost, {took}{stamps}"
+    says = f"{lost or 'none'} of {told['sent']} round trips lost, {took}{stamps}"
     loopback = Finding("loopback", good, says if good else f"{says}; good are none lost, and 99 % under "
                        f"{_us(TRIP_US)}", None if good else "close what else runs here, and look with  sudo nft list "
                        "ruleset  for a rule that drops what goes over lo")

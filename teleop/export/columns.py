@@ -45,8 +45,8 @@ def _of_end(e: str) -> dict[str, Quantity]:
         f"seq_{e}": Quantity("1", f"number of the {back} message that the {own} played, which is the tick that sent "
                              "it; -1 where it had no fresh one", "link"),
         f"sent_{e}": Quantity("1", f"1 where the {own}'s deadband let a {out} message be sent, 0 where not", "link"),
-        f"queue_{e}": Quantity("s", f"queue of {back} waves at the {own}: the time that is still to be played", "link",
-                               True),
+        f"queue_{e}": Quantity("s", f"queue of {back} waves at the {own}: the time that is still to be played, below 0 "
+                               "where a gap is bridged by what has not come yet", "link", True),
         f"E_in_{ways[0]}": Quantity("J", f"energy that the {own}'s waves have brought into the link, {out}", "energy"),
         f"E_out_{ways[1]}": Quantity("J", f"energy that the waves played at the {own} have taken out of the link, "
                                      f"{back}", "energy"),

@@ -145,7 +145,7 @@ def _compared(runs: Sequence[Run], titles: Sequence[str], differing: Sequence[Ma
                       for title, run in zip(titles, runs, strict=True)])
     lines = [[name, *[each[name] for each in differing]] for name in differing[0]]
     lines.append(["status", *[run.result.status for run in runs]])
-    if any(run.result.status != "ok" for run in runs):
+    if any(run.result.status != "ok" or "; " in run.result.sentence for run in runs):  # behind it: what ok leaves open
         lines.append(["outcome", *[run.result.sentence for run in runs]])
     lines += [[_named(name), *[_value(run.result, name) for run in runs]] for name in names]
     lines += [[f"packets lost {way}", *[str(run.result.packets[way].lost) if way in run.result.packets else "" for run

@@ -125,5 +125,5 @@ def _description(panel: TracePanel, runs: Sequence[Strip], drawn: Sequence[Seque
         ranges = [(curve.name, *curve.line.range()) for curve in curves]
         words = "; ".join(f"{name} from {si(low, panel.unit)} to {si(high, panel.unit)}" if low <= high else
                           f"{name} has no value" for name, low, high in ranges)
-        told.append(f"{run.title}: {words}" if len(runs) > 1 else words)
+        told.append(f"{run.title}: {words or 'it has none'}" if len(runs) > 1 else words)
     return f"{panel.quantity.capitalize()} over time. {'. '.join(told)}."

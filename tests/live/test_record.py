@@ -358,6 +358,18 @@ def test_two_ends_that_met_twice_have_the_ledgers_of_their_last_session_alone(tm
     assert result.packets["fwd"].sent == 990
 
 
+def test_two_ends_with_other_laws_were_said_to_be_of_another_release(tmp_path: Path) -> None:
+    master = end_of(tmp_path / "m", "m", range(100), [MET])
+    tdpa = load_scene("hard_wall", duration=1.0, law="tdpa")
+    (tmp_path / "s").mkdir()
+    recorder = RecordWriter(tdpa, "s", tmp_path / "s", {**ABOUT, "knobs": {"duration": "1.0", "law": "tdpa"}})
+    recorder.begin("bodies")
+    recorder.add(0, 1000, -1, (0.0,) * len(columns(tdpa, "s")))
+    recorder.close()
+    with pytest.raises(Refused, match="are not the two ends of one run; give two that ran together"):
+        merge(SCENE, master, tmp_path / "s")
+
+
 def test_two_ends_that_met_for_the_first_time_after_a_turn_did_not_meet_anew(tmp_path: Path) -> None:
     turned = [Event(300, "joined", "a turn"), Event(303, "session", "from rest"), Event(320, "met", "session 2"),
               Event(321, "session", "from rest")]

@@ -92,15 +92,16 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         if headers[e]["end"] != e:
             other = NAMES[headers[e]["end"]]
             raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
+    ours, theirs = headers["m"], headers["s"]
+    stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
+    if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
+        raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
+    for e, folder in folders.items():
         check_fits(scene, headers[e], records[e].ticks, folder)
         if running[e] or (any(running.values()) and needs_recovery(folder)):
             ends[e] = _of_one(folder, scene, False, running[e])[0].summary()
         else:
             ends[e] = _summary(folder, scene, e)
-    ours, theirs = headers["m"], headers["s"]
-    stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
-    if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
-        raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
     events = {e: read_events(folder) for e, folder in folders.items()}
     met = [{event["why"] for event in noted if event.get("what") == "met"} for noted in events.values()]
     if all(met) and not met[0] & met[1]:

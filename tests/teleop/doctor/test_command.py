@@ -76,7 +76,7 @@ def test_it_says_of_each_thing_whether_it_is_good_and_what_to_type_where_it_is_n
     lines = [" ".join(line.split()) for line in typed("doctor").out.splitlines()]
     at = lines.index("real time poor: a live end gets scheduler no (Operation not permitted), memory locked")
     assert lines[at + 1] == "type this, True"
-    assert any(line.startswith("loopback ok: none of 3000 datagrams lost") for line in lines)
+    assert any(line.startswith("loopback ok: none of 3000 round trips lost") for line in lines)
 
 
 @pytest.mark.usefixtures("cache")

@@ -65,7 +65,7 @@ class TestTheTimer:
 class TestLoopbackAndBuffer:
     def test_that_are_good_say_so_in_numbers(self) -> None:
         loopback, buffer = machine.link(over())
-        assert loopback == Finding("loopback", True, "none of 3000 datagrams lost, half of the round trips under "
+        assert loopback == Finding("loopback", True, "none of 3000 round trips lost, half of the round trips under "
                                    "13.0 us, 99 % under 20.0 us; the kernel says when each came")
         assert buffer == Finding("buffer", True, "holds 2520 datagrams, 2.52 s of messages at 1 kHz")
 

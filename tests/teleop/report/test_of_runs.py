@@ -140,9 +140,20 @@ class TestSeveral:
         assert len({frame.get("height") for frame in frames}) == 1
         shown.assert_needs_nothing_else()
 
+    def test_of_which_one_has_no_verdict_were_only_called_ok(self, canonical: Result) -> None:
+        left_open = "0.1 m of swing are left, but that was too short a time for a verdict"
+        short = replace(canonical, seed=1, sentence=f"{canonical.sentence}; {left_open}")
+        assert any("too short a time for a verdict" in text for text in of(told(canonical), told(short)).texts)
+        assert "outcome" not in of(told(canonical), told(replace(canonical, seed=1))).texts
+
     def test_that_differ_in_nothing_are_called_by_their_folders(self, canonical: Result) -> None:
         first, second = told(canonical)._replace(name="a"), told(canonical)._replace(name="b")
         assert {"1: a", "2: b"} <= {*of(first, second).texts}
+
+    def test_of_a_run_without_a_queue_the_figure_in_words_said_nothing(self, canonical: Result) -> None:
+        jitter = run(load_scene("canonical", duration=1.0, link="delay(0.05) | uniform(0.01)"))
+        words = str(of(told(canonical), told(jitter)).figure("queue of waves").findtext(f"{SVG}desc"))
+        assert ": it has none. 2: " in words
 
     def test_of_many_each_is_a_row(self, canonical: Result) -> None:
         shown = of(*[told(replace(canonical, seed=seed)) for seed in range(8)])
