@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from typing import Any
 
 from teleop.errors import Refused
@@ -23,6 +24,7 @@ from teleop.live.page.turns import Turn, Turns
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.following import Row
+from teleop.protocol.session import OVER
 from teleop.storage.strict_json import Misshapen, written
 
 PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at least
@@ -30,7 +32,8 @@ STATUS = 0.25  # s between two words on how the link is
 SILENT = 1.0  # s without a row, and an end is said to be lost, though its process lives
 SOON = 5.0  # s after it was started anew: what is lost again then waits for a person
 ENDS = ("slave", "master")
-OURS = ("a turn", "a new session", "the clutch is open")  # why an end is safe that is no news here
+OURS = ("a turn", "a new session", "the clutch is open", "the master asks for another")
+"""Why an end is safe that is no news here, whether it was told itself or heard it of the other end."""
 
 
 class Page:
@@ -209,9 +212,17 @@ class Page:
             self._turns.give_up()
             self._tell("error", str(refused))
             return
-        self._scene = scene
         newest = self._followers["m"].newest if "m" in self._followers else None
-        folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, "again" if turn.again else "turn")
+        try:
+            folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, "again" if turn.again else "turn")
+        except OSError as error:
+            self._turns.give_up()
+            self._tell("error", f"not turned, since nothing more can be written ({error.strerror or error}); free some "
+                                "space, and turn again")
+            if self.clients is not None:
+                self.clients.tell(self._hello())  # a slider that was moved goes back
+            return
+        self._scene = scene
         align = None if turn.again else self._clutch.aligned(self._followers)
         self._aligns = align is not None
         self._clutch.turned(again=turn.again)
@@ -236,7 +247,8 @@ class Page:
             self._live[event["end"]] = event
         elif kind == "turned":
             if name == "master":
-                self._parts.began(int(event["k"]))
+                with suppress(OSError):  # the index then has the tick at which the turn was asked for
+                    self._parts.began(int(event["k"]))
             self._answered(name)
         elif kind == "refused":
             if self._turns.under_way is None:
@@ -261,7 +273,7 @@ class Page:
         if what == "met" and name == "master":
             self._aligns = False
             self._clutch.met(event["k"])
-        if what == "safe" and event["why"] not in OURS and not self._lost:
+        if what == "safe" and event["why"].removeprefix(f"{OVER}: ") not in OURS and not self._lost:
             self._safe.add(name)
             self._tell("warn", f"the {name}: the force is on its way to zero, {event['why']}")
         elif what == "released" and name in self._safe:

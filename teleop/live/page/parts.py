@@ -57,9 +57,13 @@ class Parts:
         return self._ends(self._parts[-1])
 
     def begin(self, knobs: Mapping[str, str], k: int, why: str) -> dict[str, Path]:
-        """Another part, from tick k on; the folders that its two ends are to make."""
+        """Another part, from tick k on; the folders that its two ends are to make. Raises `OSError`: there is none."""
         self._parts.append(Part(f"{len(self._parts) + 1:02d}", dict(knobs), k, why))
-        self._write()
+        try:
+            self._write()
+        except OSError:
+            self._parts.pop()
+            raise
         return self.newest
 
     def began(self, k: int) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 from collections.abc import Callable
+from errno import ENOSPC
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,38 @@ def test_a_law_is_judged_anew_after_a_turn(served: Serve) -> None:
             await browser.until("status", lambda status: not status["shakes"])
 
     served(scenario)
+
+
+def test_a_turn_of_which_an_end_hears_from_the_other_first_is_no_warning(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            for why in ("the session is over: a turn", "silence: no fresh packet for 0.2 s"):
+                page.page._hear("master", {"event": "event", "end": "m", "k": 1, "what": "safe", "why": why})
+            await browser.told("silence")
+            assert [message["text"] for message in browser.got if message["type"] == "said"] == [
+                "the master: the force is on its way to zero, silence: no fresh packet for 0.2 s"]
+
+    served(scenario)
+
+
+def test_a_turn_on_a_full_disk_is_refused_and_the_page_goes_on(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(ENOSPC, "No space left on device")
+
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            with monkeypatch.context() as disk:
+                disk.setattr("teleop.live.page.parts.write_document", full)
+                await browser.say("turn", law="direct")
+                assert "No space left" in (await browser.told("not turned"))["text"]
+                assert (await browser.until("hello"))["law"] == "wave"
+                await browser.until("rows")
+            await browser.say("turn", law="pp")
+            await browser.told("turned: law pp")
+
+    assert [part["folder"] for part in served(scenario).index()["parts"]] == ["01", "02"]
 
 
 def test_an_end_that_stands_still_is_told_of_and_that_it_goes_on(served: Serve) -> None:
