@@ -132,10 +132,10 @@ class HandRecording:
     def check(self, axes: int, dt_ns: int) -> None:
         """Refuse a scene with other axes, or ticks of another length."""
         if (axes, dt_ns) != (self.axes, self.dt_ns):
+            cure = f", or --set dt={self.dt_ns / 1e9:g}" if axes == self.axes else ""
             raise Refused(f"the hand in {self.path} was recorded in {number_of(self.axes, 'axis', 'axes')} with "
                           f"dt={self.dt_ns / 1e9:g} s, and the scene has {number_of(axes, 'axis', 'axes')} and "
-                          f"dt={dt_ns / 1e9:g} s; take the scene that it was recorded in, or --set dt="
-                          f"{self.dt_ns / 1e9:g}")
+                          f"dt={dt_ns / 1e9:g} s; take the scene that it was recorded in{cure}")
 
     def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> tuple[array[float], ...]:
         """For each axis the position (m) at the ticks first .. first+count-1."""

@@ -230,3 +230,12 @@ def test_another_motion_under_the_same_path_is_another_reference(tmp_path: Path)
     other = HandRecording(str(written(tmp_path, [(0, 0.1), (1, 0.3)])))
     assert one == same != other
     assert hash(one) == hash(same)
+
+
+@pytest.mark.parametrize(("axes", "dt_ns", "cure"), [(3, 1_000_000, "in$"), (1, 2_000_000, "in, or --set dt=0.001$")])
+def test_a_scene_with_other_axes_was_told_to_set_the_tick_that_it_had(
+    tmp_path: Path, axes: int, dt_ns: int, cure: str
+) -> None:
+    hand = HandRecording(str(written(tmp_path, [(0.0, 0.0), (1.0, 0.0)])))
+    with pytest.raises(Refused, match=f"take the scene that it was recorded {cure}"):
+        hand.check(axes, dt_ns)
