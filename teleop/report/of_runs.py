@@ -132,7 +132,9 @@ def _title(run: Run, differing: Mapping[str, str], i: int) -> str:
     """What stands over the panel of a run: in what it differs, where that is short."""
     told = ", ".join(value if name in ("law", "scene") else f"{name} {value}" for name, value in differing.items()
                      if value and not name.startswith("law'"))
-    return f"{i + 1}: {told}" if told and len(told) <= MOST_TITLE else f"{i + 1}: {run.name}"[:MOST_TITLE]
+    if not told or len(told) > MOST_TITLE:  # the folder of a page's part is a number
+        told = headed(run.result).rpartition(", law ")[2] if run.name.isdecimal() else run.name
+    return f"{i + 1}: {told}"[:MOST_TITLE]
 
 
 def _compared(runs: Sequence[Run], titles: Sequence[str], differing: Sequence[Mapping[str, str]]) -> Markup:
