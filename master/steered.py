@@ -18,7 +18,7 @@ WORKSPACE = 10.0  # m from 0, in each axis
 WHOLE_S = 60.0  # s of a scene's own motion that cannot be sampled as it goes
 ALIGNING = 60.0  # rad/s of an alignment, in which the hand damps the handle besides, to ...
 RATIO = 0.8  # ... this damping ratio of the masses on its spring
-NEAR, SLOW, ENOUGH = 5e-4, 5e-3, 0.6  # m, m/s, s: when an alignment is over
+NEAR, SLOW, ENOUGH = 5e-4, 5e-3, 1.5  # m, m/s, s: when an alignment is over
 
 
 class Follower(NamedTuple):
@@ -113,7 +113,7 @@ class SteeredMaster(SimulatedMaster):
 
     @property
     def aligned(self) -> bool:
-        """True if the handle is within 0.5 mm of the place of `align` and slower than 5 mm/s, or 0.6 s have passed.
+        """True if the handle is within 0.5 mm of the place of `align` and slower than 5 mm/s, or 1.5 s have passed.
 
         The time is counted in ticks. False where it is not being aligned.
         """

@@ -258,7 +258,7 @@ def test_an_alignment_feeds_no_swing_whatever_the_hand(k: float, ratio: float, m
 def test_an_alignment_that_does_not_come_to_an_end_is_over_after_its_time_in_ticks(every: int) -> None:
     device = SteeredMaster(scene(hand=STILL))
     device.align([0.05])
-    for k in range(0, 700, every):
+    for k in range(0, 1700, every):
         device.read(k)
         device.hold((30.0,))  # which holds it back
         assert device.aligned == (k >= round(ENOUGH * 1e3))
@@ -266,11 +266,11 @@ def test_an_alignment_that_does_not_come_to_an_end_is_over_after_its_time_in_tic
 
 def test_an_alignment_to_a_place_that_moves_on_has_no_more_time_for_that() -> None:
     device = SteeredMaster(scene(hand=STILL))
-    for k in range(0, 700, 20):
+    for k in range(0, 1700, 20):
         device.align([0.02 + 1e-4 * k])  # 0.1 m/s
         device.read(k)
         assert device.aligned == (k >= round(ENOUGH * 1e3))
-    assert device.read(700).x[0] > 0.07, "it follows meanwhile"
+    assert device.read(1700).x[0] > 0.17, "it follows meanwhile"
 
 
 def test_what_is_ordered_during_an_alignment_is_done_after_it() -> None:

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from secrets import token_urlsafe
 from socket import gethostname
+from tempfile import mkstemp
 
 from teleop.errors import Refused, number_of
 from teleop.live.page.children import Start
@@ -41,6 +42,7 @@ def command(args: Namespace) -> Answer:
             raise
         raise Refused(NEEDS) from error
     controls = Controls(args.scene, knobs_from(args))
+    controls.laws  # noqa: B018 - worked out now: where a scene reads files, it takes as long as many pictures
     ticks_of(controls.first, args.rate, lockstep=False, spin=args.spin)
     ticking = ["--spin"] * args.spin + ([] if args.rate is None else ["--rate", repr(args.rate)])
     start = Start(args.scene, args.seed, args.realtime, ticking)
@@ -49,9 +51,12 @@ def command(args: Namespace) -> Answer:
         folder = claimed.path
         parts = Parts(folder, {"scene": args.scene, "seed": args.seed, "command": args.typed})
         page = Page(controls, parts, start, interrupt, time.monotonic)
+        way = Path(mkstemp(suffix=".html")[1]) if args.open else None
         try:
-            asyncio.run(page.run(requests, args.port or 0, partial(_listening, args, token)))
+            asyncio.run(page.run(requests, args.port or 0, partial(_listening, token, way)))
         finally:
+            if way is not None:
+                way.unlink(missing_ok=True)
             if parts.ran:
                 claimed.keep()
         if not parts.ran:
@@ -76,13 +81,18 @@ def _check(args: Namespace) -> None:
         raise Refused(f"--port must be at most {LAST_PORT}, not {args.port}; leave it out for one that is free")
 
 
-def _listening(args: Namespace, token: str, port: int) -> None:
-    """Say where the page is, and open it if that was asked for."""
+def _listening(token: str, way: Path | None, port: int) -> None:
+    """Say where the page is, and open it if that was asked for.
+
+    `way`: a file that no other user reads, to lead the browser there: the command lines of processes, on which the
+    token would stand, all users see.
+    """
     address = f"http://{HOST}:{port}/?token={token}"
     _say(f"page: {address}\non another machine type  ssh -L {port}:{HOST}:{port} {gethostname()}  there, and open the "
          "same address; Ctrl-C here ends it")
-    if args.open:  # a process of its own: a browser in the terminal would wait for its keys, and be waited for
-        subprocess.Popen([sys.executable, "-m", "webbrowser", address], stdin=subprocess.DEVNULL,
+    if way is not None:  # a process of its own: a browser in the terminal would wait for its keys, and be waited for
+        way.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}"><title>teleop</title>\n')
+        subprocess.Popen([sys.executable, "-m", "webbrowser", way.as_uri()], stdin=subprocess.DEVNULL,
                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
 

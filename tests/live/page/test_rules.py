@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from teleop.live.page import command
 from teleop.live.page.allowance import GARBAGE, MOST, SECONDS, Allowance
 from teleop.live.page.controls import Choice, Controls, Link
 from teleop.live.page.drag import HOLDS, Drag
@@ -209,3 +212,17 @@ def test_the_scenes_own_link_stays_until_a_slider_of_it_is_moved() -> None:
     assert moved.link is not None
     assert controls.knobs(moved)["link"] == "delay(0.04) | uniform(0.02) | bernoulli(0.1)"
     controls.scene(moved)
+
+
+def test_the_token_is_on_no_command_line_when_the_browser_is_opened(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All users of the machine see those."""
+    started: list[list[str]] = []
+    monkeypatch.setattr(command.subprocess, "Popen", lambda words, **_: started.append(words))
+    command._listening("secret", way := tmp_path / "way.html", 8123)
+    assert "http://127.0.0.1:8123/?token=secret" in way.read_text()
+    assert "http://127.0.0.1:8123/?token=secret" in capsys.readouterr().err
+    [words] = started
+    assert words[-1] == way.as_uri()
+    assert "secret" not in " ".join(words)
