@@ -18,6 +18,7 @@ WORKSPACE = 10.0  # m from 0, in each axis
 WHOLE_S = 60.0  # s of a scene's own motion that cannot be sampled as it goes
 ALIGNING = 60.0  # rad/s of an alignment, in which the hand damps the handle besides, to ...
 RATIO = 0.8  # ... this damping ratio of the masses on its spring
+DRIFTS, BEHIND = 0.1, 0.1  # m/s, s: of a place that moves on
 NEAR, SLOW, ENOUGH = 5e-4, 5e-3, 1.5  # m, m/s, s: when an alignment is over
 
 
@@ -83,6 +84,8 @@ class SteeredMaster(SimulatedMaster):
         self._steered = False
         self._place: tuple[float, ...] | None = None  # of `align`
         self._asked = 0  # the tick of that
+        self._placed = 0  # the tick at which it was another place last
+        self._drift = (0.0,) * scene.axes  # how fast that place moves on, m/s
         self._writer: HandWriter | None = None
         self.whole = max(1, round(WHOLE_S * 1e9) // scene.dt_ns)
         super().__init__(_held_by_hand(scene), senses=True)
@@ -105,22 +108,32 @@ class SteeredMaster(SimulatedMaster):
         which they are damped to 0.8. Called again meanwhile, it goes on to another place, and its time counts from the
         first. After it the hand does again what it was told to, or what the scene says. See `aligned`.
         """
-        if self._place is None:
-            self._asked = self._k
-        self._place = None if to is None else self._checked(to)
-        if to is not None:
+        place = None if to is None else self._checked(to)
+        if self._place is None or place is None:
+            self._asked, self._drift = self._k, (0.0,) * len(self._x)
+        elif self._k > self._placed:  # smoothed, for it is told in steps
+            span = (self._k - self._placed) * self._dt
+            self._drift = tuple([0.7 * drift + 0.3 * (there - here) / span for drift, there, here in
+                                 zip(self._drift, place, self._place, strict=True)])
+        self._place, self._placed = place, self._k
+        if place is not None:
             self._leave_own()
 
     @property
     def aligned(self) -> bool:
-        """True if the handle is within 0.5 mm of the place of `align` and slower than 5 mm/s, or 1.5 s have passed.
+        """True if the handle is within 0.5 mm of the place of `align`, at its speed within 5 mm/s; or after 1.5 s.
 
-        The time is counted in ticks. False where it is not being aligned.
+        Of a place that moves on, at up to 0.1 m/s, it may be behind by the way of 0.1 s more. The time is counted in
+        ticks. False where it is not being aligned.
         """
         if self._place is None:
             return False
+        if self._k - self._asked >= ceil(ENOUGH / self._dt):
+            return True
+        drift = hypot(*self._drift)
         off = hypot(*[x - p for x, p in zip(self._x, self._place, strict=True)])
-        return (off < NEAR and hypot(*self._v) < SLOW) or self._k - self._asked >= ceil(ENOUGH / self._dt)
+        apart = hypot(*[v - w for v, w in zip(self._v, self._drift, strict=True)])
+        return drift < DRIFTS and off < NEAR + BEHIND * drift and apart < SLOW + 0.5 * drift
 
     def turn(self, scene: Scene, *, again: bool = False) -> None:
         """As `SimulatedMaster.turn`; the hand goes on with what it was told to, and its reference moves without a jump.
@@ -177,7 +190,7 @@ class SteeredMaster(SimulatedMaster):
         if self._own_motion:
             return self._own(self._k + 1)
         if self._place is not None:
-            short = [p - self._lead * v for p, v in zip(self._place, self._v, strict=True)]
+            short = [p - self._lead * (v - w) for p, v, w in zip(self._place, self._v, self._drift, strict=True)]
             there, self._w = self._bring.step(self._r, self._w, short)
             return there
         told = self._x if self._target is None else self._target

@@ -12,6 +12,8 @@ what falls falls again; only the tests marked `fuzz` draw new ones, and print wh
 from __future__ import annotations
 
 import signal
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +22,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 LONG = ("soak", "fuzz")
 TIMED = (
-    "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/", "tests/teleop/sweeps/test_cluster.py",
+    "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/",
 )
 
 STAND_INS = "tests/live/page/"
@@ -57,7 +59,14 @@ class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types
         file = nodeid.split("::", 1)[0]
         if file.startswith(STAND_INS) and not file.endswith(REAL):
             return "stand-ins"
-        return "timed" if file.startswith(TIMED) else file
+        return "timed" if file.startswith(TIMED) and _is_live(file) else file
+
+
+@cache
+def _is_live(file: str) -> bool:
+    """True of a file in which anything is marked `live` or has two ends; the others there need no clock."""
+    text = "" if not file.startswith("tests/live/") else (Path(__file__).parent.parent / file).read_text()
+    return not text or "mark.live" in text or "pair" in text
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:

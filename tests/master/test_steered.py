@@ -267,10 +267,27 @@ def test_an_alignment_that_does_not_come_to_an_end_is_over_after_its_time_in_tic
 def test_an_alignment_to_a_place_that_moves_on_has_no_more_time_for_that() -> None:
     device = SteeredMaster(scene(hand=STILL))
     for k in range(0, 1700, 20):
-        device.align([0.02 + 1e-4 * k])  # 0.1 m/s
+        device.align([0.02 + 2e-4 * k])  # 0.2 m/s
         device.read(k)
         assert device.aligned == (k >= round(ENOUGH * 1e3))
-    assert device.read(1700).x[0] > 0.17, "it follows meanwhile"
+    assert device.read(1700).x[0] > 0.3, "it follows meanwhile"
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.01, 0.05])
+def test_a_place_that_moves_on_slowly_is_reached_in_time(speed: float) -> None:
+    """A slave that left the wall at 10 mm/s held up a turn until the time was over."""
+    device = SteeredMaster(scene(hand=HAND))
+    reached = None
+    for k in range(0, 1400, 16):
+        place = 0.02 - speed * 1e-3 * k
+        device.align([place])
+        x = device.read(k).x[0]
+        if device.aligned:
+            reached = k
+            break
+    assert reached is not None
+    assert reached < 600
+    assert abs(x - place) < 5e-4 + 0.1 * speed
 
 
 def test_what_is_ordered_during_an_alignment_is_done_after_it() -> None:

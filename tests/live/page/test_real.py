@@ -106,7 +106,7 @@ def test_ctrl_c_before_a_page_is_opened_leaves_what_was_recorded(tmp_path: Path)
 
 def test_the_browser_is_opened_if_it_is_asked_for(tmp_path: Path) -> None:
     browser = tmp_path / "browser"
-    browser.write_text('#!/bin/sh\necho "$1" > opened.part && mv opened.part opened\n')
+    browser.write_text('#!/bin/sh\ncat "${1#file://}" > opened.part && mv opened.part opened\n')
     browser.chmod(0o755)
     process = subprocess.Popen([*TYPED, "--open"], cwd=tmp_path, env=environment(BROWSER=f"{browser} %s"), text=True,
                                stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -114,7 +114,7 @@ def test_the_browser_is_opened_if_it_is_asked_for(tmp_path: Path) -> None:
         assert process.stderr is not None
         line = process.stderr.readline()
         until((tmp_path / "opened").is_file, "no browser was opened")
-        assert (tmp_path / "opened").read_text().strip() in line
+        assert line.removeprefix("page: ").strip() in (tmp_path / "opened").read_text()
         assert "ssh -L" in process.stderr.readline()
     finally:
         process.send_signal(signal.SIGTERM)
