@@ -21,7 +21,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from tests.browser import Browser, Page  # noqa: E402
+from tests.browser import Browser, Page  # noqa: E402 - found by the path above
 
 SIZE, WIDTH, MOST = (820, 560), 640, 300_000  # px of the window; px and bytes of the picture
 RATE = 10  # frames a second

@@ -64,7 +64,7 @@ def write_mcap(file: BinaryIO, parts: Sequence[Part], library: str) -> dict[str,
             writer.add_message(channels[topic], ns, text.encode(), ns, sequence[topic])
         for one in waiting:
             _say(writer, log, one)
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()  # type: ignore[no-untyped-call]  # mcap types none of it
     file.flush()
     return {**count, LOG: said}
 

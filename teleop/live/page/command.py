@@ -42,7 +42,7 @@ def command(args: Namespace) -> Answer:
             raise
         raise Refused(NEEDS) from error
     controls = Controls(args.scene, knobs_from(args))
-    controls.laws  # noqa: B018 - worked out now: where a scene reads files, it takes as long as many pictures
+    _ = controls.laws  # worked out now: where a scene reads files, it takes as long as many pictures
     ticks_of(controls.first, args.rate, lockstep=False, spin=args.spin)
     ticking = ["--spin"] * args.spin + ([] if args.rate is None else ["--rate", repr(args.rate)])
     start = Start(args.scene, args.seed, args.realtime, ticking)

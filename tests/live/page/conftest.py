@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from teleop.live.page.children import Start
 from teleop.live.page.controls import Controls
@@ -68,7 +69,7 @@ class Served:
     @asynccontextmanager
     async def open(self, **other: Any) -> AsyncIterator[Browser]:
         """A page in a browser."""
-        async with connect(f"ws://{self.host}/ws?token={TOKEN}", origin=f"http://{self.host}",  # type: ignore[arg-type]
+        async with connect(f"ws://{self.host}/ws?token={TOKEN}", origin=Origin(f"http://{self.host}"),
                            proxy=None, **other) as socket:
             yield Browser(socket)
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from websockets.asyncio.client import connect
+from websockets.typing import Origin
 
 from teleop import load_result
 from teleop.live.page.command import PAGE
@@ -43,7 +44,7 @@ def shown(folder: Path, look: Callable[[Browser], Awaitable[None]], *words: str)
             found = re.search(r"http://(127\.0\.0\.1:\d+)/\?token=(\S+)", line)
             assert found is not None, line
             host = found[1]
-            async with connect(f"ws://{host}/ws?token={found[2]}", origin=f"http://{host}",  # type: ignore[arg-type]
+            async with connect(f"ws://{host}/ws?token={found[2]}", origin=Origin(f"http://{host}"),
                                proxy=None) as socket:
                 await look(Browser(socket))
                 process.send_signal(signal.SIGINT)
