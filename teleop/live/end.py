@@ -32,7 +32,6 @@ from teleop.live.records.end_result import NAMES, UNRELEASED
 from teleop.live.records.record import EVERY, RecordWriter, fresh_folder
 from teleop.live.shell import Shell
 from teleop.live.summary import UNWATCHED, holds_on, write_end
-from teleop.live.turning import Turning
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import Event
 from teleop.protocol.manifest import manifest_of
@@ -100,6 +99,8 @@ def _run(
             shell.security.insecure = insecure
             turning = None
             if args.orders:
+                from teleop.live.turning import Turning  # for an end that takes no orders it need not be there
+
                 shell.told = partial(_told, e)
                 turning = Turning(shell, made, folder, knobs, partial(_turned, args), recorder_of)
                 shell.orders = Orders(SHAPES, turning.take)

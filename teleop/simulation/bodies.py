@@ -164,7 +164,7 @@ def path_of(reference: Reference, axes: int, count: int, dt_ns: int, most: int =
     after these it stays where it is.
     """
     if "first" in signature(reference.samples).parameters:
-        blocks = Blocks(lambda first, some: reference.samples(axes, some, dt_ns, first=first))  # type: ignore[call-arg]
+        blocks = Blocks(lambda first, some: reference.samples(axes, some, dt_ns, first=first))  # type: ignore[call-arg]  # asked above
         paths = tuple([Path(blocks, axis, count) for axis in range(axes)])
         for path in paths:  # what it refuses, it refuses here
             path[0]

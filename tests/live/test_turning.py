@@ -69,7 +69,7 @@ class Story:
         since = run.now()
         for e in "ms":
             self.clutch[f"open {e}"] = run.event(e, lambda event: event["event"] == "live", since[e])["k"]
-            quiet = run.event(e, lambda event, e=e: event["event"] == "live" and (  # type: ignore[misc]
+            quiet = run.event(e, lambda event, e=e: event["event"] == "live" and (  # type: ignore[misc]  # a lambda
                 event["k"] > self.clutch[f"open {e}"] + 200), since[e])
             self.clutch[f"close {e}"] = quiet["k"]
             assert quiet["f"] == 0.0

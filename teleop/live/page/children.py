@@ -35,12 +35,6 @@ class Children:
         self._ports: dict[str, int] = {}
 
     @property
-    def realtime(self) -> dict[str, str] | None:
-        """What the system gave the slave of scheduling, and so the others."""
-        slave = self._alive.get("slave")
-        return None if slave is None else slave.realtime
-
-    @property
     def complete(self) -> bool:
         """Do all three run?"""
         return len(self._alive) == 3

@@ -102,7 +102,7 @@ def test_a_law_is_judged_anew_after_a_turn(served: Serve) -> None:
         async with page.open() as browser:
             await browser.until("rows")
             page.page._shaking.shakes = True
-            page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]
+            page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]  # in place of the rule
             await browser.until("status", lambda status: status["shakes"])
             await browser.say("turn", law="direct")
             await browser.told("turned")
