@@ -9,7 +9,7 @@ from teleop.physics.plant import Plant, grip_force, move_free, move_gripped
 from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
-from teleop.simulation.bodies import WHOLE, check_turn, held_master, master_plant, path_of
+from teleop.simulation.bodies import WHOLE, check_turn, held_masters, master_coefficients, path_of
 from teleop.simulation.structure import structure_of
 
 
@@ -30,7 +30,8 @@ class SimulatedMaster:
         self._senses = senses
         self._k = self._renewed = self._since = 0  # the tick, that of the newest force, and that of the scene's start
         self._scene: Scene | None = None
-        self._held: Plant | None = None
+        self._held: tuple[Plant, ...] | None = None
+        self._c: tuple[Any, ...] = ()
         self._x: list[float] = []
         self._v: list[float] = []
         self._f: list[float] = []
@@ -68,14 +69,14 @@ class SimulatedMaster:
     def _take(self, scene: Scene, again: bool) -> None:
         """Be the master of `scene`; what it refuses, it refuses before anything is changed."""
         has = structure_of(scene).m.has
-        held = held_master(scene) if has.inner else None
-        c: Any = master_plant(scene) if held is None else held.c
+        held = held_masters(scene) if has.inner else None
+        c = master_coefficients(scene) if held is None else tuple([each.c for each in held])
         kept = self._keeps_path(scene)
-        reference = self._reference if kept else None if scene.hand is None else path_of(
-            scene.hand.reference, scene.axes, scene.ticks + 1, scene.dt_ns, self.whole)
-        goes_on = not again and self._held is not None and held is not None and held.move is self._held.move
+        reference = self._reference if kept else None if scene.reference is None else path_of(
+            scene.reference, scene.axes, scene.ticks + 1, scene.dt_ns, self.whole)
+        goes_on = not again and self._held is not None and held is not None and held[0].move is self._held[0].move
         x = list(scene.vector("start_m", scene.start_m))
-        self._z = self._z if goes_on else [None if held is None else held.start] * scene.axes
+        self._z = self._z if goes_on else [None] * scene.axes if held is None else [each.start for each in held]
         self._scene, self._held, self._c, self._reference = scene, held, c, reference
         self._dt, self._lapse = scene.dt_ns / 1e9, max(1, round(DEADLINE * 1e9 / scene.dt_ns))  # s, ticks
         self._sensor = has.felt if self._senses is None else self._senses
@@ -90,10 +91,10 @@ class SimulatedMaster:
     def _keeps_path(self, scene: Scene) -> bool:
         """True if the hand's own motion is the same in `scene`, so that its samples serve on."""
         old = self._scene
-        if old is None or old.hand is None or scene.hand is None or scene.ticks != old.ticks:
+        if old is None or old.reference is None or scene.reference is None or scene.ticks != old.ticks:
             return False
         try:
-            return bool(scene.hand.reference == old.hand.reference)
+            return bool(scene.reference == old.reference)
         except ValueError:  # arrays have no one answer
             return False
 
@@ -114,13 +115,14 @@ class SimulatedMaster:
     def _move(self) -> None:
         """Move all axes over one tick, with the hand's reference."""
         there = self._ahead() if self._reference is not None else self._r
-        for i, (x, v, f, r0, r1) in enumerate(zip(self._x, self._v, self._f, self._r, there, strict=True)):
+        for i, (c, x, v, f, r0, r1) in enumerate(zip(
+                self._c, self._x, self._v, self._f, self._r, there, strict=True)):
             if self._held is not None:
-                self._x[i], self._v[i], self._z[i] = self._held.move(self._c, x, v, f, r0, r1, self._z[i])
+                self._x[i], self._v[i], self._z[i] = self._held[i].move(c, x, v, f, r0, r1, self._z[i])
             elif self._reference is None:
-                self._x[i], self._v[i], _ = move_free(self._c, x, v, -f)
+                self._x[i], self._v[i], _ = move_free(c, x, v, -f)
             else:
-                self._x[i], self._v[i] = move_gripped(self._c, x, v, f, r0, r1)
+                self._x[i], self._v[i] = move_gripped(c, x, v, f, r0, r1)
         self._before, self._r = self._r, there
 
     def _hand(self) -> Axes:
@@ -130,7 +132,7 @@ class SimulatedMaster:
 
     def _grip(self, i: int) -> float:
         r = self._r[i]
-        state = self._c, self._x[i], self._v[i], self._f[i], r, (r - self._before[i]) / self._dt
+        state = self._c[i], self._x[i], self._v[i], self._f[i], r, (r - self._before[i]) / self._dt
         if self._held is None:
             return grip_force(*state)
-        return float(self._held.force(*state, self._z[i]))
+        return float(self._held[i].force(*state, self._z[i]))

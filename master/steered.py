@@ -204,7 +204,7 @@ class SteeredMaster(SimulatedMaster):
 
 
 def _held_by_hand(scene: Scene) -> Scene:
-    if scene.hand is None or not scene.hand.k > 0.0:
+    if not all(hand is not None and hand.k > 0.0 for hand in scene.per_axis("hand")):
         raise Refused(f"scene {scene.name} has no hand with a spring, by which an order could move the master; take a "
                       "scene with one, for example canonical")
     return scene
@@ -213,12 +213,14 @@ def _held_by_hand(scene: Scene) -> Scene:
 def _lead(scene: Scene | None) -> float:
     """The time (s) of an alignment's lead, for the damping ratio `RATIO` of the masses on the hand's spring.
 
-    None where they swing by themselves at more than half of `ALIGNING`: the filter is too slow for those, and the lead
-    would feed the swing. Below that all poles have negative real parts, whatever the dampers.
+    Of several axes the least. None where they swing by themselves at more than half of `ALIGNING`: the filter is too
+    slow for those, and the lead would feed the swing. Below that all poles have negative real parts, whatever the
+    dampers.
     """
     assert scene is not None
-    assert scene.hand is not None
-    hand, mass = scene.hand, scene.master.mass + scene.hand.mass
-    if sqrt(hand.k / mass) > 0.5 * ALIGNING:
-        return 0.0
-    return max(0.0, (2.0 * RATIO * sqrt(hand.k * mass) - scene.master.damping - hand.d) / hand.k)
+    leads = []
+    for hand, body in zip(scene.per_axis("hand"), scene.per_axis("master"), strict=True):
+        mass = body.mass + hand.mass
+        quick = sqrt(hand.k / mass) > 0.5 * ALIGNING
+        leads.append(0.0 if quick else (2.0 * RATIO * sqrt(hand.k * mass) - body.damping - hand.d) / hand.k)
+    return max(0.0, min(leads))

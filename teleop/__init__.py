@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from teleop.physics.plant import MassDamper, Plant
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.protocol.endpoint import Reading
+    from teleop.scene.axes import each_axis
     from teleop.scene.loading import load_scene
     from teleop.scene.parts import Environment, Hand, Reference, Vector
     from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
@@ -77,8 +78,8 @@ __all__ = [
     "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling",
     "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog",
     "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__",
-    "around", "check_knobs", "check_law", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene",
-    "messages", "number", "run", "seed_energy", "sweep", "whole_number",
+    "around", "check_knobs", "check_law", "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result",
+    "load_scene", "messages", "number", "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -113,6 +114,7 @@ _HOMES = {  # the module of each name, under this package
     "physics.plant": ("MassDamper", "Plant"),
     "physics.relaxing": ("ElectricalDamping",),
     "protocol.endpoint": ("Reading",),
+    "scene.axes": ("each_axis",),
     "scene.loading": ("load_scene",),
     "scene.parts": ("Environment", "Hand", "Reference", "Vector"),
     "scene.playout": ("Energy", "Fixed", "Hold", "Integral", "Playout", "Scaled", "Zero"),

@@ -95,7 +95,7 @@ class Shell:
         self.device.closed = True
         self.device.let_go()
         method = "master" if self.endpoint.e == "m" else "slave"
-        self.outcome.fail(error, fault.sentence(error, self.scene.law, method), self.so_far())
+        self.outcome.fail(error, fault.sentence(error, self.scene.laws[0], method), self.so_far())
 
     def bye(self) -> None:
         """Send the farewell that says how the run ended for this end."""
@@ -180,7 +180,7 @@ class Shell:
             self.live_line.tick(k, late, reading, force, row)
         else:
             endpoint.guard.tell(k, "safe", f"the law: {failed} is not finite")
-            self.outcome.end("diverged", divergence(self.scene, k, not_finite(self.scene.law, failed)))
+            self.outcome.end("diverged", divergence(self.scene, k, not_finite(self.scene.laws[0], failed)))
         self.take_events()
 
     def hold(self, force: Axes) -> None:

@@ -153,7 +153,7 @@ class Endpoint:
         self._rejoined = False  # did the law begin later than with tick 0 of the first session
         self._before: tuple[Integrals, ...] | None = None  # what the peer's waves had come to when it was heard first
         self._started: Any = None
-        law: Any = scene.law
+        law: Any = scene.laws[0]
         self._axes = range(scene.axes)
         forth, back = message_types(law, dt)
         rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
@@ -434,5 +434,5 @@ def _no_force(scene: Scene, e: str) -> str:
     if e == "m":
         observer = "--set observer=200" if "observer" in scene.knobs else "observer=200.0 in the scene"
         cures.insert(0, f"have an observer estimate it, with {observer} at both ends")
-    return (f"the law {law_name(scene.law)} reads {whose}, {SENSED[e]}, and the {NAMES[e]}'s device senses none: its "
-            f"reading has f=None; have it read f, in N, or {', or '.join(cures)}")
+    return (f"the law {law_name(scene.laws[0])} reads {whose}, {SENSED[e]}, and the {NAMES[e]}'s device senses none: "
+            f"its reading has f=None; have it read f, in N, or {', or '.join(cures)}")

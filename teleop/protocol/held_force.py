@@ -11,7 +11,7 @@ from math import isfinite
 
 from teleop.protocol.guard import Guard
 from teleop.scene.scene import Scene
-from teleop.stages.force_cap import cap
+from teleop.stages.force_cap import cap, caps
 from teleop.stages.velocity_cap import limit_speed
 
 BLIND_NS = 100_000_000  # the longest that a force is held without a reading
@@ -23,8 +23,9 @@ class HeldForce:
     def __init__(self, scene: Scene, e: str, every: int, guard: Guard) -> None:
         self.force: tuple[float, ...] = (0.0,) * scene.axes
         self._e, self._every, self._guard = e, every, guard
-        self._cap, self._dt_ns = scene.cap, scene.dt_ns
-        self._dt = every * scene.dt_ns / 1e9
+        self._dt_ns, dt = scene.dt_ns, every * scene.dt_ns / 1e9
+        # Of each axis its greatest velocity, None where it has none, and its cap; none of a scene without a cap.
+        self._limits = [] if scene.cap is None else [(each.speed(), each.limits(dt)) for each in caps(scene)]
         self._k = 0  # the tick at which it was set last
 
     def begin(self, k: int) -> None:
@@ -77,13 +78,12 @@ class HeldForce:
         return self._scaled(before, gain, v)
 
     def _scaled(self, before: float, gain: float, v: tuple[float, ...] | None) -> tuple[float, ...]:
-        part, limits = (gain / before if before > 0.0 else 0.0), self._cap
+        part = gain / before if before > 0.0 else 0.0
         force = [part * each for each in self.force]
-        if limits is not None:
-            speed, c = limits.speed(), limits.limits(self._dt)
-            if speed is not None and v is not None and all(map(isfinite, v)):
-                along = v if self._e == "s" else tuple([-each for each in v])
-                force = [limit_speed(speed, *each) for each in zip(force, along, strict=True)]
-            force = [cap(c, *each) for each in zip(force, self.force, strict=True)]
+        along = None if v is None or not all(map(isfinite, v)) else v if self._e == "s" else [-each for each in v]
+        for i, (speed, c) in enumerate(self._limits):
+            if speed is not None and along is not None:
+                force[i] = limit_speed(speed, force[i], along[i])
+            force[i] = cap(c, force[i], self.force[i])
         self.force = tuple(force)
         return self.force

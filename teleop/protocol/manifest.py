@@ -26,7 +26,7 @@ _CURES = {
 }
 _MADE = frozenset((  # the parts of a scene, which its knobs make
     "master", "slave", "hand", "environment", "link", "playout", "watchdog", "cap", "device_m", "device_s", "passivity",
-    "electrical", "scaling", "left_out_m", "left_out_s", "start_m", "start_s", "packet_size",
+    "electrical", "scaling", "names", "units", "left_out_m", "left_out_s", "start_m", "start_s", "packet_size",
 ))
 
 
@@ -40,8 +40,8 @@ def manifest_of(scene: Scene) -> dict[str, str]:
 
     parts = {name: getattr(scene, name) for name in scene.__dataclass_fields__ if name not in ("name", "knobs")}
     fixed = {
-        **parts, "wire version": VERSION, "scene": scene.name, "law": f"{law_name(scene.law)} {scene.law}",
-        "packet_size": scene.wire_size, "law source": _own_source(scene.law),
+        **parts, "wire version": VERSION, "scene": scene.name, "law": f"{law_name(scene.laws[0])} {scene.law}",
+        "packet_size": scene.wire_size, "law source": _own_source(scene.laws[0]),
     }
     paths = {str(value): fingerprint(value) for value in scene.knobs.values()}
     texts = {key: fingerprint(value) for key, value in {**scene.knobs, **fixed}.items()}

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from inspect import Parameter, signature
 from numbers import Real
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints
 
-from teleop.errors import Refused, WrongNumber, enumerated, nearest, number, whole_number
+from teleop.errors import Refused, WrongNumber, enumerated, nearest, number, number_of, whole_number
 from teleop.knob import UNDECLARED, Declared, declared, knobs_of_fields
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
 from teleop.laws.around.names import LawText, arguments_of_law, around, law_text, read_stage
@@ -83,7 +83,7 @@ def settle(
     left = known.keys() - given.keys()
     for key, value in given.items():
         if key == "law" and of_law and isinstance(value, str):
-            values[key] = _named_law(value, of_law)
+            values[key] = _by_axis(partial(_named_law, value), of_law)
         elif key in known:
             values[key] = read_knob(key, value, known[key])
         elif key in PARTS:
@@ -98,7 +98,7 @@ def settle(
         cure = " ".join(f"--set {key}={'FILE' if known[key].kind is Path else 'VALUE'}" for key in missing)
         raise Refused(f"scene {name} needs {', '.join(missing)}: add {cure}")
     if of_law and not isinstance(given.get("law"), str):
-        values["law"] = _tuned(values["law"], of_law)
+        values["law"] = _tuned_by_axis(values["law"], of_law)
     if "link" in of_scene:
         for key in given:
             if key in known and known[key].knob.link:
@@ -122,7 +122,7 @@ def check_text(key: str, text: str, known: Mapping[str, Declared]) -> None:
     elif key in PARTS and key not in known:
         PARTS[key](text)
     elif key.startswith("law."):
-        _number(key, text, _PLAIN, whole=False, vector=False)
+        _number(key, text, _PLAIN, whole=False, vector=True)
     elif (own := known.get(key) or WIDE.get(key)) is not None:
         read(key, text, own.kind, own)
 
@@ -206,6 +206,8 @@ def _is_law(value: object) -> bool:
 def _law(key: str, value: object) -> object:
     if isinstance(value, str):
         return _named_law(value, {})
+    if isinstance(value, tuple) and value and all(map(_is_law, value)):
+        return value  # one for each axis
     if not _is_law(value):
         raise Refused(f"{key} must be a law or the name of one, not {value!r}; write {key}=wave")
     return value
@@ -214,6 +216,37 @@ def _law(key: str, value: object) -> object:
 def read_law(text: str) -> Any:
     """The law that a text names: `wave`, `wave(b=3.0)`, `FILE.py:CLASS`, `deadband(0.1) | wave`. Raises `Refused`."""
     return _named_law(text, {})
+
+
+def _by_axis(make: Callable[[Mapping[str, object]], Any], changes: Mapping[str, object]) -> Any:
+    """The law that `make` makes with these changes of its numbers; a law for each axis where one of them has several.
+
+    Raises `Refused` where two of them have several, and not as many.
+    """
+    parted = {key: tuple(value.split(",")) if isinstance(value, str) and "," in value else value
+              for key, value in changes.items()}
+    several = {key: value for key, value in parted.items() if isinstance(value, tuple)}
+    if not several:
+        return make(parted)
+    counts = {len(value) for value in several.values()}
+    if len(counts) > 1:
+        first, *_, last = [f"law.{key} has {len(value)}" for key, value in several.items()]
+        raise Refused(f"numbers of a law that are given for each axis are as many as the scene has axes, and {first} "
+                      f"and {last}; write one number, which means for each axis, or as many as there are axes")
+    return tuple([make({key: value[i] if key in several else value for key, value in parted.items()})  # type: ignore[index]  # a tuple
+                  for i in range(counts.pop())])
+
+
+def _tuned_by_axis(law: Any, changes: Mapping[str, object]) -> Any:
+    """A law with changes of its numbers, or of a tuple of laws that of each axis."""
+    if not isinstance(law, tuple):
+        return _by_axis(lambda own: _tuned(law, own), changes)
+    alone = _by_axis(lambda own: own, changes)
+    if isinstance(alone, tuple) and len(alone) != len(law):
+        raise Refused(f"the scene has a law for each of {len(law)} axes, and law.{next(iter(changes))} has "
+                      f"{number_of(len(alone), 'number')}; write one number, which means for each axis, or {len(law)}")
+    own = alone if isinstance(alone, tuple) else (alone,) * len(law)
+    return tuple([_tuned(each, numbers) for each, numbers in zip(law, own, strict=True)])
 
 
 def _named_law(text: str, changes: Mapping[str, object]) -> Any:

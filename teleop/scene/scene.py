@@ -11,12 +11,22 @@ from teleop import kind
 from teleop.errors import Refused, number, number_of, whole_number
 from teleop.law import law_name, messages
 from teleop.law.contract import check_contract
+from teleop.scene.axes import (
+    MOST_AXES,
+    NOTHING,
+    PER_AXIS,
+    axis_names,
+    check_alike,
+    check_names,
+    distinct,
+    parts_by_axis,
+)
 from teleop.scene.packet_size import least_size
 from teleop.scene.parts import (
     Environment,
-    Hand,
     LeftOutLike,
     LinkLike,
+    Reference,
     Vector,
     check_shape,
     has_shape,
@@ -26,13 +36,9 @@ from teleop.scene.parts import (
 from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of, integrates
 
 if TYPE_CHECKING:
-    from teleop.physics.plant import MassDamper
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.stages.deadband import Deadband
-    from teleop.stages.device import Device
-    from teleop.stages.force_cap import Cap
     from teleop.stages.passivity_controller import PassivityController
-    from teleop.stages.scaling import Scaling
     from teleop.stages.watchdog import Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
@@ -51,26 +57,29 @@ class Scene:
     Without a slave it is a hand, a master and a one-port law, which renders something to the hand by itself.
     """
 
+    # What is of type Any may be a tuple with one for each axis, see `teleop.scene.axes`.
     law: Any  # Law, or OnePortLaw without a slave
-    master: MassDamper
-    slave: MassDamper | None = None
-    hand: Hand | None = None
-    environment: Environment | tuple[Environment | None, ...] | None = None  # one: on the first axis
+    master: Any  # MassDamper
+    slave: Any = None  # MassDamper
+    hand: Any = None  # Hand
+    environment: Any = None  # Environment; one alone is on the first axis
     link: LinkLike | None = None
     playout: Playout | None = None  # None: see `played_as`
     observer: float | None = 200.0  # bandwidth L (1/s) of the human-force observer; None: a force sensor
     watchdog: Watchdog | None = None  # both ends
-    cap: Cap | None = None  # both ends
-    device_m: Device | None = None  # what stands between the master and the law: encoder, velocity estimator, ...
-    device_s: Device | None = None  # the same at the slave
+    cap: Any = None  # Cap, both ends
+    device_m: Any = None  # Device, what stands between the master and the law: encoder, velocity estimator, ...
+    device_s: Any = None  # the same at the slave
     passivity: PassivityController | None = None  # observer and controller on the master's port
-    scaling: Scaling | None = None  # the slave's metres and newtons for those of the master
+    scaling: Any = None  # Scaling, the slave's metres and newtons for those of the master
     electrical: ElectricalDamping | None = None  # of the master's motor
     left_out_m: LeftOutLike | None = None  # the ticks that the master leaves out; None: it runs every tick
     left_out_s: LeftOutLike | None = None  # the same of the slave
     deadband: Deadband | None = None  # what of the messages is sent, at both ends; None: each of them
     energy: bool = False  # sum E_link and E_port along the run
     axes: int = 1
+    names: tuple[str, ...] = ()  # of the axes; none: see `axis_names`
+    units: tuple[str, ...] = ()  # of the axes, m or rad; none: m
     start_m: Vector = 0.0  # where the master starts, at rest, m
     start_s: Vector = 0.0  # where the slave starts, at rest, m
     dt: float = 1e-3
@@ -95,8 +104,8 @@ class Scene:
 
     def _is_judged_by_classes(self) -> bool:
         """True if the checks, which it passed, ask for no more than the classes of its parts and its numbers."""
-        if self.deadband is not None or self.packet_size is not None or any(
-                isinstance(each, tuple) for each in (self.environment, self.start_m, self.start_s)):
+        if self.deadband is not None or self.packet_size is not None or self.names or self.units or any(
+                isinstance(getattr(self, name), tuple) for name in (*PER_AXIS, "start_m", "start_s")):
             return False
         touched = self.environment is None or any(
             hasattr(type(self.environment), each) for each in ("plant", "resistance", "path"))
@@ -105,43 +114,54 @@ class Scene:
         return touched and all(part is None or is_known_by_class(name, part) for name, part in parts)
 
     def _check(self) -> None:
-        check_shape("master", self.master)
+        self._check_numbers()
+        check_names(self.names, self.units, self.axes)
+        self._check_part("master")
         self._check_ends()
-        check_contract(self.law)
+        for law in distinct(self.laws):
+            check_contract(law)
         for name in PARTS:
             if getattr(self, name) is not None:
-                check_shape(name, getattr(self, name))
+                self._check_part(name)
         if self.playout is not None and not isinstance(self.playout, Playout):
             raise Refused(f"playout must be Zero(), Hold(), Integral(), Energy(), Scaled(...) or Fixed(...), not "
                           f"{self.playout!r}; write for example playout=Fixed(0.1)")
         if not isinstance(self.energy, bool):
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
-        self._check_numbers()
         self._check_deadband()
         self._check_packet()
-        environments = self.environments
-        for each in environments:
+        for each in self.environments:
             if each is not None and (
                     isinstance(each, type) or not (hasattr(each, "resistance") or hasattr(each, "path"))):
                 check_shape("environment", each)
-        if len(environments) != self.axes:
-            raise Refused(f"environment names {number_of(len(environments), 'axis', 'axes')}, the scene has "
-                          f"{self.axes}; write None for an axis that touches nothing")
+
+    def _check_part(self, name: str) -> None:
+        """Refuse a part that lacks what a run uses, and parts of the axes that do not go together."""
+        if name not in PER_AXIS:
+            check_shape(name, getattr(self, name))
+            return
+        parts = self.per_axis(name)
+        for each in distinct(parts):
+            if each is not None or name not in NOTHING:
+                check_shape(name, each)
+        check_alike(name, parts)
 
     def _check_ends(self) -> None:
         """Refuse a law with other ends than the scene, and parts of a slave in a scene without one."""
-        one_port = has_shape("one-port law", self.law)
+        laws = self.laws
+        one_port = has_shape("one-port law", laws[0])
+        check_alike("law", laws)
         if self.slave is not None:
-            if one_port and not hasattr(self.law, "slave"):
-                raise Refused(f"law {law_name(self.law)} is a one-port law, which renders by itself, and the scene has "
+            if one_port and not hasattr(laws[0], "slave"):
+                raise Refused(f"law {law_name(laws[0])} is a one-port law, which renders by itself, and the scene has "
                               "a slave; take a law with two ends, for example law=Wave(), or leave the slave out")
-            check_shape("law", self.law)
-            check_shape("slave", self.slave)
+            check_shape("law", laws[0])
+            self._check_part("slave")
             return
-        if not one_port and has_shape("law", self.law):
-            raise Refused(f"law {law_name(self.law)} has two ends and the scene has no slave; write for example "
+        if not one_port and has_shape("law", laws[0]):
+            raise Refused(f"law {law_name(laws[0])} has two ends and the scene has no slave; write for example "
                           "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
-        check_shape("one-port law", self.law)
+        check_shape("one-port law", laws[0])
         for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s", "deadband"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
@@ -153,7 +173,8 @@ class Scene:
             return
         least = self.least_packet
         if self.packet_size is not None and self.packet_size < least:
-            raise Refused(f"packet_size must be at least {least} bytes, which the message of law {law_name(self.law)} "
+            law = law_name(self.laws[0])
+            raise Refused(f"packet_size must be at least {least} bytes, which the message of law {law} "
                           f"in {number_of(self.axes, 'axis', 'axes')} needs, not {self.packet_size}; write "
                           f"packet_size={least}, or leave it out")
 
@@ -180,7 +201,7 @@ class Scene:
             "x_limit": number("x_limit", self.x_limit, above=0.0),
             "tolerance": number("tolerance", self.tolerance, above=0.0),
             "observer": None if self.observer is None else number("observer", self.observer, above=0.0),
-            "axes": whole_number("axes", self.axes, low=1, high=3),
+            "axes": whole_number("axes", self.axes, low=1, high=MOST_AXES),
             "packet_size": None if self.packet_size is None else whole_number(
                 "packet_size", self.packet_size, low=64, high=1200),
         }
@@ -207,9 +228,31 @@ class Scene:
     @property
     def environments(self) -> tuple[Environment | None, ...]:
         """Environment of the slave for each axis, None where there is none."""
-        if isinstance(self.environment, tuple):
-            return self.environment
-        return (self.environment, *[None] * (self.axes - 1))
+        return self.per_axis("environment")
+
+    def per_axis(self, name: str) -> tuple[Any, ...]:
+        """The part `name` of each axis, one of `teleop.scene.axes.PER_AXIS`: see `parts_by_axis`."""
+        return parts_by_axis(name, getattr(self, name), self.axes)
+
+    @property
+    def laws(self) -> tuple[Any, ...]:
+        """The law of each axis; all are of one class."""
+        return self.per_axis("law")
+
+    @property
+    def reference(self) -> Reference | None:
+        """The motion that the hand follows, of all axes; None without a hand."""
+        return next((hand.reference for hand in self.per_axis("hand") if hand is not None), None)
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """The name of each axis; where the scene gives none, x, y, z or axis1, axis2, ..."""
+        return axis_names(self.names, self.axes)
+
+    @property
+    def axis_units(self) -> tuple[str, ...]:
+        """The unit of the position of each axis, m or rad."""
+        return self.units or ("m",) * self.axes
 
     def leaves_out(self, e: str) -> LeftOutLike | None:
         """The ticks that the end `e` leaves out: the scene's own, or those that its link brings along; None: none."""
@@ -241,13 +284,13 @@ class Scene:
     def least_packet(self) -> int:
         """The bytes that the largest packet of this scene needs. Raises `Refused` if none can carry its message."""
         along = self.has_waves and integrates(self.played_as)  # T, and U and E of each axis, behind the law's messages
-        width = max(len(message._fields) for message in messages(self.law)) * self.axes
+        width = max(len(message._fields) for message in messages(self.laws[0])) * self.axes
         return least_size(width + (1 + 2 * self.axes) * along, energy=self.energy and not along)
 
     @property
     def has_waves(self) -> bool:
         """True if the law's messages carry waves, so that the link has an energy ledger."""
-        return self.slave is not None and all(map(kind.wave, messages(self.law)))
+        return self.slave is not None and all(map(kind.wave, messages(self.laws[0])))
 
     @property
     def played_as(self) -> Playout:

@@ -77,8 +77,9 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
             raise Refused(f"hand={parts['hand'].path} moves nothing in a scene without a hand; leave it out, or take "
                           "a scene with one")
         parts["hand"].check(scene.axes, scene.dt_ns)
-        own = scene.hand
-        parts["hand"] = import_bundled("master.hand").Grip(mass=own.mass, k=own.k, d=own.d, reference=parts["hand"])
+        grip, moved = import_bundled("master.hand").Grip, parts["hand"]
+        hands = [own and grip(mass=own.mass, k=own.k, d=own.d, reference=moved) for own in scene.per_axis("hand")]
+        parts["hand"] = tuple(hands) if isinstance(scene.hand, tuple) else hands[0]
     made = replace(scene, **parts)
     along = made.has_waves and integrates(made.played_as)  # what waves have come to is sent without a link too
     if "playout" in parts and made.link is None and not along:

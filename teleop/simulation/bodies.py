@@ -22,19 +22,19 @@ WHOLE = 3_600_000  # ticks, an hour at 1 kHz: so much of a reference that is sam
 class Held(NamedTuple):
     """The coefficients of the bodies, and their inner states at the first tick."""
 
-    grip: Any
-    z_m: Any
-    c: tuple[Any, ...]  # of the slave, for each axis
+    c_m: tuple[Any, ...]  # for each axis
+    z_m: tuple[Any, ...]
+    c_s: tuple[Any, ...]
     z_s: tuple[Any, ...]
 
 
 class Bodies(NamedTuple):
     """What moves between two ticks of a run in virtual time."""
 
-    master: Any  # the coefficients of the master's motion and of its grip's force
+    master: tuple[Any, ...]  # the coefficients of the master's motion and of its grip's force, for each axis
     slaves: list[Plant]  # for each axis; none in a scene without a slave
     instead: Mapping[str, Any] = MappingProxyType({})  # of the functions that the tick's text names, by those names
-    inner_m: Any = None  # the master's inner state at the first tick, if it has one
+    inner_m: tuple[Any, ...] = ()  # the master's inner state at the first tick, for each axis, if it has one
     report_m: Callable[[Any], Mapping[str, float]] | None = None  # what to say of that state afterwards
     method: str = ""  # METHOD:N of a fixed-step method with N sub-steps a tick; empty: the scene's own steps
 
@@ -55,37 +55,69 @@ def exact_bodies(scene: Scene, slaves: list[Plant] | None = None) -> Bodies:
     `slaves`: its `slave_plants`, where they are at hand.
     """
     slaves = slave_plants(scene) if slaves is None else slaves
-    if scene.master.friction == 0.0 and scene.electrical is None:
-        return Bodies(master_plant(scene), slaves)
-    held = held_master(scene)
-    return Bodies(held.c, slaves, {"move_held": held.move, "held_force": held.force}, held.start, held.report)
+    if not master_has_inner(scene):
+        return Bodies(master_coefficients(scene), slaves)
+    held = held_masters(scene)
+    functions = {"move_held": held[0].move, "held_force": held[0].force}
+    return Bodies(tuple([each.c for each in held]), slaves, functions, tuple([each.start for each in held]),
+                  held[0].report)
 
 
-def master_plant(scene: Scene) -> Any:
-    """The coefficients of the master's motion where that is linear: with the hand gripped to it, or alone."""
+def master_has_inner(scene: Scene) -> bool:
+    """True if the master's motion has an inner state: friction on one of its axes, or a motor damped by a shunt."""
+    return scene.electrical is not None or any(body.friction > 0.0 for body in scene.per_axis("master"))
+
+
+def master_coefficients(scene: Scene) -> tuple[Any, ...]:
+    """The coefficients of the master's motion where that is linear, for each axis.
+
+    With the hand gripped to it, or alone. An axis that no hand holds beside others that one does has a grip of no mass,
+    no stiffness and no damping, which is the same motion.
+    """
     from teleop.physics.plant import free_space, grip
 
     dt = scene.dt_ns / 1e9
-    if scene.hand is None:
-        return free_space(scene.master, dt).c
-    # A plain tuple: it unpacks faster than a NamedTuple, at every tick.
-    return tuple(grip(scene.master, scene.hand.mass, scene.hand.k, scene.hand.d, dt))
+
+    def coefficients(body: MassDamper, hand: tuple[float, float, float] | None) -> Any:
+        # A plain tuple: it unpacks faster than a NamedTuple, at every tick.
+        return free_space(body, dt).c if hand is None else tuple(grip(body, *hand, dt))
+
+    return _by_axis(scene, coefficients)
 
 
-def held_master(scene: Scene) -> Plant:
-    """The master where its motion has an inner state: friction, or a motor damped by a shunt."""
-    hand = scene.hand
-    grip = (hand.mass, hand.k, hand.d) if hand is not None else (0.0, 0.0, 0.0)
+def _by_axis(scene: Scene, make: Callable[[MassDamper, tuple[float, float, float] | None], Any]) -> tuple[Any, ...]:
+    """What `make` makes of the master's body and the mass, stiffness and damping of the hand, for each axis.
+
+    None in place of these in a scene without a hand. What is the same on several axes is made once.
+    """
+    held = scene.reference is not None
+    made: dict[tuple[int, int], Any] = {}
+    keys = []
+    for body, hand in zip(scene.per_axis("master"), scene.per_axis("hand"), strict=True):
+        keys.append((id(body), id(hand)))
+        if keys[-1] not in made:
+            own = (0.0, 0.0, 0.0) if hand is None else (hand.mass, hand.k, hand.d)
+            made[keys[-1]] = make(body, own if held else None)
+    return tuple([made[key] for key in keys])
+
+
+def held_masters(scene: Scene) -> tuple[Plant, ...]:
+    """The master where its motion has an inner state, for each axis: see `master_has_inner`."""
     dt = scene.dt_ns / 1e9
-    if scene.electrical is None:
-        from teleop.physics.implicit import implicit_master
 
-        return implicit_master(scene.master, *grip, dt, friction=scene.master.friction, tol=scene.tolerance)
-    from teleop.physics.relaxing import relaxing_master
+    def plant(body: MassDamper, hand: tuple[float, float, float] | None) -> Plant:
+        held = hand or (0.0, 0.0, 0.0)
+        if scene.electrical is None:
+            from teleop.physics.implicit import implicit_master
 
-    if scene.master.friction > 0.0:
-        raise Refused("friction of the master and electrical damping do not go together yet; leave one of them out")
-    return relaxing_master(scene.master, *grip, dt, b_e=scene.electrical.b, cutoff=scene.electrical.cutoff)
+            return implicit_master(body, *held, dt, friction=body.friction, tol=scene.tolerance)
+        from teleop.physics.relaxing import relaxing_master
+
+        if body.friction > 0.0:
+            raise Refused("friction of the master and electrical damping do not go together yet; leave one of them out")
+        return relaxing_master(body, *held, dt, b_e=scene.electrical.b, cutoff=scene.electrical.cutoff)
+
+    return _by_axis(scene, plant)
 
 
 def slave_plants(scene: Scene, *, as_it_goes: bool = False) -> list[Plant]:
@@ -93,10 +125,10 @@ def slave_plants(scene: Scene, *, as_it_goes: bool = False) -> list[Plant]:
 
     `as_it_goes`: the path of what moves is sampled while the slave does, see `path_of`, and not all of it before.
     """
-    body = scene.slave
-    if body is None:
+    if scene.slave is None:
         return []
-    plants = [_slave(scene, body, one, as_it_goes) for one in scene.environments]
+    plants = [_slave(scene, body, one, as_it_goes)
+              for body, one in zip(scene.per_axis("slave"), scene.environments, strict=True)]
     if any(plant.start is not None for plant in plants):  # they share the lines of the tick
         return [plant if plant.start is not None else with_inner(plant) for plant in plants]
     return plants
@@ -152,9 +184,8 @@ def _force_beside(force: Force, c: Any, x: float, v: float, z: Any) -> float:  #
 
 def reference_samples(scene: Scene) -> tuple[Sequence[float], ...] | None:
     """Where the hand wants to be, per axis, at the ticks 0 .. n: one more than the run has."""
-    if scene.hand is None:
-        return None
-    return scene.hand.reference.samples(scene.axes, scene.ticks + 1, scene.dt_ns)
+    reference = scene.reference
+    return None if reference is None else reference.samples(scene.axes, scene.ticks + 1, scene.dt_ns)
 
 
 def path_of(reference: Reference, axes: int, count: int, dt_ns: int, most: int = WHOLE) -> tuple[Sequence[float], ...]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import inf
 from typing import Any
 
+from teleop.errors import enumerated
 from teleop.law.offers import Delay, Facts, broken
 from teleop.scene.playout import Playout, Zero, gaps_of
 from teleop.scene.scene import Scene
@@ -13,18 +14,30 @@ from teleop.simulation.plan import LinkPlans, link_plans
 from teleop.stages.lanes import LEFT_OUT
 
 
-def facts_of(scene: Scene, seed: int = 0) -> Facts:
-    """The facts of a scene with two ends, as a run in virtual time with this seed has them. Raises `Refused`."""
-    return facts(scene, *of_plans(scene, link_plans(scene, seed), scene.ticks))
+def facts_of(scene: Scene, seed: int = 0, axis: int = 0) -> Facts:
+    """The facts of an axis of a scene with two ends, as a run in virtual time with this seed has them.
+
+    Raises `Refused`.
+    """
+    return facts(scene, axis, *of_plans(scene, link_plans(scene, seed), scene.ticks))
+
+
+def unmet(scene: Scene, seed: int = 0) -> list[str]:
+    """The sentences on conditions of the law that link and bodies break in a run in virtual time with this seed."""
+    return law_notes(scene, *of_plans(scene, link_plans(scene, seed), scene.ticks))
 
 
 def fitted(scene: Scene, seed: int = 0) -> Scene:
-    """The scene with its law fitted to its link and bodies, where the law knows how (`teleop.law.offers`).
+    """The scene with the law of each axis fitted to link and bodies, where it knows how (`teleop.law.offers`).
 
     The knobs of the scene keep what was typed, so the command that runs it is that of the law's own numbers.
     """
-    own = getattr(scene.law, "fitted", None)
-    return scene if own is None or scene.slave is None else replace(scene, law=own(facts_of(scene, seed)))
+    if scene.slave is None or not hasattr(scene.laws[0], "fitted"):
+        return scene
+    link = of_plans(scene, link_plans(scene, seed), scene.ticks)
+    laws = tuple([law.fitted(facts(scene, i, *link)) for i, law in enumerate(scene.laws)])
+    same = not isinstance(scene.law, tuple) and laws.count(laws[0]) == len(laws)
+    return replace(scene, law=laws[0] if same else laws)
 
 
 def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, Delay | None, bool, float]:
@@ -59,22 +72,32 @@ def delay(ticks: Any, played: Any, dt: float) -> Delay | None:
     return Delay(float(ages.min()) * dt, float(ages.max()) * dt) if len(ages) else None
 
 
-def facts(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, held: float) -> Facts:
-    """The facts of a scene whose link did this, and whose forces were held for as long as `held` (s).
+def facts(scene: Scene, axis: int, fwd: Delay | None, bwd: Delay | None, lossy: bool, held: float) -> Facts:
+    """The facts of an axis of a scene whose link did this, and whose forces were held for as long as `held` (s).
 
     The slave's body is as the law meets it, in the master's metres and newtons: of m_s a_s = f_s with x_s = scale_x x
     and f_s = scale_f f a mass m_s scale_x/scale_f (`teleop.stages.scaling`).
     """
-    master, slave, own = scene.master, scene.slave, scene.scaling
-    assert slave is not None
+    master, slave, own = [scene.per_axis(name)[axis] for name in ("master", "slave", "scaling")]
     felt = 1.0 if own is None else own.scale_x / own.scale_f
     return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, felt * slave.mass, felt * slave.damping,
                  fwd, bwd, lossy, _word(scene.played_as), held)
 
 
 def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, held: float) -> list[str]:
-    """The notes on conditions of the law that a run broke; none of a scene with one end."""
-    return [] if scene.slave is None else broken(scene.law, facts(scene, fwd, bwd, lossy, held))
+    """The notes on conditions of the law that a run broke; none of a scene with one end.
+
+    A condition that is broken on some axes alone is told with their names.
+    """
+    if scene.slave is None:
+        return []
+    told: dict[str, list[str]] = {}
+    alike = not any(isinstance(getattr(scene, name), tuple) for name in ("law", "master", "slave", "scaling"))
+    for i, name in enumerate(scene.axis_names[:1] if alike else scene.axis_names):
+        for sentence in broken(scene.laws[i], facts(scene, i, fwd, bwd, lossy, held)):
+            told.setdefault(sentence, []).append(name)
+    return [sentence if alike or len(names) == scene.axes else f"{enumerated(names)}: {sentence}"
+            for sentence, names in told.items()]
 
 
 def _word(playout: Playout) -> str:

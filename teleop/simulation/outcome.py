@@ -31,7 +31,7 @@ def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, tr
     }
     if lost:
         name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
-        return Ending("diverged", divergence(scene, lost[name], not_finite(scene.law, name)))
+        return Ending("diverged", divergence(scene, lost[name], not_finite(scene.laws[0], name)))
     if end is None:
         return ending(prepared, trace, trip, f"ran to its end, {number_of(ran, 'tick')} of {scene.dt:g} s")
     far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]

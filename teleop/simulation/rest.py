@@ -115,7 +115,7 @@ def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
         return None
     since = max([_stops(axis, ticks) for axis in path or ()], default=0)
     window = (ticks - since) // WINDOWS
-    late = sum(end.delay + end.every - 1 for end in (scene.device_m, scene.device_s) if end)
+    late = sum(end.delay + end.every - 1 for end in _devices(scene)[::scene.axes] if end)
     own = ceil(PERIODS * period(scene) * 1e9 / scene.dt_ns)
     return Still(since, window, encoder_step(scene), late, own, least_swing(scene)) if window >= LEAST else None
 
@@ -135,20 +135,27 @@ def disturbed(scene: Scene) -> bool:
 
 
 def period(scene: Scene) -> float:
-    """The period (s) of the masses of hand, master and slave on the hand's spring; 0.0 without one.
+    """The longest period (s) of the masses of hand, master and slave on the hand's spring; 0.0 without one.
 
     No loop with a hand swings much more slowly by itself: what else is stiff makes it quicker.
     """
-    hand = scene.hand
-    if hand is None or not hand.k > 0.0:
-        return 0.0
-    mass = hand.mass + scene.master.mass + (0.0 if scene.slave is None else scene.slave.mass)
-    return 2.0 * pi * sqrt(mass / hand.k)
+    slaves = [None] * scene.axes if scene.slave is None else scene.per_axis("slave")
+    longest = 0.0
+    for hand, master, slave in zip(scene.per_axis("hand"), scene.per_axis("master"), slaves, strict=True):
+        if hand is not None and hand.k > 0.0:
+            mass = hand.mass + master.mass + (0.0 if slave is None else slave.mass)
+            longest = max(longest, 2.0 * pi * sqrt(mass / hand.k))
+    return longest
 
 
 def encoder_step(scene: Scene) -> float:
     """The step of the coarsest encoder of both ends, m; 0.0 without one."""
-    return max((end.encoder.step for end in (scene.device_m, scene.device_s) if end and end.encoder), default=0.0)
+    return max((end.encoder.step for end in _devices(scene) if end and end.encoder), default=0.0)
+
+
+def _devices(scene: Scene) -> tuple[Any, ...]:
+    """What stands between each axis of both ends and the law."""
+    return (*scene.per_axis("device_m"), *scene.per_axis("device_s"))
 
 
 def _stops(axis: Sequence[float], ticks: int) -> int:

@@ -132,7 +132,8 @@ def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
 def parameters(scene: Scene) -> dict[str, object]:
     """The scene's knobs as JSON can hold them; the law by its name and numbers, one of the user's own by its file too.
 
-    Of that file there are its path and the first 12 digits of its SHA-256.
+    Of that file there are its path and the first 12 digits of its SHA-256. A number of the law that differs between the
+    axes is a list with that of each.
     """
     from dataclasses import fields, is_dataclass
 
@@ -140,11 +141,14 @@ def parameters(scene: Scene) -> dict[str, object]:
     from teleop.scene.library import own_file
 
     plain: dict[str, object] = {}
+    laws = scene.laws
     for key, value in {**scene.knobs, "law": scene.law}.items():
-        if key == "law" and is_dataclass(value):
-            own = own_file(type(value))
+        if key == "law" and is_dataclass(laws[0]):
+            own = own_file(type(laws[0]))
             source = {} if own is None else {"file": str(own.path), "sha256": own.digest}
-            plain[key] = {"name": law_name(value), **source, **{f.name: getattr(value, f.name) for f in fields(value)}}
+            numbers = {f.name: [getattr(law, f.name) for law in laws] for f in fields(laws[0])}
+            plain[key] = {"name": law_name(laws[0]), **source, **{
+                name: each[0] if each.count(each[0]) == len(each) else each for name, each in numbers.items()}}
         else:
             plain[key] = value if isinstance(value, int | float | str | list | tuple | None) else str(value)
     return plain

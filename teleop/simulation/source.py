@@ -114,13 +114,13 @@ def functions(scene: Scene) -> dict[str, Any]:
     from teleop.physics.plant import grip_force, move_free, move_gripped
 
     found: dict[str, Any] = {"grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped}
-    structure, law = structure_of(scene), scene.law
+    structure, law = structure_of(scene), scene.laws[0]
     if scene.slave is None:
         words = {"begin_m": "start", "law_m": "force"}
     else:
         words = {"begin_m": "master_start", "law_m": "master", "begin_s": "slave_start", "law_s": "slave"}
     for e, own in (("m", structure.m), ("s", structure.s)):
-        device = scene.device_m if e == "m" else scene.device_s
+        device = scene.per_axis(f"device_{e}")[0]
         if own.has.sums:
             words[f"total_{e}"] = f"{NAMES[e]}_sums"
             found[f"Sums_{e}"] = sums_type(law, e, scene.dt_ns / 1e9)

@@ -10,6 +10,7 @@ from teleop.law import functions_of, messages, reads, start_at
 from teleop.law.offers import stores
 from teleop.scene.playout import integrates, repeats
 from teleop.scene.scene import Scene
+from teleop.simulation.bodies import master_has_inner
 from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Shown, Stage, Told, per_axis
 from teleop.stages.order import STAGES, Asked
 
@@ -45,26 +46,27 @@ def structure_of(scene: Scene) -> Structure:
     if kept is None:
         late = scene.leaves_out("m") is not None or scene.leaves_out("s") is not None
         has = RunHas(
-            slave=scene.slave is not None, hand=scene.hand is not None,
+            slave=scene.slave is not None, hand=scene.reference is not None,
             link=scene.slave is not None and (scene.link is not None or late or scene.deadband is not None),
             repeats=repeats(scene.played_as), integral=scene.has_waves and integrates(scene.played_as),
-            deadband=scene.deadband is not None, energy=scene.energy, waves=scene.energy and scene.has_waves,
-            stored=scene.energy and scene.slave is not None and stores(scene.law))
+            own_laws=isinstance(scene.law, tuple), deadband=scene.deadband is not None,
+            energy=scene.energy, waves=scene.energy and scene.has_waves,
+            stored=scene.energy and scene.slave is not None and stores(scene.laws[0]))
         slave = _end(scene, "s", has) if has.slave else EndStructure(EndHas(), ())
         kept = vars(scene)["_structure"] = Structure(scene.axes, has, _end(scene, "m", has), slave)
     return kept
 
 
 def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
-    law = functions_of(scene.law)
+    law = functions_of(scene.laws[0])
     sums = getattr(law, f"{NAMES[e]}_sums", None)
     reading = reads(getattr(law, NAMES[e]) if run.slave else law.force) | (reads(sums) if sums else frozenset())
-    asked = Asked(scene, e, scene.device_m if e == "m" else scene.device_s, reading)
+    asked = Asked(scene, e, scene.per_axis(f"device_{e}")[0], reading)
     places = [place for place in STAGES if place.wanted(asked)]
     stages, names = tuple([place.stage() for place in places]), {place.name for place in places}
     touch, observed = "f" in reading, "observer" in names
-    inner = (scene.master.friction > 0.0 or scene.electrical is not None) if e == "m" else (
-        scene.slave is not None and (scene.slave.friction > 0.0 or any(
+    inner = master_has_inner(scene) if e == "m" else (
+        scene.slave is not None and (any(body.friction > 0.0 for body in scene.per_axis("slave")) or any(
             getattr(one, "inner", False) for one in scene.environments)))
     age, aged = "age" in reading and run.slave, getattr(scene.watchdog, "age", None) is not None
     has = EndHas(
@@ -76,10 +78,10 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         leaves_out=scene.leaves_out(e) is not None, encoder="encoder" in names,
         velocity="velocity" in names, scaled="scaling" in names,
         watchdog="watchdog" in names, span="span" in reading, gain="gain" in reading)
-    fields = sums_type(scene.law, e, scene.dt_ns / 1e9)._fields if sums else ()
+    fields = sums_type(scene.laws[0], e, scene.dt_ns / 1e9)._fields if sums else ()
     if not run.slave:
         return EndStructure(has, stages, fields)
-    forth, back = messages(scene.law, scene.dt_ns / 1e9)
+    forth, back = messages(scene.laws[0], scene.dt_ns / 1e9)
     tx, rx = (forth, back) if e == "m" else (back, forth)
     return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, _shows(scene, e),
                         _tells(tx) if run.deadband else ())
@@ -92,10 +94,10 @@ def _tells(message: Any) -> tuple[str, ...]:
 
 def _shows(scene: Scene, e: str) -> tuple[str, ...]:
     """The fields of the law's state at one end that it asks to be recorded."""
-    asked = getattr(scene.law, "shows", ())
+    asked = getattr(scene.laws[0], "shows", ())
     if not asked:
         return ()
-    state, _ = getattr(scene.law, f"{NAMES[e]}_start")(start_at(0.0, 0.0, 0.0, scene.dt_ns / 1e9))
+    state, _ = getattr(scene.laws[0], f"{NAMES[e]}_start")(start_at(0.0, 0.0, 0.0, scene.dt_ns / 1e9))
     return tuple([field for field in asked if field in getattr(state, "_fields", ())])
 
 

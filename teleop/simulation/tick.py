@@ -19,7 +19,7 @@ from typing import Any
 
 from teleop.law import At, start_at
 from teleop.simulation.messages import connect, deliver, exchange, send
-from teleop.stages.end import Axis, End, Run, elapsed, zero
+from teleop.stages.end import Axis, End, Run, elapsed, law_of, zero
 from teleop.stages.lanes import LEFT_OUT, came, only, packet, runs, sample, some, where, within
 
 new: Any = tuple.__new__  # twice as fast as the class
@@ -36,9 +36,9 @@ def begin(run: Run, e: End, given: Any) -> None:
         stage.situate(run, e)
     for a in e.axes:
         if run.has.slave:
-            a.s, a.rx = e.begin(run.law, a.at)
+            a.s, a.rx = e.begin(law_of(run, a), a.at)
         else:
-            a.s = e.begin(run.law, a.at)
+            a.s = e.begin(law_of(run, a), a.at)
         if e.has.dx:
             a.x_before = a.x_read
     for one in e.shown:
@@ -126,18 +126,18 @@ def answer(run: Run, e: End) -> None:
     """The law's force, message and next state, for each axis."""
     if e.has.sums:
         for a in e.axes:
-            a.sums = e.total(run.law, a.s, a.at, a.rx)
+            a.sums = e.total(law_of(run, a), a.s, a.at, a.rx)
         # Field by field from left to right, not with `sum`, which compensates from Python 3.12 on.
         over = e.axes[0].sums if len(e.axes) == 1 else e.Sums(
             *[reduce(add, [getattr(a.sums, field) for a in e.axes]) for field in e.fields])
         for a in e.axes:
-            a.f_cmd, a.tx, a.s = e.law(run.law, a.s, a.at, a.rx, over)
+            a.f_cmd, a.tx, a.s = e.law(law_of(run, a), a.s, a.at, a.rx, over)
     elif run.has.slave:
         for a in e.axes:
-            a.f_cmd, a.tx, a.s = e.law(run.law, a.s, a.at, a.rx)
+            a.f_cmd, a.tx, a.s = e.law(law_of(run, a), a.s, a.at, a.rx)
     else:
         for a in e.axes:
-            a.f_cmd, a.s = e.law(run.law, a.s, a.at)
+            a.f_cmd, a.s = e.law(law_of(run, a), a.s, a.at)
 
 
 # Both ends in virtual time
@@ -235,16 +235,16 @@ def run_late(run: Run, e: End, k: int) -> None:
 
 def place_master(run: Run, start: Any, ref: Any, held: Any) -> None:
     """The master's body at rest where it starts."""
-    run.grip = held.grip
     for a in run.m.axes:
         a.x = start[a.i]
         a.v = zero(run)
         a.f = zero(run)
         a.slope = zero(run)
+        a.c = held.c_m[a.i]
         if run.m.has.felt:
             a.f_ext = zero(run)
         if run.m.has.inner:
-            a.z = held.z_m
+            a.z = held.z_m[a.i]
         if run.has.hand:
             a.r = ref[a.i]
 
@@ -256,7 +256,7 @@ def place_slave(run: Run, start: Any, held: Any) -> None:
         a.x = start[a.i]
         a.v = zero(run)
         a.f = zero(run)
-        a.c = held.c[a.i]
+        a.c = held.c_s[a.i]
         if run.s.has.inner:
             a.z = held.z_s[a.i]
 
@@ -265,9 +265,9 @@ def sense_master(run: Run, k: int) -> None:
     """The force of the hand, where it is worked out: the left limit at t_k, the force of the last tick still acting."""
     for a in run.m.axes:
         if run.m.has.felt and run.has.hand and run.m.has.inner:
-            a.f_ext = run.held_force(run.grip, a.x, a.v, a.f, reference(run, a, k), a.slope, a.z)
+            a.f_ext = run.held_force(a.c, a.x, a.v, a.f, reference(run, a, k), a.slope, a.z)
         elif run.m.has.felt and run.has.hand:
-            a.f_ext = run.grip_force(run.grip, a.x, a.v, a.f, reference(run, a, k), a.slope)
+            a.f_ext = run.grip_force(a.c, a.x, a.v, a.f, reference(run, a, k), a.slope)
 
 
 def sense_slave(run: Run) -> None:
@@ -287,13 +287,13 @@ def move_master(run: Run, k: int) -> None:
     for a in run.m.axes:
         if run.has.hand and run.m.has.inner:
             a.x, a.v, a.z = run.move_held(
-                run.grip, a.x, a.v, a.f, reference(run, a, k), reference(run, a, k + 1), a.z)
+                a.c, a.x, a.v, a.f, reference(run, a, k), reference(run, a, k + 1), a.z)
         elif run.has.hand:
-            a.x, a.v = run.move_gripped(run.grip, a.x, a.v, a.f, reference(run, a, k), reference(run, a, k + 1))
+            a.x, a.v = run.move_gripped(a.c, a.x, a.v, a.f, reference(run, a, k), reference(run, a, k + 1))
         elif run.m.has.inner:
-            a.x, a.v, a.z = run.move_held(run.grip, a.x, a.v, a.f, 0.0, 0.0, a.z)
+            a.x, a.v, a.z = run.move_held(a.c, a.x, a.v, a.f, 0.0, 0.0, a.z)
         else:
-            a.x, a.v, a.more = run.move_free(run.grip, a.x, a.v, -a.f)
+            a.x, a.v, a.more = run.move_free(a.c, a.x, a.v, -a.f)
         if run.has.hand and run.m.has.felt:
             a.slope = (reference(run, a, k + 1) - reference(run, a, k)) / run.dt
 

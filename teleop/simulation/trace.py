@@ -224,7 +224,7 @@ def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[An
     import numpy as np
 
     from teleop.physics.plant import grip_force
-    from teleop.simulation.bodies import master_plant
+    from teleop.simulation.bodies import master_coefficients
 
     scene = prepared.scene
     out = _of_axes(len(table), scene.axes)
@@ -235,7 +235,7 @@ def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[An
     if reference is None:
         out[:] = 0.0
         return out
-    c, dt = master_plant(scene), scene.dt_ns / 1e9
+    own, dt = master_coefficients(scene), scene.dt_ns / 1e9
     paths = [np.asarray(axis, dtype=float) for axis in reference]
     held = np.zeros((scene.axes, 1))  # the force of the tick before
     with np.errstate(all="ignore"):  # the last rows of a run that diverged
@@ -244,7 +244,7 @@ def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[An
             x, v, f = (_per_axis(part, table.places[name]) for name in ("x_m", "v_m", "f_m"))
             before, held = np.concatenate([held, f[:, :-1]], axis=1), f[:, -1:]
             k = np.asarray(table.ticks[block], dtype=np.int64)
-            for i, r in enumerate(paths):
+            for i, (c, r) in enumerate(zip(own, paths, strict=True)):
                 slope = np.where(k > 0, (r[k] - r[k - 1]) / dt, 0.0)
                 force = grip_force(c, x[i], v[i], before[i], r[k], slope)  # type: ignore[arg-type]  # rows at once
                 out[(block, i)[: out.ndim]] = force

@@ -59,7 +59,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
         (rows["m"].extend, rows["s"].extend),
     )
     began = clock() if clock else 0
-    ran, capped, end, inner = attempt(scene.law, loop, *arguments)
+    ran, capped, end, inner = attempt(scene.laws[0], loop, *arguments)
     took = clock() - began if clock else None
     sent = None if scene.deadband is None else [_told(scene, e, rows[e], ran) for e in ("m", "s")]
     if sent is not None:

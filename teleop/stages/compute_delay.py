@@ -28,7 +28,7 @@ class ComputeDelayStage(Stage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return (0.0,) * (scene.device_m if e == "m" else scene.device_s).delay
+        return (0.0,) * scene.per_axis(f"device_{e}")[0].delay
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
         return tuple([(own, "delay_line") for own in self.axes])

@@ -42,13 +42,12 @@ class EncoderStage(Stage):
 
     name: ClassVar[str] = "encoder"
     reading: ClassVar[bool] = True
-    c_enc: Any  # (step, phase)
+    c_enc: Any  # (step, phase) for each axis
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        device = scene.device_m if e == "m" else scene.device_s
-        c = device.encoder.coefficients()
-        places[:] = [encode(c, x) for x in places]
+        c = tuple([device.encoder.coefficients() for device in scene.per_axis(f"device_{e}")])
+        places[:] = [encode(own, x) for own, x in zip(c, places, strict=True)]
         return c
 
     def columns(self, e: End) -> tuple[Column, ...]:
@@ -57,8 +56,8 @@ class EncoderStage(Stage):
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_enc = given
         for a in e.axes:
-            a.x_read = encode(self.c_enc, a.x)
+            a.x_read = encode(self.c_enc[a.i], a.x)
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
-            a.x_read = encode(self.c_enc, a.x)
+            a.x_read = encode(self.c_enc[a.i], a.x)

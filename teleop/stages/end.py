@@ -21,6 +21,7 @@ class RunHas(NamedTuple):
     energy: bool = False  # the ledgers of the ports are kept,
     waves: bool = False  # ... and that of the link, whose messages carry waves,
     stored: bool = False  # ... and that of the law, which says how much it keeps
+    own_laws: bool = False  # each axis has a law of its own, of one class
     deadband: bool = False  # what is sent is decided by content
     compiled: bool = False  # written without branches, for compiled code
     lanes: bool = False  # eight scenes side by side
@@ -167,11 +168,10 @@ class Run(Record):
     recorder: Recorder
     dt: float
     half_dt: float
-    law: Any
+    law: Any  # of all axes, or a tuple with that of each
     zero: Any  # 0.0 in every lane
     alive: Any  # the lanes that are within bounds
     capped: int  # ticks with more contact events than are followed
-    grip: Any  # coefficients of the master's motion
 
     grip_force: Callable[..., Any]
     held_force: Callable[..., Any]
@@ -261,6 +261,11 @@ def per_axis(name: str, records: tuple[Record, ...], field: str) -> Column:
 def elapsed(run: Run, e: End) -> Any:
     """The time since the last tick of an end, s: dt, and more after ticks that were left out."""
     return e.span if e.has.leaves_out else run.dt
+
+
+def law_of(run: Run, a: Axis) -> Any:
+    """The law of an axis: that of all, or its own."""
+    return run.law[a.i] if run.has.own_laws else run.law
 
 
 def zero(run: Run) -> Any:

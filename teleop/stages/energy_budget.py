@@ -76,7 +76,7 @@ class EnergyBudgetStage(Stage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return scene.cap.budget(dt)
+        return scene.per_axis("cap")[0].budget(dt)  # the same on all
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"E_left_{e.name}", ((self, "E_left"),)),)

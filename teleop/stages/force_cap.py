@@ -70,6 +70,11 @@ class Cap:
         return None if self.power is None else BudgetLimits(self.power * BURST, self.power * dt)
 
 
+def caps(scene: Any) -> tuple[Cap, ...]:
+    """The cap of each axis of a scene that has one; on an axis without, one that limits nothing."""
+    return tuple([Cap() if each is None else each for each in scene.per_axis("cap")])
+
+
 def cap(c: CapLimits, f: float, f_held: float) -> float:
     """`f` within the cap, and within one tick's slew of `f_held`. NaN stays NaN: it must be seen."""
     f_max, step = c
@@ -101,12 +106,12 @@ class ForceCapStage(Stage):
     """The force cap and slew limit of `Cap(f_max=..., slew=...)`, axis by axis."""
 
     name: ClassVar[str] = "force_cap"
-    c_cap: CapLimits
+    c_cap: tuple[CapLimits, ...]  # for each axis
     held_for: Any  # ticks since the force was set
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return scene.cap.limits(dt)
+        return tuple([cap.limits(dt) for cap in caps(scene)])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_cap = given
@@ -117,6 +122,6 @@ class ForceCapStage(Stage):
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
             if e.has.leaves_out and (e.has.live or e.has.watchdog):
-                a.f_cmd = cap(let_go(self.c_cap, e.g, self.held_for), a.f_cmd, a.f)
+                a.f_cmd = cap(let_go(self.c_cap[a.i], e.g, self.held_for), a.f_cmd, a.f)
             else:
-                a.f_cmd = cap(self.c_cap, a.f_cmd, a.f)
+                a.f_cmd = cap(self.c_cap[a.i], a.f_cmd, a.f)

@@ -12,7 +12,7 @@ from functools import reduce
 from operator import add
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Run, Stage, zero
+from teleop.stages.end import Column, End, Run, Stage, law_of, zero
 from teleop.stages.record import Record
 
 
@@ -101,6 +101,6 @@ class LawLedger(Stage):
 
     def act(self, run: Run, e: End, k: int) -> None:
         if e.has.sums:
-            e.E_law = self.stored(run.law, e.axes[0].s)
+            e.E_law = self.stored(law_of(run, e.axes[0]), e.axes[0].s)
         else:
-            e.E_law = reduce(add, [self.stored(run.law, a.s) for a in e.axes])
+            e.E_law = reduce(add, [self.stored(law_of(run, a), a.s) for a in e.axes])

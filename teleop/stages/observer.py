@@ -46,15 +46,15 @@ class Observed(Record):
     """The observer in one axis."""
 
     v_before: float  # as it was read at the tick before, m/s
+    c_obs: Coefficients
 
 
 class ObserverStage(Stage):
     """What the law is told of the hand's force is the observer's. Recorded as `f_h_hat`."""
 
     name: ClassVar[str] = "observer"
-    c_obs: Coefficients
-    c_tick: Coefficients  # over one tick
-    device: tuple[float, float, float]  # L, mass, damping
+    c_tick: tuple[Coefficients, ...]  # for each axis, over one tick
+    device: tuple[tuple[float, float, float], ...]  # L, mass, damping
 
     def __init__(self, e: str, axes: int) -> None:
         super().__init__(e, axes)
@@ -62,8 +62,8 @@ class ObserverStage(Stage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        device = scene.observer, scene.master.mass, scene.master.damping
-        return coefficients(*device, dt), device
+        devices = tuple([(scene.observer, body.mass, body.damping) for body in scene.per_axis("master")])
+        return tuple([coefficients(*device, dt) for device in devices]), devices
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis("f_h_hat", e.axes, "f_read"),)
@@ -73,23 +73,24 @@ class ObserverStage(Stage):
                       for cell in ((own, "v_before"), (a, "f_read"))])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_obs = given[0]
         if e.has.leaves_out:
             self.c_tick = given[0]
             self.device = given[1]
         for a, own in zip(e.axes, self.axes, strict=True):
+            own.c_obs = given[0][a.i]
             own.v_before = a.v_read
             a.f_read = zero(run)
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         # After ticks that were left out the force was held over all of them.
-        if run.has.lanes:
-            self.c_obs = coefficients(self.device[0], self.device[1], self.device[2], e.span)
-        else:
-            self.c_obs = self.c_tick if ticks == 1 else coefficients(
-                self.device[0], self.device[1], self.device[2], e.span)
+        for a, own in zip(e.axes, self.axes, strict=True):
+            if run.has.lanes:
+                own.c_obs = coefficients(self.device[a.i][0], self.device[a.i][1], self.device[a.i][2], e.span)
+            else:
+                own.c_obs = self.c_tick[a.i] if ticks == 1 else coefficients(
+                    self.device[a.i][0], self.device[a.i][1], self.device[a.i][2], e.span)
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
-            a.f_read = observe(self.c_obs, a.f_read, own.v_before, a.v_read, a.f)
+            a.f_read = observe(own.c_obs, a.f_read, own.v_before, a.v_read, a.f)
             own.v_before = a.v_read

@@ -45,6 +45,11 @@ def _plays(end: Asked, stage: str) -> bool:
     return getattr(end.scene.wave_playout, "stage", None) == stage
 
 
+def _caps(end: Asked, limit: str) -> bool:
+    """Has the cap of an axis this limit."""
+    return any(getattr(each, limit, None) is not None for each in end.scene.per_axis("cap"))
+
+
 BEFORE_LAW = (  # what the law reads
     Place("encoder", "encoder:EncoderStage", lambda end: getattr(end.device, "encoder", None) is not None,
           "rounds the position that the law reads down to a step", "device_m=Device(encoder=Encoder(step=1e-5))"),
@@ -80,10 +85,10 @@ AFTER_LAW = (  # what its force goes through
     Place("overflow", "force_cap:OverflowStage", lambda end: end.scene.cap is not None,
           "makes an infinite force NaN, so that no cap hides it", "cap=Cap(f_max=20.0)"),
     Place("velocity_cap", "velocity_cap:VelocityCapStage",
-          lambda end: getattr(end.scene.cap, "v_max", None) is not None,
+          lambda end: _caps(end, "v_max"),
           "fades a force that drives its device near the greatest velocity", "cap=Cap(v_max=0.3)"),
     Place("energy_budget", "energy_budget:EnergyBudgetStage",
-          lambda end: getattr(end.scene.cap, "power", None) is not None,
+          lambda end: _caps(end, "power"),
           "takes away driving force beyond the power that may be given out", "cap=Cap(power=1.0)"),
     Place("force_cap", "force_cap:ForceCapStage", lambda end: end.scene.cap is not None,
           "limits the force and its change within a tick", "cap=Cap(f_max=20.0, slew=2000.0)"),
@@ -96,7 +101,7 @@ AFTER_LAW = (  # what its force goes through
     Place("port_ledger", "ledger:PortLedger", lambda end: end.scene.energy,
           "sums the work of the held force over the motion at the port: E_port", "energy=True"),
     Place("law_ledger", "ledger:LawLedger",
-          lambda end: end.scene.energy and end.scene.slave is not None and stores(end.scene.law),
+          lambda end: end.scene.energy and end.scene.slave is not None and stores(end.scene.laws[0]),
           "asks the law what it keeps of energy: E_law", "energy=True"),
 )
 STAGES = (*BEFORE_LAW, *AFTER_LAW)

@@ -31,7 +31,7 @@ class RenewalStage(Stage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return (scene.device_m if e == "m" else scene.device_s).every
+        return scene.per_axis(f"device_{e}")[0].every
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
         return tuple([(own, "f_renewed") for own in self.axes])

@@ -7,6 +7,7 @@ it adds to a law is dissipation, but for what the hold and the slew limit make o
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.stages.end import End, Places, Run, Stage
@@ -19,6 +20,7 @@ class SpeedLimits(NamedTuple):
 
 
 FADES_FROM = 0.9  # of v_max
+NO_LIMIT = SpeedLimits(1e300, 1e-299, inf)  # of an axis without a greatest velocity beside one that has: fades nothing
 
 
 def limit_speed(c: SpeedLimits, f: float, along: float) -> float:
@@ -42,15 +44,16 @@ class VelocityCapStage(Stage):
     """The velocity cap of `Cap(v_max=...)`, axis by axis."""
 
     name: ClassVar[str] = "velocity_cap"
-    c_speed: SpeedLimits
+    c_speed: tuple[SpeedLimits, ...]  # for each axis
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return scene.cap.speed()
+        return tuple([NO_LIMIT if each is None or each.v_max is None else each.speed()
+                      for each in scene.per_axis("cap")])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_speed = given
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
-            a.f_cmd = limit_speed(self.c_speed, a.f_cmd, -a.v_read if e.name == "m" else a.v_read)
+            a.f_cmd = limit_speed(self.c_speed[a.i], a.f_cmd, -a.v_read if e.name == "m" else a.v_read)

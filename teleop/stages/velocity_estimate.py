@@ -29,8 +29,9 @@ class VelocityStage(Stage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        velocity = (scene.device_m if e == "m" else scene.device_s).velocity
-        return velocity.coefficients(dt), tuple([velocity.start(x) for x in places])
+        own = [device.velocity for device in scene.per_axis(f"device_{e}")]
+        return (tuple([each.coefficients(dt) for each in own]),
+                tuple([each.start(x) for each, x in zip(own, places, strict=True)]))
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis(f"v_hat_{e.name}", e.axes, "v_read"),)
@@ -46,4 +47,4 @@ class VelocityStage(Stage):
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
-            a.v_read, own.est = self.estimate(self.c_est, own.est, a.x_read, elapsed(run, e))
+            a.v_read, own.est = self.estimate(self.c_est[a.i], own.est, a.x_read, elapsed(run, e))

@@ -105,9 +105,10 @@ def kernel_of(prepared: Prepared, measures: tuple[str, ...], engine: str, stamp:
             flat = leaves(tree_of(scene, bodies))
         except NotCompiled as reason:
             engine, why = "plain", str(reason)
-    velocities = [type(device.velocity) for device in (scene.device_m, scene.device_s) if device is not None]
+    ends = scene.per_axis("device_m")[0], scene.per_axis("device_s")[0]
+    velocities = [type(device.velocity) for device in ends if device is not None]
     # What the text depends on, and the functions that it names.
-    key = (engine, why, measures, layout(measures, scene.ticks).ranks, prepared.structure, functions_of(scene.law),
+    key = (engine, why, measures, layout(measures, scene.ticks).ranks, prepared.structure, functions_of(scene.laws[0]),
            stamp, *velocities, flat and flat.shape, *bodies.functions().values())
     kernel = _KERNELS.get(key)
     if kernel is None:
@@ -130,7 +131,7 @@ class Stamps:
         if self._plain:
             return None
         scene, bodies = prepared.scene, prepared.bodies
-        key = type(scene.law), *bodies.functions().values()
+        key = type(scene.laws[0]), *bodies.functions().values()
         if key not in self._found:
             self._found[key] = tuple(constants([*names_of(scene, bodies).values()]))
         return self._found[key]

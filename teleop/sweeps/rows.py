@@ -96,9 +96,9 @@ class RowMaker:
         if self._knobs is None or not _same_knobs(self._knobs, knobs):
             self._knobs = None
             scene = self._maker.scene(knobs)
-            if type(scene.law) not in self._as_begun:  # an edited file has another class
-                self._check(type(scene.law))
-                self._as_begun.add(type(scene.law))
+            if type(scene.laws[0]) not in self._as_begun:  # an edited file has another class
+                self._check(type(scene.laws[0]))
+                self._as_begun.add(type(scene.laws[0]))
             self._before = scene, None if needs_record(self._measures, scene) else self._made(scene)
             self._knobs = knobs
         scene, made = self._before
@@ -119,7 +119,7 @@ class RowMaker:
                          "so run the sweep again, one with --out into another folder")
 
     def _made(self, scene: Scene) -> Made:
-        kind = type(scene.law)
+        kind = type(scene.laws[0])
         known = self._known.get(kind)
         changed = None if known is None else known.changed(scene)
         if known is not None and changed is not None and (made := self._varied(known, scene, changed)) is not None:
@@ -247,7 +247,8 @@ class KnownScene:
 
     def has_law_like(self, scene: Scene) -> bool:
         """True if the law of a scene differs from this one's in its numbers alone."""
-        return functions_of(scene.law) is type(self._scene.law) and structure_of(scene) == self.prepared.structure
+        kind = type(self._scene.laws[0])
+        return functions_of(scene.laws[0]) is kind and structure_of(scene) == self.prepared.structure
 
     def with_slaves(self, slaves: list[Any]) -> Leaves | None:
         """The numbers of this scene with other coefficients of its slaves, which stand at their end; None if unlike."""

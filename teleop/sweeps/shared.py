@@ -52,7 +52,7 @@ def schedules_key(scene: Scene, seed: int) -> Any:
 
 def path_of(scene: Scene, *, compiled: bool) -> Any:
     """The hand's path, as lists for plain Python and as arrays for compiled code."""
-    if scene.hand is None:
+    if scene.reference is None:
         return () if compiled else None
 
     def make() -> Any:
@@ -64,7 +64,7 @@ def path_of(scene: Scene, *, compiled: bool) -> Any:
                           "it was asked for; see its samples(axes, count, dt_ns)")
         return tuple([np.ascontiguousarray(axis, dtype=np.float64) for axis in path]) if compiled else path
 
-    return _once(("path", scene.hand.reference, scene.axes, scene.ticks, scene.dt_ns, compiled), scene.ticks, make)
+    return _once(("path", scene.reference, scene.axes, scene.ticks, scene.dt_ns, compiled), scene.ticks, make)
 
 
 def _once(key: Any, ticks: int, make: Callable[[], Any]) -> Any:

@@ -8,9 +8,9 @@ from typing import Any
 
 from teleop.kind import kinds
 from teleop.law import BUILT_IN, find_law, known_laws, messages
-from teleop.law.offers import CONDITIONS, broken, claims_of, seed_energy, stores
+from teleop.law.offers import CONDITIONS, claims_of, seed_energy, stores
 from teleop.scene.loading import load_scene
-from teleop.simulation.facts import facts_of
+from teleop.simulation.facts import unmet
 from teleop.terminal.units import si
 
 LINKS = (("a constant 50 ms each way", "delay(0.05)"),  # over which the conditions of one law are asked for
@@ -86,7 +86,7 @@ def law_words(law: Any) -> tuple[list[str], dict[str, Any]]:
         lines.append(f"  keeps energy, {si(said.seed, 'J')} to begin with, granted again with every session")
     conditions = {}
     for where, link in LINKS:
-        found = broken(made, facts_of(load_scene("canonical", law=made, link=link, duration=2.0)))
+        found = unmet(load_scene("canonical", law=made, link=link, duration=2.0))
         conditions[where] = found
         lines += [f"  over {where}, in the scene canonical: {sentence}" for sentence in found]
     return lines, {"sends": {"fwd": said.fwd, "bwd": said.bwd}, "claims": dict(said.claims),

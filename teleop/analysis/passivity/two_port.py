@@ -220,7 +220,7 @@ def _estimated(device: Any, z: Points, dt: float, s: Points) -> Points | None:
 
 def _mechanical(scene: Scene, s: Points) -> Points:
     """f_h over v_m of the master alone: its mass, damping and the shunt of its motor."""
-    found = scene.master.mass * s + scene.master.damping
+    found: NDArray[np.complex128] = scene.master.mass * s + scene.master.damping
     if scene.electrical is not None:
         found = found + scene.electrical.b * s / (s + 2.0 * pi * scene.electrical.cutoff)
     return found
@@ -232,4 +232,5 @@ def _need_slave(scene: Scene) -> MassDamper:
     if scene.scaling is not None:
         raise Refused("the hybrid matrix of a scene with scaling is not known here; leave scaling out, which changes "
                       "the passivity of no port")
-    return scene.slave
+    slave: MassDamper = scene.slave
+    return slave

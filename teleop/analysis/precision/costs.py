@@ -74,7 +74,7 @@ def _master(bodies: Bodies, *, held: bool) -> Move:
         move: Move = bodies.instead["move_held"]
         return move
     name, exact = ("move_gripped", move_gripped) if held else ("move_free", move_free)
-    return bodies.instead.get(name, exact)  # type: ignore[no-any-return]
+    return bodies.instead.get(name, exact)
 
 
 def _job(move: Move, c: Any, states: list[tuple[Any, ...]], at: range, z: Any, *, ticks: bool = False

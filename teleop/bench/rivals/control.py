@@ -44,7 +44,7 @@ def response(ct: Any, scene: Scene) -> Callable[[], Any]:
     lag, dt = delay_ticks(scene), scene.dt
     b, K, B, root = law.b, law.K, law.B, sqrt(2.0 * law.b)
     bodies = exact_bodies(scene)
-    grip, wall = bodies.master, bodies.slaves[0].c
+    grip, wall = bodies.master[0], bodies.slaves[0].c
     path = np.asarray((reference_samples(scene) or ())[0])
 
     def tick(t: float, state: Any, given: Any, _: Any) -> Any:

@@ -37,7 +37,7 @@ def header_columns(scene: Scene, e: str, force: ForceSource) -> list[str]:
 
 def own_law(scene: Scene) -> dict[str, str]:
     """What a header says of a law in a file of the user's own; nothing of one that comes with a package."""
-    own = own_file(type(scene.law))
+    own = own_file(type(scene.laws[0]))
     return {} if own is None else {LAW: own.digest}
 
 

@@ -55,7 +55,7 @@ def input_columns(scene: Scene, e: str, sensor: bool) -> list[str]:
 
 def message_fields(scene: Scene, e: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The fields of the messages that the end `e` hears, and of those that it sends."""
-    forth, back = messages(scene.law, scene.dt_ns / 1e9)
+    forth, back = messages(scene.laws[0], scene.dt_ns / 1e9)
     hears, sends = (back, forth) if e == "m" else (forth, back)
     return hears._fields, sends._fields
 

@@ -140,8 +140,8 @@ def _check_same_messages(end: EndFolder, base: Scene, scene: Scene) -> None:
     were, are = (message_fields(each, end.e)[0] for each in (base, scene))
     if were != are:
         raise Refused(f"the {NAMES[end.e]} heard {enumerated(were)} of the law {law_name(base.law)}, and the law "
-                      f"{law_name(scene.law)} hears {enumerated(are)}; give both ends' folders, and each hears what "
-                      "the other end's law would have sent")
+                      f"{law_name(scene.laws[0])} hears {enumerated(are)}; give both ends' folders, and each hears "
+                      "what the other end's law would have sent")
     if structure_of(scene).has.integral and not structure_of(base).has.integral:
         raise Refused("the messages of the run came without what their waves have come to, by which this playout plays "
                       "them; give both ends' folders, or leave playout out")
@@ -154,7 +154,7 @@ def _touch(end: EndFolder, base: Scene, scene: Scene) -> NDArray[np.float64] | N
         return None
     makers = end_columns(prepare(base), end.e, end.record).makers
     if SENSED[end.e] not in makers:
-        raise Refused(f"the law {law_name(scene.law)} reads {SENSED[end.e]}, and the {NAMES[end.e]}'s device sensed "
-                      "none; take a law that reads none")
+        raise Refused(f"the law {law_name(scene.laws[0])} reads {SENSED[end.e]}, and the {NAMES[end.e]}'s device "
+                      "sensed none; take a law that reads none")
     force: NDArray[np.float64] = makers[SENSED[end.e]]()
     return force.reshape(-1, scene.axes)

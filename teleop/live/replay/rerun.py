@@ -112,7 +112,7 @@ class Rerun:
         self._own = replace(scene, dt=scene.dt * every) if every != 1 else scene
         self.sensor = end.inputs.sensor or touch is not None
         self._live = live_of(self._own, e, self.sensor)
-        forth, back = messages(scene.law, self._own.dt_ns / 1e9)
+        forth, back = messages(scene.laws[0], self._own.dt_ns / 1e9)
         self._kind = back if e == "m" else forth
         names = columns(scene, e, self.sensor)
         flat = [name for name in names for _ in range(scene.axes if "@" in name else 1)]

@@ -30,6 +30,9 @@ def bodies_of(scene: Scene, text: str) -> Bodies:
     if not colon or not (count.isascii() and count.isdecimal()) or not 1 <= int(count) <= MOST_SUBSTEPS:
         raise Refused(f"bodies={text} does not say how many sub-steps a tick has, 1 to {MOST_SUBSTEPS}; write for "
                       f"example {method.name}:40")
+    if any(isinstance(getattr(scene, name), tuple) for name in ("master", "slave", "hand")):
+        raise Refused(f"bodies={text} moves bodies that are the same on every axis, and scene {scene.name} has some "
+                      "for each; leave bodies out, which moves them exactly, or take a scene with one for all axes")
     return method_bodies(scene, method, int(count))
 
 

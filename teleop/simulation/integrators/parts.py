@@ -22,7 +22,8 @@ def slave_of(scene: Scene) -> MassDamper:
     if scene.slave is None:
         raise Refused(f"precision compares ways to move a slave, and scene {scene.name} has none; take one that has, "
                       "for example hard_wall")
-    return scene.slave
+    body: MassDamper = scene.slave
+    return body
 
 
 def closed(scene: Scene) -> bool:

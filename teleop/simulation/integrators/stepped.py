@@ -107,15 +107,16 @@ def _moved_by(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
 
     slaves = rebuilt(scene, moved)
     if scene.master.friction > 0.0:
-        move = held_stepped(exact.master[0], ADVANCE[method.name], dt, n)
-        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move}, inner_m=(), report_m=None)
+        move = held_stepped(exact.master[0][0], ADVANCE[method.name], dt, n)
+        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move},
+                              inner_m=((),) * scene.axes, report_m=None)
     if scene.electrical is not None:
         own = relaxed.held(relaxed.stepped(method, master_branch(scene), dt, n), dt, scene.master.damping)
         return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": own})
     if scene.hand is None:
         body = Touch(scene.master.mass, scene.master.damping)
         master = stepped(method, body, dt, n)
-        return Bodies(master.c, slaves, {"move_free": master.move})
-    grip = Gripped(*exact.master)
+        return Bodies((master.c,) * scene.axes, slaves, {"move_free": master.move})
+    grip = Gripped(*exact.master[0])
     matrix = sub_step(method, Touch(grip.mass, grip.b, grip.k, grip.d), dt / n)
-    return Bodies((*matrix, *exact.master[6:]), slaves, {"move_gripped": gripped(n)})
+    return Bodies(((*matrix, *grip[6:]),) * scene.axes, slaves, {"move_gripped": gripped(n)})

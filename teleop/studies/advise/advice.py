@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 from teleop.errors import Refused
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law import find_law, known_laws
-from teleop.law.offers import broken, claims_of, seed_energy
+from teleop.law.offers import claims_of, seed_energy
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import facts_of
+from teleop.simulation.facts import unmet
 from teleop.studies.advise.links import OneWay, one_way, playouts_for
 from teleop.studies.tune.objective import SCENE, Score, objective_named
 from teleop.studies.tune.search import Tuned, judged, tune_law
@@ -161,7 +161,7 @@ def _of_law(scene: str, law: str, budget: int, fixed: Mapping[str, object], ways
         tuned = tune_law(scene, law, budget, seed, fixed=fixed, objective=objective, margin=margin, playouts=playouts,
                          tell=tell, workers=workers, engine=engine)
         best = load_scene(scene, **tuned.knobs)
-        told = tuple(broken(best.law, facts_of(best, seed)))
+        told = tuple(unmet(best, seed))
     except Refused as refused:
         return LawAdvice(law=law, tuned=None, refused=str(refused), knobs={}, claims={})
     return LawAdvice(law=law, tuned=tuned, knobs=knobs_of_fields(type(best.law)), claims=claims_of(best.law),
@@ -204,7 +204,7 @@ def _other_playouts(one: LawAdvice, workers: int | None
     told = []
     for playout, found in zip(OTHERS, scores, strict=True):
         scene = load_scene(tuned.scene, **{**tuned.knobs, "playout": playout})
-        told.append((playout, found, tuple(broken(scene.law, facts_of(scene, tuned.seed)))))
+        told.append((playout, found, tuple(unmet(scene, tuned.seed))))
     return tuple(told), rows
 
 

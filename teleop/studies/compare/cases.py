@@ -71,7 +71,7 @@ def _case(asked: Comparison, where: str, law: Part, environment: Part, link: Par
                       "scene, for example scene = \"hard_wall\"")
     key = environment.name, link.name
     plans, dice = drawn.get(key) or drawn.setdefault(key, _drawn(scene, asked.seeds))
-    known = facts(scene, *of_plans(scene, plans, scene.ticks))
+    known = facts(scene, 0, *of_plans(scene, plans, scene.ticks))
     found: Any = scene.law
     if tuned is not None:
         knobs |= tuned[law.name, link.name]

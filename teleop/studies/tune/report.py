@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import number_of
-from teleop.law.offers import broken
 from teleop.scene.loading import load_scene
-from teleop.simulation.facts import facts_of
+from teleop.simulation.facts import unmet
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head
 from teleop.storage.files import replacing_text
@@ -69,7 +68,7 @@ def text(tuned: Tuned) -> str:
 def conditions(tuned: Tuned) -> list[str]:
     """A sentence for each condition of the law that link and bodies break with the best point, as a run of it notes."""
     best = load_scene(tuned.scene, **tuned.knobs)
-    return broken(best.law, facts_of(best, tuned.seed))
+    return unmet(best, tuned.seed)
 
 
 def linear_text(told: Margin) -> str:

@@ -125,7 +125,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     if len(flat.reals) > MOST_NUMBERS:  # a long line of late forces, say: compiling takes minutes
         raise NotCompiled(f"it has {len(flat.reals)} numbers, above {MOST_NUMBERS}, which are too many to be laid out")
     tree = expression(flat.shape, own.REAL, class_name)
-    axes = range(scene.axes if scene.hand is not None else 0)
+    axes = range(scene.axes if scene.reference is not None else 0)
     words = {
         "row": (len(gives(scene, measures)) + 2) * width, "width": width,
         "one_path": f"({''.join(f'paths[(t * {len(axes)} + {i}) * {width}], ' for i in axes)})",

@@ -180,14 +180,19 @@ def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any
     starts = {e: scene.vector(f"start_{e}", getattr(scene, f"start_{e}")) for e in ("m", "s")}
     law = scene.law
     if compiled:
-        names = tuple([field.name for field in fields(law)])
-        try:
-            law = record("Law", names)(*[float(getattr(law, name)) for name in names])
-        except (TypeError, ValueError):
-            odd = next(name for name in names if type(getattr(law, name)) not in (float, int, bool))
-            raise NotCompiled(f"law {law_name(law)} has {odd}={getattr(law, odd)!r}, which is no number") from None
+        law = tuple(map(_numbers_of_law, law)) if isinstance(law, tuple) else _numbers_of_law(law)
     return (numbers_of(scene, starts), law, scene.dt_ns / 1e9, scene.x_limit, starts["m"], starts["s"],
             bodies.held())
+
+
+def _numbers_of_law(law: Any) -> Any:
+    """A law as compiled code is given it."""
+    names = tuple([field.name for field in fields(law)])
+    try:
+        return record("Law", names)(*[float(getattr(law, name)) for name in names])
+    except (TypeError, ValueError):
+        odd = next(name for name in names if type(getattr(law, name)) not in (float, int, bool))
+        raise NotCompiled(f"law {law_name(law)} has {odd}={getattr(law, odd)!r}, which is no number") from None
 
 
 def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:

@@ -12,7 +12,7 @@ from master.hand_record import HandRecording
 from teleop import load_scene, run
 from teleop.live.records.merge import load_result, scene_of
 from teleop.physics.plant import grip_force
-from teleop.simulation.bodies import master_plant
+from teleop.simulation.bodies import master_coefficients
 from tests.live.page.conftest import Served
 
 pytestmark = pytest.mark.live
@@ -45,7 +45,7 @@ def test_a_drag_on_a_page_is_what_the_sensor_felt_and_runs_again_under_six_laws(
         k = np.rint(np.asarray(own["t"]) * 1e3).astype(int)
         follows = np.flatnonzero((np.diff(k) == 1) & (k[:-1] > 0)) + 1  # the force held over the last tick is known
         x, v, f, felt = (np.asarray(own[name]) for name in ("x_m", "v_m", "f_m", "f_h"))
-        c, at = master_plant(scene_of(folder)), k[follows]
+        c, at = master_coefficients(scene_of(folder))[0], k[follows]
         again = grip_force(c, x[follows], v[follows], f[follows - 1], r[at], (r[at] - r[at - 1]) / 1e-3)  # type: ignore[arg-type]  # rows at once
         np.testing.assert_allclose(again, felt[follows], rtol=0.0, atol=1e-12)  # N, of up to 10; the rest is rounding
         shown += len(follows)

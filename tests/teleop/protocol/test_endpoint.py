@@ -19,7 +19,9 @@ from slave.robot import SimulatedSlave
 from teleop.law import At
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
+from teleop.laws.pp import PositionPosition
 from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.guard import UNNAMED
 from teleop.protocol.manifest import manifest_of
@@ -35,6 +37,7 @@ from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
+from tests.teleop.scene.unlike import LAWS, unlike
 
 MS = 1_000_000
 START = 10**12  # tick 0 on both clocks
@@ -149,6 +152,11 @@ SCENES = {
     "wave in three axes": three_axes(Wave(), link=parse_link(ROUGH)),
     "pfra in three axes": three_axes(PFRA(alpha=0.2), link=parse_link(ROUGH), cap=Cap(f_max=1.0, slew=200.0),
                                      watchdog=Watchdog(timeout=0.01, ramp=0.01)),
+    **{f"{law} in axes that are unlike": unlike(laws) for law, laws in LAWS.items()},
+    "sixteen axes": replace(unlike(), **{
+        "axes": 16, "names": (), "units": (), "start_m": (0.01,) * 16, "start_s": 0.0, "environment": None,
+        "law": PositionPosition(), "master": MassDamper(mass=0.1), "slave": MassDamper(mass=0.5), "cap": None,
+        "hand": None, "device_m": None}),
 }
 
 

@@ -64,7 +64,7 @@ class TestAxes:
         assert scene(axes=2, environment=WALL).environments == (WALL, None)
 
     @pytest.mark.parametrize("parts", [
-        {"axes": 0}, {"axes": 4}, {"axes": 2, "start_m": (0.0,)}, {"start_s": (0.0, 0.0)},
+        {"axes": 0}, {"axes": 17}, {"axes": 2, "start_m": (0.0,)}, {"start_s": (0.0, 0.0)},
         {"axes": 2, "environment": ()}, {"start_m": float("nan")}, {"start_s": float("inf")},
     ])
     def test_that_do_not_fit_are_refused(self, parts: dict[str, Any]) -> None:
@@ -90,7 +90,7 @@ class TestParts:
         ({"packet_size": 0}, "packet_size must be at least 64, not 0; write for example packet_size=64"),
         ({"packet_size": -5}, "at least 64"), ({"packet_size": 1201}, "at most 1200"),
         ({"packet_size": 99.5}, "packet_size must be a whole number"), ({"packet_size": True}, "must be a number"),
-        ({"axes": 4}, "axes must be at most 3, not 4; write for example axes=3"),
+        ({"axes": 17}, "axes must be at most 16, not 17; write for example axes=16"),
     ])
     def test_of_another_shape_are_refused_with_what_to_write(self, parts: dict[str, Any], words: str) -> None:
         with pytest.raises(Refused, match=words):

@@ -25,7 +25,7 @@ from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper, grip_force, move_free, move_gripped
 from teleop.scene.playout import Fixed, Hold
 from teleop.scene.scene import Scene
-from teleop.simulation.bodies import master_plant, reference_samples, slave_plants
+from teleop.simulation.bodies import master_coefficients, reference_samples, slave_plants
 from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
@@ -117,7 +117,7 @@ NAMES = [
     (make(Wave(), energy=True), make(Wave()), {"E_in_m", "E_out_s", "E_in_s", "E_out_m", "E_port_m",
                                                "E_port_s", "dx_m0", "x_before_m0", "wave_m"}),
     (make(Direct(), energy=True), make(Wave()), {"E_port_m", "E_port_s"}),
-    (make(PFRA()), make(PFRA(), observer=None), {"c_obs_m", "observe", "v_before_m0"}),
+    (make(PFRA()), make(PFRA(), observer=None), {"c_obs_m0", "observe", "v_before_m0"}),
     (make(PFRA(), observer=None), make(PFRA()), {"f_ext_m0"}),
     (make(Direct()), make(Wave()), {"f_ext_s0"}),
     (make(Direct(), watchdog=Watchdog()), make(Direct()), {"c_dog_m", "quiet_ticks_m", "watchdog_step", "heard_m"}),
@@ -236,7 +236,7 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
     """The trace of two live ends, fed tick by tick with what plants and link make of their answers."""
     dt, axes = scene.dt_ns / 1e9, range(scene.axes)
     structure, plants = structure_of(scene), slave_plants(scene)
-    grip, ref = master_plant(scene), reference_samples(scene)
+    grip, ref = master_coefficients(scene)[0], reference_samples(scene)
     forth, back = link_plans(scene, seed)
     place = {"m": list(scene.vector("", scene.start_m)), "s": list(scene.vector("", scene.start_s))}
     speed = {e: [0.0] * scene.axes for e in "ms"}

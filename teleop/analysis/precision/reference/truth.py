@@ -138,7 +138,8 @@ def _progress(show: Show, text: str, steps: int) -> Callable[[], None]:
 
 def _integrated_bodies(scene: Scene) -> int:
     """How many bodies have no closed form."""
-    return (scene.master.friction > 0.0) * scene.axes + sum(core_of(still) is not None for still, _ in stills(scene))
+    masters = scene.axes if scene.master.friction > 0.0 else 0
+    return masters + sum(core_of(still) is not None for still, _ in stills(scene))
 
 
 def _foretold(scene: Scene, seed: int, clock: Callable[[], int], ticks: int) -> dict[str, float]:
