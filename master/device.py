@@ -26,7 +26,7 @@ class SimulatedMaster:
     scene_body = True
     whole = WHOLE  # ticks of a reference that is not sampled as it goes, see `teleop.simulation.bodies.path_of`
 
-    def __init__(self, scene: Scene, senses: bool | None = None) -> None:
+    def __init__(self, scene: Scene, *, senses: bool | None = None) -> None:
         self._senses = senses
         self._k = self._renewed = self._since = 0  # the tick, that of the newest force, and that of the scene's start
         self._scene: Scene | None = None

@@ -24,7 +24,7 @@ class SimulatedSlave:
     deadline = DEADLINE
     scene_body = True
 
-    def __init__(self, scene: Scene, senses: bool | None = None) -> None:
+    def __init__(self, scene: Scene, *, senses: bool | None = None) -> None:
         self._senses = senses
         self._k = self._renewed = self._since = 0  # the tick, that of the newest force, and that of the scene's start
         self._scene: Scene | None = None

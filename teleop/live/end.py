@@ -17,7 +17,8 @@ from teleop.errors import Refused, number
 from teleop.live import fault, security
 from teleop.live.devices.guarded_device import LiveDevice
 from teleop.live.devices.heartbeat import watched
-from teleop.live.devices.opening import opened
+from teleop.live.devices.named import named
+from teleop.live.devices.opening import close, opened
 from teleop.live.driving import run
 from teleop.live.lastresort import LastResort
 from teleop.live.live_line import live_text
@@ -36,6 +37,7 @@ from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import Event
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
+from teleop.scene.device_names import KINDS
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.scene.trust import asks_for_trust
@@ -73,13 +75,35 @@ def _run(
     e: str, device: Callable[[Scene], LiveDevice], ordered: Callable[[Scene], LiveDevice], argv: list[str]
 ) -> int:
     args = _arguments(e, argv)
+    there: list[LiveDevice] = []
+    try:
+        code = _run_with(e, ordered if args.orders else device, args, argv, there)
+    finally:
+        # The last of all, when signals end this process again: a driver may hang here too.
+        closed = [_closed(each) for each in there]
+    return code if all(closed) else code or FAULT
+
+
+def _closed(device: LiveDevice) -> bool:
+    """Close a device that can be closed; False, and said on stderr, if it raised something."""
+    if (why := close(device)) is None:
+        return True
+    complain(f"the run is over and its folder is whole, and the device did not close: {why}", FAULT)
+    return False
+
+
+def _run_with(
+    e: str, device: Callable[[Scene], LiveDevice], args: Namespace, argv: list[str], there: list[LiveDevice]
+) -> int:
+    """The run, of the device that was typed or that `device` makes, which is put `there` as soon as it is open."""
+    given = named(e, args.named) if args.named else None
     knobs = knobs_from(args) if args.lockstep else live_knobs(args.scene, knobs_from(args))
     endpoint = _endpoint(scene := both_ends(load_scene(args.scene, **knobs)), e, args)
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = security.secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
-        made = opened(ordered if args.orders else device, scene)
+        there.append(made := opened(device, scene) if given is None else given.open(scene))
         stem = f"{scene.name}-{NAMES[e]}"
         with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
               nullcontext(made) if args.lockstep else watched(made, folder.path, scheduling.above) as watched_device):
@@ -215,6 +239,9 @@ def _parser(e: str) -> ArgumentParser:
                             help="where the slave, or the channel, listens")
     else:
         parser.add_argument("--listen", metavar="HOST:PORT", required=True, help="where to wait for the master")
+    parser.add_argument(KINDS[e].option, dest="named", metavar="NAME", help=f"the {KINDS[e].word} at this end: a name "
+                        f"(see `teleop list {KINDS[e].word}s`), NAME:ARGUMENT, or FILE.py:CLASS of your own; left out: "
+                        "this program's own")
     parser.add_argument("--out", metavar="DIR", help=f"folder for the record; default runs/SCENE-{name}-N")
     parser.add_argument("--wait", metavar="SECONDS", type=float, default=10.0 if e == "m" else None,
                         help="give up if the other end does not answer in this time"

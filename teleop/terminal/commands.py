@@ -272,7 +272,8 @@ def _reproduce(added: ArgumentParser) -> None:
 def _list(added: ArgumentParser) -> None:
     added.add_argument("name", metavar="NAME", nargs="?", help="a scene, a law, an effect, a velocity estimator or "
                        "the FILE.py of one of your own: shows its knobs; or all that there is of a kind: scenes, laws, "
-                       "effects, estimators, metrics, playout, stages, bodies; left out: the first four of these")
+                       "effects, estimators, metrics, playout, stages, bodies, devices, robots; left out: the first "
+                       "four of these")
     _json(added)
 
 
@@ -371,8 +372,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "zwidth": ("Z-width of a one-port scene: stable and passive stiffness and damping, impedance over frequency, and "
                "what widens it. Ctrl-C keeps what is done.", _zwidth),
     "reproduce": ("Run published comparisons again, each number beside the printed one.", _reproduce),
-    "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages and bodies (their "
-             "integrators), or the knobs of one.", _list),
+    "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages, bodies (their "
+             "integrators), devices and robots, or the knobs of one.", _list),
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
     "doctor": ("Show what is installed and kept, and measure what this machine gives a live end, in about three "
                "seconds, each with what to type where it is poor.", _doctor),

@@ -12,6 +12,7 @@ from typing import Any
 from teleop.errors import Refused, nearest
 from teleop.knob import Declared, Knob
 from teleop.scene.catalogue import Named, find, names
+from teleop.scene.device_names import KINDS, device_line, known_devices
 from teleop.scene.library import ROOT
 from teleop.scene.playout import Playout
 from teleop.scene.wide import WIDE
@@ -117,6 +118,15 @@ def _stages() -> tuple[Rows, list[str]]:
         "device_m is that of the master, device_s that of the slave; `teleop list SCENE` has the knobs of a scene"]
 
 
+def _devices(e: str) -> tuple[Rows, list[str]]:
+    kind = KINDS[e]
+    rows = [{"name": name, "meaning": device_line(e, name, place)} for name, place in known_devices(e).items()]
+    program = "master" if e == "m" else "slave"
+    return rows, [f"set with: python -m {program} SCENE {kind.option} NAME, or NAME:ARGUMENT where it opens something",
+                  f"one of your own is a class with read(k) and hold(force): {kind.option} FILE.py:CLASS, or an entry "
+                  f"point of the group {kind.group}; `teleop check {kind.word} NAME` tries it"]
+
+
 def _bodies() -> tuple[Rows, list[str]]:
     from teleop.simulation.integrators.methods import METHODS
     from teleop.simulation.integrators.named import EXACT
@@ -131,6 +141,7 @@ TABLES: dict[str, Callable[[], tuple[Rows, list[str]]]] = {
     "scenes": partial(_kind_of, "scenes"), "laws": _laws,
     **{kind: partial(_kind_of, kind) for kind in ("around", "effects", "estimators")},
     "metrics": _metrics, "playout": _playouts, "stages": _stages, "bodies": _bodies,
+    "devices": partial(_devices, "m"), "robots": partial(_devices, "s"),
 }
 
 

@@ -1,0 +1,68 @@
+"""Devices and robots by name: `NAME`, `NAME:ARGUMENT`, `FILE.py:CLASS`, and what is said of a wrong one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slave.robot import SimulatedSlave
+from teleop import Reading, Refused, load_scene
+from teleop.live.devices.named import named
+
+SCENE = load_scene("hard_wall", duration=0.1)
+OWN = """
+from teleop import Reading
+
+
+class {name}:
+    deadline = 0.1
+
+    def __init__(self, scene, port="none"):
+        self.port = port
+
+    def read(self, k):
+        return Reading((0.5,), (0.0,))
+
+    def hold(self, force):
+        pass
+"""
+
+
+def test_a_built_in_robot_is_made_from_the_scene() -> None:
+    assert isinstance(named("s", "simulated").open(SCENE), SimulatedSlave)
+
+
+def test_a_file_of_ones_own_needs_no_class_where_it_has_one_and_takes_an_argument(tmp_path: Path) -> None:
+    file = tmp_path / "arm.py"
+    file.write_text(OWN.format(name="Arm"))
+    assert named("m", str(file)).open(SCENE).read(0) == Reading((0.5,), (0.0,))
+    assert named("m", f"{file}:Arm:/dev/ttyACM0").open(SCENE).port == "/dev/ttyACM0"  # type: ignore[attr-defined]
+    assert named("s", f"{file}:Arm").open(SCENE).port == "none"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("e", "text", "words"), [
+    ("s", "simulatedd", "there is no robot 'simulatedd'; did you mean simulated?"),
+    ("m", "mujoco", "mujoco is a robot, and this end takes a device; give it to the other end by --robot mujoco"),
+    ("s", "csv", "csv needs what it opens behind its name: csv:ARGUMENT"),
+    ("s", "csv:", "--robot csv: has nothing behind its colon"),
+    ("s", "simulated:3", "simulated takes nothing behind its name, and '3' stood there"),
+    ("m", "gamepad", "type `teleop demo hard_wall --page`"),
+    ("m", "no_such.py:Arm", "there is no file no_such.py; --device FILE.py names a file"),
+])
+def test_a_wrong_name_is_answered_with_what_to_type(e: str, text: str, words: str) -> None:
+    with pytest.raises(Refused) as refused:
+        named(e, text).open(SCENE)
+    assert words in str(refused.value)
+
+
+def test_a_file_with_two_devices_asks_which_one_and_one_with_none_says_what_a_device_is(tmp_path: Path) -> None:
+    file = tmp_path / "two.py"
+    file.write_text(OWN.format(name="Left") + OWN.format(name="Right"))
+    with pytest.raises(Refused, match=r"has 2 devices; write --robot .*two.py:Left or --robot .*two.py:Right"):
+        named("s", str(file))
+    with pytest.raises(Refused, match="has no 'Lefft'; did you mean Left"):
+        named("s", f"{file}:Lefft")
+    file.write_text("x = 1")
+    with pytest.raises(Refused, match=r"has no robot: a class with read\(k\) and hold\(force\)"):
+        named("s", str(file))
