@@ -24,7 +24,8 @@ def opened(make: Callable[..., LiveDevice], scene: Scene, *argument: str, name: 
     """
     if not callable(make):
         raise Refused(f"end_main is given what makes the device of a scene, a class or a function, and was given "
-                      f"{_shown(make)} itself; write for example end_main(\"s\", {type(make).__name__}), and see {PAGE}")
+                      f"{_shown(make)} itself; write for example end_main(\"s\", {type(make).__name__}); see "
+                      f"{PAGE}")
     if name:
         _check_argument(make, name, *argument)
     name = getattr(make, "__name__", type(make).__name__)
