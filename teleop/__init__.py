@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from teleop.stages.device import Device, VelocityEstimator
     from teleop.stages.encoder import Encoder
     from teleop.stages.force_cap import Cap
+    from teleop.stages.operator import Operator
     from teleop.stages.passivity_controller import PassivityController
     from teleop.stages.scaling import Scaling
     from teleop.stages.velocity.adaptive_window import BestFit, EndFit
@@ -74,12 +75,12 @@ __all__ = [
     "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
     "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit",
     "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant",
-    "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "PDDamped", "PDamped", "PassivityController", "Plant",
-    "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled", "Scaling",
-    "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog",
-    "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__",
-    "around", "check_knobs", "check_law", "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result",
-    "load_scene", "messages", "number", "run", "seed_energy", "sweep", "whole_number",
+    "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped", "PassivityController",
+    "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled",
+    "Scaling", "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall",
+    "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero",
+    "__version__", "around", "check_knobs", "check_law", "each_axis", "end_main", "facts_of", "find_law", "fitted",
+    "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -126,6 +127,7 @@ _HOMES = {  # the module of each name, under this package
     "stages.deadband": ("Deadband",),
     "stages.device": ("Device", "VelocityEstimator"),
     "stages.encoder": ("Encoder",),
+    "stages.operator": ("Operator",),
     "stages.passivity_controller": ("PassivityController",),
     "stages.force_cap": ("Cap",),
     "stages.scaling": ("Scaling",),

@@ -83,7 +83,7 @@ def made(scene: Scene, e: str, wire: Wire, folder: Path) -> Shell:
     shell = Shell(Endpoint(scene, e, session), device, wire, RecordWriter(scene, e, folder, {}), lambda _: None,
                   peer_timeout=None, interrupt=Interrupt())
     shell.device.read(0, 0)
-    shell.endpoint.senses(bool(shell.device.sensor))
+    shell.endpoint.senses(bool(shell.device.sensor), shell.device.switches)
     shell.recorder.begin(shell.device.force_source)
     return shell
 

@@ -73,7 +73,7 @@ def ticks(scene: Scene, e: str) -> Callable[[], None]:
         a = 1e-3 * ((7 * k) % 101 - 50)
         each = tuple([a] * scene.axes)
         rx = tuple([heard(*[a] * len(heard._fields)) for _ in axes])
-        given.append((k, each, each, each, True, k, rx, None, 1.0, tuple([0.5 * a] * scene.axes), 1))
+        given.append((k, each, each, each, True, k, rx, None, 1.0, tuple([0.5 * a] * scene.axes), 1, 0.0, 1.0))
 
     def call() -> None:
         zero = tuple([0.0] * scene.axes)

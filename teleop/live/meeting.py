@@ -30,7 +30,7 @@ async def first_reading(shell: Shell) -> bool:
             if shell.outcome.over.is_set():
                 return False
             await asyncio.sleep(0.005)
-        shell.endpoint.senses(bool(shell.device.sensor))
+        shell.endpoint.senses(bool(shell.device.sensor), shell.device.switches)
     except Refused as refused:
         shell.outcome.end("refused", str(refused))
         return False

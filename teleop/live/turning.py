@@ -144,7 +144,7 @@ class Turning:
             scene, knobs, manifest = self._load(order["knobs"])
             _check_alike(shell.scene, scene)
             endpoint = Endpoint(scene, shell.endpoint.e, shell.endpoint.session)
-            endpoint.senses(bool(shell.device.sensor))
+            endpoint.senses(bool(shell.device.sensor), shell.device.switches)
             deadline = deadline_of(self._device, endpoint)
             claimed = claim(order["out"])
             try:

@@ -47,6 +47,7 @@ from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import Plan
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES, SENSED, columns, structure_of
+from teleop.stages.end import SWITCHES
 from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]
@@ -57,11 +58,16 @@ COUNTED = ("received", "late", "overtaken", "duplicates", "refused", "played")  
 
 
 class Reading(NamedTuple):
-    """What a device or robot reads at a tick, per axis: the left limit at t_k. SI units."""
+    """What a device or robot reads at a tick, per axis: the left limit at t_k. SI units.
+
+    The switches are those of a master: None, it has no such switch. See `teleop.stages.operator`.
+    """
 
     x: Axes
     v: Axes
     f: Axes | None = None  # force sensor: f_h at the master, f_env at the slave; None: it has none
+    clutch: bool | None = None  # is the operator's clutch held open
+    present: bool | None = None  # is the operator there
 
 
 class Stepped:
@@ -176,12 +182,15 @@ class Endpoint:
         """One-way delays towards this end, ns."""
         return self.link.way
 
-    def senses(self, sensor: bool) -> None:
+    def senses(self, sensor: bool, switches: tuple[str, ...] = ()) -> None:
         """Make this end's tick for a device with or without a force `sensor`, before the first: then there is no time.
 
-        Raises `Refused` if the law reads a force that nothing tells.
+        `switches`: those that the device has, "clutch" and "present". Raises `Refused` if the law reads a force that
+        nothing tells, if the scene needs a switch that the device lacks, or does not heed one that it has.
         """
         scene, e = self.scene, self.e
+        if why := _unlike_switches(scene, e, switches):
+            raise Refused(why)
         if getattr(structure_of(scene), e).has.sensed and not sensor:
             raise Refused(_no_force(scene, e))
         self._live = live_of(self.own, e, sensor)
@@ -264,7 +273,8 @@ class Endpoint:
         held = self.held.force, self.held.since(k)
         if waves is not None and self._rejoined:
             waves = self._since(waves)
-        inputs = own, x, reading.v, reading.f, got is not None, newest, rx, waves, gain, *held
+        inputs = (own, x, reading.v, reading.f, got is not None, newest, rx, waves, gain, *held,
+                  1.0 if reading.clutch else 0.0, 1.0 if reading.present or reading.present is None else 0.0)
         force, tx, sent, row = self._started.send(inputs)
         if got is not None and self._E_out is not None and got[1].E_in is not None:
             margin = got[1].E_in - row[self._E_out]
@@ -311,7 +321,7 @@ class Endpoint:
     def _begin(self, k: int, reading: Reading) -> None:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
         if self._live is None:
-            self.senses(reading.f is not None)
+            self.senses(reading.f is not None, switches_of(reading))
         first, self._met = self._met == 1 and self._started is None, self.session.met
         self._rejoined, self._before = not first and not self.stepped, None
         self.held.begin(k)
@@ -424,6 +434,29 @@ class Endpoint:
             stamp = float(row[self._E_in])
         packet = _new(Packet, (self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp))
         return encode(packet, self._size)
+
+
+def switches_of(reading: Reading) -> tuple[str, ...]:
+    """The switches that the device of this reading has."""
+    return tuple([name for name in SWITCHES if getattr(reading, name) is not None])
+
+
+def _unlike_switches(scene: Scene, e: str, has: tuple[str, ...]) -> str | None:
+    """Why the switches of the device at the end `e` do not go with the scene; None: they do."""
+    if e == "s":
+        return None if not has else (
+            f"the slave's robot has the switch {has[0]}, and an operator's switches are the master's; have the robot "
+            f"read {has[0]}=None, and the master's device the switch")
+    needs = () if scene.operator is None else scene.operator.needs
+    for name in SWITCHES:
+        if name in needs and name not in has:
+            return (f"the scene needs the switch {name} of the master's device, whose reading has {name}=None; have it "
+                    f"read {name} as True or False, or leave {name} out of what the scene needs")
+    if has and scene.operator is None:
+        return (f"the master's device has the switch {has[0]}, which the scene {scene.name} does not heed; have it "
+                "heeded, with --set clutch_ramp=0.05 at both ends or operator=Operator() in the scene, or read "
+                f"{has[0]}=None")
+    return None
 
 
 def _no_force(scene: Scene, e: str) -> str:

@@ -38,12 +38,13 @@ from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of, integra
 if TYPE_CHECKING:
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.stages.deadband import Deadband
+    from teleop.stages.operator import Operator
     from teleop.stages.passivity_controller import PassivityController
     from teleop.stages.watchdog import Watchdog
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
 PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
-         "left_out_m", "left_out_s", "deadband")  # or None
+         "left_out_m", "left_out_s", "deadband", "operator")  # or None
 
 _NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size", "start_m", "start_s")
 # The numbers of the last scene that passed its checks, by the classes of its parts: in a sweep they seldom change.
@@ -72,6 +73,7 @@ class Scene:
     device_s: Any = None  # the same at the slave
     passivity: PassivityController | None = None  # observer and controller on the master's port
     scaling: Any = None  # Scaling, the slave's metres and newtons for those of the master
+    operator: Operator | None = None  # the clutch and the operator-present switch, at the master
     electrical: ElectricalDamping | None = None  # of the master's motor
     left_out_m: LeftOutLike | None = None  # the ticks that the master leaves out; None: it runs every tick
     left_out_s: LeftOutLike | None = None  # the same of the slave
@@ -162,7 +164,7 @@ class Scene:
             raise Refused(f"law {law_name(laws[0])} has two ends and the scene has no slave; write for example "
                           "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
         check_shape("one-port law", laws[0])
-        for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s", "deadband"):
+        for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s", "deadband", "operator"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")

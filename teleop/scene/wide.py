@@ -28,6 +28,9 @@ WIDE = {
     "deadband": Declared(float, 0.0, Knob(
         "", "share by which a value differs from the last that was sent before a message is sent; 0: each is",
         low=0.0, high=1.0)),
+    "clutch_ramp": Declared(float | None, "the scene's", Knob(
+        "s", "time in which the force fades out, and in, where the operator's clutch opens or nobody is there; "
+        "none: no switches are heeded", low=0.0)),
     "playout": Declared(Playout, "the scene's", Knob(
         "", "message that a tick plays, where there is a link: see `teleop list playout`")),
     "link": Declared("Link | None", "the scene's", Knob(
@@ -72,6 +75,11 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
         k = parts.pop("deadband")
         parts["deadband"] = None if k == 0.0 else replace(scene.deadband or Deadband(), k=k)
+    if "clutch_ramp" in parts:
+        from teleop.stages.operator import Operator
+
+        ramp = parts.pop("clutch_ramp")
+        parts["operator"] = None if ramp is None else replace(scene.operator or Operator(), ramp=ramp)
     if "hand" in parts:
         if scene.hand is None:
             raise Refused(f"hand={parts['hand'].path} moves nothing in a scene without a hand; leave it out, or take "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -173,11 +174,18 @@ def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.floa
     mine, theirs, seq = _ERRORS[name]
     dt = scene.dt_ns / 1e9
     lag = _lag(_ages(trace, seq, dt), dt)
-    x, other = trace[mine], trace[theirs]
+    x, other = trace[mine], law_places(trace)[theirs]
     if scene.scaling is not None:  # in the master's units
         x = x / scene.scaling.scale_x if name == "x_err" else x
         other = other / scene.scaling.scale_f if name == "f_err" else other
     return _behind(x, other, _ticks(trace, dt), lag)
+
+
+def law_places(trace: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The trace with the master's position as its law was told it, where an operator's clutch stands between."""
+    if "offset_m" not in trace or "x_m" not in trace:
+        return trace
+    return ChainMap({"x_m": trace["x_m"] - trace["offset_m"]}, trace)  # type: ignore[arg-type]
 
 
 def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:
@@ -262,7 +270,7 @@ def _summed(scene: Scene, trace: Mapping[str, Any], dt: float) -> dict[str, floa
     groups = {group for name in there for group in SUMS[name]}
     first = _last(trace, dt)
     frame = frame_of(scene)._replace(axes=trace["f_m"][:1].size) if "f_m" in trace else frame_of(scene)
-    sums = sums_of(frame, trace, tuple(groups), first, magnitude)
+    sums = sums_of(frame, law_places(trace), tuple(groups), first, magnitude)
     return figures(there, sums, frame, len(trace["t"]), len(trace["t"]) - first)
 
 
@@ -273,7 +281,7 @@ def found_at_rest(scene: Scene, trace: Mapping[str, Any], still: Still, status: 
     asked = ["swing_frequency"]
     if scene.slave is not None and {"f_m", "f_env", "x_m", "x_s"} <= trace.keys():
         groups = SUMS["felt_share"]
-        sums |= sums_of(frame, trace, groups, _last(trace, frame.dt), magnitude)
+        sums |= sums_of(frame, law_places(trace), groups, _last(trace, frame.dt), magnitude)
         asked += ["felt_stiffness", "felt_share"]
     return resting(asked, sums, frame, status)
 

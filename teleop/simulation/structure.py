@@ -76,7 +76,7 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         age=age, aged=aged, newest=age or aged or run.deadband, sums=sums is not None,
         dx="dx" in reading or (run.energy and "encoder" not in names) or any(stage.wants_dx for stage in stages),
         leaves_out=scene.leaves_out(e) is not None, encoder="encoder" in names,
-        velocity="velocity" in names, scaled="scaling" in names,
+        velocity="velocity" in names, scaled="scaling" in names, operated="operator" in names,
         watchdog="watchdog" in names, span="span" in reading, gain="gain" in reading)
     fields = sums_type(scene.laws[0], e, scene.dt_ns / 1e9)._fields if sums else ()
     if not run.slave:

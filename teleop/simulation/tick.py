@@ -326,7 +326,7 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
     begin(run, e, getattr(given, e.name))
     if e.has.gain:
         e.g_held = 1.0
-    k, x, v, touch, e.got, newest, rx, heard, e.g, held, since = yield
+    k, x, v, touch, e.got, newest, rx, heard, e.g, held, since, e.clutch, e.present = yield
     k_before = k - 1
     while True:
         ticks = k - k_before
@@ -350,7 +350,7 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
         tick(run, e, k)
         if e.has.gain:
             e.g_held = e.g
-        k, x, v, touch, e.got, newest, rx, heard, e.g, held, since = yield (
+        k, x, v, touch, e.got, newest, rx, heard, e.g, held, since, e.clutch, e.present = yield (
             tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]),
             tuple([a.sent for a in e.axes]) if run.has.integral else None, row(e))
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 from teleop.stages.record import Record
 
 Places = list[float]
+SWITCHES = ("clutch", "present")  # of an operator, at the master
 
 
 class RunHas(NamedTuple):
@@ -43,6 +44,7 @@ class EndHas(NamedTuple):
     encoder: bool = False
     velocity: bool = False  # it is estimated
     scaled: bool = False  # its units are not those of the law
+    operated: bool = False  # a clutch stands between it and its law
     watchdog: bool = False
     span: bool = False  # its law reads the time since its last tick,
     gain: bool = False  # ... and the watchdog's gain at that tick
@@ -71,6 +73,7 @@ class Axis(Record):
     f_read: float
     x_before: float  # as it was read at the tick before
     dx: float
+    offset: float  # how far it has moved beyond what its law was told, m
     # the law
     at: Any  # teleop.law.At
     s: Any  # its state
@@ -141,6 +144,8 @@ class End(Record):
     ran: Any  # number of its last tick, in virtual time
     scale_x: float  # its metres and newtons for those of the law
     scale_f: float
+    clutch: Any  # 1.0 while the operator holds the clutch open, else 0.0
+    present: Any  # 1.0 while the operator is there, else 0.0
     E_port: float  # the ledgers, J
     E_in: float
     E_out: float

@@ -289,7 +289,7 @@ class Coarse(SimulatedMaster):
     """Reads what its driver unpacks: single precision, and an int where nothing moves."""
 
     def read(self, k: int) -> Reading:
-        x, v, f = super().read(k)
+        x, v, f, *_ = super().read(k)
         return Reading(tuple(map(np.float32, x)), tuple(np.float32(n) if n else 0 for n in v), f)  # type: ignore[misc]
 
 

@@ -83,7 +83,12 @@ def with_linear_law(scene: Scene) -> Scene:
 
 
 def about_rest(scene: Scene) -> Scene:
-    """The scene about a place of rest: an environment that is moved along a path stands still in its own frame."""
+    """The scene about a place of rest: an environment that is moved along a path stands still in its own frame.
+
+    An operator's clutch is closed: what it is opened for has no loop through the hand.
+    """
+    if scene.operator is not None:
+        scene = replace(scene, operator=None)
     if not any(hasattr(one, "path") for one in scene.environments):
         return scene
     return replace(scene, environment=tuple(getattr(one, "environment", one) for one in scene.environments))

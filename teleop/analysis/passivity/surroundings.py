@@ -24,7 +24,7 @@ def linear_parts(scene: Scene) -> tuple[Scene, list[str]]:
     """
     scene = with_linear_law(scene)
     left = [name for name in ("cap", "watchdog", "passivity") if getattr(scene, name) is not None]
-    changes: dict[str, Any] = dict.fromkeys(left)
+    changes: dict[str, Any] = dict.fromkeys((*left, "operator"))  # whose clutch is closed
     for name in ("device_m", "device_s"):
         device = getattr(scene, name)
         if device is not None and device.encoder is not None:

@@ -7,11 +7,12 @@ from numbers import Real
 from typing import Any, Protocol
 
 from teleop.errors import DeviceError, Refused, number
-from teleop.protocol.endpoint import Axes, Endpoint, Reading
+from teleop.protocol.endpoint import Axes, Endpoint, Reading, switches_of
 from teleop.simulation.trace import ForceSource
 
 DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
 _FLOAT = frozenset((float,))
+_SWITCH = frozenset((bool, type(None)))
 
 
 class LiveDevice(Protocol):
@@ -38,6 +39,7 @@ class LiveDevice(Protocol):
 
         Tick 0 is asked for more than once: before the first exchange, and before the run. After that k only grows.
         A number may be of any real type (int, numpy's scalars); what is none (bool, str, None, complex) is refused.
+        A switch is a bool, at every tick, or None at every tick.
         """
         ...
 
@@ -74,6 +76,8 @@ class GuardedDevice:
         self.forced = False  # has it been given a force, and not taken zero since
         self.closed = False  # is it given zero alone from now on
         self.sensor: bool | None = None  # does it sense the external force; None before its first reading
+        self.switches: tuple[str, ...] = ()  # that it has, from its first reading on
+        self._lacks = True, True  # clutch, present
         self._zero = (0.0,) * axes
         self._held_well = True
         self._failing_ns: int | None = None  # since when; None while it is well
@@ -98,10 +102,12 @@ class GuardedDevice:
             self.trouble = str(error) or type(error).__name__
             return None
         if type(reading) is Reading and type(self.sensor) is bool:
-            x, v, f = reading
+            x, v, f, clutch, present = reading
             axes = len(self._zero)
             if (type(x) is type(v) is tuple and len(x) == len(v) == axes and (f is not None) is self.sensor
-                    and (f is None or (type(f) is tuple and len(f) == axes))):
+                    and (f is None or (type(f) is tuple and len(f) == axes))
+                    and _SWITCH.issuperset((type(clutch), type(present)))
+                    and (clutch is None, present is None) == self._lacks):
                 numbers = x + v if f is None else x + v + f
                 if _FLOAT.issuperset(map(type, numbers)) and isfinite(sum(numbers)):
                     return reading  # nearly always; a sum that is not finite may be one of numbers that are
@@ -114,6 +120,13 @@ class GuardedDevice:
             return None
         if not self.trusted and not self._is_sound(reading):
             self.trouble = "what it reads is not finite"
+            return None
+        has = switches_of(reading)
+        if self.sensor is None:
+            self.switches, self._lacks = has, (reading.clutch is None, reading.present is None)
+        elif has != self.switches:
+            self.trouble = (f"it read {_named(has)} where its first reading had {_named(self.switches)}; a device has "
+                            "a switch or none")
             return None
         if (reading.f is not None) is not self.sensor:
             if self.sensor is not None:
@@ -168,18 +181,34 @@ class GuardedDevice:
 def _in_floats(reading: Any, axes: int) -> Reading:
     """`reading` with every number as a float. Raises `Refused` if it is not made of numbers, one for each axis."""
     if type(reading) is Reading:
-        x, v, f = reading
+        x, v, f, clutch, present = reading
+        clutch, present = _switch("clutch", clutch), _switch("present", present)
         if (type(x) is type(v) is tuple and len(x) == len(v) == axes and _FLOAT.issuperset(map(type, x + v))
                 and (f is None or (type(f) is tuple and len(f) == axes and _FLOAT.issuperset(map(type, f))))):
-            return reading
+            same = clutch is reading.clutch and present is reading.present
+            return reading if same else Reading(x, v, f, clutch, present)
         if all(isinstance(part, tuple) and len(part) == axes and all(map(_is_number, part))
                for part in (x, v, *(() if f is None else (f,)))):
-            return Reading(_floats(x), _floats(v), None if f is None else _floats(f))
+            return Reading(_floats(x), _floats(v), None if f is None else _floats(f), clutch, present)
     more = "," if axes == 1 else "".join(f", {{0}}{axis}" for axis in range(2, axes + 1))
     sample_x, sample_v = (f"({letter}{more.format(letter)})" for letter in "xv")
     raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "
                   f"{axes}, in m, m/s and N, f None without a force sensor; this one gave {str(reading)[:99]}; "
                   f"write for example Reading({sample_x}, {sample_v}, None)")
+
+
+def _named(switches: tuple[str, ...]) -> str:
+    return " and ".join(switches) if switches else "no switch"
+
+
+def _switch(name: str, value: Any) -> bool | None:
+    """The state of a switch as a truth of Python's; one of numpy's counts. Raises `Refused`."""
+    if value is None or value is True or value is False:
+        return value
+    if getattr(getattr(value, "dtype", None), "kind", "") == "b" and getattr(value, "shape", None) == ():
+        return bool(value)
+    raise Refused(f"a device's read gives {name}=True or {name}=False, or None where it has no such switch; this one "
+                  f"gave {str(value)[:40]!r}; write for example Reading(x, v, f, {name}=True)")
 
 
 def _is_number(value: Any) -> bool:

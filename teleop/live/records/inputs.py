@@ -22,6 +22,7 @@ from teleop.live.records.rows import RecordFile, TruncatedRecord
 from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.scene import MOST_TICKS, Scene
 from teleop.simulation.structure import structure_of
+from teleop.stages.end import SWITCHES
 from teleop.stages.wave_integral import Integrals
 from teleop.storage.files import open_regular
 from teleop.storage.strict_json import Misshapen, each, one_of, parse, record, text, whole
@@ -48,8 +49,9 @@ def input_columns(scene: Scene, e: str, sensor: bool) -> list[str]:
     axes, (hears, sends) = scene.axes, message_fields(scene, e)
     along = Integrals._fields if structure_of(scene).has.integral else ()  # of each axis, behind the law's message
     per_axis = [f"x_{e}", f"v_{e}", *["f_ext"] * sensor, "f_held"]
-    return [*_FLOATS, *[name for name in per_axis for _ in range(axes)], *[f"rx.{name}" for name in hears] * axes,
-            *[f"waves.{name}" for name in along] * axes, *["index"] * axes,
+    operated = SWITCHES if getattr(structure_of(scene), e).has.operated else ()
+    return [*_FLOATS, *operated, *[name for name in per_axis for _ in range(axes)],
+            *[f"rx.{name}" for name in hears] * axes, *[f"waves.{name}" for name in along] * axes, *["index"] * axes,
             *[f"f_{e}"] * axes, *[f"tx.{name}" for name in sends] * axes, *[f"sent.{name}" for name in along] * axes]
 
 
@@ -82,6 +84,7 @@ class InputWriter:
         self._nothing = (0.0,) * (len(hears) * scene.axes)
         self._no_waves = (0.0,) * (len(Integrals._fields) * scene.axes)
         self._own = (float("nan"),) * scene.axes
+        self._operated = getattr(structure_of(scene), e).has.operated
 
     def begin(self, sensor: bool) -> None:
         """Write the headers, before the first tick. `sensor`: does the end's device sense the external force."""
@@ -101,13 +104,14 @@ class InputWriter:
 
         `index`: where the law's positions count from (m, per axis), if not from the device's zero.
         """
-        _, x, v, touch, got, newest, rx, waves, gain, held, since = inputs
+        _, x, v, touch, got, newest, rx, waves, gain, held, since, *switches = inputs
         heard = self._nothing if rx is None else rx[0] if len(rx) == 1 else flat(rx)
         said = tx[0] if len(tx) == 1 else flat(tx)
         if sent is not None:
             heard = *heard, *(self._no_waves if waves is None else flat(waves))
             said = *said, *flat(sent)
-        self._rows += self._pack(k, since, session, got, newest, gain, *x, *v, *(touch or ()), *held, *heard,
+        self._rows += self._pack(k, since, session, got, newest, gain, *(switches if self._operated else ()),
+                                 *x, *v, *(touch or ()), *held, *heard,
                                  *(index or self._own), *force, *said)
         self._room = len(self._arrivals) + self._most
 

@@ -69,6 +69,7 @@ class Told(NamedTuple):
     f_held: Axes
     rx: Axes  # the message, axis by axis; zeros where there is none
     waves: Axes  # and what its waves have come to, where that is sent along
+    switches: Axes  # of the operator: 1.0 while the clutch is held open, 1.0 while the operator is there
     origin: Axes | None  # where the positions count from, m; None: the device's zero
 
 
@@ -92,6 +93,7 @@ def told(end: EndFolder) -> Iterator[tuple[Told, list[float]]]:
     nothing = slice(0, 0)  # of a law whose messages are empty
     places = [at.get(name, nothing) for name in (f"x_{end.e}", f"v_{end.e}", "f_held", "rx", "waves", "index")]
     sensed = at.get("f_ext")
+    switches = slice(at["clutch"].start, at["present"].stop) if "clutch" in at else None
     answer = at[f"f_{end.e}"].start
     for block in blocks(end.ticks):
         for row in rows.part(block.start, block.stop).tolist():
@@ -99,6 +101,7 @@ def told(end: EndFolder) -> Iterator[tuple[Told, list[float]]]:
             x, v, held, rx, waves, index = [tuple(row[one]) for one in places]
             yield Told(int(k), int(session), fresh != 0.0, newest, gain, int(since), x, v,
                        None if sensed is None else tuple(row[sensed]), held, rx, waves,
+                       (0.0, 1.0) if switches is None else tuple(row[switches]),
                        None if isnan(index[0]) else index), row[answer:]
 
 
@@ -142,7 +145,8 @@ class Rerun:
             played = heard(told, begins)
             got, newest, rx, waves = (False, -1, None, None) if played is None else (True, *played)
         force, tx, sent, row = self._started.send((
-            told.k // self._every, told.x, told.v, touch, got, newest, rx, waves, told.gain, told.f_held, told.since))
+            told.k // self._every, told.x, told.v, touch, got, newest, rx, waves, told.gain, told.f_held, told.since,
+            *told.switches))
         if told.origin is not None:
             row = self._physical(row, told.origin)
         return Answered(told.k, force, tx, sent, row)

@@ -177,9 +177,9 @@ class Figures(Recorder):
         """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
         for m, own in zip(run.m.axes, self.axes, strict=True):
             if run.has.compiled:
-                sent(own.old_x, k, m.x)
+                sent(own.old_x, k, place_of_law(run.m, m))
             else:
-                own.old_x[k % (self.lag_x + 1)] = m.x
+                own.old_x[k % (self.lag_x + 1)] = place_of_law(run.m, m)
         self.n_x = whole(ago(k + 1, self.lag_x)) if run.has.compiled else k + 1 - self.lag_x
         for s, own in zip(run.s.axes, self.axes, strict=True):
             if run.has.compiled:
@@ -288,7 +288,9 @@ class Figures(Recorder):
 
 
 def place_of_law(e: End, a: Axis) -> Any:
-    """The place of one axis in the units of the law, m."""
+    """The place of one axis as the law is told it and in its units, m."""
+    if e.has.operated:
+        return a.x - a.offset
     return a.x / e.scale_x if e.has.scaled else a.x
 
 

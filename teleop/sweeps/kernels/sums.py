@@ -168,7 +168,7 @@ class Sums(Record):
                 if "f_m" in self.groups:
                     own.end_f_m = own.end_f_m + m.f
                 if "x_m" in self.groups:
-                    own.end_x_m = own.end_x_m + m.x
+                    own.end_x_m = own.end_x_m + (m.x - m.offset if run.m.has.operated else m.x)
             if run.has.slave:
                 self.end_slave(run)
 

@@ -78,7 +78,8 @@ def test_so_does_a_live_end(e: str) -> None:
     next(made)
     next(stood)
     for k, missed in ((0, 1), (1, 1), (5, 4), (6, 1)):
-        sent = (k, (0.01 * k,), (0.1,), (0.3,), False, -1, None, None, 1.0 if missed == 1 else 0.0, (0.2,), missed)
+        sent = (k, (0.01 * k,), (0.1,), (0.3,), False, -1, None, None, 1.0 if missed == 1 else 0.0, (0.2,), missed,
+                0.0, 1.0)
         assert repr(made.send(sent)) == repr(stood.send(sent))
 
 

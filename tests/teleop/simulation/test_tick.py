@@ -270,7 +270,7 @@ def by_hand(scene: Scene, seed: int) -> dict[str, Any]:
             if scene.watchdog is not None:
                 last[e] = k if heard[0] else last[e]
                 gain[e], calm[e] = watchdog_step(scene.watchdog.limits(dt), gain[e], calm[e], k - last[e])
-            held[e], *said[e], row = ends[e].send((k, *read[e], *heard, gain[e], held[e], 1))
+            held[e], *said[e], row = ends[e].send((k, *read[e], *heard, gain[e], held[e], 1, 0.0, 1.0))
             rows[e].extend(row)
         for e in "ms":
             sent[e].append(said[e])

@@ -87,7 +87,7 @@ class TestAnEstimator:
         live.send(None)
         seen, force = [], (0.0,)
         for k, x in ((0, 0.0), (1, 0.001), (5, 0.009), (6, 0.009)):  # the ticks 2 to 4 were missed
-            force, _, _, row = live.send((k, (x,), (99.0,), None, False, -1, None, None, 1.0, force, 1))
+            force, _, _, row = live.send((k, (x,), (99.0,), None, False, -1, None, None, 1.0, force, 1, 0.0, 1.0))
             seen.append(row[columns(of, "m").index("v_hat_m@")])
         assert seen == pytest.approx([0.0, 1.0, 2.0, 0.0])
 

@@ -108,7 +108,7 @@ def test_a_stall_of_many_ticks_does_not_throw_the_live_estimate_off() -> None:
     v, before, f_m = 0.0, 0, 0.0
     for k in (0, 1, 2, 72, 73, 200):
         v, before = speed_after(v, 0.3 - f_m, M, b, (k - before) * dt), k
-        force, _, _, row = live.send((k, (0.0,), (v,), None, False, -1, None, None, 1.0, (f_m,), 1))
+        force, _, _, row = live.send((k, (0.0,), (v,), None, False, -1, None, None, 1.0, (f_m,), 1, 0.0, 1.0))
         f_m = force[0]
         if k:
             assert row[at] == pytest.approx(0.3, abs=1e-9)

@@ -150,8 +150,8 @@ class TestTables:
         assert with_stage(named, place) == ("m" if "device_m" in place.field else ends)
 
 
-PARTS = ("Cap", "Deadband", "Device", "Encoder", "Energy", "Integral", "LowPass", "PassivityController", "Scaled",
-         "Scaling", "Watchdog")
+PARTS = ("Cap", "Deadband", "Device", "Encoder", "Energy", "Integral", "LowPass", "Operator", "PassivityController",
+         "Scaled", "Scaling", "Watchdog")
 
 
 def with_stage(scene: Scene, place: Place) -> str:

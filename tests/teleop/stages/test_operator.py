@@ -1,0 +1,247 @@
+"""The operator's clutch and the operator-present switch: lossless at any switching, nothing jumps, positions anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pytest
+
+from channel.left_out import LeftOut
+from channel.link import parse_link
+from master.device import SimulatedMaster
+from slave.robot import SimulatedSlave
+from teleop import At, Operator, Reading, Scene, load_scene, run
+from teleop.analysis.models.linear import linear_scene
+from teleop.errors import Refused
+from teleop.laws.direct import Direct
+from teleop.laws.four_channel import FourChannel
+from teleop.laws.pp import PositionPosition
+from teleop.laws.wave import Wave
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.prepared import prepare
+from teleop.simulation.trace import EndRecord, end_columns
+from teleop.stages.device import Device
+from teleop.stages.force_cap import Cap
+from teleop.stages.operator import scheduled
+from teleop.stages.watchdog import Watchdog
+from teleop.sweeps.kernels.kernel import Kernel, figures, plain
+from teleop.sweeps.kernels.scalar import scalar
+from teleop.sweeps.kernels.vector import vector
+from tests.teleop.protocol.test_endpoint import MS, START, met
+from tests.teleop.sweeps.kernels.test_kernel import assert_as_a_run, inputs
+
+
+class Back(NamedTuple):
+    x: float
+
+
+class Port(NamedTuple):
+    E: float  # what the law's port took in, J
+    x_told: float  # where the law is told to be, m
+    v_told: float
+    f_told: float  # the hand's force, N
+    dx_told: float
+
+
+@dataclass(frozen=True)
+class Metered:
+    """A spring and a damper between the ends that keeps the ledger of its own port, and shows what it is told."""
+
+    K: float = 300.0
+    B: float = 20.0
+    shows: ClassVar[tuple[str, ...]] = ("E", "x_told", "v_told", "f_told", "dx_told")
+
+    def master_start(self, at: At) -> tuple[Port, Back]:
+        return Port(0.0, at.x, 0.0, 0.0, 0.0), Back(at.x)
+
+    def slave_start(self, at: At) -> tuple[tuple[()], Back]:
+        return (), Back(at.x)
+
+    def master(self, s: Port, at: At, rx: Back) -> tuple[float, Back, Port]:
+        told = Port(s.E + at.f_held * at.dx, at.x, at.v, at.f, at.dx)
+        return self.K * (at.x - rx.x) + self.B * at.v, Back(at.x), told
+
+    def slave(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Back, tuple[()]]:
+        return self.K * (rx.x - at.x) - self.B * at.v, Back(at.x), ()
+
+
+def bouncing(seed: int, spans: int = 30) -> tuple[tuple[float, float], ...]:
+    """A switch that is opened so many times in two seconds, at random."""
+    times = sorted(2.0 * one for one in np.random.default_rng(seed).random(2 * spans).tolist())
+    return tuple(zip(times[::2], times[1::2], strict=True))
+
+
+def scene(operator: Operator | None, law: Any = None, **parts: Any) -> Scene:
+    """A hand that swings a master by 5 cm, and a slave before a wall."""
+    of = load_scene("canonical", law=law or Metered(), duration=2.0, delay=0.005)
+    return replace(of, **{"operator": operator, "energy": True, "observer": None, **parts})
+
+
+OPENED = Operator(clutch=((0.5, 1.0),), ramp=0.05)
+
+
+# Energy
+
+
+@pytest.mark.parametrize("parts", [
+    {}, {"cap": Cap(f_max=2.0, slew=50.0)},  # so slow that force is left when the modulus has come to 0
+    {"device_m": Device(delay=7, every=3)}, {"watchdog": Watchdog(timeout=0.004, ramp=0.02, settle=0.01)},
+    {"left_out_m": LeftOut(0.2)},
+], ids=["bare", "cap and slew", "late and slow force", "watchdog", "ticks left out"])
+def test_the_work_at_the_device_is_that_at_the_laws_port_whatever_the_switches_do(parts: dict[str, Any]) -> None:
+    trace = run(scene(Operator(clutch=bouncing(1), absent=bouncing(2, 10), ramp=0.03), **parts)).trace
+    device, law = trace["E_port_m"], trace["E_m"]
+    assert ((trace["g_clutch_m"] > 0.0) & (trace["g_clutch_m"] < 1.0)).sum() > 200
+    assert np.ptp(device) > 1e-3, "there was work"
+    assert np.abs(np.diff(device) - np.diff(law)).max() <= 1e-16
+    assert np.abs(device - law).max() <= 1e-14
+
+
+def test_a_passive_law_stays_so_under_a_switch_that_bounces() -> None:
+    """Of waves, whose ports and link never give out more than they took up."""
+    opened = scene(Operator(clutch=bouncing(3), ramp=0.01), Wave(b=5.0, K=500.0, B=5.0))
+    trace = run(replace(opened, link=parse_link("delay(0.02) | uniform(0.01) | bernoulli(0.1)"))).trace
+    assert trace["E_link"].min() >= -1e-12
+    assert trace["E_port"].min() >= -1e-4  # what the hold of a damper's force over a tick makes, see teleop.law
+
+
+# What the law is told, and what the device holds
+
+
+def test_while_it_is_open_there_is_no_force_and_the_law_is_told_of_no_motion() -> None:
+    trace = run(scene(OPENED)).trace
+    still = slice(552, 1000)  # the ramp is over from tick 550 on, and the motion before a tick is that of the last
+    assert trace["clutch_m"].tolist() == [0.0] * 500 + [1.0] * 500 + [0.0] * 1000
+    for name in ("f_m", "v_told_m", "f_told_m", "dx_told_m"):
+        assert not np.any(trace[name][still]), name
+    assert np.ptp(trace["x_told_m"][still]) == 0.0
+    assert np.ptp(trace["x_m"][still]) > 0.02, "the hand goes on"
+    assert np.abs(trace["f_h"][still]).max() > 0.1, "and what it does is not fed forward"
+    assert np.ptp(trace["x_s"][900:1000]) < 1e-5, "the slave holds"
+
+
+def test_on_closing_positions_count_anew_and_the_force_fades_in() -> None:
+    trace = run(scene(OPENED)).trace
+    told, f = trace["x_told_m"], trace["f_m"]
+    assert np.abs(np.diff(told)).max() <= 1.001 * np.abs(np.diff(trace["x_m"])).max(), "the law's position never jumps"
+    assert np.abs(trace["offset_m"][-1]) > 0.005
+    assert np.array_equal(trace["g_clutch_m"][999:1052], [0.0, *np.arange(1, 51) / 50, 1.0, 1.0])
+    assert np.abs(f[1000:1005]).max() < 0.1 * np.abs(f[1100:]).max()
+    away = run(scene(None)).metrics["x_err_max"]
+    assert run(scene(OPENED)).metrics["x_err_max"] < 1.2 * away, "the tracking error is of what the law was told"
+
+
+def test_one_that_is_never_opened_changes_no_bit() -> None:
+    law = FourChannel()
+    with_one, none = run(scene(Operator(), law)).trace, run(scene(None, law)).trace
+    assert all(with_one[name].tobytes() == none[name].tobytes() for name in none)
+
+
+def test_an_absent_operator_is_an_open_clutch() -> None:
+    clutch = run(scene(Operator(clutch=((0.5, 1.0),)))).trace
+    absent = run(scene(Operator(absent=((0.5, 1.0),)))).trace
+    switches = ("clutch_m", "present_m")
+    assert all(np.array_equal(clutch[name], absent[name]) for name in clutch if name not in switches)
+    assert absent["present_m"].tolist() == (1.0 - clutch["clutch_m"]).tolist()
+
+
+def test_what_is_open_at_the_start_begins_without_force() -> None:
+    trace = run(scene(Operator(clutch=((0.0, 0.2),)), start_s=0.02)).trace
+    assert not trace["f_m"][:200].any()
+    assert trace["f_m"][200:].any()
+
+
+@pytest.mark.parametrize("wrong", [
+    {"clutch": (1.0, 2.0)}, {"clutch": ((2.0, 1.0),)}, {"absent": ((-1.0, 1.0),)}, {"ramp": -0.1},
+    {"ramp": float("nan")}, {"needs": ("dead man",)}, {"needs": "clutch"}, {"clutch": ((0.0, 1.0),) * 65},
+])
+def test_a_schedule_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(Refused):
+        Operator(**wrong)
+
+
+def test_a_scene_without_a_slave_has_no_clutch() -> None:
+    with pytest.raises(Refused, match="operator"):
+        replace(load_scene("virtual_wall"), operator=Operator())
+
+
+def test_the_eigenvalues_are_those_with_the_clutch_closed() -> None:
+    of = load_scene("soft_tissue", law="direct", delay=0.005)
+    assert repr(linear_scene(replace(of, operator=OPENED))) == repr(linear_scene(of))
+
+
+# Engines
+
+MEASURES = ("x_err_rms", "f_m_max", "E_port_end", "drift_end")
+
+
+def rows(kernel: Kernel, scenes: list[Scene]) -> list[Any]:
+    return figures(kernel, [inputs(kernel, of, 1) for of in scenes])
+
+
+@pytest.mark.parametrize("engine", [pytest.param(scalar, marks=pytest.mark.soak), vector])
+def test_every_engine_gives_the_bits_of_a_run(engine: Any) -> None:
+    """Scenes with schedules of their own, some of a few spans and some of many, side by side."""
+    schedules = [Operator(clutch=bouncing(n, 2 + 2 * (n % 2)), absent=bouncing(20 + n, 2), ramp=0.004 * (n + 1))
+                 for n in range(9)]
+    scenes = [scene(each, Direct(K=400.0, B=5.0), duration=0.3, cap=Cap(f_max=3.0, slew=300.0)) for each in schedules]
+    for of in scenes[:2]:
+        assert_as_a_run(plain(of, exact_bodies(of), MEASURES), of)
+    first = scenes[1]
+    alone = rows(plain(first, exact_bodies(first), MEASURES), scenes)
+    assert repr(rows(engine(first, exact_bodies(first), MEASURES), scenes)) == repr(alone)
+
+
+# Live
+
+
+class Switched(SimulatedMaster):
+    """A simulated master whose switches follow the schedule of an operator."""
+
+    def __init__(self, of: Scene, operator: Operator) -> None:
+        super().__init__(of)
+        self._spans = operator.limits(of.dt)
+
+    def read(self, k: int) -> Reading:
+        clutch, absent = scheduled(self._spans.clutch, k), scheduled(self._spans.absent, k)
+        return super().read(k)._replace(clutch=clutch > 0.0, present=absent == 0.0)
+
+
+def driven(of: Scene, master: Any) -> dict[str, np.ndarray]:
+    """The master's record of two ends that are driven by hand, without a link."""
+    ends, devices = met(of), {"m": master, "s": SimulatedSlave(of)}
+    rows: list[float] = []
+    for k in range(of.ticks):
+        now = START + k * MS
+        outs = {e: ends[e].tick(k, now, devices[e].read(k)) for e in "ms"}
+        for e, other in ("ms", "sm"):
+            devices[e].hold(outs[e].force)
+            datagram = outs[e].datagram
+            assert datagram is not None
+            ends[other].receive(datagram, now)
+        rows.extend(outs["m"].row)
+    return dict(end_columns(prepare(of), "m", EndRecord(range(of.ticks), rows, None)))
+
+
+def test_the_switches_of_a_live_device_do_what_a_schedule_does_in_virtual_time_to_the_bit() -> None:
+    plan = Operator(clutch=bouncing(5), absent=bouncing(6, 6), ramp=0.02)
+    law = PositionPosition()
+    expected = run(scene(plan, law, link=None, playout=None)).trace
+    of = scene(Operator(ramp=0.02), law, link=None)
+    by_device, by_schedule = driven(of, Switched(of, plan)), driven(replace(of, operator=plan), SimulatedMaster(of))
+    for name in ("f_m", "x_m", "clutch_m", "present_m", "g_clutch_m", "offset_m", "E_port_m"):
+        assert by_device[name].tobytes() == expected[name].tobytes(), name
+        assert by_schedule[name].tobytes() == expected[name].tobytes(), name
+
+
+@pytest.mark.parametrize(("e", "operator", "has", "why"), [
+    ("m", Operator(needs=("present",)), ("clutch",), "needs the switch present"),
+    ("m", None, ("present",), "--set clutch_ramp=0.05"), ("s", Operator(), ("clutch",), "are the master's"),
+])
+def test_a_device_whose_switches_do_not_go_with_the_scene_is_refused(
+        e: str, operator: Operator | None, has: tuple[str, ...], why: str) -> None:
+    with pytest.raises(Refused, match=why):
+        met(scene(operator))[e].senses(sensor=True, switches=has)
+    met(scene(Operator()))["m"].senses(sensor=True, switches=has)
