@@ -1,0 +1,383 @@
+"""A Haply Inverse3 as the master's device, through Haply's Inverse service: read at ticks, without a thread.
+
+    python -m master hard_wall --peer HOST:9001 --device haply
+    python -m master hard_wall --peer HOST:9001 --device "haply:ws://localhost:10001?axes=y&limit=2"
+
+At each tick what has come is read, and the newest state stands; a command goes out with every force. What the service
+does with a force that is not renewed its documentation says without a time ("per-tick, non-persistent": the device
+"returns to idle"), so a watchdog process sends zero as well, and `deadline` is for who has measured it.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from math import hypot
+from select import select
+from time import monotonic_ns
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+try:
+    from master.inverse_service import WORDS, InverseService, State
+except ModuleNotFoundError as error:
+    raise ImportError("an Inverse3 is reached by websockets, which is not installed; type pip install "
+                      "'bilateral-teleop[haply]', or pip install websockets") from error
+from teleop.errors import DeviceError, Refused
+from teleop.live.devices.heartbeat import DeviceWatchdog
+from teleop.protocol.endpoint import Axes, Reading
+from teleop.scene.scene import Scene
+
+URL = "ws://localhost:10001"  # where the service listens if nobody has told it otherwise
+MOST = 2  # commands without an answer: more would wait in a queue of a service that is slow, and age there
+STALE_NS = 50_000_000  # a state is no longer where the hand is: at 1 m/s it is 50 mm away
+PAUSE_NS = 10_000_000  # since the last command: what the service said to that is too old for a tick
+RETRY_NS = 250_000_000  # between two attempts to reach the service
+HANDSHAKE_NS = 1_000_000_000  # for the service to say which devices it has
+OPEN_NS = 2_000_000_000  # for the first state, before the run
+FRESH_NS = 20_000_000  # for an answer to a command after a pause
+LIMIT = 3.0  # N: chosen, not the device's own
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the address of a device says behind its `?`, or leaves as it is here."""
+
+    device: str | None = None  # identifier; None: the first that is listed
+    word: str | None = None  # of a force; None: as the service's settings of the device say
+    axes: str = "xyz"  # the device's axes that are the scene's, in order, each with a sign before it if it is turned
+    origin: tuple[float, ...] = (0.0, 0.0, 0.0)  # m, in the device's frame: where the scene's positions count from
+    limit: float = LIMIT  # N: a longer force is made so long
+    deadline: float | None = None  # s after which the service lets go by itself, if that was measured
+
+
+class Inverse3:
+    """The device. `read` and `hold` return at once, whatever the service does; what is wrong is a `DeviceError`.
+
+    A service that goes away is called again every 0.25 s, and one that says nothing for 0.05 s is read no more until it
+    does. The motors push with -force, no longer than `limit`: where that may be reached, give the scene's `cap` the
+    same, so that the law knows of it.
+    """
+
+    watchdog: DeviceWatchdog | None
+
+    def __init__(self, scene: Scene, url: str = URL, *, clock: Callable[[], int] = monotonic_ns) -> None:
+        """Raises `Refused` for what it cannot drive, `DeviceError` if no Inverse3 is there."""
+        self._settings, self._uri = settings_of(url)
+        self._rows = _rows(self._settings.axes, scene.axes)
+        self._clock, self._link = clock, _Link(self._uri, self._settings)
+        self._force = (0.0, 0.0, 0.0)
+        self._pushes = self._commanded = False
+        self._asked = 0  # ns, when a command went out last
+        if self._settings.deadline is None:
+            self.watchdog = DeviceWatchdog(open="master.haply:zeroing", arguments=(url,))
+        else:
+            self.watchdog, self.deadline = None, self._settings.deadline
+        if not self._link.wait(clock, OPEN_NS):
+            self._link.drop()
+            raise DeviceError(self._link.trouble or f"the Inverse service at {self._uri} said nothing for 2 s")
+
+    def read(self, k: int) -> Reading:
+        """Position, velocity and switches, as newest told. The service tells no force of the hand."""
+        link, now = self._link, self._clock()
+        link.poll(now)
+        if link.ready and not self._commanded:
+            paused = now - self._asked > PAUSE_NS and not link.unanswered
+            self._send(now)
+            if paused:
+                link.wait(self._clock, FRESH_NS)
+                now = self._clock()
+        self._commanded = False
+        state = link.state
+        if state is None or link.trouble is not None:
+            raise DeviceError(link.trouble or f"the Inverse service at {self._uri} has not answered yet")
+        if now - link.heard > STALE_NS:
+            raise DeviceError(f"the Inverse service at {self._uri} has said nothing for {STALE_NS / 1e9:g} s")
+        return self._reading(state)
+
+    def hold(self, force: Axes) -> None:
+        """Push with -`force` (N, per axis of the scene) from now on."""
+        self._force = self._pushed(force)
+        if not self._link.ready:
+            raise DeviceError(self._link.trouble or f"the Inverse service at {self._uri} is not there")
+        self._commanded = True
+        self._send(self._clock())
+
+    def close(self) -> None:
+        """Push with nothing, and let the service know that this was all."""
+        link = self._link
+        if link.ready:
+            link.command((0.0, 0.0, 0.0))
+            link.wait(self._clock, FRESH_NS)
+            link.goodbye()
+        link.drop()
+
+    def _send(self, now: int) -> None:
+        """Tell the newest force, unless the service has too much to answer. Letting go is never put off."""
+        pushes = any(self._force)
+        if self._link.unanswered < MOST or (self._pushes and not pushes):
+            self._link.command(self._force)
+            self._pushes, self._asked = pushes, now
+
+    def _pushed(self, force: Axes) -> tuple[float, float, float]:
+        """The motors' force in the device's frame, N."""
+        out = [0.0, 0.0, 0.0]
+        for (i, sign), f in zip(self._rows, force, strict=True):
+            out[i] -= sign * f
+        length = hypot(*out)
+        shrink = min(1.0, self._settings.limit / length) if length else 1.0
+        return out[0] * shrink, out[1] * shrink, out[2] * shrink
+
+    def _reading(self, state: State) -> Reading:
+        at, origin = state.position, self._settings.origin
+        x = tuple([sign * (at[i] - origin[i]) for i, sign in self._rows])
+        return Reading(x, tuple([sign * state.velocity[i] for i, sign in self._rows]))
+
+
+class _Link:
+    """The connection, made anew whenever it is lost. All its calls return at once but `wait`."""
+
+    def __init__(self, uri: str, settings: Settings) -> None:
+        self._uri, self._settings = uri, settings
+        where = urlsplit(uri)
+        self._where = where.hostname, where.port or 80
+        self._found: list[Any] = []  # the addresses that the name has, of which the first is tried next
+        self._untried = 0
+        self._sock: socket.socket | None = None
+        self._service: InverseService | None = None
+        self._out = b""
+        self._since = self._retry = 0  # ns: when the connection was begun, and when the next is
+        self._states = 0
+        self._why: str | None = None
+        self._device = settings.device
+        self.heard = 0  # ns, when a state came last
+
+    @property
+    def ready(self) -> bool:
+        """True if a command can be told."""
+        return self._service is not None and self._service.state is not None
+
+    @property
+    def state(self) -> State | None:
+        return None if self._service is None else self._service.state
+
+    @property
+    def unanswered(self) -> int:
+        return 0 if self._service is None else self._service.unanswered
+
+    @property
+    def trouble(self) -> str | None:
+        """What is wrong, None if nothing is."""
+        return self._why if self._service is None or self._service.trouble is None else self._service.trouble
+
+    def poll(self, now: int) -> None:
+        """Take what has come and send what is to go; call the service again if it is time."""
+        if self._sock is None:
+            if now < self._retry:
+                return
+            self._call(now)
+        try:
+            self._take(now)
+            self._flush()
+        except (OSError, DeviceError) as error:
+            self._lose(now, error)
+        if self._service is not None and self._service.state is None and now - self._since > HANDSHAKE_NS:
+            self._lose(now, DeviceError(self._service.trouble or (
+                f"what answers at {self._uri} says nothing; is that the Inverse service?")))
+
+    def command(self, force: tuple[float, float, float]) -> None:
+        """Tell a force; what the system does not take now goes with the next call."""
+        assert self._service is not None
+        self._service.command(force)
+        with suppress(OSError):  # the next `poll` meets it too, and says it
+            self._flush()
+
+    def wait(self, clock: Callable[[], int], most: int) -> bool:
+        """Wait up to `most` ns for the next state; False: none came."""
+        until, before = clock() + most, self._states
+        while (now := clock()) < until:
+            self.poll(now)
+            if self._states > before:
+                return True
+            select([self._sock] if self._sock is not None else [], [], [], 0.005)
+        return False
+
+    def goodbye(self) -> None:
+        """Say that the connection is over."""
+        assert self._service is not None
+        self._service.close()
+        with suppress(OSError):
+            self._flush()
+
+    def drop(self) -> None:
+        """Let go of the connection."""
+        if self._sock is not None:
+            self._sock.close()
+        self._sock = self._service = None
+        self._out = b""
+
+    def _call(self, now: int) -> None:
+        self._since = now
+        try:
+            if not self._found:  # once: a name server may take seconds
+                self._found = socket.getaddrinfo(*self._where, type=socket.SOCK_STREAM)
+            self._untried = (self._untried or len(self._found)) - 1
+            family, kind, number, _, at = self._found[0]
+            self._found = [*self._found[1:], self._found[0]]
+            self._sock = socket.socket(family, kind, number)
+            self._sock.setblocking(False)
+            self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._sock.connect_ex(at)
+        except OSError as error:
+            self._lose(now, error)
+            return
+        self._service = InverseService(self._uri, self._device, self._settings.word)
+        self._out = self._service.to_send()
+        self._states = 0
+
+    def _take(self, now: int) -> None:
+        while self._sock is not None and self._service is not None:
+            try:
+                data = self._sock.recv(1 << 16)
+            except OSError as error:
+                if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOTCONN):
+                    return
+                raise
+            if not data:
+                raise DeviceError(f"the Inverse service at {self._uri} closed the connection")
+            self._service.receive(data)
+            if self._service.states > self._states:
+                self._states, self.heard, self._why = self._service.states, now, None
+                self._device = self._service.device  # the same one after the connection was lost
+
+    def _flush(self) -> None:
+        if self._sock is None or self._service is None:
+            return
+        self._out += self._service.to_send()
+        try:
+            while self._out:
+                self._out = self._out[self._sock.send(self._out):]
+        except OSError as error:
+            if error.errno not in (errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOTCONN):
+                raise
+
+    def _lose(self, now: int, error: Exception) -> None:
+        had = self.ready
+        self.drop()
+        self._retry = now + RETRY_NS * (not self._untried)
+        if isinstance(error, OSError) and had:
+            self._why = f"the Inverse service at {self._uri} closed the connection ({error.strerror or error})"
+        elif isinstance(error, OSError):
+            self._why = (f"the Inverse service at {self._uri} cannot be reached ({error.strerror or error}); start it, "
+                         "or give its address as haply:ws://HOST:PORT")
+        else:
+            self._why = str(error)
+
+
+def zeroing(url: str) -> Callable[[], None]:
+    """What the watchdog process calls: it tells the service at `url` zero, over a connection of its own."""
+    settings, uri = settings_of(url)
+
+    def zero() -> None:
+        link = _Link(uri, settings)
+        try:
+            if not link.wait(monotonic_ns, RETRY_NS):
+                raise DeviceError(link.trouble or f"the Inverse service at {uri} says nothing")
+            link.command((0.0, 0.0, 0.0))
+            if not link.wait(monotonic_ns, RETRY_NS):
+                raise DeviceError(f"the Inverse service at {uri} did not answer a force of zero")
+            link.goodbye()
+        finally:
+            link.drop()
+
+    return zero
+
+
+def settings_of(url: str) -> tuple[Settings, str]:
+    """The settings that an address has behind its `?`, and the address before it. Raises `Refused`.
+
+    >>> settings_of("ws://localhost:10001?axes=-y&limit=2")[0].axes
+    '-y'
+    """
+    parts = urlsplit(url)
+    try:
+        sound = parts.scheme == "ws" and parts.hostname and (parts.port is None or parts.port > 0)
+    except ValueError:
+        sound = False
+    if not sound:
+        raise Refused(f"an Inverse service is at ws://HOST:PORT, not {url!r}; write for example haply:{URL}")
+    told = parse_qsl(parts.query, keep_blank_values=True)
+    unknown = [name for name, _ in told if name not in READ]
+    if unknown:
+        raise Refused(f"the address of an Inverse3 has no setting {unknown[0]!r}, but {', '.join(READ)}; write for "
+                      f"example {URL}?axes=y&limit=2")
+    settings = Settings(**{name: READ[name](name, text) for name, text in told})
+    return settings, parts._replace(query="", fragment="").geturl()
+
+
+def _text(name: str, text: str) -> str:
+    if not text.isalnum():
+        raise Refused(f"an Inverse3's {name} is a word of letters and digits, not {text!r}; write {name}=a")
+    return text
+
+
+def _word(name: str, text: str) -> str:
+    if text not in WORDS:
+        raise Refused(f"a force is told by the {name} {' or '.join(WORDS)}, not {text!r}; write {name}={WORDS[0]}")
+    return text
+
+
+def _axes(name: str, text: str) -> str:
+    letters = text.replace("-", "")
+    if not letters or set(letters) - set("xyz") or len(set(letters)) < len(letters) or "--" in text or text[-1] == "-":
+        raise Refused(f"{name} are the device's axes in the scene's order, each once, not {text!r}; write {name}=xyz, "
+                      f"or {name}=-y for one axis that is turned round")
+    return text
+
+
+def _positive(name: str, text: str) -> float:
+    number = _float(name, text)
+    if not 0.0 < number < 1e3:
+        raise Refused(f"an Inverse3's {name} is above 0 and below 1000, not {text}; write for example {name}=2")
+    return number
+
+
+def _place(name: str, text: str) -> tuple[float, ...]:
+    place = tuple(_float(name, one) for one in text.split(","))
+    if len(place) != 3 or not all(-1e3 < one < 1e3 for one in place):
+        raise Refused(f"an {name} has three numbers in m, along the device's x, y and z, not {text!r}; write for "
+                      f"example {name}=0,-0.12,0.15")
+    return place
+
+
+def _float(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise Refused(f"an Inverse3's {name} is made of numbers, not {text!r}") from None
+
+
+READ: dict[str, Callable[[str, str], Any]] = {
+    "device": _text, "word": _word, "axes": _axes, "origin": _place, "limit": _positive,
+    "deadline": _positive,
+}
+"""How each setting is read."""
+
+
+def _rows(axes: str, count: int) -> list[tuple[int, float]]:
+    """For each axis of the scene, the device's axis and its sign. Raises `Refused` if there are too few."""
+    rows: list[tuple[int, float]] = []
+    sign = 1.0
+    for letter in axes:
+        if letter == "-":
+            sign = -1.0
+        else:
+            rows.append(("xyz".index(letter), sign))
+            sign = 1.0
+    if count > len(rows):
+        raise Refused(f"the scene has {count} axes, and the Inverse3 gives it {len(rows)} ({axes}); take a scene of at "
+                      "most three axes, or name more by ?axes=xyz")
+    return rows[:count]

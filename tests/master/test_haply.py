@@ -1,0 +1,306 @@
+"""A Haply Inverse3 through a stand-in of its service: what is read, what is told, and what goes wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import partial
+from itertools import count
+from math import hypot
+from typing import Any
+
+import pytest
+
+pytest.importorskip("websockets", reason="the extra `haply` is not installed")
+
+from master.haply import STALE_NS, Inverse3, settings_of, zeroing
+from teleop import DeviceError, Refused, Scene, Wave
+from teleop.physics.plant import MassDamper
+from tests.master.inverse_stand_in import StandIn
+
+BODY = MassDamper(mass=0.3, damping=1.0)
+
+
+def scene(axes: int = 3) -> Scene:
+    return Scene(law=Wave(), master=BODY, slave=BODY, axes=axes, duration=1.0)
+
+
+class Bench:
+    """The service, and time that goes on by `step` (s) whenever the device looks at its clock."""
+
+    def __init__(self, word: str = "vector") -> None:
+        self.service, self.now, self.step = StandIn(word), 0.0, 1e-5
+        self.serves = True
+
+    def clock(self) -> int:
+        self.now += self.step
+        if self.serves:
+            self.service.pump(self.now)
+        return round(self.now * 1e9)
+
+    def open(self, more: str = "", axes: int = 3) -> Inverse3:
+        self.step = 0.05  # so that a service that has nothing to say is not really waited for
+        try:
+            return Inverse3(scene(axes), self.service.url + more, clock=self.clock)
+        finally:
+            self.step = 1e-5
+
+    def go(self, device: Inverse3, ticks: int, force: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Any:
+        """So many ticks of 1 ms; the last reading."""
+        reading = None
+        for k in range(ticks):
+            self.now += 1e-3
+            self.clock()
+            reading = device.read(k)
+            device.hold(force)
+        return reading
+
+    def trouble(self, device: Inverse3, ticks: int = 400) -> str:
+        """What it says is wrong, within so many ticks."""
+        for _ in range(ticks):
+            try:
+                self.go(device, 1)
+            except DeviceError as error:
+                return str(error)
+        raise AssertionError("nothing was wrong")
+
+    def well_again(self, device: Inverse3, ticks: int = 1000) -> Any:
+        for _ in range(ticks):
+            try:
+                return self.go(device, 1)
+            except DeviceError:
+                pass
+        raise AssertionError("it never came back")
+
+
+@pytest.fixture(params=["vector", "values"])
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    made = Bench(request.param)
+    yield made
+    made.service.close()
+
+
+@pytest.fixture
+def new() -> Iterator[Bench]:
+    made = Bench()
+    yield made
+    made.service.close()
+
+
+def test_it_reads_where_the_cursor_is_in_metres_and_how_fast_it_moves(bench: Bench) -> None:
+    device = bench.open("?origin=0,-0.12,0.15")
+    reading = bench.go(device, 300)
+    service = bench.service
+    assert abs(service.x[1]) > 1e-3  # the hand moves
+    assert reading.x == pytest.approx(service.x, abs=0.2e-3 * (1.0 + abs(service.v[1])) + 1e-4)
+    assert reading.v == pytest.approx(service.v, abs=5e-3)
+    assert reading.f is None
+
+
+def test_a_force_is_told_in_the_words_of_the_service_and_pushes_against_the_hand(bench: Bench) -> None:
+    device = bench.open()
+    bench.go(device, 20, (1.0, -0.5, 0.25))
+    assert bench.service.force == {"x": -1.0, "y": 0.5, "z": -0.25}
+
+
+def test_axes_are_taken_in_the_order_and_with_the_sign_that_is_asked_for(new: Bench) -> None:
+    device = new.open("?axes=-yx&origin=0,-0.12,0.15", axes=2)
+    new.service.x, new.service.v = [0.01, 0.02, 0.0], [0.0, 0.0, 0.0]
+    reading = new.go(device, 3, (0.5, 0.25))
+    assert reading.x == pytest.approx((-0.02, 0.01), abs=1e-3)
+    new.go(device, 2, (0.5, 0.25))
+    assert new.service.force == {"x": -0.25, "y": 0.5, "z": 0.0}
+
+
+def test_power_is_the_same_in_the_frame_of_the_scene_and_of_the_device(new: Bench) -> None:
+    """However the axes are turned: the motors take from the hand what the law was told."""
+    device = new.open("?axes=z-xy&limit=50")
+    new.go(device, 50)
+    reading = new.go(device, 1, (1.0, 2.0, 3.0))
+    new.clock()
+    told = new.service.commands[-1]["inverse3"][0]["commands"]["set_cursor_force"]["vector"]
+    state = device._link.state
+    assert state is not None
+    at_device = sum(told[name] * v for name, v in zip("xyz", state.velocity, strict=True))
+    assert at_device == pytest.approx(-sum(f * v for f, v in zip((1.0, 2.0, 3.0), reading.v, strict=True)), rel=1e-12)
+
+
+def test_a_force_beyond_the_limit_keeps_its_direction(new: Bench) -> None:
+    device = new.open("?limit=2")
+    new.go(device, 5, (30.0, 40.0, 0.0))
+    assert tuple(new.service.force.values()) == pytest.approx((-1.2, -1.6, 0.0))
+    assert hypot(*new.service.force.values()) == pytest.approx(2.0)
+
+
+def test_reading_alone_keeps_the_states_coming(new: Bench) -> None:
+    """The service answers commands and says nothing else; before a run nobody holds a force."""
+    device = new.open("?origin=0,-0.12,0.15")
+    for _ in range(20):
+        new.now += 0.5
+        assert device.read(0).x[1] == pytest.approx(new.service.x[1], abs=2e-3)
+
+
+def test_a_slow_service_is_told_the_newest_force_and_no_queue(new: Bench) -> None:
+    device = new.open()
+    new.go(device, 5)
+    before = len(new.service.commands)
+    new.serves = False
+    for k in range(40):
+        new.now += 1e-3
+        device.read(k)
+        device.hold((0.01 * k, 0.0, 0.0))
+    new.serves = True
+    new.go(device, 3, (2.0, 0.0, 0.0))
+    assert len(new.service.commands) - before <= 6
+    assert new.service.force["x"] == -2.0
+
+
+def test_letting_go_is_told_to_a_service_that_has_not_answered(new: Bench) -> None:
+    device = new.open()
+    new.go(device, 5, (2.0, 0.0, 0.0))
+    new.serves = False
+    for _ in range(5):
+        device.hold((2.0, 0.0, 0.0))
+    device.hold((0.0, 0.0, 0.0))
+    new.serves = True
+    new.clock()
+    assert new.service.force["x"] == 0.0
+
+
+def test_a_service_that_says_nothing_is_not_read(new: Bench) -> None:
+    device = new.open()
+    new.go(device, 5)
+    new.service.answers = False
+    assert "said nothing for 0.05 s" in new.trouble(device, 2 * STALE_NS // 1_000_000)
+    new.service.answers = True
+    assert new.well_again(device).x
+
+
+@pytest.mark.parametrize("said", [
+    "", "{", "[1, 2]", "null", '{"inverse3": 3}', b"\xff\xfe", "[" * 100_000, '{"inverse3": [{"device_id": "049D"}]}',
+    '{"inverse3": [{"device_id": "049D", "state": {"cursor_position": {"x": 1}, "cursor_velocity": {}}}]}',
+    '{"inverse3": {"049D": {"state": {}}}}',
+], ids=range(10))
+def test_what_is_no_state_is_said_and_the_next_state_mends_it(new: Bench, said: Any) -> None:
+    device = new.open()
+    new.go(device, 5)
+    new.service.say = said
+    sentence = new.trouble(device, 5)
+    assert "Inverse" in sentence
+    assert "\n" not in sentence
+    new.service.say = None
+    assert new.well_again(device, 5).x
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999", '"0.1"', "true", "null"])
+def test_a_position_that_is_no_finite_number_reaches_no_law(new: Bench, number: str) -> None:
+    device = new.open()
+    new.go(device, 5)
+    told = '"cursor_position": {"x": '
+    state = json.dumps(new.service.state()).replace(f"{told}0.0", told + number)
+    assert number in state
+    new.service.say = state
+    assert "finite" in new.trouble(device, 5)
+
+
+def test_a_service_without_an_inverse3_says_what_it_has(new: Bench) -> None:
+    new.service.without = {"inverse3"}
+    with pytest.raises(DeviceError, match=r"lists no Inverse3, but wireless_verse_grip 7C11; plug it in"):
+        new.open()
+
+
+def test_another_inverse3_than_the_one_that_is_asked_for_is_not_driven(new: Bench) -> None:
+    with pytest.raises(DeviceError, match=r"lists no Inverse3 04EA, but inverse3 049D"):
+        new.open("?device=04EA")
+    assert new.service.commands == []
+
+
+def test_an_inverse3_that_is_unplugged_in_a_run_is_said_and_comes_back(new: Bench) -> None:
+    device = new.open()
+    new.go(device, 5)
+    new.service.without = {"inverse3"}
+    assert "lists no Inverse3 049D" in new.trouble(device, 5)
+    new.service.without = set()
+    assert new.well_again(device, 5).x
+
+
+@pytest.mark.parametrize(("status", "cure"), [("calibrated", "grip on the base"), ("power_supply", "plug its power")])
+def test_an_inverse3_that_is_not_ready_says_what_to_do(new: Bench, status: str, cure: str) -> None:
+    new.service.status[status] = False
+    with pytest.raises(DeviceError, match=cure):
+        new.open()
+
+
+def test_a_service_that_is_started_again_is_found_again(new: Bench) -> None:
+    device = new.open()
+    new.go(device, 5, (1.0, 0.0, 0.0))
+    port, word = new.service.port, new.service.word
+    new.service.close()
+    new.service = StandIn(word)  # at another port: at the device's nobody listens
+    assert "closed the connection" in new.trouble(device, 3)
+    with pytest.raises(DeviceError):
+        device.hold((1.0, 0.0, 0.0))
+    for _ in range(3):
+        new.now += 0.3
+        sentence = new.trouble(device, 1)
+    assert "cannot be reached (Connection refused); start it" in sentence
+    new.service.close()
+    new.service = StandIn(word, port)
+    new.service.at = new.now
+    assert new.well_again(device).x
+    new.go(device, 3, (1.5, 0.0, 0.0))
+    assert new.service.force["x"] == -1.5
+
+
+def test_a_connection_that_is_cut_is_made_anew(new: Bench) -> None:
+    device = new.open()
+    new.go(device, 5)
+    new.service.drop()
+    assert "closed the connection" in new.trouble(device, 3)
+    assert new.well_again(device).x
+
+
+def test_closing_lets_go(bench: Bench) -> None:
+    device = bench.open()
+    bench.go(device, 5, (1.0, 1.0, 1.0))
+    device.close()
+    assert set(bench.service.force.values()) == {0.0}
+
+
+def test_the_watchdog_lets_go_over_a_connection_of_its_own(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    device = bench.open()
+    bench.go(device, 5, (1.0, 1.0, 1.0))
+    monkeypatch.setattr("master.haply.monotonic_ns", bench.clock)
+    assert device.watchdog is not None
+    assert device.watchdog.open == "master.haply:zeroing"
+    zeroing(*device.watchdog.arguments)()
+    assert set(bench.service.force.values()) == {0.0}
+
+
+def test_who_has_measured_when_the_service_lets_go_needs_no_watchdog(new: Bench) -> None:
+    device = new.open("?deadline=0.1")
+    assert device.watchdog is None
+    assert device.deadline == 0.1
+
+
+def test_what_is_no_inverse_service_is_said() -> None:
+    with pytest.raises(DeviceError, match=r"cannot be reached \(Connection refused\)"):
+        Inverse3(scene(), "ws://127.0.0.1:9", clock=partial(next, count(0, 50_000_000)))
+
+
+@pytest.mark.parametrize(("url", "why"), [
+    ("http://localhost:10001", "ws://HOST:PORT"), ("ws://", "ws://HOST:PORT"), ("localhost:10001", "ws://HOST:PORT"),
+    ("ws://localhost:99999", "ws://HOST:PORT"), ("ws://localhost?speed=1", "no setting 'speed'"),
+    ("ws://localhost?axes=xx", "each once"), ("ws://localhost?axes=x-", "each once"), ("ws://h?axes=", "each once"),
+    ("ws://localhost?limit=0", "above 0"), ("ws://localhost?limit=nan", "above 0"), ("ws://h?limit=a", "numbers"),
+    ("ws://localhost?origin=1,2", "three numbers"), ("ws://localhost?word=force", "vector or values"),
+    ("ws://localhost?device=a%22b", "letters and digits"),
+])
+def test_an_address_that_cannot_be_meant_is_refused(url: str, why: str) -> None:
+    with pytest.raises(Refused, match=why):
+        settings_of(url)
+
+
+def test_a_scene_of_more_axes_than_it_has_is_refused(new: Bench) -> None:
+    with pytest.raises(Refused, match="the scene has 3 axes"):
+        new.open("?axes=xy")
