@@ -8,6 +8,7 @@ from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.liveness import RENEW_NS
 
 OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
+SEALED_OPEN_NS = 100_000_000  # the same with keys: the peer may have moved, and the session goes on if it is found
 
 
 class Listening:
@@ -17,6 +18,7 @@ class Listening:
         self.endpoint, self.wire = endpoint, wire
         self.to_all = False  # for the peer was silent
         self._since_ns = 0  # when it changed
+        self._open_ns = OPEN_NS if wire.secure_link is None else SEALED_OPEN_NS
 
     def go_on(self, endpoint: Endpoint) -> None:
         """Listen for another endpoint of the same session."""
@@ -28,12 +30,12 @@ class Listening:
         `begun`: a session has begun since this was called last.
         """
         heard_ns, session = self.endpoint.heard_ns, self.endpoint.session
-        if now - heard_ns <= OPEN_NS and session.carries_data and not (begun or self.to_all):
+        if now - heard_ns <= self._open_ns and session.carries_data and not (begun or self.to_all):
             return  # nearly always
         if begun or (self.to_all and heard_ns > self._since_ns):
             self._since_ns = now
             self._keep_to_peer()
-        elif not self.to_all and (now - max(heard_ns, self._since_ns) > OPEN_NS or not session.carries_data):
+        elif not self.to_all and (now - max(heard_ns, self._since_ns) > self._open_ns or not session.carries_data):
             self._since_ns = now
             self.to_all = True
             self.wire.listen_to_all()

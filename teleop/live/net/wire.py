@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import sys
 import time
@@ -25,6 +26,9 @@ MEMINFO, DROPS = 55, 8  # SO_MEMINFO of Linux, and the place of the count of dat
 OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells of a wall clock that was set
 SKEW_NS = 5_000_000  # between what two clocks say, and for what comes while it is looked
 ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
+MTU_DISCOVER, WHEREVER = 10, 0  # IP_MTU_DISCOVER and IP_PMTUDISC_DONT of Linux: routers may cut what is too long
+# What a connected socket says whose own address is not this machine's any more, or whose network is down.
+NO_WAY = frozenset((errno.EINVAL, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, errno.EADDRNOTAVAIL))
 _TIMESPEC = Struct("@ll")
 
 
@@ -50,12 +54,14 @@ class Wire:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
         with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
+            sock.setsockopt(socket.IPPROTO_IP, MTU_DISCOVER, WHEREVER)
         self.sock, self.peer, self.secure_link = sock, peer, secure_link
         calls = secure_link is not None and peer is not None
         self._caller = Caller() if calls else None  # of a relay on the way, if any
         self._bound: Address | None = None  # its own address and port before it was kept to the peer
         self.kept = False  # is it deaf to everybody but the peer
         self._filtered = False
+        self._lost_way = False  # it was kept to the peer, and is not while the system has no way there
         self.unsent = 0  # datagrams that the system did not take
         self._emptied_ns = time.monotonic_ns()  # when there was nothing to receive
 
@@ -71,12 +77,17 @@ class Wire:
                 if not self.kept:
                     self._bound = self.sock.getsockname()
                 self.sock.connect(self.peer)
-                self.kept = True
+                self.kept, self._lost_way = True, False
 
     def listen_to_all(self) -> None:
         """Take in what comes from anywhere again, for a peer that may come back from another port."""
         if self._filtered:
             self._filtered = not detach(self.sock)
+        self._lost_way = False
+        self._let_loose()
+
+    def _let_loose(self) -> None:
+        """The socket has no peer of its own any more, nor an address that it took to reach it; the filter stays."""
         if self.kept:
             import ctypes
 
@@ -101,8 +112,13 @@ class Wire:
                 self.sock.send(data)
             else:
                 self.sock.sendto(data, self.peer)
-        except OSError:
+                if self._lost_way:
+                    self.keep_to_peer()
+        except OSError as error:
             self.unsent += 1
+            if self.kept and error.errno in NO_WAY:  # as when this machine's own address has changed
+                self._let_loose()
+                self._lost_way = True
 
     def answer(self, data: bytes, address: Address) -> None:
         """Send to the sender of a datagram: the peer, or a host that may become it. Sealed, to the peer alone."""
