@@ -74,7 +74,7 @@ def _push(model: Loaded, body: MuJoCoBody, home: tuple[float, ...], i: int, forc
     """
     unit = model.units
     for _ in range(ticks):
-        x, v, f = body.read()
+        x, v, f = body.read()[:3]
         if not abs(x[i] - home[i]) < REACH[unit[i]]:
             return False
         if f is not None and seeks and abs(f[i] - force) < 0.2 * abs(force) and abs(v[i]) < 0.01:
@@ -82,5 +82,5 @@ def _push(model: Loaded, body: MuJoCoBody, home: tuple[float, ...], i: int, forc
         held = [force if j == i else SPRING[unit[j]] * (home[j] - x[j]) for j in range(len(x))]
         body.hold(tuple([each - DAMPING[unit[j]] * v[j] for j, each in enumerate(held)]))
         body.step()
-    x, _, f = body.read()
+    x, _, f = body.read()[:3]
     return f is not None and abs(f[i] - force) < 0.05 * abs(force)

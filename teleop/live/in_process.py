@@ -10,6 +10,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any
 
 from teleop.errors import Refused
@@ -80,17 +81,14 @@ def _run(scene: Scene, devices: Mapping[str, LiveDevice], seed: int, clock: Call
     forces = {e: device.force_source for e, device in guarded.items()}
     notes = [f"{NAMES[e]}: {UNSENSED[e]}" for e, source in forces.items() if source == "unknown"]
     notes += [note for device in devices.values() for note in getattr(device, "notes", ())]
-    judge = _judged(why, devices)
-    analysed = scene if getattr(devices["s"], "scene_body", False) else _without_environment(scene)
-    return result_of(prepare(analysed), plans, rows, ran, end, seed=seed, took=took, forces=forces, notes=notes,
-                     reports=named, judge=judge)
+    return result_of(prepare(_analysed(scene, devices)), plans, rows, ran, end, seed=seed, took=took, forces=forces,
+                     notes=notes, reports=named, judge=_judged(why, devices))
 
 
-def _without_environment(scene: Scene) -> Scene:
-    """The scene without what its own slave would touch, which a robot of another kind does not."""
-    from dataclasses import replace
-
-    return replace(scene, environment=None)
+def _analysed(scene: Scene, devices: Mapping[str, LiveDevice]) -> Scene:
+    """The scene without the hand and the environment of the bodies that other devices stand for."""
+    master, slave = (getattr(devices[e], "scene_body", False) for e in "ms")
+    return replace(scene, hand=scene.hand if master else None, environment=scene.environment if slave else None)
 
 
 def _met(scene: Scene, inboxes: Mapping[str, Stepped]) -> tuple[dict[str, Endpoint], int]:

@@ -75,6 +75,12 @@ class Robot(SimulatedSlave):
         self.closed += 1
 
 
+class Pushed(SimulatedMaster):
+    """A master that somebody else moves, of whose force nothing is known."""
+
+    scene_body = False
+
+
 class Broken(Robot):
     fails = 30
 
@@ -132,6 +138,15 @@ def test_of_what_moves_by_itself_no_limit_cycle_is_told() -> None:
     ours = run_stepped(swings, {**SIMULATED, "s": Robot}, seed=SEED)
     assert ours.trace["x_s"].tobytes() == run(swings, seed=SEED).trace["x_s"].tobytes()
     assert (ours.status, ours.sentence) == ("ok", "ran to its end, 2000 ticks of 0.001 s")
+
+
+def test_a_motion_that_grows_under_a_hand_of_which_nothing_is_known_is_no_fault() -> None:
+    """What the hand's reference puts in was asked of a force that nobody had sensed."""
+    of = load_scene("beating_heart", law="direct", delay=0.1)
+    ours = run_stepped(of, {**SIMULATED, "m": Pushed}, seed=SEED)
+    assert [note for note in run(of, seed=SEED).notes if "still grows" in note]
+    assert "f_h" not in ours.trace
+    assert ours.status == "ok"
 
 
 @pytest.mark.parametrize(("of", "says"), [
