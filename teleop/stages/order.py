@@ -63,6 +63,9 @@ BEFORE_LAW = (  # what the law reads
     Place("scaling", "scaling:ScalingStage", lambda end: end.e == "s" and end.scene.scaling is not None,
           "tells the law the slave's metres and newtons in those of the master, and its force back",
           "scaling=Scaling(scale_x=0.2, scale_f=0.5)", "slave"),
+    Place("orientation", "orientation:OrientationStage", lambda end: bool(end.scene.rotations),
+          "counts the orientation on the axes of a rotation, and tells the law positions that go by it",
+          "rotations=(3,)"),
     # what it reads of the other end
     Place("wave_integral", "wave_integral:WaveIntegralStage", lambda end: _plays(end, "wave_integral"),
           "plays waves by their integral, within their energy", "playout=Integral()"),
