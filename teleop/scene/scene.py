@@ -47,7 +47,8 @@ MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not 
 PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
          "left_out_m", "left_out_s", "deadband", "operator")  # or None
 
-_NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size", "start_m", "start_s")
+_NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size",
+                      "start_m", "start_s", "names", "units", "rotations")
 # The numbers of the last scene that passed its checks, by the classes of its parts: in a sweep they seldom change.
 _PASSED: dict[tuple[type, ...], tuple[Any, ...]] = {}
 

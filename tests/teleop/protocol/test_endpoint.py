@@ -21,6 +21,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.pp import PositionPosition
 from teleop.laws.wave import Wave
+from teleop.laws.wave_position import WavePosition
 from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.guard import UNNAMED
@@ -38,6 +39,7 @@ from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 from tests.teleop.scene.unlike import LAWS, unlike
+from tests.teleop.stages.tumbling import tumbling
 
 MS = 1_000_000
 START = 10**12  # tick 0 on both clocks
