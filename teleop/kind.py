@@ -14,10 +14,11 @@ that is lost loses nothing and a copy adds nothing. The newest stands, also betw
 A *sample* is a value at a tick: the newest stands, and of several that a slower end plays together their mean. A field
 that declares nothing, `x: float`, is a sample.
 
-A *position* is a place on the axis, m or rad, that a law compares with that of its own end; elsewhere it is a sample. On
-the axes of a rotation it stands for an orientation: what is sent is a rotation vector, and what a law is told is its own
-place and how far the other lies from it (`teleop.stages.orientation`), so that x - rx.x is the logarithm of the relative
-rotation. A field of a law's state that is a place, such as a commanded point, is declared likewise.
+A *position* is a place on the axis, m or rad, that a law compares with that of its own end; but for that it is a
+sample. On the axes of a rotation it stands for an orientation: what is sent is a rotation vector, and what a law is
+told is its own place and how far the other lies from it (`teleop.stages.orientation`), so that x - rx.x is the
+logarithm of the relative rotation. A field of a law's state that is a place, such as a commanded point, is declared
+likewise.
 """
 
 from __future__ import annotations

@@ -50,7 +50,8 @@ class RotationAxes:
         Raises `DeviceError` before there is one.
         """
         if self._q is None:
-            raise DeviceError("no quaternion has come yet, so nothing says where the device's axes point; call phi first")
+            raise DeviceError("no quaternion has come yet, so nothing says where the device's axes point; call phi "
+                              "first")
         w, x, y, z = self._q
         a, b, c = vector
         _, u, v, s = product(*product(w, x, y, z, 0.0, a, b, c), w, -x, -y, -z)

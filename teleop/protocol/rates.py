@@ -3,10 +3,10 @@
 Both count the ticks of one grid; an end takes every `mine`-th of them, its peer every `theirs`-th. A slower peer's
 message stands for all the ticks until its next one is due, and is played at each of them. A faster one's messages of
 the ticks since the last are played together: of a sample or a position their mean, of a total the newest
-(`teleop.kind`), and so of a position on the axes of a rotation, where it is a rotation vector: their mean is none. What waves
-have come to is cumulative too, so the newest message has it all (`teleop.stages.wave_integral`): ends at different
-rates exchange waves in no other way. Where neither rate is a multiple of the other the mean is that over the ticks of
-the grid, at each of which the last message stands, for its sender's tick at most.
+(`teleop.kind`), and of a position on the axes of a rotation too, where it is a rotation vector: no mean of these is
+one. What waves have come to is cumulative too, so the newest message has it all (`teleop.stages.wave_integral`): ends
+at different rates exchange waves in no other way. Where neither rate is a multiple of the other the mean is that over
+the ticks of the grid, at each of which the last message stands, for its sender's tick at most.
 """
 
 from __future__ import annotations

@@ -11,21 +11,19 @@ torque of a coupling a potential.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.errors import Refused, number_of
 from teleop.kind import positions
 from teleop.law import law_name, messages, reads, start_at
 from teleop.scene.axes import axis_names
 
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-
-ALIKE = {"law": "one law", "master": "one moment of inertia and damping", "slave": "one moment of inertia and damping"}
+BODY = "one moment of inertia and damping"
+ALIKE = {"law": "one law", "master": BODY, "slave": BODY}
 
 
-def check_rotations(scene: Scene) -> None:
-    """Refuse rotations that are not three axes each, a law that has no orientation, and parts that differ on them."""
+def check_rotations(scene: Any) -> None:
+    """Of a `Scene` refuse rotations that are not three axes each, laws without orientation, and parts unlike."""
     firsts = scene.rotations
     whole = isinstance(firsts, tuple) and all(type(each) is int for each in firsts)
     if not whole or any(b < a + 3 for a, b in zip((-3, *firsts), (*firsts, scene.axes), strict=True)):

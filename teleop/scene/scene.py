@@ -134,7 +134,7 @@ class Scene:
                           f"{self.playout!r}; write for example playout=Fixed(0.1)")
         if not isinstance(self.energy, bool):
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
-        if self.rotations:
+        if self.rotations != ():
             check_rotations(self)
         self._check_deadband()
         self._check_packet()

@@ -1,10 +1,10 @@
 """Orientation: on the three axes of a rotation a law's positions stand for a unit quaternion.
 
-A rotation axis has the coordinate phi, the integral of the angular velocity along one of the world's directions; x is
-phi (rad), v the angular velocity (rad/s), f the torque (N m). Bodies, waves and the work of a port are those of any axis
-then, for the power of a torque f is the sum of f_i v_i: with f held over a tick its work is the sum of f_i times the
-change of phi_i, to rounding, however the axis of the turn moves meanwhile. In simulation a body has the same inertia
-about every axis, since only that has no gyroscopic torque: J w' = f on each axis by itself.
+A rotation axis has the coordinate phi, the integral of the angular velocity along one of the world's directions: x
+is phi (rad), v the angular velocity (rad/s), f the torque (N m). Bodies, waves and the work of a port are those of any
+axis then, for the power of a torque f is the sum of f_i v_i: with f held over a tick its work is the sum of f_i times
+the change of phi_i, to rounding, however the axis of the turn moves meanwhile. In simulation a body has the same
+inertia about every axis, since only that has no gyroscopic torque: J w' = f on each axis by itself.
 
 phi is no orientation, though: bodies that have the same phi may stand differently. So each end counts the unit
 quaternion q by the increments of phi (`teleop.physics.rotation`), and a law's positions (`teleop.kind`) go by that:
@@ -14,11 +14,11 @@ quaternion q by the increments of phi (`teleop.physics.rotation`), and a law's p
     x in one that is received        phi + log(q_x q^-1), likewise the nearest to the last
     x in the law's state             at the next tick phi + log(q_x q^-1), q_x = exp(x - phi) q as it was set
 
-So to a law each place is its own phi and how far that place lies from it: K (x - rx.x) is K log(q q_rx^-1), and turns
+So to a law each place is its own phi and how far that place lies from it: K (x - rx.x) is K log(q q_rx^-1), and goes
 on through pi. Without a new message q_rx stays. Velocities, forces and waves are told as they are: twist and wrench, in
 the world's directions, which both ends have to share.
 
-Energy. With theta = log(q_m q_s^-1) and V = K |theta|^2/2, and J_l, J_r the left and right Jacobians of the exponential,
+Energy. With theta = log(q_m q_s^-1), V = K |theta|^2/2, and the exponential's left and right Jacobians J_l and J_r,
 
     theta' = J_l(theta)^-1 w_m - J_r(theta)^-1 w_s,   J_l(theta) theta = theta,   J_r = J_l^T,   so
     V' = K theta . (w_m - w_s):

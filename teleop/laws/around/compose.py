@@ -147,7 +147,8 @@ def _inner_end(law: Any, name: str) -> InnerEnd:
     s, heard = getattr(law, f"{name}_start")(still)
     sent = getattr(law, f"{ENDS[name]}_start")(still)[1]
     sums = getattr(law, f"{name}_sums", None)
-    return InnerEnd(name, kind.kinds(type(s)) if hasattr(s, "_fields") else None, kind.kinds(type(sent)), kind.kinds(type(heard)),
+    kept = kind.kinds(type(s)) if hasattr(s, "_fields") else None
+    return InnerEnd(name, kept, kind.kinds(type(sent)), kind.kinds(type(heard)),
                     None if sums is None else sums(s, still, heard)._fields)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import cos, inf, isnan, nan, pi, sin
 
 import mpmath
@@ -113,8 +114,8 @@ def test_what_one_end_sends_the_other_finds_where_it_is() -> None:
         here, there = exp(*d), exp(*e)
         sent = sent_at(*there, *p, 0.0, 0.0, 0.0)
         at = product(*exp(*p), *there)
-        assert np.allclose(heard_at(*here, *sent, 0.0, 0.0, 0.0), log(*product(*at, *unit(here[0], *[-x for x in here[1:]]))),
-                           atol=3e-15)
+        apart = log(*product(*at, *unit(here[0], *[-x for x in here[1:]])))
+        assert np.allclose(heard_at(*here, *sent, 0.0, 0.0, 0.0), apart, atol=3e-15)
         step = (0.01, -0.02, 0.015)
         moved = turned(*there, *step)
         assert np.allclose(left_at(*p, *step), heard_at(*moved, *sent, *p), atol=3e-15)
@@ -148,7 +149,7 @@ def test_increments_of_phi_leave_out_what_the_module_says() -> None:
     back = (true[0], *[-each for each in true[1:]])
     plain, named = [[float(np.linalg.norm(log(*product(*counted(n, correct), *back)))) for n in (50, 100, 200)]
                     for correct in (False, True)]
-    for (coarse, fine), order in (*[(pair, 2.0) for pair in zip(plain, plain[1:], strict=False)],
+    for (coarse, fine), order in (*[(pair, 2.0) for pair in pairwise(plain)],
                                   (named[:2], 4.0)):
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
     step = exp(10e-3, 100.0 * 0.5e-6, 0.0)  # of 1 ms at 10 rad/s, 100 rad/s^2 across it

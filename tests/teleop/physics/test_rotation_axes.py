@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import nan, pi
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_a_tool_that_is_turned_on_and_on_does_not_unwind() -> None:
         assert device.phi(exp(*(angle * axis))) == pytest.approx(tuple(angle * axis), abs=1e-12)
 
 
-@pytest.mark.parametrize("q", [(1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), (1.0, 0.1, 0.0, 0.0), (float("nan"), 0.0, 0.0, 0.0)])
+@pytest.mark.parametrize("q", [(1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), (1.0, 0.1, 0.0, 0.0), (nan, 0.0, 0.0, 0.0)])
 def test_what_is_no_unit_quaternion_is_an_error_of_the_device(q: tuple[float, ...]) -> None:
     device = RotationAxes()
     with pytest.raises(DeviceError, match="no unit quaternion"):

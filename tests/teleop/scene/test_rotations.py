@@ -13,7 +13,7 @@ from teleop.laws.pp import PositionPosition
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.scene.axes import on_axis
+from teleop.scene.one_axis import on_axis
 from teleop.scene.rotations import without_orientation
 from tests.teleop.stages.tumbling import tumbling
 
@@ -40,7 +40,7 @@ LIGHT, HEAVY = MassDamper(mass=0.001, damping=0.005), MassDamper(mass=0.002, dam
 
 
 @pytest.mark.parametrize(("parts", "sentence"), [
-    ({"rotations": 0}, "index of the first axis of each rotation"),
+    ({"rotations": [0]}, "index of the first axis of each rotation"),
     ({"rotations": (1,)}, "the scene has 3 axes; write for example axes=6, rotations=\\(3,\\)"),
     ({"rotations": (-1,)}, "index of the first axis"),
     ({"rotations": (0, 2), "axes": 6}, "with three axes for each"),
@@ -61,9 +61,11 @@ def test_what_cannot_turn_is_refused_in_one_sentence(parts: dict[str, Any], sent
 def test_axes_of_a_rotation_are_in_rad_and_each_is_analysed_by_itself() -> None:
     scene = tumbling(axes=4, rotations=(1,), hand=None)
     assert scene.axis_units == ("m", "rad", "rad", "rad")
-    assert on_axis(scene, 2).rotations == () and on_axis(scene, 2).axis_units == ("rad",)
+    assert on_axis(scene, 2).rotations == ()
+    assert on_axis(scene, 2).axis_units == ("rad",)
 
 
 def test_a_deadband_around_a_law_keeps_its_positions_positions() -> None:
     law = around("deadband(0.1)", PositionPosition())
-    assert without_orientation(law) == "" and tumbling(law=law).rotations == (0,)
+    assert without_orientation(law) == ""
+    assert tumbling(law=law).rotations == (0,)

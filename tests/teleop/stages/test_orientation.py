@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from channel.delay import Delay
 from channel.link import parse_link
 from master.hand import Grip, Reach
 from slave.tissue import Tissue
@@ -66,7 +65,8 @@ def test_after_a_tumble_the_ends_stand_alike_and_not_only_their_angles(name: str
     m, s = [orientations(result.trace, e) for e in "ms"]
     for e, q in (("m", m), ("s", s)):
         assert np.abs(apart(q, counted(result.trace[f"x_{e}"]))).max() < 1e-12
-    assert apart(m, s)[-1] < 2e-3 < 1e-2 < apart(m, s).max()
+    assert apart(m, s)[-1] < 2e-3
+    assert apart(m, s).max() > 1e-2
     flat = run(replace(scene, rotations=(), units=("rad",) * 3)).trace
     assert apart(counted(flat["x_m"]), counted(flat["x_s"]))[-1] > 10.0 * apart(m, s)[-1]
 
@@ -95,13 +95,14 @@ def test_a_tool_that_turned_by_two_thirds_of_a_turn_in_a_blackout_is_followed_al
     trace = run(scene).trace
     q_m, q_s = [orientations(trace, e) for e in "ms"]
     assert np.linalg.norm(trace["x_m"] - trace["x_s"], axis=1).max() > 1.2 * np.pi
-    assert np.all(np.diff(trace["x_s"][:, 2]) > -1e-3) and apart(q_m, q_s)[-1] < 0.05
+    assert np.diff(trace["x_s"][:, 2]).min() > -1e-3
+    assert apart(q_m, q_s)[-1] < 0.05
     assert np.linalg.norm(trace["x_m"] - trace["x_s"], axis=1)[-1] < 0.05
 
 
 @pytest.mark.parametrize("name", ["pspm", "tdpa", "two_layer", "wave", "wave_position", "p_d"])
 def test_over_a_rough_link_a_law_keeps_its_ledger_on_rotations_as_on_translations(name: str) -> None:
-    """A tumble against springs and dampers, 10 % lost and 20 ms of jitter; waves keep E_link, the others as they claim."""
+    """A tumble against springs and dampers, 10 % lost and 20 ms of jitter."""
     law = {**POSITIONS, **WAVES}[name]
     scene = tumbling(law=law, link=ROUGH, environment=(Tissue(k=0.1, d=0.005),) * 3)
     if name in ("p_d", "wave_position"):

@@ -17,7 +17,7 @@ from teleop.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Tumble:
-    """phi of an angular velocity that turns about z while it is about z itself by 2 rad/s; at rest from `until` s on."""
+    """phi of an angular velocity of 2.5 rad/s whose axis turns about z; at rest from `until` s on."""
 
     until: float = 3.0
 
