@@ -19,7 +19,7 @@ from teleop.law import law_name, messages, reads, start_at
 from teleop.scene.axes import axis_names
 
 BODY = "one moment of inertia and damping"
-ALIKE = {"law": "one law", "master": BODY, "slave": BODY}
+ALIKE = {"law": "one law", "master": BODY, "slave": BODY, "scaling": "one scale of each kind"}
 
 
 def check_rotations(scene: Any) -> None:
