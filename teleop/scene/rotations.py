@@ -28,8 +28,8 @@ def check_rotations(scene: Any) -> None:
     whole = isinstance(firsts, tuple) and all(type(each) is int for each in firsts)
     if not whole or any(b < a + 3 for a, b in zip((-3, *firsts), (*firsts, scene.axes), strict=True)):
         raise Refused(f"rotations={firsts!r} must be the index of the first axis of each rotation, in order, with "
-                      f"three axes for each, and the scene has {number_of(scene.axes, 'axis', 'axes')}; write for example "
-                      "axes=6, rotations=(3,)")
+                      f"three axes for each, and the scene has {number_of(scene.axes, 'axis', 'axes')}; write for "
+                      "example axes=6, rotations=(3,)")
     if scene.slave is None:
         raise Refused("a scene without a slave has no rotations, since its law renders on each axis by itself; leave "
                       "them out, or write for example slave=MassDamper(mass=0.002)")
