@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 from zlib import crc32
 
 from teleop.errors import Refused, number_of
+from teleop.scene.axes import MOST_AXES
 from teleop.scene.scene import MOST_TICKS
 from teleop.storage.files import open_regular, read_bytes
 from teleop.storage.strict_json import Misshapen, each, parse, record, text, whole
@@ -34,7 +35,7 @@ EVERY = 16  # rows between two writes: a live page follows them
 LONGEST = 1 << 10  # bytes of a header
 FARTHEST = 1e6  # m, of a place: with more a scene has diverged
 _VERSION = whole(low=VERSION, high=VERSION)
-_HEADER = record({"version": _VERSION, "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=3)})
+_HEADER = record({"version": _VERSION, "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=MOST_AXES)})
 _PAGE = record({"version": _VERSION, "parts": each(record({"folder": text, "why": text}),
                                                    most=100_000)})
 

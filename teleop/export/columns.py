@@ -1,7 +1,7 @@
 """What the columns of a trace are: unit, meaning, topic, and by which names their numbers go in other tools.
 
-Foxglove draws an array as one curve and has no names for its entries, so what has axes is an object with the fields x,
-y, z there, in one axis too: a layout made for one run fits the others. A CSV has a column for each.
+Foxglove draws an array as one curve and has no names for its entries, so what has axes is an object with a field for
+each, by its name, in one axis too: a layout made for one run fits the others. A CSV has a column for each.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.scene.axis_labels import AxisLabels, unit_on
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-AXES = ("x", "y", "z")
 TOPICS = {
     "master": "the master's end: the device in the hand",
     "slave": "the slave's end: the robot, and what it touches",
@@ -90,34 +91,43 @@ def quantity(name: str) -> Quantity:
 
 
 class Field(NamedTuple):
-    """A column with so many numbers in each row: `axes`, 1 of a scalar."""
+    """A column with so many numbers in each row: `axes`, 1 of a scalar. `labels`: of the axes of its record."""
 
     name: str
     quantity: Quantity
     axes: int
+    labels: AxisLabels = AxisLabels()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its axes."""
+        return self.labels.named(self.axes)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each of its numbers."""
+        if not self.quantity.axes:
+            return (self.quantity.unit,) * self.axes
+        return tuple([unit_on(self.quantity.unit, each) for each in self.labels.in_units(self.axes)])
 
     @property
     def flat(self) -> tuple[str, ...]:
         """The name of each number where there are no objects, as in a CSV: of several axes one for each."""
-        return (self.name,) if self.axes == 1 else tuple([f"{self.name}_{axis}" for axis in names_of(self.axes)])
+        return (self.name,) if self.axes == 1 else tuple([f"{self.name}_{axis}" for axis in self.names])
 
-    def described(self) -> str:
-        """Meaning and unit."""
-        return f"{self.quantity.meaning}{f' ({self.quantity.unit})' if self.quantity.unit else ''}"
+    def described(self, axis: int = 0) -> str:
+        """Meaning and unit, on the axis with that index."""
+        unit = self.units[axis]
+        return f"{self.quantity.meaning}{f' ({unit})' if unit else ''}"
 
-
-def names_of(axes: int) -> tuple[str, ...]:
-    """The names of so many axes: x, y, z, and beyond them numbers.
-
-    >>> names_of(2), names_of(4)
-    (('x', 'y'), ('x', 'y', 'z', '3'))
-    """
-    return tuple([AXES[i] if i < len(AXES) else str(i) for i in range(axes)])
+    def described_whole(self) -> str:
+        """Meaning and unit of all axes; without a unit where they have different ones."""
+        return self.described() if len({*self.units}) == 1 else self.quantity.meaning
 
 
-def field(name: str, axes: int) -> Field:
+def field(name: str, axes: int, labels: AxisLabels = AxisLabels()) -> Field:  # noqa: B008 - it cannot be changed
     """The column `name` with so many numbers in each row."""
-    return Field(name, quantity(name), axes)
+    return Field(name, quantity(name), axes, labels)
 
 
 def paths_of(one: Field, *, topic: bool = True) -> list[tuple[str, ...]]:
@@ -127,7 +137,7 @@ def paths_of(one: Field, *, topic: bool = True) -> list[tuple[str, ...]]:
     ([('slave', 'f_env', 'x')], [('E_link',)])
     """
     base = (one.quantity.topic, one.name) if topic else (one.name,)
-    return [(*base, axis) for axis in names_of(one.axes)] if one.quantity.axes or one.axes > 1 else [base]
+    return [(*base, axis) for axis in one.names] if one.quantity.axes or one.axes > 1 else [base]
 
 
 def numbers(columns: Iterable[NDArray[Any]]) -> list[list[float]]:

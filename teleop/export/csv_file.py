@@ -58,7 +58,7 @@ def write_metadata(file: BinaryIO, path: Path, parts: Sequence[Part]) -> None:
     """Write what the columns of the CSV at `path` are."""
     columns = [{"name": PART[0], "titles": PART[0], "datatype": "integer", "dc:description": PART[1]}] * (
         parts[0].number > 0)
-    columns += [_column(name, one) for one in all_fields(parts) for name in one.flat]
+    columns += [_column(one, i) for one in all_fields(parts) for i in range(one.axes)]
     summary = parts[0].summary
     table = {"@context": "http://www.w3.org/ns/csvw", "url": path.name, "dc:title": summary["scene"],
              "dc:description": summary["sentence"],
@@ -66,8 +66,8 @@ def write_metadata(file: BinaryIO, path: Path, parts: Sequence[Part]) -> None:
     file.write(json.dumps(table, indent=2).encode() + b"\n")
 
 
-def _column(name: str, one: Field) -> dict[str, str]:
-    axis = f", along {name.rpartition('_')[2]}" if one.axes > 1 else ""
-    unit = {"schema:unitText": one.quantity.unit} if one.quantity.unit else {}
-    return {"name": name, "titles": name, "datatype": "number", "dc:description": f"{one.quantity.meaning}{axis}",
-            **unit}
+def _column(one: Field, i: int) -> dict[str, str]:
+    axis = f", along {one.names[i]}" if one.axes > 1 else ""
+    unit = {"schema:unitText": one.units[i]} if one.units[i] else {}
+    return {"name": one.flat[i], "titles": one.flat[i], "datatype": "number",
+            "dc:description": f"{one.quantity.meaning}{axis}", **unit}

@@ -14,6 +14,7 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.following import GrowingRecord, Row
 from teleop.live.records.header import OWN
 from teleop.live.records.record import FILE
+from teleop.scene.axis_labels import labels_in
 from teleop.storage.folder import is_being_written
 from teleop.storage.strict_json import Misshapen
 
@@ -46,7 +47,8 @@ class GrowingEnd:
     def fields(self) -> list[Field]:
         """The columns of a row after those of `OWN`, the axes of each side by side. Raises `Refused`."""
         names, e = self.header["columns"][len(OWN):], self.header["end"]
-        found = [field(name, names.count(name)) for name in dict.fromkeys(names)]
+        labels = labels_in(self.header)
+        found = [field(name, names.count(name), labels) for name in dict.fromkeys(names)]
         if [one.name for one in found for _ in range(one.axes)] != names or {f"late_{e}", f"seq_{e}"} & {*names}:
             raise Refused(f"{self._record.folder / FILE} has columns in an order that no record has; give another "
                           "folder")

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
-from teleop.export.columns import TOPICS, Field, names_of, numbers, paths_of
+from teleop.export.columns import TOPICS, Field, numbers, paths_of
 from teleop.export.objects import Objects
 from teleop.export.stored import Part, Said, all_fields
 from teleop.storage.strict_json import written
@@ -73,11 +73,12 @@ def schema_of(topic: str, meaning: str, fields: Sequence[Field]) -> dict[str, An
     """JSON Schema of a topic's messages, with the unit of each number in its description."""
     properties: dict[str, Any] = {}
     for one in fields:
-        text = f"{one.described()}; {LEFT_OUT}"
+        text = f"{one.described_whole()}; {LEFT_OUT}"
         if len(paths_of(one)[0]) == 2:
             properties[one.name] = {"type": "number", "description": text}
         else:
-            inner = {axis: {"type": "number", "description": f"along {axis}: {text}"} for axis in names_of(one.axes)}
+            inner = {axis: {"type": "number", "description": f"along {axis}: {one.described(i)}; {LEFT_OUT}"}
+                     for i, axis in enumerate(one.names)}
             properties[one.name] = {"type": "object", "description": text, "properties": inner,
                                     "additionalProperties": False}
     return {"$schema": DIALECT, "title": f"teleop.{topic}", "description": meaning, "type": "object",

@@ -18,6 +18,7 @@ from teleop.export.columns import Field, field
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import settle
 from teleop.live.records.record import FILE
+from teleop.scene.axis_labels import labels_in
 from teleop.simulation.result import LATEST, RUNNING, incomplete, stored_summary
 from teleop.storage.archive import StoredArray, open_arrays
 from teleop.storage.folder import BEGUN, is_being_written
@@ -57,7 +58,8 @@ class Part:
                 self.first, self.last = _ends_of(arrays["t"], self.ticks)
         except Exception as error:  # no folder, no JSON, no zip, cut short, of another version
             raise incomplete(folder, error) from error
-        self.fields: dict[str, Field] = {name: field(name, count) for name, count in axes.items()}
+        labels = labels_in(self.summary)
+        self.fields: dict[str, Field] = {name: field(name, count, labels) for name, count in axes.items()}
 
     @property
     def ticks(self) -> int:

@@ -62,7 +62,7 @@ def stream(run: Growing, to: Address, *, rows: int, stopped: Callable[[], bool],
 
 
 class Encoder:
-    """The rows of one end as datagrams. Every number is under topic, column and, where it has axes, x, y or z."""
+    """The rows of one end as datagrams. Every number is under topic, column and, where it has axes, the axis' name."""
 
     def __init__(self, end: GrowingEnd) -> None:
         self._dt_ns = end.header["dt_ns"]

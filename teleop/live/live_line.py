@@ -8,9 +8,11 @@ from typing import Any
 from teleop.live import fault
 from teleop.live.records.end_result import NAMES
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
+from teleop.scene.axes import FORCE_UNIT
 
 SAY_NS = 250_000_000  # between two live lines
 CAUSE = 17  # characters of why an end is in its safe state
+NAME = 8  # characters of the name of an axis
 
 Say = Callable[[dict[str, Any]], None]
 
@@ -47,19 +49,24 @@ class LiveLine:
     def numbers(self, k: int, reading: Reading, force: Axes, row: tuple[float, ...]) -> dict[str, Any]:
         """What the live line shows, SI units but `late_us`; the lateness is the most since this was asked last.
 
-        `queue` is that of the waves heard here, of several axes the longest; None where nothing has one. `loss` is None
-        where the other end has a deadband: what that did not send would count as lost.
+        `x` and `f` are of the first axis. Of several axes, or of one that turns, `axes` has name and unit, position,
+        force and force cap (None: none) of each. `queue` is that of the waves heard here, of several axes the longest;
+        None where nothing has one. `loss` is None where the other end has a deadband: what that did not send would
+        count as lost.
         """
         late, self._late_ns = self._late_ns, 0
         endpoint, link, guard = self._endpoint, self._endpoint.link, self._endpoint.guard
+        scene = endpoint.scene
         queue = [row[i] for i in endpoint.queues]
         return {
             "end": endpoint.e, "k": k, "x": reading.x[0], "f": force[0], "late_us": late / 1e3,
             "delay": link.way.recent / 1e9 if link.way.count else None, "gain": guard.gain, "cause": guard.cause,
             "rtt": link.rtt.recent / 1e9 if link.rtt.count else None, "jitter": link.jitter_ns / 1e9,
-            "loss": None if endpoint.scene.deadband is not None else link.loss(endpoint.session.peer_every),
+            "loss": None if scene.deadband is not None else link.loss(endpoint.session.peer_every),
             "queue": max(queue) if queue else None,
-        }
+        } | ({} if scene.axes == 1 and not scene.units else {"axes": [*zip(
+            scene.axis_names, scene.axis_units, reading.x, force,
+            [getattr(cap, "f_max", None) for cap in scene.per_axis("cap")], strict=True)]})
 
 
 fault.named(LiveLine.announce, "the live line")
@@ -70,16 +77,18 @@ def live_text(*ends: Mapping[str, Any]) -> tuple[str, str]:
 
     Both are parts two spaces apart, of which a narrow terminal leaves out the last ones. The safe state, the forces
     (below 10 kN) and the queue (below 10 s) always fit 80 columns behind what `Progress` needs. Of both ends, loss,
-    round trip and jitter are the greater ones.
+    round trip and jitter are the greater ones. Of several axes the one is shown whose forces are the greatest share of
+    their caps, with its name; without caps the one with the greatest forces.
 
     >>> link = {"delay": 0.051, "rtt": 0.1, "jitter": 0.002, "loss": 0.0, "cause": None, "queue": 0.0007}
     >>> live_text({"end": "m", "x": 0.0573, "f": 0.41, **link}, {"end": "s", "x": 0.03, "f": 0.38, **link})
     ('f 0.4/0.4 N  queue 0.7/0.7 ms  x 57.3/30.0 mm  delay 51/51 ms', 'rtt 100 ms  jitter 2.0 ms')
     """
-    parts = [*_safe(ends), _each("f", ends, lambda one: _newtons(one["f"]), "N")]
+    name, unit, shown = _hardest(ends)
+    parts = [*_safe(ends), name + _each("f", shown, lambda one: _newtons(one["f"]), FORCE_UNIT[unit])]
     if any(one["queue"] is not None for one in ends):
         parts.append(_each("queue", ends, lambda one: _ms(one["queue"]), "ms"))
-    parts.append(_each("x", ends, lambda one: f"{one['x'] * 1e3:z.1f}", "mm"))
+    parts.append(_each("x", shown, lambda one: f"{one['x'] * 1e3:z.1f}", f"m{unit}"))
     heard = [one for one in ends if one["delay"] is not None]
     if not heard:
         return "  ".join([*parts, "nothing heard"]), ""
@@ -90,6 +99,18 @@ def live_text(*ends: Mapping[str, Any]) -> tuple[str, str]:
     rtt = max((one["rtt"] for one in heard if one["rtt"] is not None), default=None)
     less = [f"rtt {_ms(rtt)} ms"] * (rtt is not None) + [f"jitter {_ms(max(one['jitter'] for one in heard))} ms"]
     return "  ".join(parts), "  ".join(less)
+
+
+def _hardest(ends: Sequence[Mapping[str, Any]]) -> tuple[str, str, Sequence[Mapping[str, Any]]]:
+    """Name (with a space) and unit of the axis that is shown, and the ends with its position and force."""
+    every = [end.get("axes") for end in ends]
+    if not every or not all(every) or len({len(axes) for axes in every if axes}) > 1:
+        return "", "m", ends
+    load = [sum(abs(f) / (cap or 1.0) for _, _, _, f, cap in same) for same in zip(*every, strict=True)]
+    i = max(range(len(load)), key=load.__getitem__)
+    name, unit, *_ = every[0][i]  # type: ignore[index]
+    shown = [{**end, "x": axes[i][2], "f": axes[i][3]} for end, axes in zip(ends, every, strict=True)]  # type: ignore[index]
+    return f"{name[:NAME]} " * (len(load) > 1), unit, shown
 
 
 def _safe(ends: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -45,10 +45,10 @@ def page_told(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
     running = running or any(run.result.status == RUNNING for _, run in parts)
     lines = [("part", "began by", "scene and law", "for", "status", "tracking error", "at most felt")]
     for i, ((_, why), run) in enumerate(parts):
-        got = run.result.metrics
+        got, unit = run.result.metrics, run.result.labels.unit
         lines.append((str(i + 1), why, heading(run.result), f"{run.result.ticks * run.result.dt:.1f} s",
-                      run.result.status, si(got["x_err_rms"], "m") if "x_err_rms" in got else "-",
-                      si(got["f_m_max"], "N") if "f_m_max" in got else "-"))
+                      run.result.status, si(got["x_err_rms"], unit("m")) if "x_err_rms" in got else "-",
+                      si(got["f_m_max"], unit("N")) if "f_m_max" in got else "-"))
     rows = [("page", f"{document['scene']}, {number_of(len(parts), 'part')}"), *[("left out", why) for why in left]]
     answer = Answer(f"{facts(rows)}\n{columns(lines, left=(0, 1, 2, 4))}\nwritten to {folder}", {
         **document, "path": str(folder), "parts": [

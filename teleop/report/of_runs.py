@@ -73,7 +73,7 @@ def of_several(runs: Sequence[Run], title: str = "", under: str = "", before: Se
 
 def _strip(title: str, result: Result) -> Strip:
     return Strip(title, result.trace, result.dt, [(t, f"{end}: {kind}, {why}") for t, end, kind, why in
-                                                  _events(result)])
+                                                  _events(result)], result.labels)
 
 
 def _events(result: Result) -> list[tuple[float, str, str, str]]:
@@ -175,7 +175,7 @@ def _named(name: str) -> str:
 def _value(result: Result, name: str) -> str:
     if name not in result.metrics:
         return "-"
-    unit, value = METRICS[name].unit, float(result.metrics[name])
+    unit, value = result.labels.unit(METRICS[name].unit), float(result.metrics[name])
     return f"{100.0 * value:.3g} %" if unit == "1" else si(value, unit)
 
 

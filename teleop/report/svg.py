@@ -153,11 +153,11 @@ def dots(points: Iterable[tuple[float, float, str]], box: Box, style: str, radiu
 
 
 def grid_of(count: int, across: int, height: float, *, apart: float = TITLE, below: float = BOTTOM,
-            left: float = LEFT, top: float = TOP + TITLE) -> tuple[list[Box], float]:
+            left: float = LEFT, top: float = TOP + TITLE, between: float = BETWEEN) -> tuple[list[Box], float]:
     """The boxes of `count` panels, `across` of them in a row, and the height of their figure."""
     across = min(across, count)
-    wide = (WIDTH - left - RIGHT - BETWEEN * (across - 1)) / across
-    boxes = [Box(round(left + (i % across) * (wide + BETWEEN), 1), top + (i // across) * (height + apart),
+    wide = (WIDTH - left - RIGHT - between * (across - 1)) / across
+    boxes = [Box(round(left + (i % across) * (wide + between), 1), top + (i // across) * (height + apart),
                  round(wide, 1), height) for i in range(count)]
     return boxes, boxes[-1].top + height + below
 

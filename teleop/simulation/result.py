@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from teleop.errors import Refused
+from teleop.scene.axis_labels import AxisLabels, labels_in, labels_of
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS, finite, worked_out
 from teleop.simulation.packets import Packets
@@ -69,6 +70,11 @@ class Result:
     trace: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
 
+    @property
+    def labels(self) -> AxisLabels:
+        """Names and units of the axes, as the scene gives them."""
+        return labels_in(self.extra)
+
     @classmethod
     def make(
         cls, scene: Scene, *, seed: int, mode: str, status: str, sentence: str, ticks: int, run_time: float | None,
@@ -85,16 +91,17 @@ class Result:
         return cls(
             scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=status, sentence=sentence,
             ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=finite(every), packets=packets,
-            notes=tuple(notes), extra=extra or {}, trace=trace,
+            notes=tuple(notes), extra={**labels_of(scene).document(), **(extra or {})}, trace=trace,
         )
 
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
         """What goes into summary.json: a number that is not finite as the text "inf", "-inf" or "nan"."""
+        labels = self.labels
         summary: dict[str, Any] = plain({
             **head(status=self.status, sentence=self.sentence, scene=self.scene, mode=self.mode,
                    parameters=self.parameters, seed=self.seed, command=command, dt=self.dt),
             "ticks": self.ticks, "run_time": self.run_time,
-            "metrics": {k: {"value": v, "unit": UNITS[k]} for k, v in self.metrics.items()},
+            "metrics": {k: {"value": v, "unit": labels.unit(UNITS[k])} for k, v in self.metrics.items()},
             "packets": {way: asdict(counts) for way, counts in self.packets.items()},
             "notes": list(self.notes), **self.extra,
         })

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
+from teleop.scene.axis_labels import SHAPES
 from teleop.scene.scene import MOST_TICKS
 from teleop.simulation.packets import Packets
 from teleop.storage.strict_json import (
@@ -62,7 +63,7 @@ RUN = record({
     "metrics": named(record({"value": real})), "packets": named(packets), "notes": each(text),
 }, {
     "versions": named(text), "command": each(text), "end": one_of("master", "slave"), "master": end, "slave": end,
-    "bodies": text,
+    "bodies": text, **SHAPES,
     "integration": optional(named(record({
         "error_estimate_max": _ESTIMATE, "error_estimate_sum": _ESTIMATE, "substeps_max": real,
         "ticks_over_tolerance": real, "tolerance": real,

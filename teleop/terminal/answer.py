@@ -61,7 +61,7 @@ def say(answer: Answer, *, json: bool) -> None:
 
 def titled(scene: Scene) -> str:
     """Scene and law, as a table and a plot are headed."""
-    return f"{scene.name}, law {law_name(scene.law)}"
+    return f"{scene.name}, law {law_name(scene.laws[0])}"
 
 
 def scene_head(scene: Scene, mode: str, *, sentence: str, seed: int, command: Sequence[str], status: str = "done",

@@ -5,24 +5,28 @@ from __future__ import annotations
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.scene.axis_labels import unit_on
+from teleop.terminal.axis_choice import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
 from teleop.terminal.run_table import heading, verdict
 from teleop.terminal.units import PREFIX
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from teleop.scene.axis_labels import AxisLabels
     from teleop.simulation.result import Result
 
 BINS = 400  # at most, of equal length, along the time axis: each is about two pixels wide
 # A curve that goes up and down within its bins so often that its path is this many times their ranges would be drawn as
 # a filled area. Measured of the forces of built-in scenes: 1.0 to 1.6 without loss and jitter, 1.9 to 9 with them.
 JUMPS = 1.75
-AXES = (("x", "-"), ("y", "--"), ("z", ":"))  # their names and lines
+LINES = ("-", "--", ":")  # of the axes that share a panel
 
 
 class TraceCurve(NamedTuple):
@@ -62,51 +66,104 @@ def draw(result: Result, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     """Draw `result` into `path` with the suffix of each format, as `save` does; returns the files.
 
     A panel is there if the trace has one of its columns. A column that jumps is drawn as its mean and its range in each
-    bin, see `binned`. Raises `Refused` if the extra is missing or the file cannot be written.
+    bin, see `binned`. Up to `TOGETHER` axes lie over each other in a panel for each unit; of more, each has a column of
+    panels, see `teleop.terminal.axis_choice`. Raises `Refused` if the extra is missing or the file cannot be written.
     """
     panels = [panel for panel in PANELS if any(curve.name in result.trace for curve in panel.curves)]
-    title = "\n".join(fill(literal(text), 115) for text in (heading(result), verdict(result)))
-    figure = new_figure((9.5, 2.0 * len(panels) + 0.9), title)
-    every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, panel in zip(every, panels, strict=True):
-        _fill(axes, panel, result.trace, result.dt)
-    if len(result.trace["t"]):
-        every[-1].set_xlim(0.0, result.trace["t"][-1] + result.dt)
-    every[-1].set_xlabel("time (s)")
-    figure.align_ylabels()
+    apart = axes_of(result.trace) > TOGETHER
+    shown = most_worked(result.trace, APART if apart else TOGETHER)
+    said = [heading(result), verdict(result), left_out(result.trace, shown, result.labels)]
+    title = "\n".join(fill(literal(text), 115) for text in said if text)
+    figure = (_apart if apart else _together)(result, panels, shown, title)
     return save(figure, path, formats)
 
 
-def _fill(axes: Axes, panel: TracePanel, trace: Mapping[str, Any], dt: float) -> None:
+def _together(result: Result, panels: Sequence[TracePanel], shown: Sequence[int], title: str) -> Figure:
+    """A panel for each quantity and unit, with all axes."""
+    count = axes_of(result.trace)
+    rows = [(panel._replace(unit=unit), axes) for panel in panels
+            for unit, axes in by_unit(panel.unit, shown, result.labels, count).items()]
+    figure = new_figure((9.5, 2.0 * len(rows) + 0.9), title)
+    every = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (panel, own) in zip(every, rows, strict=True):
+        told = _fill(axes, panel, result, own)
+        axes.legend(*zip(*told, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+    _time(every[-1], result)
+    figure.align_ylabels()
+    return figure
+
+
+def _apart(result: Result, panels: Sequence[TracePanel], shown: Sequence[int], title: str) -> Figure:
+    """A column of panels for each axis, each panel on its own scale; what is of all axes together is as wide as all."""
+    count = axes_of(result.trace)
+    names, units = result.labels.named(count), result.labels.in_units(count)
+    figure = new_figure((2.6 * len(shown) + 2.2, 1.7 * len(panels) + 1.2), title)
+    grid = figure.add_gridspec(len(panels), len(shown))
+    for row, panel in enumerate(panels):
+        of_axes = any(result.trace[curve.name].ndim > 1 for curve in panel.curves if curve.name in result.trace)
+        for column, i in enumerate(shown if of_axes else shown[:1]):
+            axes = figure.add_subplot(grid[row, column] if of_axes else grid[row, :])
+            own = panel._replace(unit=unit_on(panel.unit, units[i]))
+            told = _fill(axes, own, result, [i], named=False)
+            axes.tick_params(labelsize=8)
+            if row == 0:
+                axes.set_title(names[i], fontsize=10)
+            if of_axes and column:
+                axes.set_ylabel(axes.get_ylabel().partition(" (")[2].rstrip(")"), fontsize=8)
+            if column == len(shown) - 1 or not of_axes:
+                axes.legend(*zip(*told, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False,
+                            fontsize=8)
+            if row == len(panels) - 1:
+                _time(axes, result)
+            elif len(result.trace["t"]):
+                axes.set_xlim(0.0, result.trace["t"][-1] + result.dt)
+    return figure
+
+
+def _time(axes: Axes, result: Result) -> None:
+    if len(result.trace["t"]):
+        axes.set_xlim(0.0, result.trace["t"][-1] + result.dt)
+    axes.set_xlabel("time (s)")
+
+
+def _fill(axes: Axes, panel: TracePanel, result: Result, shown: Sequence[int], *, named: bool = True
+          ) -> list[tuple[Any, str]]:
+    """Draw the curves of a panel; what its legend says, a curve above those that it lies over."""
+    trace, dt = result.trace, result.dt
     has = [curve for curve in panel.curves if curve.name in trace]
-    thousands = _thousands([trace[curve.name] for curve in has])
-    told: list[tuple[Any, str]] = []  # in the legend: a curve above those that it lies over
+    drawn = {curve.name: [*axis_curves(trace[curve.name], shown, result.labels)] for curve in has}
+    thousands = _thousands([values for several in drawn.values() for _, _, values in several])
+    told: list[tuple[Any, str]] = []
     for curve in has:
         lines: list[tuple[Any, str]] = []
         under = UNDER if curve is not has[-1] else {"linewidth": 1.2}
-        for name, style, values in _axes_of(trace[curve.name] * 10.0 ** (-3 * thousands)):
-            label = f"{curve.label}, {name}" if name else curve.label
-            shown: dict[str, Any] = {"color": curve.colour, "linestyle": style, **under}
+        for name, i, exact in drawn[curve.name]:
+            values = exact * 10.0 ** (-3 * thousands)
+            label = f"{curve.label}, {name}" if name and named else curve.label
+            style = LINES[i] if named else "-"
+            shape: dict[str, Any] = {"color": curve.colour, "linestyle": style, **under}
             bins = binned(trace["t"], values)
             if bins is None:
-                (line,) = axes.plot(trace["t"], values, **shown)
+                (line,) = axes.plot(trace["t"], values, **shape)
                 lines.append((line, label))
             else:
-                (mean,) = axes.plot(bins.t, bins.mean, **shown)
+                (mean,) = axes.plot(bins.t, bins.mean, **shape)
                 band = axes.fill_between(bins.t, bins.least, bins.greatest, color=curve.colour, alpha=0.22, linewidth=0)
                 lines.append(((band, mean), f"{label}:\nmean and range over {1e3 * dt * bins.ticks:g} ms"))
         told = [*lines, *told]
     axes.set_ylabel(f"{panel.quantity} ({PREFIX[thousands]}{panel.unit})")
     grid_lines(axes)
-    axes.legend(*zip(*told, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+    return told
 
 
-def _axes_of(column: NDArray[Any]) -> Iterator[tuple[str, str, NDArray[Any]]]:
-    """Name, line and values of each axis; that of a scene with a single one has no name."""
+def axis_curves(column: NDArray[Any], shown: Sequence[int], labels: AxisLabels
+                ) -> Iterator[tuple[str, int, NDArray[Any]]]:
+    """Name, index and values of each axis that is shown; that of a scene with a single one has no name."""
     if column.ndim == 1:
-        yield "", "-", column
+        yield "", 0, column
     else:
-        yield from ((name, line, values) for (name, line), values in zip(AXES, column.T, strict=False))
+        names = labels.named(column.shape[1])
+        yield from ((names[i], i, column[:, i]) for i in shown)
 
 
 class Bins(NamedTuple):

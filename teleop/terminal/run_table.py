@@ -51,13 +51,15 @@ def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
         got = result.metrics
         if {f"{key}_rms", f"{key}_max"} <= got.keys():
-            yield f"{si(got[f'{key}_rms'], unit)} rms, {si(got[f'{key}_max'], unit)} max"
+            own = result.labels.unit(unit)
+            yield f"{si(got[f'{key}_rms'], own)} rms, {si(got[f'{key}_max'], own)} max"
 
     return tell
 
 
 def _force(result: Result) -> Iterator[str]:
-    said = [f"{si(result.metrics[name], 'N')} {word}"
+    unit = result.labels.unit("N")
+    said = [f"{si(result.metrics[name], unit)} {word}"
             for name, word in (("f_m_end", "felt"), ("f_env_end", "touched")) if name in result.metrics]
     if said:
         yield ", ".join(said) + ", mean over the last 0.1 s"
@@ -65,12 +67,13 @@ def _force(result: Result) -> Iterator[str]:
 
 def _felt(result: Result) -> Iterator[str]:
     """What the hand feels of a free slave, beside the master itself, and of what the slave presses."""
-    got = result.metrics
+    got, unit = result.metrics, result.labels.unit
     if "felt_fit" in got and result.ticks * result.dt >= _LEAST_MOTION:
-        yield (f"in free space {got['felt_mass']:.3g} kg and {got['felt_drag']:.3g} N s/m beside the master's own, "
-               f"which explain {got['felt_fit']:.0%} of the force")
+        yield (f"in free space {got['felt_mass']:.3g} {unit('kg')} and {got['felt_drag']:.3g} "
+               f"{unit('N s/m')} beside the master's own, which explain {got['felt_fit']:.0%} of the force")
     if "felt_share" in got:
-        yield f"a stiffness of {si(got['felt_stiffness'], 'N/m')}, {100.0 * got['felt_share']:.3g} % of what is touched"
+        yield (f"a stiffness of {si(got['felt_stiffness'], unit('N/m'))}, {100.0 * got['felt_share']:.3g} % of what is "
+               "touched")
 
 
 def _energy(key: str) -> Callable[[Result], Iterator[str]]:

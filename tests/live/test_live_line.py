@@ -116,6 +116,20 @@ def test_whatever_the_numbers_it_fits_80_columns_with_the_forces_and_the_queue(
     assert ("SAFE" in line) == any(end["cause"] is not None for end in ends)
 
 
+@given(st.lists(numbers, min_size=2, max_size=2), st.floats(2.0, 10_000.0))
+def test_of_many_axes_it_shows_the_one_that_is_loaded_most_and_fits_too(
+    ends: list[dict[str, Any]], done: float
+) -> None:
+    both = [{"end": e, **end, "x": 0.0, "f": 0.0, "axes": [
+        ["base", "m", 0.0, 0.0, 1e9], ["shoulder_pitch", "rad", end["x"], end["f"] + 1.0, 1.0]]}
+        for e, end in zip("ms", ends, strict=False)]
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        line = shown(monkeypatch, *both, done=done)
+    assert len(line) < 80
+    assert "shoulder f " in line
+    assert " N m" in line
+
+
 def test_extreme_forces_are_told_by_their_order() -> None:
     assert "f 2e+07 N" in live_text({**USUAL, "f": 2e7})[0]
 

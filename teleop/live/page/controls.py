@@ -109,7 +109,7 @@ class Controls:
             law, offered = message["law"], [each["name"] for each in self.laws]
             if law not in offered:  # never a file: what a page names is not run
                 raise Refused(f"scene {self.name} has no law {law[:40]!r} to be turned to; {nearest(law, offered)}")
-            choice = choice._replace(law=None if law == law_name(self.first.law) else law)
+            choice = choice._replace(law=None if law == law_name(self.first.laws[0]) else law)
         if "k_e" in values:
             choice = choice._replace(k_e=values.pop("k_e"))
         if values:
@@ -143,7 +143,7 @@ class Controls:
         from teleop.scene.catalogue import names
 
         said, found = names()["laws"], []
-        own = law_name(self.first.law)
+        own = law_name(self.first.laws[0])
         for name in [*([own] if own not in said else []), *sorted(known_laws())]:
             try:
                 if name != own:
@@ -158,8 +158,9 @@ class Controls:
         describe = import_bundled("channel.link").describe
         return {
             "type": "hello", "scene": self.name, "axes": scene.axes, "dt": scene.dt, "laws": self.laws,
-            "law": law_name(scene.law), "sliders": [slider._asdict() for slider in self.sliders(choice)],
-            "wall": _wall(scene), "f_max": getattr(scene.cap, "f_max", None), "span": self.span,
+            "law": law_name(scene.laws[0]), "sliders": [slider._asdict() for slider in self.sliders(choice)],
+            "wall": _wall(scene), "f_max": most_forces(scene)[0], "span": self.span,
+            **_axes(scene),
             "link": "no link" if scene.link is None else describe(scene.link),
             "energy": None if not scene.energy else "link" if scene.has_waves else "ports",
         }
@@ -167,15 +168,29 @@ class Controls:
     @cached_property
     def span(self) -> float:
         """How much of each axis is worth showing, m: the wall and the scene's own motion, with room beside them."""
-        scene, places = self._short, [LEAST_SPAN / 2.5, abs(_wall(self._short) or 0.0)]
-        reference: Any = getattr(scene.hand, "reference", None)
+        scene = self._short
+        places = [LEAST_SPAN / 2.5, *[abs(_wall(scene, i) or 0.0) for i in range(scene.axes)]]
+        reference: Any = scene.reference
         if reference is not None:
             places += [max(map(abs, path)) for path in reference.samples(scene.axes, scene.ticks, scene.dt_ns)]
         return float(f"{2.5 * max(places):.2g}")
 
 
-def _wall(scene: Scene) -> float | None:
-    """Where the surface is that the slave meets on its first axis, m; None: there is none, or one on both sides."""
-    environment: Any = scene.environments[0] if scene.environments else None
+def _axes(scene: Scene) -> dict[str, Any]:
+    """Names, units, walls and caps of several axes, or of one that turns; nothing of one along a line."""
+    if scene.axes == 1 and not scene.units:
+        return {}
+    return {"names": scene.axis_names, "units": scene.axis_units, "walls": [_wall(scene, i) for i in range(scene.axes)],
+            "caps": most_forces(scene)}
+
+
+def most_forces(scene: Scene) -> list[float | None]:
+    """The force cap of each axis, in its unit; None: there is none."""
+    return [getattr(cap, "f_max", None) for cap in scene.per_axis("cap")]
+
+
+def _wall(scene: Scene, i: int = 0) -> float | None:
+    """Where the surface is that the slave meets on an axis, m; None: there is none, or one on both sides."""
+    environment: Any = scene.environments[i] if scene.environments else None
     still = getattr(environment, "environment", environment)
     return float(still.at) if hasattr(still, "side") else None

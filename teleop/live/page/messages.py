@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from teleop.errors import number_of
+from teleop.scene.axes import MOST_AXES
 from teleop.storage.strict_json import Check, Misshapen, each, optional, parse, real, record, text, truth
 
 LONGEST = 4096  # bytes of a message
@@ -14,7 +15,7 @@ REACH = 10.0  # m from 0, in each axis: `master.steered` goes no further
 SLIDERS = ("delay", "jitter", "loss", "k_e")
 
 _SHAPES: dict[str, dict[str, Check]] = {
-    "hand": {"to": optional(each(real, most=3))},
+    "hand": {"to": optional(each(real, most=MOST_AXES))},
     "turn": {"law": text, **dict.fromkeys(SLIDERS, real)},
     "clutch": {"open": truth},
     "again": {},

@@ -12,7 +12,7 @@ from teleop.errors import Refused
 from teleop.live.page.children import Children, Start
 from teleop.live.page.clients import Clients
 from teleop.live.page.clutch import Clutch
-from teleop.live.page.controls import Choice, Controls
+from teleop.live.page.controls import Choice, Controls, most_forces
 from teleop.live.page.drag import Drag
 from teleop.live.page.following import Follower, Hand
 from teleop.live.page.messages import place, said
@@ -368,7 +368,7 @@ class Page:
     # in words
 
     def _shaking_of(self) -> Shaking:
-        return Shaking(getattr(self._scene.cap, "f_max", None))
+        return Shaking(most_forces(self._scene))
 
     def _tell(self, level: str, sentence: str) -> None:
         if self.clients is not None:

@@ -10,6 +10,7 @@ half of what it was for two seconds, whoever moves the hand.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from itertools import pairwise
 
 from teleop.live.page.rows import Extremes
@@ -25,11 +26,11 @@ Swings = dict[tuple[str, int], tuple[float, float]]  # by end and axis: the leas
 
 
 class Shaking:
-    """`f_max`: the cap, N; None: there is none. Times are in s."""
+    """`f_max`: the cap of each axis, N (N m of one that turns); None: there is none. Times are in s."""
 
-    def __init__(self, f_max: float | None) -> None:
+    def __init__(self, f_max: Sequence[float | None]) -> None:
         self.shakes = False
-        self._f_max = f_max
+        self._f_max = [*f_max]
         self._seconds: deque[Swings] = deque(maxlen=2 * SPANS[-1])
         self._span = 1  # s of the span in which it was seen to shake
         self._now: Swings = {}  # of the second that goes on
@@ -73,7 +74,7 @@ class Shaking:
             return "stable again"
         for which in self._now:
             capped = next((span for span in SPANS if self._still >= 2 * span and all(
-                self._comes_to_cap(self._over(which, span, before)) for before in (0, span))), None)
+                self._comes_to_cap(which[1], self._over(which, span, before)) for before in (0, span))), None)
             swings = [high - low for low, high in (self._over(which, 1, before) for before in range(SECONDS))][::-1]
             if capped is not None or (self._still >= SECONDS and _grow(swings)):
                 self.shakes, self._calm, self._span = True, 0, capped or 1
@@ -91,10 +92,10 @@ class Shaking:
         seconds = [self._seconds[i][which] for i in range(max(0, ends - span), ends) if which in self._seconds[i]]
         return min((low for low, _ in seconds), default=0.0), max((high for _, high in seconds), default=0.0)
 
-    def _comes_to_cap(self, second: tuple[float, float]) -> bool:
+    def _comes_to_cap(self, axis: int, second: tuple[float, float]) -> bool:
         low, high = second
-        return (self._f_max is not None and max(high, -low) >= AT_CAP * self._f_max
-                and high - low >= OF_CAP * self._f_max)
+        cap = self._f_max[axis] if axis < len(self._f_max) else None
+        return cap is not None and max(high, -low) >= AT_CAP * cap and high - low >= OF_CAP * cap
 
 
 def _grow(swings: list[float]) -> bool:

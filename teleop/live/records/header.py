@@ -7,6 +7,8 @@ from typing import Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.protocol.manifest import MOST_EVERY
+from teleop.scene.axes import MOST_AXES
+from teleop.scene.axis_labels import SHAPES
 from teleop.scene.library import own_file
 from teleop.scene.scene import MOST_TICKS, Scene
 from teleop.simulation.structure import SENSED, columns
@@ -17,14 +19,15 @@ from teleop.storage.strict_json import Misshapen, each, named, one_of, parse, re
 OWN = ("k", "late_ns", "seq")  # columns before the end's
 LAW = "law_sha256"  # of a law in a file of the user's own: the first digits of that of its content, as it ran
 LONGEST = 1 << 20  # bytes of a header
+MOST_COLUMNS = 100 * MOST_AXES
 _BLOCK = 4096  # rows that are looked at together
 _LARGEST = float(1 << 53)  # a whole number that a float holds exactly
 _HEADER = record({
-    "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=3), "scene": text,
+    "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=MOST_AXES), "scene": text,
     "knobs": named(text), "seed": whole(low=0, high=MOST_SEED), "mode": one_of("live", "lockstep"),
-    "columns": each(text, most=100),
+    "columns": each(text, most=MOST_COLUMNS),
 }, {"every": whole(low=1, high=MOST_EVERY), "command": each(text), "force": one_of("sensor", "bodies", "unknown"),
-    LAW: text})
+    LAW: text, **SHAPES})
 
 
 def header_columns(scene: Scene, e: str, force: ForceSource) -> list[str]:

@@ -20,6 +20,7 @@ from teleop.live.records.header import OWN, header_columns, own_law, read_header
 from teleop.live.records.inputs import InputWriter
 from teleop.live.records.rows import RecordColumn, RecordFile, TruncatedRecord
 from teleop.protocol.guard import Event
+from teleop.scene.axis_labels import labels_of
 from teleop.scene.scene import Scene
 from teleop.simulation.summary_shape import EVENT
 from teleop.simulation.trace import EndRecord, ForceSource
@@ -42,7 +43,8 @@ class RecordWriter:
         `every`: rows between two writes at most, for whoever follows the record as it grows.
         """
         self.trouble: str | None = None
-        self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about, **own_law(scene)}
+        self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about, **labels_of(scene).document(),
+                       **own_law(scene)}
         self._scene, self._e, self._folder = scene, e, folder
         self._rows = bytearray()
         self._pack: Callable[..., bytes] | None = None  # of one row, whose width the first one tells

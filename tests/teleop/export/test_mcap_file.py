@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from teleop import load_result
-from teleop.export.columns import TOPICS, names_of, quantity
+from teleop.export.columns import TOPICS, field, quantity
 from teleop.export.mcap_file import LEVELS, write_mcap
 from teleop.export.stored import read_parts
 
@@ -55,7 +55,7 @@ def test_every_number_of_the_trace_comes_back_to_the_bit_at_its_tick(stored: Sto
         if not found.axes:
             got = [message[name] for _, message in told]
         else:
-            axes = names_of(1 if column.ndim == 1 else column.shape[1])
+            axes = field("x_m", 1 if column.ndim == 1 else column.shape[1]).names
             got = [[message[name][axis] for axis in axes] for _, message in told]
         assert np.array_equal(np.array(got).reshape(column.shape), column), name
     assert {*messages} == {f"/{quantity(name).topic}" for name in trace.keys() - {"t"}} | {"/log"}

@@ -15,7 +15,6 @@ import pytest
 
 from teleop import Refused, load_result
 from teleop.export import stream as module
-from teleop.export.columns import AXES
 from teleop.export.growing import Growing
 from teleop.export.stream import LARGEST, Encoder, stream
 from teleop.storage.folder import claim
@@ -194,7 +193,7 @@ def test_several_axes_are_fields_of_an_object(tmp_path: Path, receiver: Receiver
     LiveEnd(folder, "s", range(5), scene="recorded_reach").close()
     send(Growing(folder), receiver.at)
     (rows,) = receiver.close()
-    table = np.array([[row["slave"]["v_s"][axis] for axis in AXES] for row in rows])
+    table = np.array([[row["slave"]["v_s"][axis] for axis in ("x", "y", "z")] for row in rows])
     raw = (folder / "record.bin").read_bytes()
     header, _, data = raw.partition(b"\n")
     at = json.loads(header)["columns"].index("v_s")

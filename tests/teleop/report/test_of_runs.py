@@ -105,6 +105,20 @@ class TestOne:
         nothing = replace(canonical, trace={name: column[:0] for name, column in canonical.trace.items()}, ticks=0)
         assert of(told(nothing)).figures == []
 
+    def test_six_joints_have_a_panel_each_on_a_scale_of_its_own(self) -> None:
+        shown = of(told(run(load_scene("leader_follower", duration=0.8))))
+        titles = [figure.findtext(f"{SVG}title") for figure in shown.figures]
+        assert titles == ["position", "master's force", "slave's force", "energy"]
+        texts = [text.text for text in shown.figure("position").iter(f"{SVG}text")]
+        assert {"base", "shoulder", "elbow", "forearm", "wrist", "flange"} < {*texts}
+        assert any((text or "").startswith("position (") and (text or "").endswith("rad)") for text in texts)
+        assert len([one for one in shown.figure("energy").iter(f"{SVG}rect") if one.get("class") == "f"]) == 1
+
+    def test_of_several_runs_of_many_axes_three_are_drawn_and_named(self) -> None:
+        joints = told(run(load_scene("leader_follower", duration=0.8)))
+        shown = of(joints, joints)
+        assert any("3 of 6 axes are drawn, those over which" in text for text in shown.texts)
+
     def test_three_axes_are_told_apart_by_their_lines(self) -> None:
         shown = of(told(run(load_scene("recorded_reach", duration=1.0))))
         assert {"x_m master x", "x_m master y", "x_m master z"} <= curves(shown.figure("position")).keys()

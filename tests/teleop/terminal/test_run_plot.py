@@ -12,8 +12,10 @@ import pytest
 
 import teleop.terminal.plotting
 import teleop.terminal.run_plot
+from scenarios.leader_follower import JOINTS
 from teleop import Refused, Result, load_scene, run
 from teleop.terminal.run_plot import binned, draw
+from tests.teleop.scene.unlike import unlike
 
 figures = pytest.importorskip("matplotlib.figure")
 
@@ -29,6 +31,39 @@ def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         return made.pop()
 
     return look
+
+
+@pytest.fixture(scope="module")
+def joints() -> Result:
+    return run(load_scene("leader_follower", duration=0.8))
+
+
+def test_six_joints_have_a_column_of_panels_each_and_what_is_of_all_one_panel(drawn: Any, joints: Result) -> None:
+    figure = drawn(joints)
+    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == [*JOINTS]
+    assert len(figure.axes) == 3 * 6 + 1
+    assert figure.axes[0].get_ylabel().startswith("position (")
+    assert figure.axes[0].get_ylabel().endswith("rad)")
+
+
+def test_of_sixteen_axes_those_are_drawn_over_which_most_work_was_done(drawn: Any, joints: Result) -> None:
+    trace = {name: np.concatenate([column, column, column[:, :4]], axis=1) if column.ndim > 1 else column
+             for name, column in joints.trace.items()}
+    trace["f_m"] = trace["f_m"] * np.arange(16)  # the later copy of a joint did more work
+    figure = drawn(replace(joints, trace=trace, extra={}))
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert len(titles) == 6
+    assert {"axis15", "axis13"} < {*titles}
+    assert "6 of 16 axes are drawn" in figure.get_suptitle()
+
+
+def test_axes_in_m_and_in_rad_have_scales_of_their_own(drawn: Any) -> None:
+    figure = drawn(run(unlike(duration=0.2)))
+    units = [axes.get_ylabel().rpartition("(")[2] for axes in figure.axes]
+    assert [unit.endswith("rad)") for unit in units[:2]] == [True, False]
+    assert [unit.endswith("N m)") for unit in units[2:6]] == [True, False, True, False]
+    assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == [
+        "$x_m$ master, rail", "$x_s$ slave, rail"]
 
 
 @pytest.fixture(scope="module")
