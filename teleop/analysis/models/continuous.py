@@ -10,13 +10,13 @@ becomes `f_h_hat' = L (f_h - f_h_hat)`.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from heapq import merge
 from itertools import count, islice
 from math import nan, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.analysis.models.by_axis import alike
 from teleop.analysis.models.curve import imaginary_axis
 from teleop.analysis.models.linear import (
     StateSpace,
@@ -59,8 +59,7 @@ def continuous(scene: Scene) -> Continuous:
     """
     scene = about_rest(with_linear_law(scene))
     refuse_nonlinear_parts(scene)
-    axes = [replace(scene, axes=1, environment=one, start_m=0.0, start_s=0.0) for one in _distinct(scene)]
-    margins = [_margin(axis) for axis in axes]
+    margins = [_margin(own) for own, _ in alike(scene)]
     return min(margins, key=lambda m: (m.stable_without_delay, m.round_trip is None, m.round_trip or 0.0))
 
 
@@ -80,14 +79,6 @@ def refuse_ticks(scene: Scene) -> None:
     if scene.scaling is not None:
         raise Refused("scaling between master and slave is not known in continuous time here; ask without "
                       "--continuous, or leave scaling out")
-
-
-def _distinct(scene: Scene) -> list[Any]:
-    found: list[Any] = []
-    for environment in scene.environments:
-        if environment not in found:
-            found.append(environment)
-    return found
 
 
 def _margin(scene: Scene) -> Continuous:

@@ -69,7 +69,7 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
     scene = about_rest(with_linear_law(scene))
     refuse_nonlinear_parts(scene)
     for name in ("device_m", "device_s"):
-        if (device := getattr(scene, name)) is not None and device.every > 1:
+        if (device := scene.per_axis(name)[0]) is not None and device.every > 1:
             raise Refused(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant; "
                           f"{INSTEAD}, or {without(scene, 'set every=1', every='1')}")
     forth, back = link_ticks(scene, seed)
@@ -78,8 +78,10 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
 
 def with_linear_law(scene: Scene) -> Scene:
     """The scene with the linear law that its law offers in its place; as it is if the law offers none."""
-    own = linear_law(scene.law)
-    return scene if own is None else replace(scene, law=own)
+    own = [linear_law(law) for law in scene.laws]
+    if own[0] is None:
+        return scene
+    return replace(scene, law=tuple(own) if isinstance(scene.law, tuple) else own[0])
 
 
 def about_rest(scene: Scene) -> Scene:
@@ -113,11 +115,11 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
     if scene.passivity is not None:
         raise Refused("a passivity controller is not linear, so its scene has no eigenvalues; "
                       f"{INSTEAD}, or {without(scene, 'leave it out', cap='none')}")
-    for device in (scene.device_m, scene.device_s):
+    for device in (*scene.per_axis("device_m"), *scene.per_axis("device_s")):
         if device is not None and device.encoder is not None:
             raise Refused("an encoder is not linear, so its scene has no eigenvalues; "
                           f"{INSTEAD}, or {without(scene, 'leave it out', step='none')}")
-    for body in (scene.master, scene.slave):
+    for body in (*scene.per_axis("master"), *scene.per_axis("slave")):
         if body is not None and body.friction > 0.0:
             leave = without(scene, "set friction=0", friction="0", friction_m="0", friction_s="0")
             raise Refused(f"Coulomb friction is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")
@@ -295,7 +297,7 @@ def _end(scene: Scene, e: str, age: int) -> StateSpace:
     from teleop.law import messages
 
     step = end_function(scene, e, age)
-    forth, back = messages(scene.law, scene.dt_ns / 1e9)
+    forth, back = messages(scene.laws[0], scene.dt_ns / 1e9)
     fields_in = len((back if e == "m" else forth)._fields) * scene.axes
     n = len(step(repeat(0.0))[0])
     found = matrix(lambda given: [number for part in step(given) for number in part], n + fields_in)
@@ -306,13 +308,13 @@ def _end(scene: Scene, e: str, age: int) -> StateSpace:
 
 def not_linear(scene: Scene, e: str) -> Refused:
     """The answer to a law that is not linear at one of its ends."""
-    device = scene.device_m if e == "m" else scene.device_s
+    device = scene.per_axis(f"device_{e}")[0]
     estimator = device and device.velocity
     if estimator is not None and not is_linear(estimator, scene.dt_ns / 1e9):
         return Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
                        f"eigenvalues; {INSTEAD}, or {linear_estimator(scene)}")
-    name = law_name(scene.law)
-    hint = linear_hint(scene.law, ", or write ")
+    name = law_name(scene.laws[0])
+    hint = linear_hint(scene.laws[0], ", or write ")
     where = "where it is in contact" if scene.slave is None else f"at the {NAMES[e]}"
     return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
 

@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from teleop.scene.axis_labels import labels_of
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import DISTURBED, STEPS, WINDOWS, disturbed, encoder_step, pitch, places, swings, trend
@@ -78,12 +79,16 @@ def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
             return FreeMotion("unstable", result.sentence, None, None, False)
         seen = _look(result, since)
         if seen.last < QUIET:
-            told = f"comes to rest: less than {QUIET:g} m of swing is left"
+            told = f"comes to rest: less than {QUIET:g} {_unit(scene)} of swing is left"
             return FreeMotion("stable", told, 0.5 * seen.last, None, True)
         if before and before.trend == seen.trend == "stays" and KEPT[0] < seen.last / before.last < KEPT[1]:
             break
         before = seen
     return _decided(scene, seen, (result.ticks - since) * result.dt)
+
+
+def _unit(scene: Scene) -> str:
+    return labels_of(scene).unit("m") or "m or rad"
 
 
 def _look(result: Result, since: int) -> _Seen:
@@ -95,7 +100,7 @@ def _look(result: Result, since: int) -> _Seen:
 def _decided(scene: Scene, seen: _Seen, lasting: float) -> FreeMotion:
     """What the last run says, which is not at rest and has not diverged."""
     step = encoder_step(scene)
-    amplitude, told = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} m peak to peak"
+    amplitude, told = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} {_unit(scene)} peak to peak"
     if seen.trend == "grows":
         return FreeMotion("unstable", f"still grows after {lasting:.3g} s: {told} by now", amplitude, seen.pitch, False)
     if seen.trend == "falls" and not step:

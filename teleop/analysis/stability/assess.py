@@ -10,9 +10,9 @@ estimated; one that is not linear by a run in virtual time (`swing`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from math import ceil, floor
+from math import ceil, floor, inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused, number
@@ -42,6 +42,7 @@ class Stability:
     critical_round_trip: int | None  # ticks, the least at which the loop is unstable; None: stable at every delay
     alone: bool = False  # no slave: all delays are those of the computation, `forth` in all
     tried: int | None = None  # ticks up to which a critical delay was looked for; None: any
+    axes: tuple[AxisStability, ...] = ()  # of several axes each by itself; (): of one, and where the law couples them
 
     @property
     def verdict(self) -> str:
@@ -54,9 +55,21 @@ class Stability:
         return self.forth + self.back
 
     @property
+    def worst(self) -> AxisStability | None:
+        """The axes whose mode decays last, or grows first; None where the whole loop was judged."""
+        return max(self.axes, key=lambda one: one.found.mode.growth if one.found.mode else -inf, default=None)
+
+    @property
     def delay_margin(self) -> int | None:
         """Ticks that may be added to the round trip, below 0 those to take away; None: any number."""
         return None if self.critical_round_trip is None else self.critical_round_trip - 1 - self.round_trip
+
+
+class AxisStability(NamedTuple):
+    """What was found of axes that are alike, each by itself."""
+
+    names: tuple[str, ...]
+    found: Stability
 
 
 class Change(NamedTuple):
@@ -86,12 +99,17 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
     """Count the unstable roots of a linear scene and find its margins. Refused if the scene is not linear.
 
     The link must delay by a constant number of ticks, each way 1 or more; `seed` keys it where it is not plainly so.
+    Axes that the law does not couple are judged one by one, those that are alike once: the scene is stable if each of
+    them is, and its margins are those of the axis that has least.
     """
+    from teleop.analysis.models.by_axis import alike, couples
     from teleop.analysis.models.linear import linear_scene
     from teleop.analysis.models.loop import sampled_loop
     from teleop.analysis.models.margins import critical_round_trip, gain_margin, integrators
     from teleop.analysis.models.roots import dominant
 
+    if scene.axes > 1 and not couples(scene):
+        return _of_axes([AxisStability(names, stability(own, seed=seed)) for own, names in alike(scene)])
     if scene.slave is None:
         return _one_port(scene)
     linear = linear_scene(scene, seed=seed)
@@ -101,6 +119,23 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
         forth=linear.forth, back=linear.back, dt=linear.dt, mode=dominant(linear, resting),
         gain_margin=gain_margin(linear), critical_round_trip=critical_round_trip(linear),
     )
+
+
+def _of_axes(axes: list[AxisStability]) -> Stability:
+    """The loop of a scene whose axes do not touch each other: the roots of all of them."""
+    shaky = [one.found for one in axes if one.found.unstable]
+    gains = [one.gain_margin for one in shaky or [one.found for one in axes]]
+    known = [gain for gain in gains if gain is not None]
+    critical = [one.found.critical_round_trip for one in axes if one.found.critical_round_trip is not None]
+    tried = [one.found.tried for one in axes if one.found.tried is not None]
+    first = axes[0].found
+    whole = replace(
+        first, unstable=sum(len(one.names) * one.found.unstable for one in axes),
+        integrators=sum(len(one.names) * one.found.integrators for one in axes),
+        gain_margin=None if not known or (shaky and len(known) < len(gains)) else min(known),
+        critical_round_trip=min(critical, default=None), tried=min(tried, default=None), axes=tuple(axes),
+    )
+    return replace(whole, mode=None if whole.worst is None else whole.worst.found.mode)
 
 
 def _one_port(scene: Scene) -> Stability:
@@ -117,6 +152,10 @@ def _one_port(scene: Scene) -> Stability:
 
 def is_stable(scene: Scene, *, seed: int = 0) -> bool:
     """The verdict alone, from the root count: quicker than `stability`."""
+    from teleop.analysis.models.by_axis import alike, couples
+
+    if scene.axes > 1 and not couples(scene):
+        return all(is_stable(own, seed=seed) for own, _ in alike(scene))
     if scene.slave is None:
         from teleop.analysis.models.one_port_loop import settles
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 from math import floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.analysis.models.by_axis import coupling_law
 from teleop.analysis.stability.assess import (
     HALVED,
     PLACES,
@@ -19,16 +20,17 @@ from teleop.analysis.stability.assess import (
     rests,
     stability,
 )
-from teleop.errors import Refused, number_of, plural
+from teleop.errors import Refused, enumerated, number_of, plural
 from teleop.law.analysis_offers import instead
 from teleop.terminal.answer import scene_head, titled
 from teleop.terminal.ranges import typed_number, typed_range
-from teleop.terminal.table import facts
+from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
 
 if TYPE_CHECKING:
     from teleop.analysis.models.continuous import Continuous
     from teleop.analysis.models.rest import FreeMotion
+    from teleop.analysis.models.roots import Mode
     from teleop.scene.scene import Scene
     from teleop.terminal.progress import Show
 
@@ -78,7 +80,7 @@ class StabilityAnswer(NamedTuple):
     @property
     def stands_in(self) -> str:
         """The linear law that was judged in the place of the scene's own, in words; empty if none was."""
-        return "" if self.in_time else instead(self.scene.law)
+        return "" if self.in_time else instead(self.scene.laws[0])
 
     @property
     def finished(self) -> bool:
@@ -92,7 +94,9 @@ class StabilityAnswer(NamedTuple):
         if not isinstance(found, Stability):
             return f"{found.verdict}: {found.sentence}"
         count = f"{found.unstable or 'no'} {plural(found.unstable or 1, 'root')}"
-        return f"{found.verdict}: {count} outside the unit circle"
+        shaky = [name for one in found.axes if one.found.unstable for name in one.names]
+        where = f" ({enumerated(shaky)})" if shaky and len(found.axes) > 1 else ""
+        return f"{found.verdict}: {count} outside the unit circle{where}"
 
 
 def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
@@ -133,7 +137,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
 
     from teleop.scene.catalogue import units_of
 
-    unit = units_of(name, [knob], type(scene.law)).get(knob)
+    unit = units_of(name, [knob], type(scene.laws[0])).get(knob)
     so_far = _Search(knob, own, f" {unit}" if unit else "", in_time, show)
     answer = StabilityAnswer(scene, found, limit, None, so_far.unit, seed, in_time=in_time)
     whole = _whole(name, knob)
@@ -205,10 +209,14 @@ def own_value(scene: Scene, knob: str) -> float:
 
     from teleop.errors import nearest
 
-    law: Any = scene.law
-    own = {f"law.{field.name}": getattr(law, field.name) for field in fields(law)}
+    every: Any = scene.laws
+    own = {f"law.{field.name}": tuple(getattr(law, field.name) for law in every) for field in fields(every[0])}
+    own = {key: each[0] if len(set(each)) == 1 else each for key, each in own.items()}
     known = {key: value for key, value in {**scene.knobs, **own}.items()
              if isinstance(value, (int, float)) and not isinstance(value, bool)}
+    if knob not in known and isinstance({**scene.knobs, **own}.get(knob), tuple):
+        raise Refused(f"{knob} has a number for each axis of scene {scene.name}, and a critical value is one number; "
+                      f"give one for all of them, --set {knob}=VALUE, or take another knob: {enumerated(known, 'or')}")
     if knob not in known:
         raise Refused(f"scene {scene.name} has no knob {knob!r} that is a number; {nearest(knob, known)}")
     return float(known[knob])
@@ -234,9 +242,14 @@ def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, A
             "method": "roots", "unstable": found.unstable, "integrators": found.integrators, "fwd": found.forth,
             "bwd": found.back, "round_trip": found.round_trip, "critical_round_trip": found.critical_round_trip,
             "delay_margin": found.delay_margin, "gain_margin": found.gain_margin,
-            "dominant": root and {"z": [root.z.real, root.z.imag], "frequency": root.frequency, "growth": root.growth,
-                                  "damping": root.damping},
+            "dominant": root and _root(root),
         }
+        if found.axes:
+            told["axes"] = [{
+                "names": list(names), "verdict": own.verdict, "unstable": own.unstable, "integrators": own.integrators,
+                "critical_round_trip": own.critical_round_trip, "delay_margin": own.delay_margin,
+                "gain_margin": own.gain_margin, "dominant": own.mode and _root(own.mode),
+            } for names, own in found.axes]
     else:
         told |= {"method": "virtual time", "amplitude": found.amplitude,
                  "frequency": found.frequency, "rests": found.rests}
@@ -245,6 +258,11 @@ def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, A
     if answer.so_far is not None:
         told["so_far"] = {"knob": answer.so_far.knob, "tried": [list(one) for one in answer.so_far.tried]}
     return told
+
+
+def _root(mode: Mode) -> dict[str, Any]:
+    return {"z": [mode.z.real, mode.z.imag], "frequency": mode.frequency, "growth": mode.growth,
+            "damping": mode.damping}
 
 
 def table(answer: StabilityAnswer) -> str:
@@ -262,7 +280,27 @@ def table(answer: StabilityAnswer) -> str:
         rows.append(("interrupted", _unfinished(answer.so_far, answer)))
     if answer.cut_short:
         rows.append(("interrupted", "the margins over the knob are missing, and their plot"))
-    return facts(rows)
+    if not isinstance(found, Stability) or answer.scene.axes == 1:
+        return facts(rows)
+    if not found.axes:
+        rows.append(("axes", f"judged together: {coupling_law(answer.scene)}"))
+        return facts(rows)
+    if len(found.axes) == 1:
+        rows.append(("axes", f"{enumerated(found.axes[0].names)} have the same loop"))
+        return facts(rows)
+    return f"{facts(rows)}\n\n{_by_axis(found)}"
+
+
+def _by_axis(found: Stability) -> str:
+    """A row for each axis, or for those that are alike."""
+    rows = [("axis", "verdict", "frequency", "growth", "damping", "gain margin", "delay margin")]
+    for names, own in found.axes:
+        mode, edge, gain = own.mode, own.critical_round_trip, own.gain_margin
+        moved = ("-",) * 3 if mode is None else (si(mode.frequency, "Hz"), f"{mode.growth:+.4g} 1/s",
+                                                 f"{mode.damping:.3g}")
+        rows.append((", ".join(names), own.verdict, *moved, "none" if gain is None else f"{gain:.4g}",
+                     "none" if edge is None else si((edge - 1 - own.round_trip) * own.dt, "s")))
+    return columns(rows, left=(0, 1))
 
 
 def _unfinished(so_far: SoFar, answer: StabilityAnswer) -> str:

@@ -1,9 +1,9 @@
 """Stability as it shows in virtual time, for scenes that have no eigenvalues.
 
 The scene is run once as it is. It is run again with the hand staying where the slave touched hardest, or without a
-slave where the master was pushed hardest (half way, if there was no force), after a kick of `KICK`; without a hand the
-master starts that far off. What then remains is the loop's own motion, and what it comes to is told by
-`teleop.analysis.models.rest`.
+slave where the master was pushed hardest (half way, if there was no force), after a kick of `KICK` along the first
+axis, or along each where axes have parts of their own; without a hand the master starts that far off. What then remains
+is the loop's own motion, and what it comes to is told by `teleop.analysis.models.rest`.
 
 This is one experiment about one place: a nonlinear loop may answer otherwise to another kick or another place.
 """
@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from teleop.analysis.models.rest import FreeMotion, HeldGrip, settled
+from teleop.scene.axes import PER_AXIS
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import WINDOWS
@@ -27,10 +28,11 @@ LEAST = 50 * WINDOWS  # ticks
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Staying:
-    """A reference that follows `path` up to tick `until` and stays there, after one kick along the first axis."""
+    """A reference that follows `path` up to tick `until` and stays there, after one kick along the `kicked` axes."""
 
     path: Reference
     until: int
+    kicked: tuple[int, ...] = (0,)
 
     def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
         """For each axis the position (m) at the ticks 0 .. count-1."""
@@ -38,7 +40,8 @@ class Staying:
         rise = max(1, 10_000_000 // dt_ns)  # 10 ms up and as long down
         pulse = [KICK * min(i, 2 * rise - i) / rise for i in range(1, 2 * rise)]
         tail = [[place[-1]] * (count - self.until - 1) for place in moved]
-        tail[0] = [at + extra for at, extra in zip(tail[0], pulse + [0.0] * len(tail[0]), strict=False)]
+        for i in self.kicked:
+            tail[i] = [at + extra for at, extra in zip(tail[i], pulse + [0.0] * len(tail[i]), strict=False)]
         return tuple([*place, *rest][:count] for place, rest in zip(moved, tail, strict=True))
 
 
@@ -54,14 +57,21 @@ def swing(scene: Scene, *, seed: int = 0) -> FreeMotion:
     dt = scene.dt_ns / 1e9
     lasting = max(scene.duration, 5.0 * WINDOWS * trip, LEAST * dt)
     kicked = replace(scene, duration=since * dt + lasting, energy=False)
+    axes = kicked_axes(scene)
     if scene.hand is None:
         start = scene.vector("start_m", scene.start_m)
-        kicked = replace(kicked, start_m=(start[0] + KICK, *start[1:]))
+        kicked = replace(kicked, start_m=tuple([x + KICK * (i in axes) for i, x in enumerate(start)]))
     else:
-        hand = scene.hand
-        own = HeldGrip(mass=hand.mass, k=hand.k, d=hand.d, reference=Staying(path=hand.reference, until=since))
-        kicked = replace(kicked, hand=own)
+        hands = [hand and HeldGrip(mass=hand.mass, k=hand.k, d=hand.d, reference=Staying(
+            path=hand.reference, until=since, kicked=axes)) for hand in scene.per_axis("hand")]
+        kicked = replace(kicked, hand=tuple(hands) if isinstance(scene.hand, tuple) else hands[0])
     return settled(kicked, since=since, seed=seed)
+
+
+def kicked_axes(scene: Scene) -> tuple[int, ...]:
+    """The axes that are kicked: the first, and each with parts of its own, whose loop is another."""
+    own = any(isinstance(getattr(scene, name), tuple) for name in PER_AXIS if name != "environment")
+    return tuple(range(scene.axes)) if own else (0,)
 
 
 def _hardest(result: Result) -> int:

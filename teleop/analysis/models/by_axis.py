@@ -1,0 +1,54 @@
+"""A scene of several axes as the scenes of its axes: which of them are alike, and when an analysis may part them.
+
+Axes touch each other only through a law that sums over them (`master_sums`, `slave_sums`). Without one, the loop of the
+scene is that of each axis beside the others: its roots are theirs together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from teleop.analysis.models.linear import with_linear_law
+from teleop.law import law_name
+from teleop.scene.axes import PER_AXIS
+from teleop.scene.one_axis import on_axis
+
+if TYPE_CHECKING:
+    from teleop.scene.scene import Scene
+
+
+class Alike(NamedTuple):
+    """Axes with the same loop: the scene of the first of them, and the names of all."""
+
+    scene: Scene
+    names: tuple[str, ...]
+
+
+def couples(scene: Scene) -> bool:
+    """True if the law of a scene of several axes, or the linear one in its place, sums over them."""
+    law = with_linear_law(scene).laws[0]
+    return scene.axes > 1 and any(hasattr(law, f"{end}_sums") for end in ("master", "slave"))
+
+
+def alike(scene: Scene) -> list[Alike]:
+    """The axes of a scene, those together whose parts are equal; a hand counts by what it is and not by its motion."""
+    found: list[tuple[tuple[Any, ...], int, list[str]]] = []
+    every = {name: scene.per_axis(name) for name in PER_AXIS}
+    for i, name in enumerate(scene.axis_names):
+        parts = tuple([_grip(every[part][i]) if part == "hand" else every[part][i] for part in PER_AXIS])
+        same = next((names for own, _, names in found if own == parts), None)
+        if same is None:
+            found.append((parts, i, [name]))
+        else:
+            same.append(name)
+    return [Alike(replace(on_axis(scene, i), name=scene.name), tuple(names)) for _, i, names in found]
+
+
+def coupling_law(scene: Scene) -> str:
+    """In words why the axes of a scene go together."""
+    return f"law {law_name(scene.laws[0])} sums over the axes"
+
+
+def _grip(hand: Any) -> tuple[float, float, float] | None:
+    return None if hand is None else (hand.mass, hand.k, hand.d)
