@@ -65,7 +65,7 @@ def least(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, float]:
 def ticks(scene: Scene, e: str) -> Callable[[], None]:
     """A call that runs `TICKS` ticks of a live end, with another motion and message at each."""
     prepared, law = prepare(scene), scene.law
-    forth, back = messages(law)
+    forth, back = messages(scene.laws[0])
     heard = back if e == "m" else forth
     make, axes = live_of(scene, e), range(scene.axes)
     given = []

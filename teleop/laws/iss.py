@@ -28,7 +28,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, NamedTuple
 
-from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
@@ -36,7 +35,7 @@ AT_ONCE = 1e12  # 1/s
 
 
 class Forth(NamedTuple):
-    x: kind.Position  # the master's, m
+    x: float  # the master's position, m
     v: float  # the master's velocity, m/s
 
 

@@ -64,8 +64,8 @@ def homes(table: dict[str, str], names: set[str] | None = None) -> set[str]:
 
 def named_by(scene: Scene) -> set[str]:
     """The modules, out of those that a scene may leave out, that this one names."""
-    hand = scene.hand
-    parts: set[Any] = {type(scene.law), type(hand.reference) if hand else None, *map(type, scene.environments)}
+    reference = scene.reference
+    parts: set[Any] = {type(scene.laws[0]), type(reference) if reference else None, *map(type, scene.environments)}
     devices = [device for device in (scene.device_m, scene.device_s) if device is not None]
     parts |= {type(device.velocity) for device in devices if device.velocity is not None}
     parts |= {type(one.environment) for one in scene.environments if isinstance(one, Moving)}
@@ -83,13 +83,14 @@ def named_by(scene: Scene) -> set[str]:
         | ({"teleop.stages.watchdog"} if scene.watchdog else set())
         | ({"teleop.stages.force_cap"} if scene.cap else set())
         # only a law that reads the hand's force has use for the observer
-        | ({"teleop.stages.observer"} if scene.observer and type(scene.law).__name__ == "PFRA" else set())
+        | ({"teleop.stages.observer"} if scene.observer and type(scene.laws[0]).__name__ == "PFRA" else set())
     )
 
 
 def bodies(scene: Scene, modules: set[str]) -> set[str]:
     """What moves the bodies of the scene, beyond what is linear."""
-    rubs = scene.master.friction > 0.0 or (scene.slave is not None and scene.slave.friction > 0.0)
+    rubs = any(body is not None and body.friction > 0.0
+               for body in (*scene.per_axis("master"), *scene.per_axis("slave")))
     return (
         ({"teleop.physics.contact"} if "slave.wall" in modules else set())
         | ({"teleop.physics.relaxing"} if "slave.standard_linear_solid" in modules or scene.electrical else set())

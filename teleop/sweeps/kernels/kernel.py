@@ -29,7 +29,7 @@ from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
 from teleop.sweeps.kernels.figures import Figures
 from teleop.sweeps.kernels.leaves import Leaves
-from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES, SWINGS, kept, layout
+from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES, SWINGS, kept, layout, magnitude_of
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Plan
@@ -116,7 +116,7 @@ def gives(scene: Scene, measures: Sequence[str]) -> tuple[str, ...]:
 
 def functions_of_kernel(scene: Scene, bodies: Bodies) -> dict[str, Any]:
     """The functions of a scene's law, devices and bodies that the lines of its kernel find by name."""
-    return {**functions(scene), **bodies.functions(), "magnitude": MAGNITUDES[scene.axes]}
+    return {**functions(scene), **bodies.functions(), "magnitude": MAGNITUDES.get(scene.axes, magnitude_of)}
 
 
 def names_of(scene: Scene, bodies: Bodies, made: Lines | None = None) -> dict[str, Any]:

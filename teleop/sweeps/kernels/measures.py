@@ -84,7 +84,18 @@ def magnitude3(a: float, b: float, c: float) -> float:
     return top * sqrt(a * a + b * b + c * c)
 
 
-MAGNITUDES = {1: magnitude1, 2: magnitude2, 3: magnitude3}
+def magnitude_of(*axes: float) -> float:
+    """Magnitude in any number of axes, as of two."""
+    top = TINY
+    for a in axes:
+        top = max(top, abs(a))
+    total = 0.0
+    for a in axes:
+        total = total + a / top * (a / top)
+    return top * sqrt(total)
+
+
+MAGNITUDES = {1: magnitude1, 2: magnitude2, 3: magnitude3}  # written out: of few axes that is quicker
 
 
 def sound(numbers: tuple[float, ...]) -> float:
