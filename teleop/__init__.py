@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from teleop.laws.wave_position import WavePosition
     from teleop.laws.wave_prediction import WavePrediction
     from teleop.laws.wave_scaled import WaveScaled
+    from teleop.live.devices.checking import check_device
     from teleop.live.devices.heartbeat import DeviceWatchdog
     from teleop.live.end import end_main
     from teleop.live.records.merge import load_result
@@ -79,8 +80,9 @@ __all__ = [
     "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled",
     "Scaling", "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall",
     "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero",
-    "__version__", "around", "check_knobs", "check_law", "each_axis", "end_main", "facts_of", "find_law", "fitted",
-    "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep", "whole_number",
+    "__version__", "around", "check_device", "check_knobs", "check_law", "each_axis", "end_main", "facts_of",
+    "find_law", "fitted", "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep",
+    "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
@@ -109,6 +111,7 @@ _HOMES = {  # the module of each name, under this package
     "laws.wave_position": ("WavePosition",),
     "laws.wave_scaled": ("WaveScaled",),
     "laws.wave_prediction": ("WavePrediction",),
+    "live.devices.checking": ("check_device",),
     "live.devices.heartbeat": ("DeviceWatchdog",),
     "live.end": ("end_main",),
     "physics.implicit": ("Resistance",),

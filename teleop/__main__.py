@@ -31,6 +31,7 @@ HOME = {
     "reproduce": "teleop.studies.reproduce.command:command",
     "list": "teleop.terminal.listing:command",
     "show": "teleop.terminal.show:command",
+    "check": "teleop.live.devices.command:command",
     "doctor": "teleop.doctor.command:command",
     "completion": "teleop.completion.command:command",
     "keygen": "teleop.live.command:keygen",

@@ -1,6 +1,7 @@
 """A device of your own: a robot that stands in for real hardware, as the slave's end of a live run.
 
-    python scenarios/examples/device.py hard_wall --listen 127.0.0.1:9001       and, in another terminal,
+    teleop check robot scenarios/examples/device.py                             and, in two terminals,
+    python scenarios/examples/device.py hard_wall --listen 127.0.0.1:9001
     python -m master hard_wall --peer 127.0.0.1:9001
 """
 
@@ -15,6 +16,7 @@ class Carriage:
     """A carriage on a rail. In place of this class's arithmetic a driver would talk to the motor's controller."""
 
     deadline = 0.1  # s after which the hardware itself sets a force to zero that is not renewed
+    simulated = True  # a machine leaves this out: check_device then pushes it only if it is asked to
 
     def __init__(self, scene: Scene) -> None:
         if scene.axes != 1:

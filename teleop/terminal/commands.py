@@ -277,6 +277,22 @@ def _list(added: ArgumentParser) -> None:
     _json(added)
 
 
+def _check(added: ArgumentParser) -> None:
+    added.add_argument("what", metavar="device|robot", choices=("device", "robot"),
+                       help="what stands at the master's end, or at the slave's")
+    added.add_argument("name", metavar="NAME", help="its name (see `teleop list devices`), NAME:ARGUMENT, or "
+                       "FILE.py:CLASS of your own")
+    scene_options(added, default="hard_wall", seed=False)
+    added.add_argument("--push", action="store_true", help="push a machine too, along each axis in turn, to see which "
+                       "way its force acts: see that nobody and nothing is in its way; left out: only what is "
+                       "simulated is pushed")
+    added.add_argument("--force", metavar="F", type=float, help="of the push, in N or N m; left out: 0.1 on a machine, "
+                       "1 in simulation")
+    added.add_argument("--ticks", metavar="N", type=whole, default=1000, help="read so often, a machine by the clock; "
+                       "left out: 1000; with more you have the time to unplug it and to plug it in again")
+    _json(added)
+
+
 def _show(added: ArgumentParser) -> None:
     added.add_argument("what", metavar="tick", choices=("tick",), help="what the scene's loop does, line by line")
     scene_options(added, seed=False)
@@ -375,6 +391,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages, bodies (their "
              "integrators), devices and robots, or the knobs of one.", _list),
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
+    "check": ("Check a device or a robot: its readings, their times, the sign of its force, and how it lets go.",
+              _check),
     "doctor": ("Show what is installed and kept, and measure what this machine gives a live end, in about three "
                "seconds, each with what to type where it is poor.", _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),

@@ -161,10 +161,6 @@ def _cell(path: str, at: int, name: str, cells: list[str], i: int) -> float:
     return value
 
 
-def _names(scene: Scene) -> tuple[str, ...]:
-    return getattr(scene, "axis_names", ("x", "y", "z")[:scene.axes])
-
-
 class Replay:
     """A recorded motion at one end. `senses`: true if the file has the force that was sensed."""
 
@@ -184,9 +180,9 @@ class Replay:
 
 def replayed_device(scene: Scene, path: str) -> Replay:
     """A recorded motion of a master, csv:FILE, which no force moves."""
-    return Replay(read_motion(path, "m", _names(scene)), scene.dt_ns)
+    return Replay(read_motion(path, "m", scene.axis_names), scene.dt_ns)
 
 
 def replayed_robot(scene: Scene, path: str) -> Replay:
     """A recorded motion of a slave, csv:FILE, which no force moves."""
-    return Replay(read_motion(path, "s", _names(scene)), scene.dt_ns)
+    return Replay(read_motion(path, "s", scene.axis_names), scene.dt_ns)

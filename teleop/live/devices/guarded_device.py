@@ -6,7 +6,7 @@ from math import inf, isfinite, isnan
 from numbers import Real
 from typing import Any, Protocol
 
-from teleop.errors import DeviceError, Refused, number
+from teleop.errors import DeviceError, Refused, number, number_of
 from teleop.protocol.endpoint import Axes, Endpoint, Reading, switches_of
 from teleop.simulation.trace import ForceSource
 
@@ -30,8 +30,11 @@ class LiveDevice(Protocol):
     are called from one thread, but for one case: where one of them does not return, a second signal has `hold` called
     with zeros from another thread. It should then not wait without a bound for a lock that the first call has.
 
-    An attribute `scene_body` that is true says that it simulates the scene's own body: a force that it does not sense
-    is then worked out from its motion after the run. Of any other device there is the force that it senses, or none.
+    It may have `close()`, called once, the last of all, with the force at zero; what that raises is told. An attribute
+    `senses` says whether it has a force sensor, and its readings are held to that. One `simulated` that is true says
+    that no machine moves, so that `check_device` pushes it without being asked to. One `scene_body` that is true says
+    that it simulates the scene's own body: a force that it does not sense is then worked out from its motion after the
+    run. Of any other device there is the force that it senses, or none.
     """
 
     def read(self, k: int) -> Reading:
@@ -133,7 +136,11 @@ class GuardedDevice:
                 self.trouble = (f"it read {'f=None' if self.sensor else 'a force f'} where its first reading had "
                                 f"{'a force f' if self.sensor else 'f=None'}; a device has a force sensor or none")
                 return None
-            self.sensor = reading.f is not None
+            has = reading.f is not None
+            if (says := getattr(self.device, "senses", None)) is not None and bool(says) is not has:
+                raise Refused(f"the device says senses = {bool(says)} and reads {'a force f' if has else 'f=None'}; a "
+                              "device has a force sensor or none, and its readings have f or never")
+            self.sensor = has
         return reading
 
     @property
@@ -190,6 +197,12 @@ def _in_floats(reading: Any, axes: int) -> Reading:
         if all(isinstance(part, tuple) and len(part) == axes and all(map(_is_number, part))
                for part in (x, v, *(() if f is None else (f,)))):
             return Reading(_floats(x), _floats(v), None if f is None else _floats(f), clutch, present)
+    had = {len(part) for part in reading[:2] if isinstance(part, tuple)} if isinstance(reading, Reading) else set()
+    if len(had) == 1 and had != {axes}:
+        n = had.pop()
+        raise Refused(f"the device has {number_of(n, 'axis', 'axes')}, for it read x = {str(reading.x)[:99]}, and the "
+                      f"scene has {axes}; take a scene of {number_of(n, 'axis', 'axes')} at both ends (--set axes={n} "
+                      "where it has that knob), or another device")
     more = "," if axes == 1 else "".join(f", {{0}}{axis}" for axis in range(2, axes + 1))
     sample_x, sample_v = (f"({letter}{more.format(letter)})" for letter in "xv")
     raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "

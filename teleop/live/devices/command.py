@@ -1,0 +1,31 @@
+"""What `teleop check device NAME` and `teleop check robot NAME` do."""
+
+from __future__ import annotations
+
+import signal
+from argparse import Namespace
+from typing import Any
+
+from teleop.live.devices.checking import check_device, told
+from teleop.scene.loading import load_scene
+from teleop.terminal.answer import Answer
+from teleop.terminal.options import knobs_from
+
+
+def command(args: Namespace) -> Answer:
+    """Check a device as `check_device` does. Raises `Refused`."""
+    scene = load_scene(args.scene, **knobs_from(args))
+    e = "m" if args.what == "device" else "s"
+    # A device that is pushed lets go of these too, as of Ctrl-C.
+    before = {each: signal.signal(each, _interrupted) for each in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        found = check_device(args.name, scene, e=e, push=True if args.push else None, force=args.force,
+                             ticks=args.ticks)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    return Answer(told(found, e), found.document())
+
+
+def _interrupted(*_: Any) -> None:
+    raise KeyboardInterrupt
