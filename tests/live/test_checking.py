@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -143,7 +144,7 @@ def test_a_machine_is_pushed_only_when_it_is_asked_for_gently_and_ends_at_zero()
     found = check_device(Machine, ONE, ticks=10, push=True)
     held = Machine.made.held
     assert max(held) == found.pushed == 0.1
-    assert max(abs(b - a) for a, b in zip(held, held[1:], strict=False)) < 0.0011, "a ramp of 0.1 s"
+    assert max(abs(b - a) for a, b in pairwise(held)) < 0.0011, "a ramp of 0.1 s"
     assert held[-1] == 0.0
     assert Machine.made.closed == 1
     assert 0.0 < found.moved[0] < 0.006

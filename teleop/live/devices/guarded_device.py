@@ -136,11 +136,7 @@ class GuardedDevice:
                 self.trouble = (f"it read {'f=None' if self.sensor else 'a force f'} where its first reading had "
                                 f"{'a force f' if self.sensor else 'f=None'}; a device has a force sensor or none")
                 return None
-            has = reading.f is not None
-            if (says := getattr(self.device, "senses", None)) is not None and bool(says) is not has:
-                raise Refused(f"the device says senses = {bool(says)} and reads {'a force f' if has else 'f=None'}; a "
-                              "device has a force sensor or none, and its readings have f or never")
-            self.sensor = has
+            self.sensor = _sensor_of(self.device, reading)
         return reading
 
     @property
@@ -183,6 +179,15 @@ class GuardedDevice:
     @staticmethod
     def _is_sound(reading: Reading) -> bool:
         return all(map(isfinite, reading.v + (reading.f or ()))) and not any(map(isnan, reading.x))
+
+
+def _sensor_of(device: LiveDevice, reading: Reading) -> bool:
+    """True if this first reading has a force. Raises `Refused` where the device says otherwise."""
+    senses, says = reading.f is not None, getattr(device, "senses", None)
+    if says is not None and bool(says) is not senses:
+        raise Refused(f"the device says senses = {bool(says)} and reads {'a force f' if senses else 'f=None'}; have "
+                      "its readings hold f always, or never, as senses says")
+    return senses
 
 
 def _in_floats(reading: Any, axes: int) -> Reading:
