@@ -19,17 +19,19 @@ except ImportError as error:  # another project's package has the same name
 if TYPE_CHECKING:
     from slave.hunt_crossley import HuntCrossley
     from slave.moving import Moving
+    from slave.mujoco_robot import MuJoCoRobot
     from slave.robot import SimulatedSlave
     from slave.standard_linear_solid import StandardLinearSolid
     from slave.tissue import Tissue
     from slave.wall import Wall
 
 __all__ = [
-    "HuntCrossley", "Moving", "SimulatedSlave", "StandardLinearSolid", "Tissue", "Wall",
+    "HuntCrossley", "Moving", "MuJoCoRobot", "SimulatedSlave", "StandardLinearSolid", "Tissue", "Wall",
 ]
 _HOMES = {  # the module of each name, under this package
     "hunt_crossley": ("HuntCrossley",),
     "moving": ("Moving",),
+    "mujoco_robot": ("MuJoCoRobot",),
     "robot": ("SimulatedSlave",),
     "standard_linear_solid": ("StandardLinearSolid",),
     "tissue": ("Tissue",),

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from teleop.physics.implicit import Resistance
     from teleop.physics.plant import MassDamper, Plant
     from teleop.physics.relaxing import ElectricalDamping
+    from teleop.physics.rotation_axes import RotationAxes
     from teleop.protocol.endpoint import Reading
     from teleop.scene.axes import each_axis
     from teleop.scene.loading import load_scene
@@ -77,7 +78,8 @@ __all__ = [
     "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit",
     "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant",
     "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped", "PassivityController",
-    "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result", "Scaled",
+    "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result",
+    "RotationAxes", "Scaled",
     "Scaling", "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall",
     "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero",
     "__version__", "around", "check_device", "check_knobs", "check_law", "each_axis", "end_main", "facts_of",
@@ -117,6 +119,7 @@ _HOMES = {  # the module of each name, under this package
     "physics.implicit": ("Resistance",),
     "physics.plant": ("MassDamper", "Plant"),
     "physics.relaxing": ("ElectricalDamping",),
+    "physics.rotation_axes": ("RotationAxes",),
     "protocol.endpoint": ("Reading",),
     "scene.axes": ("each_axis",),
     "scene.loading": ("load_scene",),

@@ -18,6 +18,7 @@ from teleop.terminal.options import DONE, INTERRUPTED, guarded
 # Where each command is carried out: a function of the parsed arguments, which returns an `Answer`.
 HOME = {
     "run": "teleop.terminal.run:command",
+    "run, with devices": "teleop.live.command:run",
     "demo": "teleop.live.command:demo",
     "sweep": "teleop.sweeps.command:command",
     "tune": "teleop.studies.tune.command:command",
@@ -76,7 +77,8 @@ def _obey(typed: Sequence[str]) -> int:
 
     args.typed = ["teleop", *typed]
     args.seconds, args.nanoseconds = perf_counter, perf_counter_ns
-    module, _, function = HOME[args.do].partition(":")
+    other = args.do == "run" and (args.device is not None or args.robot is not None)
+    module, _, function = HOME["run, with devices" if other else args.do].partition(":")
     answer = getattr(import_module(module), function)(args)
     say(answer, json=args.json)
     return int(answer.code)

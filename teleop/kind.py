@@ -13,6 +13,12 @@ that is lost loses nothing and a copy adds nothing. The newest stands, also betw
 
 A *sample* is a value at a tick: the newest stands, and of several that a slower end plays together their mean. A field
 that declares nothing, `x: float`, is a sample.
+
+A *position* is a place on the axis, m or rad, that a law compares with that of its own end; but for that it is a
+sample. On the axes of a rotation it stands for an orientation: what is sent is a rotation vector, and what a law is
+told is its own place and how far the other lies from it (`teleop.stages.orientation`), so that x - rx.x is the
+logarithm of the relative rotation. A field of a law's state that is a place, such as a commanded point, is declared
+likewise.
 """
 
 from __future__ import annotations
@@ -24,14 +30,15 @@ from inspect import get_annotations
 from types import SimpleNamespace
 from typing import Annotated, Any, ForwardRef, get_args, get_type_hints
 
-_KINDS = ("wave", "total", "sample")
+_KINDS = ("wave", "total", "sample", "position")
 Wave = Annotated[float, "wave"]
 Total = Annotated[float, "total"]
 Sample = Annotated[float, "sample"]
+Position = Annotated[float, "position"]
 
 
 def kinds(message: type[Any]) -> dict[str, str]:
-    """The kind of each field of a message type, "wave", "total" or "sample", in their order."""
+    """The kind of each field of a message or state, "wave", "total", "sample" or "position", in their order."""
     found: Callable[[Any], dict[str, str]] = _kinds
     return found(message)
 
@@ -44,6 +51,11 @@ def waves(message: type[Any]) -> tuple[str, ...]:
 def totals(message: type[Any]) -> tuple[str, ...]:
     """The names of the fields of a message type that are totals, in their order."""
     return tuple([name for name, kind in kinds(message).items() if kind == "total"])
+
+
+def positions(message: type[Any]) -> tuple[str, ...]:
+    """The names of the fields of a message or a state that are positions, in their order."""
+    return tuple([name for name, kind in kinds(message).items() if kind == "position"])
 
 
 @lru_cache(maxsize=256)

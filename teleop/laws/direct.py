@@ -18,12 +18,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, NamedTuple
 
+from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
     v: float  # the master's velocity, m/s
 
 

@@ -28,6 +28,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, NamedTuple
 
+from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
@@ -35,7 +36,7 @@ AT_ONCE = 1e12  # 1/s
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
     v: float  # the master's velocity, m/s
 
 

@@ -42,6 +42,7 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
+from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
 
@@ -52,7 +53,7 @@ TINY = 1e-300  # under a denominator that may be zero
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
     v: float  # the master's velocity, m/s
 
 
@@ -94,6 +95,7 @@ class ModelMediated:
 
     claims: ClassVar[Mapping[str, str]] = {}
     shows: ClassVar[tuple[str, ...]] = ("k", "stored")
+    no_rotation: ClassVar[str] = "its model is a spring from a place on each axis by itself, which no orientation has"
 
     def __post_init__(self) -> None:
         check_knobs(self)

@@ -25,6 +25,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, NamedTuple
 
+from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At, injection
 from teleop.law.offers import Facts
@@ -33,11 +34,11 @@ AT_ONCE = 1e12  # 1/s
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
 
 
 class Back(NamedTuple):
-    x: float  # the slave's position, m
+    x: kind.Position  # the slave's, m
 
 
 class Coupling(NamedTuple):

@@ -56,6 +56,7 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
+from teleop import kind
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
 from teleop.law.offers import Facts
@@ -65,7 +66,7 @@ TINY = 1e-150  # N, in place of no force under a fraction
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
     v: float  # the master's velocity, m/s
 
 

@@ -50,17 +50,17 @@ TINY = 1e-300  # J, in place of no way at all
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
     S: kind.Total  # energy that the master has sent, J
 
 
 class Back(NamedTuple):
-    x: float  # the slave's position, m
+    x: kind.Position  # the slave's, m
     S: kind.Total  # energy that the slave has sent, J
 
 
 class End(NamedTuple):
-    y: float  # set point, m
+    y: kind.Position  # set point, m
     T: float  # energy kept, that of the spring included, J; the same in each axis, as S and seen are
     S: float  # energy sent, J
     seen: float  # what has been dealt with of the other end's S, J

@@ -66,7 +66,7 @@ NEARLY = 1e-9  # of the work that was asked for: a held force that did no more t
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
     v: float  # the master's velocity, m/s
     E: kind.Total  # energy that the master has taken in, J
 
@@ -86,7 +86,7 @@ class Slave(NamedTuple):
     G: float
     E: float
     seen: float
-    x_d: float  # commanded point, m
+    x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
     f_d: float  # the force that was asked for, N
 

@@ -54,7 +54,7 @@ SHORT = 1e-40  # m^2, in place of no motion: what a tank pays for is no matter o
 
 
 class Forth(NamedTuple):
-    x: float  # the master's position, m
+    x: kind.Position  # the master's, m
     v: float  # the master's velocity, m/s
     S: kind.Total  # energy that the master has sent, J
 

@@ -59,7 +59,7 @@ class Back(NamedTuple):
 
 
 class Slave(NamedTuple):
-    x_d: float  # commanded point, m
+    x_d: kind.Position  # commanded point, m
     v_d: float = 0.0  # its velocity, m/s
 
 

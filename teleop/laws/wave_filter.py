@@ -56,7 +56,7 @@ class Master(NamedTuple):
 class Slave(NamedTuple):
     y: float  # the filtered wave, sqrt(W)
     r: float  # the received one, sqrt(W)
-    x_d: float  # commanded point, m
+    x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
 

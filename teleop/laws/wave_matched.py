@@ -55,7 +55,7 @@ class Back(NamedTuple):
 
 
 class Point(NamedTuple):
-    x_d: float  # commanded point, m
+    x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
 

@@ -57,16 +57,16 @@ from teleop.law.offers import Facts
 
 class Forth(NamedTuple):
     u: kind.Wave  # forward, sqrt(W)
-    x: kind.Sample  # the master's position, m
+    x: kind.Position  # the master's, m
 
 
 class Back(NamedTuple):
     w: kind.Wave  # returning, sqrt(W)
-    x: kind.Sample  # the slave's position, m
+    x: kind.Position  # the slave's, m
 
 
 class Slave(NamedTuple):
-    x_d: float  # commanded point, m
+    x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
 

@@ -76,7 +76,7 @@ class Master(NamedTuple):
 
 
 class Slave(NamedTuple):
-    x_d: float  # commanded point, m
+    x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
 

@@ -66,7 +66,7 @@ class Slave(NamedTuple):
     S: float  # energy that came and is not played yet, J
     p: float  # the wave that is played, sqrt(W)
     r: float  # the wave that came with the last tick, zero without one, sqrt(W)
-    x_d: float  # commanded point, m
+    x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
 

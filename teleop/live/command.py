@@ -1,10 +1,13 @@
-"""What `teleop demo` and `teleop keygen` do."""
+"""What `teleop demo`, `teleop keygen`, and `teleop run` with a device or robot by name do."""
 
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Callable
 
 from teleop.errors import Refused
+from teleop.scene.scene import Scene
+from teleop.simulation.result import Result
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import INTERRUPTED, knobs_from
 from teleop.terminal.plotting import asked_formats
@@ -32,6 +35,25 @@ def demo(args: Namespace) -> Answer:
     if result.status == "stopped":  # by a signal: a script that goes on with what the run came to must not
         answer = answer._replace(code=INTERRUPTED)
     return answer if result.path is None else with_plot(answer, result, result.path, formats)
+
+
+def run(args: Namespace) -> Answer:
+    """Run the scene in virtual time with a device or a robot by name, and leave its folder. Raises `Refused`."""
+    from teleop.live.devices.named import named
+    from teleop.live.in_process import run_stepped
+    from teleop.terminal.run import command
+
+    if args.bodies is not None:
+        raise Refused("--bodies moves the scene's own bodies, and a device or robot by name moves by itself; leave one "
+                      "of them out")
+    texts = {"m": args.device or "simulated", "s": args.robot or "simulated"}
+    make = {e: named(e, text).open for e, text in texts.items()}
+    other = {word: texts[e] for word, e in (("device", "m"), ("robot", "s")) if texts[e] != "simulated"}
+
+    def stepped(scene: Scene, *, seed: int, clock: Callable[[], int], **_bodies: None) -> Result:
+        return run_stepped(scene, make, seed=seed, clock=clock, named=other)
+
+    return command(args, stepped)
 
 
 def keygen(args: Namespace) -> Answer:

@@ -173,7 +173,7 @@ class Endpoint:
         most = max(self._rx.width, self._tx.width) + along
         self._size = check_size(scene.wire_size, most, energy=scene.energy and not self._integral)
         self._newest_wins = not self.stepped and not isinstance(scene.played_as, Fixed)
-        self._rates = Resampling(rx_type, mine=self.every)
+        self._rates = Resampling(rx_type, mine=self.every, turning=scene.turning)
         self._sums = Sums(scene.dt_ns / 1e9, scene.axes)
         self._dt, self._dt_ns = dt, scene.dt_ns
 

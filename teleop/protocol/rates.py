@@ -2,17 +2,18 @@
 
 Both count the ticks of one grid; an end takes every `mine`-th of them, its peer every `theirs`-th. A slower peer's
 message stands for all the ticks until its next one is due, and is played at each of them. A faster one's messages of
-the ticks since the last are played together: of a sample their mean, of a total the newest (`teleop.kind`). What waves
-have come to is cumulative too, so the newest message has it all (`teleop.stages.wave_integral`): ends at different
-rates exchange waves in no other way. Where neither rate is a multiple of the other the mean is that over the ticks of
-the grid, at each of which the last message stands, for its sender's tick at most.
+the ticks since the last are played together: of a sample or a position their mean, of a total the newest
+(`teleop.kind`), and of a position on the axes of a rotation too, where it is a rotation vector: no mean of these is
+one. What waves have come to is cumulative too, so the newest message has it all (`teleop.stages.wave_integral`): ends
+at different rates exchange waves in no other way. Where neither rate is a multiple of the other the mean is that over
+the ticks of the grid, at each of which the last message stands, for its sender's tick at most.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple, Protocol
 
-from teleop.kind import totals
+from teleop.kind import positions, totals
 from teleop.stages.wave_integral import Integrals
 
 
@@ -32,11 +33,12 @@ class Messages(Protocol):
 
 
 class Resampling:
-    """Takes messages of type `kind` out of an inbox, at every `mine`-th tick."""
+    """Takes messages of type `kind` out of an inbox, at every `mine`-th tick. `turning`: the axes of rotations."""
 
-    def __init__(self, kind: Any, *, mine: int) -> None:
+    def __init__(self, kind: Any, *, mine: int, turning: frozenset[int] = frozenset()) -> None:
         self.mine, self.theirs = mine, 1
-        self._kind, self._totals = kind, totals(kind)
+        self._kind, self._turning = kind, turning
+        self._totals, self._turned = totals(kind), totals(kind) + positions(kind)
         self._last: tuple[int, tuple[int, Heard]] | None = None  # when a message was played last, and which
 
     @property
@@ -80,7 +82,8 @@ class Resampling:
         newest, heard = came[-1]
         rx = []
         for i in range(len(heard.rx)):
+            newest_of = self._turned if i in self._turning else self._totals
             fields = zip(self._kind._fields, *[each.rx[i] for _, each in came], strict=True)
-            rx.append(self._kind(*[numbers[-1] if name in self._totals else sum(numbers) / len(came)
+            rx.append(self._kind(*[numbers[-1] if name in newest_of else sum(numbers) / len(came)
                                    for name, *numbers in fields]))
         return newest, heard._replace(rx=tuple(rx))

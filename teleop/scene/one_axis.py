@@ -23,7 +23,8 @@ def on_axis(scene: Scene, i: int) -> Scene:
         parts["hand"] = OwnGrip(parts["hand"], OneAxis(scene.reference, scene.axes, i))  # type: ignore[arg-type]  # there is one
     for name in ("start_m", "start_s"):
         parts[name] = scene.vector(name, getattr(scene, name))[i]
-    return replace(scene, axes=1, names=(scene.axis_names[i],), units=(scene.axis_units[i],), packet_size=None, **parts)
+    return replace(scene, axes=1, rotations=(), names=(scene.axis_names[i],), units=(scene.axis_units[i],),
+                   packet_size=None, **parts)
 
 
 class OneAxis:

@@ -34,6 +34,7 @@ from teleop.scene.parts import (
     varies,
 )
 from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of, integrates
+from teleop.scene.rotations import check_rotations
 
 if TYPE_CHECKING:
     from teleop.physics.relaxing import ElectricalDamping
@@ -46,7 +47,8 @@ MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not 
 PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
          "left_out_m", "left_out_s", "deadband", "operator")  # or None
 
-_NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size", "start_m", "start_s")
+_NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size",
+                      "start_m", "start_s", "names", "units", "rotations")
 # The numbers of the last scene that passed its checks, by the classes of its parts: in a sweep they seldom change.
 _PASSED: dict[tuple[type, ...], tuple[Any, ...]] = {}
 
@@ -81,7 +83,8 @@ class Scene:
     energy: bool = False  # sum E_link and E_port along the run
     axes: int = 1
     names: tuple[str, ...] = ()  # of the axes; none: see `axis_names`
-    units: tuple[str, ...] = ()  # of the axes, m or rad; none: m
+    units: tuple[str, ...] = ()  # of the axes, m or rad; none: m, and rad where they are a rotation's
+    rotations: tuple[int, ...] = ()  # the first axis of each rotation, of three: see `teleop.scene.rotations`
     start_m: Vector = 0.0  # where the master starts, at rest, m
     start_s: Vector = 0.0  # where the slave starts, at rest, m
     dt: float = 1e-3
@@ -106,7 +109,8 @@ class Scene:
 
     def _is_judged_by_classes(self) -> bool:
         """True if the checks, which it passed, ask for no more than the classes of its parts and its numbers."""
-        if self.deadband is not None or self.packet_size is not None or self.names or self.units or any(
+        if self.deadband is not None or self.packet_size is not None or self.names or self.units or (
+                self.rotations) or any(
                 isinstance(getattr(self, name), tuple) for name in (*PER_AXIS, "start_m", "start_s")):
             return False
         touched = self.environment is None or any(
@@ -130,6 +134,8 @@ class Scene:
                           f"{self.playout!r}; write for example playout=Fixed(0.1)")
         if not isinstance(self.energy, bool):
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
+        if self.rotations != ():
+            check_rotations(self)
         self._check_deadband()
         self._check_packet()
         for each in self.environments:
@@ -254,7 +260,12 @@ class Scene:
     @property
     def axis_units(self) -> tuple[str, ...]:
         """The unit of the position of each axis, m or rad."""
-        return self.units or ("m",) * self.axes
+        return self.units or tuple(["rad" if i in self.turning else "m" for i in range(self.axes)])
+
+    @property
+    def turning(self) -> frozenset[int]:
+        """The axes that are those of rotations."""
+        return frozenset([first + i for first in self.rotations for i in range(3)])
 
     def leaves_out(self, e: str) -> LeftOutLike | None:
         """The ticks that the end `e` leaves out: the scene's own, or those that its link brings along; None: none."""

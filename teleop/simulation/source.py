@@ -18,7 +18,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.recorder import RowRecorder
 from teleop.simulation.specialise import Specialised, specialise
-from teleop.simulation.structure import NAMES, Structure, live_structure, run_of, structure_of, sums_type
+from teleop.simulation.structure import NAMES, Structure, live_structure, run_of, start_of, structure_of, sums_type
 from teleop.simulation.tick import live, loop
 from teleop.stages.end import Recorder, Run
 from teleop.stages.record import Record, called
@@ -124,8 +124,11 @@ def functions(scene: Scene) -> dict[str, Any]:
         if own.has.sums:
             words[f"total_{e}"] = f"{NAMES[e]}_sums"
             found[f"Sums_{e}"] = sums_type(law, e, scene.dt_ns / 1e9)
-        if own.rx_wave:
+        if own.rx_wave or own.turns:
             found[f"Message_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "m"]
+        if own.turns:
+            found[f"Sent_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "s"]
+            found[f"State_{e}"] = type(start_of(law, e, scene.dt_ns / 1e9)[0])
         if structure.has.stored:
             words[f"stored_{e}"] = f"{NAMES[e]}_stored"
         if device is not None and device.velocity is not None:

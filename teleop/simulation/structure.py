@@ -5,17 +5,28 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.kind import kinds, wave
+from teleop.kind import kinds, positions, wave
 from teleop.law import functions_of, messages, reads, start_at
 from teleop.law.offers import stores
 from teleop.scene.playout import integrates, repeats
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import master_has_inner
-from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Shown, Stage, Told, per_axis
+from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Shown, Stage, Told, Turn, per_axis
 from teleop.stages.order import STAGES, Asked
 
 NAMES = {"m": "master", "s": "slave"}
 SENSED = {"m": "f_h", "s": "f_env"}  # the external force at each end
+
+
+class Turns(NamedTuple):
+    """The rotations of an end: the first axis of each, the fields of its messages and its state, and the positions."""
+
+    first: tuple[int, ...]
+    tx_fields: tuple[str, ...]
+    state_fields: tuple[str, ...]
+    rx_positions: tuple[str, ...]
+    tx_positions: tuple[str, ...]
+    state_positions: tuple[str, ...]
 
 
 class EndStructure(NamedTuple):
@@ -29,6 +40,7 @@ class EndStructure(NamedTuple):
     rx_fields: tuple[str, ...] = ()
     shows: tuple[str, ...] = ()  # fields of its law's state that are recorded
     tells: tuple[str, ...] = ()  # fields of its messages that decide whether they are sent
+    turns: Turns | None = None
 
 
 class Structure(NamedTuple):
@@ -84,7 +96,15 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
     forth, back = messages(scene.laws[0], scene.dt_ns / 1e9)
     tx, rx = (forth, back) if e == "m" else (back, forth)
     return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, _shows(scene, e),
-                        _tells(tx) if run.deadband else ())
+                        _tells(tx) if run.deadband else (), _turns(scene, e, tx, rx) if scene.rotations else None)
+
+
+def _turns(scene: Scene, e: str, tx: Any, rx: Any) -> Turns:
+    """The rotations of an end, whose messages are of these types."""
+    state = type(start_of(scene.laws[0], e, scene.dt_ns / 1e9)[0])
+    named = hasattr(state, "_fields")
+    return Turns(scene.rotations, tx._fields, state._fields if named else (), positions(rx), positions(tx),
+                 positions(state) if named else ())
 
 
 def _tells(message: Any) -> tuple[str, ...]:
@@ -97,8 +117,13 @@ def _shows(scene: Scene, e: str) -> tuple[str, ...]:
     asked = getattr(scene.laws[0], "shows", ())
     if not asked:
         return ()
-    state, _ = getattr(scene.laws[0], f"{NAMES[e]}_start")(start_at(0.0, 0.0, 0.0, scene.dt_ns / 1e9))
+    state, _ = start_of(scene.laws[0], e, scene.dt_ns / 1e9)
     return tuple([field for field in asked if field in getattr(state, "_fields", ())])
+
+
+def start_of(law: Any, e: str, dt: float) -> Any:
+    """The state of an end of a law, and the message that it begins with, at rest at 0."""
+    return getattr(law, f"{NAMES[e]}_start")(start_at(0.0, 0.0, 0.0, dt))
 
 
 def sums_type(law: Any, e: str, dt: float) -> Any:
@@ -137,6 +162,11 @@ def _end_of(name: str, structure: Structure) -> End:
     e.fields, e.tx_wave, e.rx_wave, e.rx_fields = own.fields, own.tx_wave, own.rx_wave, own.rx_fields
     e.shown = tuple([Shown(f"{a.suffix}_{field}", a, field) for field in own.shows for a in e.axes])
     e.told = tuple([Told(f"{a.suffix}_{field}", a, field) for field in own.tells for a in e.axes])
+    own_turns = own.turns or Turns((), (), (), (), (), ())
+    e.tx_fields, e.state_fields, e.state_positions = (
+        own_turns.tx_fields, own_turns.state_fields, own_turns.state_positions)
+    e.turns = tuple([Turn(f"{name}_turn{i}", e.axes[i:i + 3], own_turns.rx_positions, own_turns.tx_positions)
+                     for i in own_turns.first])
     e.cells = tuple([cell for column in end_columns(e) for cell in column.cells])
     e.memory = (
         *[(a, field) for a in e.axes for field in ("x", "v", "f")], *[(a, "z") for a in e.axes if own.has.inner],

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from teleop.errors import Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
+from teleop.simulation.ending import Ending
 from teleop.simulation.facts import law_notes, of_plans
 from teleop.simulation.notes import faded, unplayed
 from teleop.simulation.outcome import integration, over_tolerance, too_old, verdict
@@ -18,8 +19,9 @@ from teleop.simulation.plan import LinkPlans, check_seed, link_plans, round_trip
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result
 from teleop.simulation.structure import columns
-from teleop.simulation.trace import EndRecord, assemble
+from teleop.simulation.trace import EndRecord, ForceSource, assemble
 
+Judge = Callable[[Prepared, Mapping[str, Any], int, Any, int], Ending]
 LONG = 100_000  # ticks from which on the rows are kept in a quarter of the memory, for 0.3 us a row
 
 
@@ -49,7 +51,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     fwd, bwd = plans = link_plans(scene, seed)
     orders = [plan and plan.orders.tolist() for plan in (bwd, fwd)]
     if scene.slave is None:  # what its ticks are ordered says which of them are left out, and no more
-        fwd, bwd = plans = LinkPlans(None, None)
+        plans = LinkPlans(None, None)
     size = 1 + max((plan.reach for plan in plans if plan is not None), default=0)
     rows: dict[str, Any] = {e: array("d") if scene.ticks > LONG else [] for e in ("m", "s")}
     reference, loop, starts = prepared.reference, prepared.loop, prepared.starts
@@ -62,36 +64,51 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     ran, capped, end, inner = attempt(scene.laws[0], loop, *arguments)
     took = clock() - began if clock else None
     sent = None if scene.deadband is None else [_told(scene, e, rows[e], ran) for e in ("m", "s")]
-    if sent is not None:
-        fwd, bwd = plans = link_plans(scene, seed, ran, sent)
+    notes = [f"{number_of(capped, 'tick')} had more contact events than are followed in one tick"] * (capped > 0)
+    reports = integration(scene, bodies, inner)
+    if bodies.method:
+        from teleop.simulation.integrators.named import told
 
+        notes = told(bodies) + notes
+        reports["bodies"] = bodies.method
+    return result_of(prepared, plans, rows, ran, end, seed=seed, sent=sent, took=took, notes=notes, reports=reports)
+
+
+def result_of(
+    prepared: Prepared, plans: LinkPlans, rows: Mapping[str, Any], ran: int, end: Any, *, seed: int, took: int | None,
+    sent: Sequence[Any] | None = None, forces: Mapping[str, ForceSource | None] | None = None,
+    notes: Sequence[str] = (), reports: Mapping[str, Any] | None = None, judge: Judge = verdict,
+) -> Result:
+    """The result of a run in virtual time of which `rows` has each end's record, flat.
+
+    `end`: the positions that left the bounds after `ran` ticks, None of a run that came to its end. `took`: ns. `sent`:
+    see `_told`. `forces`: where each end's external force is from; left out, the scene's own bodies tell it. `notes`
+    are told with those that follow from the run, `reports` beside its figures. `judge` says how it ended.
+    """
+    scene, reports = prepared.scene, dict(reports or {})
+    if sent is not None:
+        plans = link_plans(scene, seed, ran, sent)
+    fwd, bwd = plans
     records = {
-        e: EndRecord(range(ran), rows[e], None if plan is None else plan.packets_until(ran))
+        e: EndRecord(range(ran), rows[e], None if plan is None else plan.packets_until(ran), (forces or {}).get(e))
         for e, plan in (("m", bwd), ("s", fwd))[: 1 if scene.slave is None else 2]
     }
     trace = dict(assemble(prepared, records))
     trip = round_trip(None if plan is None else plan.played_at for plan in plans) if prepared.still else 0
-    came = verdict(prepared, trace, ran, end, trip)
+    came = judge(prepared, trace, ran, end, trip)
     # Of a run that ended early, only what was sent until then counts.
     known = sent is None and ran == scene.ticks
     packets = counts_of(plans, ran) if known else packet_counts(scene, seed, ran, sent)
-    reports = integration(scene, bodies, inner)
-    notes = law_notes(scene, *of_plans(scene, plans, ran))
-    if bodies.method:
-        from teleop.simulation.integrators.named import told
-
-        notes += told(bodies)
-        reports["bodies"] = bodies.method
-    notes += [f"{number_of(capped, 'tick')} had more contact events than are followed in one tick"] * (capped > 0)
-    notes += too_old(scene, "master", bwd, ran)
-    notes += too_old(scene, "slave", fwd, ran)
-    notes += over_tolerance(reports)
-    notes += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
-    notes += came.notes
+    told = [*law_notes(scene, *of_plans(scene, plans, ran)), *notes]
+    told += too_old(scene, "master", bwd, ran)
+    told += too_old(scene, "slave", fwd, ran)
+    told += over_tolerance(reports)
+    told += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
+    told += came.notes
     return Result.make(
         scene, seed=seed, mode="virtual", status=came.status, sentence=came.sentence, ticks=ran,
         run_time=None if took is None else took / 1e9, trace=trace, packets={} if scene.slave is None else packets,
-        notes=notes, extra=reports, at_rest=came.at_rest)
+        notes=told, extra=reports, at_rest=came.at_rest)
 
 
 def _told(scene: Scene, e: str, rows: Any, ran: int) -> Any:

@@ -117,6 +117,47 @@ class Told(Record):
         self.a, self.field = a, field
 
 
+class Followed(Record):
+    """A position of an end's messages on the axes of a rotation, as a rotation vector (rad)."""
+
+    x: float  # as it was told last
+    y: float
+    z: float
+
+    def __init__(self, suffix: str, field: str) -> None:
+        super().__init__(suffix)
+        self.field = field
+
+
+class Turn(Record):
+    """A rotation of an end: the three axes that turn it, and its orientation; see `teleop.stages.orientation`."""
+
+    passing: ClassVar[tuple[str, ...]] = (
+        "before_x", "before_y", "before_z", "dx", "dy", "dz", "px", "py", "pz")
+    w: float  # its unit quaternion
+    x: float
+    y: float
+    z: float
+    phi_x: float  # the coordinates of its axes, as the law is told them, rad
+    phi_y: float
+    phi_z: float
+    before_x: float  # at the tick before
+    before_y: float
+    before_z: float
+    dx: float  # by how much it turned since
+    dy: float
+    dz: float
+    px: float  # a position that is looked at
+    py: float
+    pz: float
+
+    def __init__(self, suffix: str, axes: tuple[Axis, ...], heard: tuple[str, ...], sent: tuple[str, ...]) -> None:
+        super().__init__(suffix)
+        self.a, self.b, self.c = axes
+        self.heard = tuple([Followed(f"{suffix}_rx_{field}", field) for field in heard])
+        self.sent = tuple([Followed(f"{suffix}_tx_{field}", field) for field in sent])
+
+
 class End(Record):
     """The master's end or the slave's."""
 
@@ -128,6 +169,7 @@ class End(Record):
     memory: tuple[tuple[Record, str], ...]  # what it keeps from tick to tick
     shown: tuple[Shown, ...]  # of its law's state, what is recorded
     told: tuple[Told, ...]  # of its messages, what decides whether they are sent
+    turns: tuple[Turn, ...]  # its rotations
     send: float  # 1.0 if the message of this tick is sent, else 0.0
     due: Any  # the tick at which it comes to the other end
     number: float  # its number, counted from 1; 0 if it never comes
@@ -135,6 +177,9 @@ class End(Record):
     tx_wave: str  # the field of its messages that is a wave, "" if none is
     rx_wave: str
     rx_fields: tuple[str, ...]  # of the messages that it receives
+    tx_fields: tuple[str, ...]  # of those that it sends, where it has rotations,
+    state_fields: tuple[str, ...]  # ... of its law's state,
+    state_positions: tuple[str, ...]  # ... and of these the positions
     got: Any  # is there a message to play at this tick
     newest: Any  # number of the newest message that was played, -1 before the first
     age: float  # of the newest message, s
@@ -156,6 +201,8 @@ class End(Record):
     total: Callable[..., Any]
     Sums: Callable[..., Any]
     Message: Callable[..., Any]
+    Sent: Callable[..., Any]
+    State: Callable[..., Any]
 
     def __init__(self, name: str, axes: int, has: EndHas) -> None:
         super().__init__(name)

@@ -83,6 +83,10 @@ AFTER_LAW = (  # what its force goes through
     Place("operator", "operator:OperatorStage", lambda end: end.e == "m" and end.scene.operator is not None,
           "fades the force out and holds the slave while the operator's clutch is open, or nobody is there",
           "operator=Operator(clutch=((2.0, 3.0),))", "master"),
+    # what it is told of both ends where they turn, by what it is told of its own
+    Place("orientation", "orientation:OrientationStage", lambda end: bool(end.scene.rotations),
+          "counts the orientation on the axes of a rotation, and tells the law positions that go by it",
+          "rotations=(3,)"),
     Place("watchdog", "watchdog:WatchdogStage", lambda end: end.scene.watchdog is not None,
           "ramps the force to zero without fresh messages, and back with them", "watchdog=Watchdog(timeout=0.2)"),
     Place("overflow", "force_cap:OverflowStage", lambda end: end.scene.cap is not None,

@@ -38,6 +38,7 @@ examples:
   teleop run canonical --set law=pfra --set law.alpha=0.2 --set delay=0.1 --plot
   teleop run hard_wall --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)' --seed 7 --json
   teleop run hard_wall --set law=law_mine.py --set law.K=150
+  teleop run arm --robot mujoco
   teleop demo jittery_wan
   teleop precision hard_wall --set k_e=1e6
   teleop stability soft_tissue --set law=direct --critical k_e
@@ -102,6 +103,10 @@ def _run(added: ArgumentParser) -> None:
     added.add_argument("--hand", metavar="FOLDER", help="move the scene's hand as the pointer moved that of a live "
                        "page, whose folder this is (or one of its parts), for as long unless --set duration= says "
                        "otherwise; left out: as the scene says")
+    added.add_argument("--device", metavar="NAME", help="what stands at the master's end: a device by name, NAME or "
+                       "NAME:ARGUMENT, or FILE.py:CLASS; left out: the simulated master")
+    added.add_argument("--robot", metavar="NAME", help="what stands at the slave's end, for example mujoco, or "
+                       "mujoco:FILE.xml; left out: the simulated slave")
     _out(added, "SCENE")
     _json(added)
     _plot(added, "plot.png")

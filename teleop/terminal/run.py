@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +19,8 @@ from teleop.terminal.run_table import table
 PLOT = "plot"  # and the suffix of its format
 
 
-def command(args: Namespace) -> Answer:
-    """Run the scene in virtual time and leave its folder. Raises `Refused`."""
+def command(args: Namespace, other: Callable[..., Result] | None = None) -> Answer:
+    """Run the scene in virtual time and leave its folder. Raises `Refused`. `other`: what runs it in place of `run`."""
     scene = load_scene(args.scene, **knobs_from(args), **({} if args.hand is None else {"hand": args.hand}))
     formats: Sequence[str] = ()
     if args.plot or args.format:
@@ -28,7 +28,7 @@ def command(args: Namespace) -> Answer:
 
         formats = asked_formats(args)
     with new_folder(args.out, stem(args.scene)) as new:  # before the run: a folder that cannot be written is found now
-        result = run(scene, seed=args.seed, clock=args.nanoseconds, bodies=args.bodies)
+        result = (other or run)(scene, seed=args.seed, clock=args.nanoseconds, bodies=args.bodies)
         result.write(new.inside, args.typed)
     result = replace(result, path=new.path)
     return with_plot(answer_of(result, args.typed), result, new.path, formats)

@@ -31,14 +31,16 @@ def step_costs(some: Sequence[Contender], scene: Scene, trace: Mapping[str, Any]
     if reference is not None:
         masters = [[(*state, r[k], r[k + 1]) for k, state in zip(at, own, strict=True)]
                    for r, own in zip(reference, masters, strict=True)]
-    elif some[0].bodies.inner_m is not None:
+    elif some[0].bodies.inner_m:
         masters = [[(*state, 0.0, 0.0) for state in own] for own in masters]
     carried = [is_carried(plant) for plant in whole_plants(scene)]
     jobs: dict[str, list[tuple[Move, Any, list[tuple[Any, ...]]]]] = {}
     for c in some:
         own = c.bodies
         move = _master(own, held=reference is not None)
-        jobs[c.key] = [_job(move, own.master, states, at, own.inner_m) for states in masters]
+        inner = own.inner_m or (None,) * scene.axes
+        jobs[c.key] = [_job(move, held, states, at, z)
+                       for held, states, z in zip(own.master, masters, inner, strict=True)]
         jobs[c.key] += [_job(plant.move, plant.c, states, at, plant.start, ticks=ticks)
                         for plant, states, ticks in zip(own.slaves, slaves, carried, strict=True)]
     times: dict[str, list[float]] = {key: [] for key in jobs}
@@ -70,11 +72,11 @@ def column(trace: Mapping[str, Any], name: str, axis: int) -> Any:
 
 def _master(bodies: Bodies, *, held: bool) -> Move:
     """The function that moves the master."""
-    if bodies.inner_m is not None:
+    if bodies.inner_m:
         move: Move = bodies.instead["move_held"]
         return move
     name, exact = ("move_gripped", move_gripped) if held else ("move_free", move_free)
-    return bodies.instead.get(name, exact)
+    return bodies.instead.get(name, exact)  # type: ignore[no-any-return]
 
 
 def _job(move: Move, c: Any, states: list[tuple[Any, ...]], at: range, z: Any, *, ticks: bool = False

@@ -30,14 +30,14 @@ from teleop.law import law_name, name_of_law, start_at
 from teleop.law.contract import check_contract
 
 ENDS = {"master": "slave", "slave": "master"}
-_KINDS = {"wave": "kind.Wave", "total": "kind.Total", "sample": "float"}
+_KINDS = {"wave": "kind.Wave", "total": "kind.Total", "sample": "float", "position": "kind.Position"}
 
 
 class InnerEnd(NamedTuple):
     """One end of the law that a stage stands around."""
 
     name: str  # "master" or "slave"
-    state: tuple[str, ...] | None  # the fields of its state; None where the state is ()
+    state: Mapping[str, str] | None  # the kind of each field of its state; None where the state is ()
     sends: Mapping[str, str]  # the kind of each field of the message that it sends
     hears: Mapping[str, str]  # the same of the one that it is given
     sums: tuple[str, ...] | None  # what it sums over the axes; None where it couples none
@@ -56,6 +56,7 @@ class EndLines(NamedTuple):
     sums: Mapping[str, str] = {}  # what it sums over the axes, each with its share of one axis
     before: tuple[str, ...] = ()  # of the sums over the axes too
     after: tuple[str, ...] = ()
+    positions: tuple[str, ...] = ()  # the fields of its own in the state that are positions
     stored: str = ""  # the energy that this end keeps in place of the law's own, of its state `s`
 
 
@@ -146,7 +147,8 @@ def _inner_end(law: Any, name: str) -> InnerEnd:
     s, heard = getattr(law, f"{name}_start")(still)
     sent = getattr(law, f"{ENDS[name]}_start")(still)[1]
     sums = getattr(law, f"{name}_sums", None)
-    return InnerEnd(name, getattr(s, "_fields", None), kind.kinds(type(sent)), kind.kinds(type(heard)),
+    kept = kind.kinds(type(s)) if hasattr(s, "_fields") else None
+    return InnerEnd(name, kept, kind.kinds(type(sent)), kind.kinds(type(heard)),
                     None if sums is None else sums(s, still, heard)._fields)
 
 
@@ -180,7 +182,8 @@ def _types(ends: Mapping[str, InnerEnd], lines: Mapping[str, EndLines], words: d
     text = ["from dataclasses import dataclass", "from typing import ClassVar, NamedTuple", ""]
     for name, end in ends.items():
         own = lines[name]
-        state = {**dict.fromkeys(end.state or (), "float"), **dict.fromkeys(own.state, "float")}
+        state = {field: _KINDS[each] for field, each in (end.state or {}).items()}
+        state |= {field: _KINDS["position" if field in own.positions else "sample"] for field in own.state}
         text += _named_tuple(f"State_{name}", state) if state else []
         if own.sends:
             sends = {**end.sends, **{field: of_kind for field, (of_kind, _) in own.sends.items()}}

@@ -98,7 +98,8 @@ class Deadband:
                           f"deadband_A_{name} = deadband_A_{name} + at.dt * deadband_P_{name}"]
             after.append(f"tx_{name} = deadband_{name}")
         after += ["deadband_begun = 1.0", "deadband_sent = s.deadband_sent + deadband_send"]
-        return EndLines(state=state, after=tuple(after))
+        positions = tuple([f"deadband_{name}" for name, of_kind in decides.items() if of_kind == "position"])
+        return EndLines(state=state, after=tuple(after), positions=positions)
 
     @classmethod
     def words(cls) -> Mapping[str, Any]:

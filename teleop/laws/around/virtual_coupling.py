@@ -61,6 +61,7 @@ class VirtualCouplingEnd:
     name: ClassVar[str] = "virtual_coupling"
     shows: ClassVar[tuple[str, ...]] = ("virtual_coupling_y",)
     is_linear: ClassVar[bool] = True
+    no_rotation: ClassVar[str] = "its tool has a place on each axis by itself, and no orientation"
 
     def __post_init__(self) -> None:
         check_knobs(self)

@@ -21,6 +21,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.pp import PositionPosition
 from teleop.laws.wave import Wave
+from teleop.laws.wave_position import WavePosition
 from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.guard import UNNAMED
@@ -38,6 +39,7 @@ from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 from tests.teleop.scene.unlike import LAWS, unlike
+from tests.teleop.stages.tumbling import tumbling
 
 MS = 1_000_000
 START = 10**12  # tick 0 on both clocks
@@ -152,6 +154,8 @@ SCENES = {
     "wave in three axes": three_axes(Wave(), link=parse_link(ROUGH)),
     "pfra in three axes": three_axes(PFRA(alpha=0.2), link=parse_link(ROUGH), cap=Cap(f_max=1.0, slew=200.0),
                                      watchdog=Watchdog(timeout=0.01, ramp=0.01)),
+    "wave_position on a rotation": tumbling(
+        law=WavePosition(b=0.02, K=1.0, B=0.02, K_p=0.2, B_p=0.005), link=parse_link(ROUGH), duration=0.6),
     **{f"{law} in axes that are unlike": unlike(laws) for law, laws in LAWS.items()},
     "sixteen axes": replace(unlike(), **{
         "axes": 16, "names": (), "units": (), "start_m": (0.01,) * 16, "start_s": 0.0, "environment": None,

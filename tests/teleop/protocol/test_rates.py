@@ -196,3 +196,16 @@ def test_waves_at_another_rate_than_the_scenes_are_sent_by_their_integral_alone(
     assert ticks(load_scene("burst_loss"), 500.0) == 2
     assert ticks(load_scene("canonical"), 1000.0) == 1
     assert ticks(load_scene("canonical", law="direct"), 500.0) == 2
+
+
+class Placed(NamedTuple):
+    x: kind.Position
+
+
+def test_a_position_is_averaged_where_it_is_a_place_and_the_newest_where_it_is_an_orientation() -> None:
+    """The mean of rotation vectors is the rotation vector of nothing that was sent."""
+    rates, inbox = Resampling(Placed, mine=2, turning=frozenset((1,))), Inbox[Heard](Zero(), MS, tick=0)
+    rates.begin(1)
+    for k, x in enumerate((1.0, 2.0)):
+        inbox.put(k, k + 1, Heard((Placed(x), Placed(x)), None))
+    assert rates.take(inbox, 0, 2) == (1, Heard((Placed(1.5), Placed(2.0)), None))

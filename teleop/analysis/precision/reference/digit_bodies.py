@@ -120,7 +120,7 @@ def _master(scene: Scene, own: Bodies, digits: int, steps: Steps) -> tuple[list[
     motion = master_motion(scene)
     bodies = [Body(motion, scene.dt_ns, digits) for _ in range(scene.axes)]
     single, turn = Body(motion, scene.dt_ns, digits), cycle(bodies)
-    name, stock = ("move_held", None) if own.inner_m is not None else (
+    name, stock = ("move_held", None) if own.inner_m else (
         ("move_free", move_free) if scene.hand is None else ("move_gripped", move_gripped))
     step: Any = own.instead.get(name, stock)
 

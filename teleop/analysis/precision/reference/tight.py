@@ -72,8 +72,8 @@ def bodies_moved(scene: Scene, solver: str, rtol: float, watch: Watch) -> Bodies
     slaves = rebuilt(scene, moved)
     if scene.master.friction == 0.0:
         return exact._replace(slaves=slaves)
-    core, b, stock = exact.master[0], scene.master.damping, exact.instead["move_held"]
-    inner = cycle([[exact.inner_m] for _ in range(scene.axes)])
+    core, b, stock = exact.master[0][0], scene.master.damping, exact.instead["move_held"]
+    inner = cycle([[each] for each in exact.inner_m])
 
     def held(x: float, v: float, f_m: float, r0: float, r1: float) -> Found:
         s = (r1 - r0) / dt

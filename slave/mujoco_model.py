@@ -1,0 +1,191 @@
+"""A MuJoCo model for a scene: loaded from an MJCF, and what of it the axes of the scene are.
+
+Axes that are called x, y, z are translations of the end effector along the world's axes of these names; the scene's
+zero is where the end effector stands at the start less the scene's start_s, so it begins where the scene says. Other
+axes are joints of their names, in rad or m, that begin at start_s. The model begins in its keyframe `home` if it has
+one. Translations that the scene has no axis for are held by a spring and a damper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+from teleop.errors import Refused
+from teleop.scene.scene import Scene
+
+OWN = Path(__file__).parent / "arm.xml"
+END = "end_effector"  # the site or body that is looked for
+LETTERS = ("x", "y", "z")
+SUBSTEPS = 4  # of a tick, at least
+TIP = "teleop_end_effector"  # a body without mass at that site, which forces are applied to
+LISTED = 12  # names that a sentence has
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A compiled model and the scene's axes in it.
+
+    `names` and `units` are the scene's. `axes`: of an end effector the world's axes (0, 1, 2), of joints their degrees
+    of freedom; `places`: of joints, where they stand in qpos. `tip`: the body that forces are applied to; None: the
+    axes are joints. `zero`: where in the world the scene's positions count from, m. `held`: world's axes without one of
+    the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it.
+    """
+
+    model: Any
+    qpos: Any
+    substeps: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    axes: list[int]
+    places: list[int]
+    tip: int | None
+    zero: tuple[float, ...]
+    held: tuple[tuple[int, float], ...]
+    geoms: frozenset[int]
+
+
+def load(scene: Scene, file: str | None = None) -> Loaded:
+    """The model in `file` (FILE.xml or FILE.xml#NAME, NAME of the end effector) for `scene`. Raises `Refused`."""
+    mujoco = _mujoco()
+    path, _, name = (str(OWN) if file is None else file).partition("#")
+    spec = _spec(mujoco, path)
+    cartesian = _is_cartesian(scene)
+    if cartesian:
+        _add_tip(mujoco, spec, path, name)
+    else:
+        _check_joints(mujoco, scene, spec, path)
+    try:
+        for body in spec.bodies[1:]:
+            if _is_carried(mujoco, body):
+                body.gravcomp = 1.0
+        model = spec.compile()
+    except ValueError as error:
+        raise _not_loaded(path, error) from error
+    dt = scene.dt_ns / 1e9
+    substeps = max(SUBSTEPS, ceil(dt / model.opt.timestep - 1e-9))
+    model.opt.timestep = dt / substeps
+    # Motors are the scene's; and a state that became unstable must not begin anew from the start, unseen.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION) | int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    starts = scene.vector("start_s", scene.start_s)
+    data = mujoco.MjData(model)
+    if (home := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")) >= 0:
+        mujoco.mj_resetDataKeyframe(model, data, home)
+    if not cartesian:
+        places, axes = ([int(at[model.joint(each).id]) for each in scene.axis_names]
+                        for at in (model.jnt_qposadr, model.jnt_dofadr))
+        data.qpos[places] = starts
+        return Loaded(model, data.qpos.copy(), substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (),
+                      frozenset())
+    mujoco.mj_forward(model, data)
+    tip = model.body(TIP).id
+    at = data.xpos[tip].tolist()
+    axes = [LETTERS.index(each) for each in scene.axis_names]
+    return Loaded(
+        model, data.qpos.copy(), substeps, scene.axis_names, scene.axis_units, axes, [], tip,
+        tuple([at[i] - start for i, start in zip(axes, starts, strict=True)]),
+        tuple([(i, at[i]) for i in range(3) if i not in axes]), _geoms_of(model, tip))
+
+
+def _is_cartesian(scene: Scene) -> bool:
+    """True where the axes are translations of an end effector. Raises `Refused` where one of x, y, z is an angle."""
+    if not set(scene.axis_names) <= set(LETTERS):
+        return False
+    for name, unit in zip(scene.axis_names, scene.axis_units, strict=True):
+        if unit != "m":
+            raise Refused(f"the scene's axis {name} is in {unit}, and in MuJoCo an axis of this name is a translation "
+                          "of the end effector; write units=(...) in the scene with m for it, or name the axis after "
+                          "a joint")
+    return True
+
+
+def _mujoco() -> Any:
+    try:
+        import mujoco
+    except ImportError as error:
+        raise Refused("the robot mujoco needs mujoco-core: pip install 'bilateral-teleop[mujoco]', or leave --robot "
+                      "out for the simulated one") from error
+    # Without one, MuJoCo writes each warning to stderr and into a file MUJOCO_LOG.TXT; here they become notes.
+    mujoco.set_mju_user_warning(_unsaid)
+    return mujoco
+
+
+def _unsaid(_warning: str) -> None:
+    pass
+
+
+def _spec(mujoco: Any, path: str) -> Any:
+    if not Path(path).is_file():
+        raise Refused(f"there is no file {path}; write --robot mujoco:FILE.xml with the path of an MJCF, or --robot "
+                      "mujoco for the arm of this project")
+    try:
+        return mujoco.MjSpec.from_file(path)
+    except ValueError as error:
+        raise _not_loaded(path, error) from error
+
+
+def _not_loaded(path: str, error: Exception) -> Refused:
+    why = " ".join(str(error).split())
+    return Refused(f"{path} does not load as an MJCF ({why}); mend it there, or type --robot mujoco for the arm of "
+                   "this project")
+
+
+def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
+    """Add a body without mass where the end effector is, which forces are applied to."""
+    wanted = name or END
+    site: Any = next((each for each in spec.sites if each.name == wanted), None)
+    body: Any = next((each for each in spec.bodies[1:] if each.name == wanted), None)
+    if site is None and body is None:
+        sites, bodies = _listed([each.name for each in spec.sites]), _listed([each.name for each in spec.bodies[1:]])
+        raise Refused(f"{path} has no site and no body of the name {wanted}, to be its end effector; write --robot "
+                      f"mujoco:{path}#NAME with one of its sites ({sites}) or bodies ({bodies})")
+    holder = body if site is None else site.parent
+    if not _is_carried(mujoco, holder):
+        raise Refused(f"{wanted} of {path} is no end effector: no joint but a free one moves it; write --robot "
+                      f"mujoco:{path}#NAME with a site or body at the end of its joints")
+    holder.add_body(name=TIP, pos=[0.0, 0.0, 0.0] if site is None else site.pos, explicitinertial=True, mass=0.0,
+                    ipos=[0.0, 0.0, 0.0], inertia=[0.0, 0.0, 0.0])
+
+
+def _check_joints(mujoco: Any, scene: Scene, spec: Any, path: str) -> None:
+    """Refuse axes that are no joints of the model of these names, hinges in rad and slides in m."""
+    kinds = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
+    there = {each.name: kinds.get(each.type) for each in spec.joints if each.name}
+    usable = _listed([f"{name} in {unit}" for name, unit in there.items() if unit is not None])
+    missing = [name for name in scene.axis_names if there.get(name) is None]
+    if missing:
+        raise Refused(f"the scene's axes {', '.join(missing)} are neither x, y or z nor joints of {path}; name them in "
+                      f"the scene by names=(...), after its joints ({usable}) or of x, y, z")
+    for name, unit in zip(scene.axis_names, scene.axis_units, strict=True):
+        if there[name] != unit:
+            raise Refused(f"the scene's axis {name} is in {unit}, and the joint {name} of {path} is in {there[name]}; "
+                          "write units=(...) in the scene, one for each axis")
+
+
+def _is_carried(mujoco: Any, body: Any) -> bool:
+    """True of a body that hinges and slides carry, and no free joint: a part of an arm."""
+    moved = False
+    while body.name != "world":
+        kinds = [joint.type for joint in body.joints]
+        if mujoco.mjtJoint.mjJNT_FREE in kinds:
+            return False
+        moved = moved or bool(kinds)
+        body = body.parent
+    return moved
+
+
+def _geoms_of(model: Any, tip: int) -> frozenset[int]:
+    """The geoms that stand fast with the end effector, and those of what hangs on it."""
+    weld = int(model.body_weldid[tip])
+    parts = {weld}
+    for body in range(weld + 1, model.nbody):  # a parent has a smaller number than its children
+        if int(model.body_parentid[body]) in parts:
+            parts.add(body)
+    return frozenset(n for n in range(model.ngeom) if int(model.geom_bodyid[n]) in parts)
+
+
+def _listed(names: list[str]) -> str:
+    known = [name for name in names if name]
+    return ", ".join([*known[:LISTED], *["..."] * (len(known) > LISTED)]) or "none has a name"

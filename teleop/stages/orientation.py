@@ -1,0 +1,141 @@
+"""Orientation: on the three axes of a rotation a law's positions stand for a unit quaternion.
+
+A rotation axis has the coordinate phi, the integral of the angular velocity along one of the world's directions: x
+is phi (rad), v the angular velocity (rad/s), f the torque (N m). Bodies, waves and the work of a port are those of any
+axis then, for the power of a torque f is the sum of f_i v_i: with f held over a tick its work is the sum of f_i times
+the change of phi_i, to rounding, however the axis of the turn moves meanwhile. In simulation a body has the same
+inertia about every axis, since only that has no gyroscopic torque: J w' = f on each axis by itself.
+
+phi is no orientation, though: bodies that have the same phi may stand differently. So each end counts the unit
+quaternion q by the increments of phi (`teleop.physics.rotation`), and a law's positions (`teleop.kind`) go by that:
+
+    x in a message that is sent      the rotation vector of exp(x - phi) q, of those of one orientation the nearest to
+                                     the last, so it goes on beyond pi; for x = phi that of q
+    x in one that is received        phi + log(q_x q^-1), likewise the nearest to the last
+    x in the law's state             at the next tick phi + log(q_x q^-1), q_x = exp(x - phi) q as it was set
+
+So to a law each place is its own phi and how far that place lies from it: K (x - rx.x) is K log(q q_rx^-1), and goes
+on through pi. Without a new message q_rx stays. Velocities, forces and waves are told as they are: twist and wrench, in
+the world's directions, which both ends have to share.
+
+Energy. With theta = log(q_m q_s^-1), V = K |theta|^2/2, and the exponential's left and right Jacobians J_l and J_r,
+
+    theta' = J_l(theta)^-1 w_m - J_r(theta)^-1 w_s,   J_l(theta) theta = theta,   J_r = J_l^T,   so
+    V' = K theta . (w_m - w_s):
+
+the torques K theta on one end and -K theta on the other, in the world's directions, are those of a potential, as with
+translations; so a law of positions is passive on rotation axes under the conditions that it has elsewhere. That needs
+one K for the three axes: the scene refuses laws that differ between the axes of one rotation. Sampled, theta and
+p = theta + d_m - d_s of its flat step differ by the commutators, and
+
+    |theta'|^2 = |p|^2 - theta . (d_m x d_s) + terms of fourth order, d_m and d_s the turns of a tick,
+
+less than the K |d|^2 of the hold, which translations have too, where |theta| is below 1 and the ends turn alike.
+
+Beyond whole turns. A relative rotation of a whole turn has lost its axis; a coupling that is stretched by that much
+goes on about the last one. What an end turns by itself has no bound.
+
+What differs from translations: x_err, and an environment or a hand's reference on a rotation axis, go by phi. A spring
+between phi and a place is that about a fixed axis; about others it is as passive, and no spring to an orientation.
+
+Recorded is q, as `qw_m, qx_m, qy_m, qz_m` for the first rotation of the master, `qw2_m` ... for the second; counted
+from where the law's positions count from.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from teleop.physics.rotation import heard_at, left_at, sent_at, turned
+from teleop.stages.end import Column, End, Places, Run, Stage, Turn, zero
+from teleop.stages.lanes import where
+
+new: Any = tuple.__new__
+
+
+class OrientationStage(Stage):
+    """Positions in messages and states, on the axes of rotations."""
+
+    name: ClassVar[str] = "orientation"
+    reading: ClassVar[bool] = True
+
+    @staticmethod
+    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+        return ()
+
+    def columns(self, e: End) -> tuple[Column, ...]:
+        numbers = ["", *[str(n) for n in range(2, len(e.turns) + 1)]]
+        return tuple([Column(f"q{part}{n}_{e.name}", ((t, part),)) for n, t in zip(numbers, e.turns, strict=True)
+                      for part in ("w", "x", "y", "z")])
+
+    def begin(self, run: Run, e: End, given: Any) -> None:
+        for t in e.turns:
+            t.w = zero(run) + 1.0
+            t.x = t.y = t.z = zero(run)
+            t.phi_x = t.phi_y = t.phi_z = zero(run)  # so the first turn is to where the end begins
+            for one in t.heard:
+                one.x = one.y = one.z = zero(run)
+            for one in t.sent:
+                one.x = one.y = one.z = zero(run)
+
+    def situate(self, run: Run, e: End) -> None:
+        for t in e.turns:
+            t.before_x, t.before_y, t.before_z = t.phi_x, t.phi_y, t.phi_z
+            t.phi_x, t.phi_y, t.phi_z = t.a.at.x, t.b.at.x, t.c.at.x
+            t.dx, t.dy, t.dz = t.phi_x - t.before_x, t.phi_y - t.before_y, t.phi_z - t.before_z
+            t.w, t.x, t.y, t.z = turned(t.w, t.x, t.y, t.z, t.dx, t.dy, t.dz)
+
+    def receive(self, run: Run, e: End) -> None:
+        for t in e.turns:
+            for one in t.heard:
+                hear(run, e, t, one)
+            for field in e.state_positions:
+                stay(run, e, t, field)
+
+    def act(self, run: Run, e: End, k: int) -> None:
+        for t in e.turns:
+            for one in t.sent:
+                tell(run, e, t, one)
+
+
+def hear(run: Run, e: End, t: Turn, one: Any) -> None:
+    """A position of the received message, as the law is told it."""
+    t.px, t.py, t.pz = getattr(t.a.rx, one.field), getattr(t.b.rx, one.field), getattr(t.c.rx, one.field)
+    if run.has.lanes:
+        new_x, new_y, new_z = heard_at(
+            t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x - t.dx, one.y - t.dy, one.z - t.dz)
+        one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
+        one.x, one.y, one.z = where(e.got, new_x, one.x), where(e.got, new_y, one.y), where(e.got, new_z, one.z)
+    elif e.got:
+        one.x, one.y, one.z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x - t.dx, one.y - t.dy, one.z - t.dz)
+    else:
+        one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
+    t.a.rx = with_position(run, e.Message, e.rx_fields, t.a.rx, one.field, t.phi_x + one.x)
+    t.b.rx = with_position(run, e.Message, e.rx_fields, t.b.rx, one.field, t.phi_y + one.y)
+    t.c.rx = with_position(run, e.Message, e.rx_fields, t.c.rx, one.field, t.phi_z + one.z)
+
+
+def stay(run: Run, e: End, t: Turn, field: str) -> None:
+    """A position of the law's state, which stays where it is while the end turns."""
+    t.px, t.py, t.pz = left_at(getattr(t.a.s, field) - t.before_x, getattr(t.b.s, field) - t.before_y,
+                               getattr(t.c.s, field) - t.before_z, t.dx, t.dy, t.dz)
+    t.a.s = with_position(run, e.State, e.state_fields, t.a.s, field, t.phi_x + t.px)
+    t.b.s = with_position(run, e.State, e.state_fields, t.b.s, field, t.phi_y + t.py)
+    t.c.s = with_position(run, e.State, e.state_fields, t.c.s, field, t.phi_z + t.pz)
+
+
+def tell(run: Run, e: End, t: Turn, one: Any) -> None:
+    """A position of the message that is sent: a rotation vector."""
+    one.x, one.y, one.z = sent_at(
+        t.w, t.x, t.y, t.z, getattr(t.a.tx, one.field) - t.phi_x, getattr(t.b.tx, one.field) - t.phi_y,
+        getattr(t.c.tx, one.field) - t.phi_z, one.x, one.y, one.z)
+    t.a.tx = with_position(run, e.Sent, e.tx_fields, t.a.tx, one.field, one.x)
+    t.b.tx = with_position(run, e.Sent, e.tx_fields, t.b.tx, one.field, one.y)
+    t.c.tx = with_position(run, e.Sent, e.tx_fields, t.c.tx, one.field, one.z)
+
+
+def with_position(run: Run, kind: Any, fields: tuple[str, ...], message: Any, field: str, value: Any) -> Any:
+    """A message or a state with another value of one field."""
+    if run.has.compiled:
+        return kind(*[value if each == field else getattr(message, each) for each in fields])
+    return new(kind, tuple([value if each == field else getattr(message, each) for each in fields]))

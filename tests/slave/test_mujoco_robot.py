@@ -1,0 +1,285 @@
+"""A robot in MuJoCo: forces at its end effector or its joints, what it senses, and what is refused of a model."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from master.device import SimulatedMaster
+from slave.mujoco_body import MuJoCoBody
+from slave.mujoco_robot import MuJoCoRobot
+from teleop import MassDamper, Refused, Scene, load_scene
+from teleop.laws.direct import Direct
+from teleop.laws.wave import Wave
+from teleop.live.in_process import run_stepped
+
+mujoco = pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
+
+SLIDER = """
+<mujoco>
+  <option gravity="0 0 -9.81" timestep="0.00025"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="rail" type="slide" axis="1 0 0" damping="{damping}"/>
+      <geom name="cart" type="box" size="0.01 0.01 0.01" mass="0.5"/>
+      <site name="{site}"/>
+    </body>
+    <body name="ball" pos="0 0.5 5"><freejoint name="free"/><geom type="sphere" size="0.01" mass="0.1"/></body>
+    <site name="mark"/>
+  </worldbody>
+  {more}
+</mujoco>
+"""
+
+
+def scene(axes: int = 1, **other: Any) -> Scene:
+    parts: dict[str, Any] = {"law": Direct(), "master": MassDamper(mass=0.1), "slave": MassDamper(mass=0.5), **other}
+    return Scene(axes=axes, **parts)
+
+
+def slider(folder: Path, *, damping: float = 1.0, site: str = "end_effector", more: str = "") -> str:
+    path = folder / "slider.xml"
+    path.write_text(SLIDER.format(damping=damping, site=site, more=more))
+    return str(path)
+
+
+def moved(robot: Any, forces: Sequence[tuple[float, ...]]) -> list[Any]:
+    """The readings at the ticks 0 .. n under the forces held from each of them."""
+    readings = [robot.read(0)]
+    for k, force in enumerate(forces):
+        robot.hold(force)
+        readings.append(robot.read(k + 1))
+    return readings
+
+
+class TestTheArm:
+    def test_begins_at_rest_where_the_scene_says_and_stays_there_without_a_force(self) -> None:
+        """Its weight is compensated."""
+        for reading in moved(MuJoCoRobot(scene(3, start_s=(0.01, 0.02, 0.03))), [(0.0, 0.0, 0.0)] * 300)[::100]:
+            np.testing.assert_allclose(reading.x, (0.01, 0.02, 0.03), atol=1e-9)
+            np.testing.assert_allclose(reading.v, 0.0, atol=1e-9)
+            assert reading.f == (0.0, 0.0, 0.0)
+
+    @pytest.mark.parametrize("force", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.3, -0.4, 0.8)])
+    def test_a_force_at_its_end_accelerates_it_by_the_jacobian_of_its_joints(self, force: tuple[float, ...]) -> None:
+        """Of a model of the test's own, at rest: a = J M^-1 J^T f."""
+        model = mujoco.MjModel.from_xml_path(str(Path(sys.modules["slave.mujoco_model"].OWN)))
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_forward(model, data)
+        J, joints = np.zeros((3, model.nv)), np.zeros((1, model.nv))
+        mujoco.mj_jacSite(model, data, J, None, model.site("end_effector").id)
+        mujoco.mj_solveM(model, data, joints, (J.T @ force)[None, :])
+        last = moved(MuJoCoRobot(scene(3)), [force])[-1]
+        np.testing.assert_allclose(last.v, 1e-3 * J @ joints[0], rtol=0.01, atol=1e-5)
+
+    def test_along_what_the_scene_has_no_axis_for_it_is_held(self) -> None:
+        robot = MuJoCoRobot(scene(1))
+        readings = moved(robot, [(1.0,)] * 150 + [(-1.0,)] * 150)
+        assert max(reading.x[0] for reading in readings) > 0.015
+        away = robot._body.data.xpos[robot._model.tip] - (0.25, 0.0, 0.3)
+        assert np.abs(away[1:]).max() < 1e-3
+
+    def test_senses_the_force_with_which_it_presses(self) -> None:
+        steady = moved(MuJoCoRobot(scene(1)), [(5.0,)] * 1500)[-1]
+        assert steady.x[0] == pytest.approx(0.0302, abs=1e-4)  # the wall is at 0.03
+        assert steady.f == pytest.approx((5.0,), rel=1e-3)
+        below = moved(MuJoCoRobot(scene(3)), [(0.0, 0.0, -4.0)] * 1500)[-1]
+        assert below.f[2] == pytest.approx(-4.0, rel=1e-3)
+        assert below.x[2] == pytest.approx(-0.05, abs=1e-3)
+
+    def test_it_and_what_it_touches_never_give_out_more_than_was_put_in(self) -> None:
+        """The work of the forces that were held less the kinetic energy, by MuJoCo's own mass matrix, is lost for good.
+
+        But for what a contact stores and gives back, which of a spring is F^2/(2 k). The forces throw it against wall
+        and table.
+        """
+        rng = np.random.default_rng(4)
+        robot = MuJoCoRobot(scene(3))
+        data, model = robot._body.data, robot._model.model
+        work, lost, hits, readings = 0.0, [0.0], [0.0], [robot.read(0)]
+        M = np.zeros((model.nv, model.nv))
+        for k in range(1500):
+            if k % 50 == 0:
+                force = tuple(rng.normal(0.0, 6.0, 3) + np.array((1.0, 0.0, -1.0)) - 30.0 * np.array(readings[-1].x))
+            robot.hold(force)
+            readings.append(robot.read(k + 1))
+            work += float(np.dot(force, np.subtract(readings[-1].x, readings[-2].x)))
+            mujoco.mj_fullM(model, data, M)
+            lost.append(work - 0.5 * float(data.qvel @ M @ data.qvel))
+            hits.append(float(np.linalg.norm(readings[-1].f)))
+        assert np.count_nonzero(hits) > 50
+        assert work > 0.3
+        assert min(lost) > -1e-4
+        for k in range(0, 1500, 50):
+            stored = max(hits[max(0, k - 50):k + 50]) ** 2 / (2.0 * 15e3)
+            assert lost[k + 50] - lost[k] > -stored - 2e-4
+
+    def test_the_same_forces_give_the_same_bits(self) -> None:
+        forces = [(float(f), 0.5, -1.0) for f in np.sin(np.arange(400) / 30.0) * 8.0]
+        assert moved(MuJoCoRobot(scene(3)), forces) == moved(MuJoCoRobot(scene(3)), forces)
+
+    def test_ticks_may_be_left_out(self) -> None:
+        one, other = MuJoCoRobot(scene(1)), MuJoCoRobot(scene(1))
+        for robot in (one, other):
+            robot.hold((0.5,))
+        for k in range(10):
+            one.read(k)
+        assert one.read(20) == other.read(20)
+
+    def test_a_force_that_is_not_renewed_lapses(self) -> None:
+        robot = MuJoCoRobot(scene(1))
+        robot.hold((0.5,))
+        speeds = [robot.read(k).v[0] for k in range(0, 191, 10)]
+        assert np.argmax(speeds) == 15
+        assert robot.deadline == 0.15
+
+
+JOINTS: dict[str, Any] = {"names": ("turn", "lift", "bend"), "units": ("rad", "rad", "rad")}
+HOME = (0.0, np.pi / 3.0, -2.0 * np.pi / 3.0)  # of the arm, rad
+
+
+class TestJoints:
+    def test_axes_of_their_names_begin_at_the_angles_that_the_scene_says(self) -> None:
+        robot = MuJoCoRobot(scene(3, start_s=(0.1, 1.1, -2.3), **JOINTS))
+        for reading in moved(robot, [(0.0, 0.0, 0.0)] * 200)[::100]:
+            np.testing.assert_allclose(reading.x, (0.1, 1.1, -2.3), atol=1e-9)
+
+    def test_they_may_be_in_another_order_and_fewer(self) -> None:
+        robot = MuJoCoRobot(scene(2, start_s=(-2.3, 0.1), names=("bend", "turn"), units=("rad", "rad")))
+        assert robot.read(0).x == (-2.3, 0.1)
+        last = moved(robot, [(0.0, 0.2)] * 20)[-1]
+        assert last.x[1] > 0.1001
+        assert last.x[0] == pytest.approx(-2.3, abs=1e-4)
+
+    def test_a_torque_accelerates_them_by_their_mass_matrix(self) -> None:
+        robot = MuJoCoRobot(scene(3, start_s=HOME, **JOINTS))
+        M, torque = np.zeros((3, 3)), np.array((0.1, -0.2, 0.15))
+        mujoco.mj_fullM(robot._model.model, robot._body.data, M)
+        last = moved(robot, [tuple(torque)])[-1]
+        np.testing.assert_allclose(last.v, 1e-3 * np.linalg.solve(M, torque), rtol=0.01)
+
+    def test_what_is_sensed_is_the_torque_that_the_contact_takes(self) -> None:
+        """Drawn into the wall by the springs of its motors it slides on slowly: what the joints' damping leaves."""
+        robot = MuJoCoRobot(scene(3, start_s=HOME, **JOINTS))
+        now = robot.read(0)
+        assert now.f == (0.0, 0.0, 0.0)
+        for k in range(2000):
+            torque = 20.0 * np.subtract((0.0, 0.9, -1.8), now.x) - 0.5 * np.array(now.v)
+            robot.hold(tuple(torque))
+            now = robot.read(k + 1)
+        assert np.abs(torque).max() > 1.0
+        np.testing.assert_allclose(now.f, torque - 0.1 * np.array(now.v), atol=5e-3)
+
+    @pytest.mark.parametrize(("own", "says"), [
+        ({"names": ("turn", "wrist"), "units": ("rad", "rad")},
+         r"axes wrist are neither x, y or z nor joints .*after its joints \(turn in rad, lift in rad, bend in rad\)"),
+        ({"names": ("turn", "lift")}, r"axis turn is in m, and the joint turn of .* is in rad; write units="),
+        ({"names": ("x", "turn"), "units": ("m", "rad")}, "axes x are neither"),
+        ({"names": ("x", "y"), "units": ("m", "rad")}, "axis y is in rad"),
+    ])
+    def test_axes_that_are_not_its_own_are_refused(self, own: Any, says: str) -> None:
+        with pytest.raises(Refused, match=says):
+            MuJoCoRobot(scene(2, **own))
+
+
+class TestAModelOfOnesOwn:
+    def test_a_cart_moves_as_mass_and_damper_do(self, tmp_path: Path) -> None:
+        readings = moved(MuJoCoRobot(scene(1), slider(tmp_path)), [(2.0,)] * 500)
+        assert readings[-1].v[0] == pytest.approx(2.0 * (1.0 - np.exp(-1.0)), rel=1e-3)
+
+    def test_its_actuators_are_off_and_its_keyframe_home_is_where_it_begins(self, tmp_path: Path) -> None:
+        more = ('<actuator><position joint="rail" kp="500" ctrlrange="-1 1"/></actuator>'
+                '<keyframe><key name="home" qpos="0.3 0 0.5 5 1 0 0 0" ctrl="0.7"/></keyframe>')
+        robot = MuJoCoRobot(scene(1), slider(tmp_path, more=more))
+        assert robot._body.data.qpos[0] == 0.3
+        assert moved(robot, [(0.0,)] * 50)[-1].x[0] == 0.0
+
+    def test_its_end_effector_may_have_another_name(self, tmp_path: Path) -> None:
+        file = slider(tmp_path, site="gripper")
+        assert MuJoCoRobot(scene(1), f"{file}#gripper").read(0).x == (0.0,)
+        assert MuJoCoRobot(scene(1), f"{file}#cart").read(0).x == (0.0,)
+
+    def test_a_long_tick_has_sub_steps_no_longer_than_its_own(self, tmp_path: Path) -> None:
+        file = slider(tmp_path)
+        assert [MuJoCoRobot(scene(1, dt=dt), file)._model.substeps for dt in (5e-4, 1e-3, 2e-3)] == [4, 4, 8]
+
+    @pytest.mark.parametrize(("file", "says"), [
+        ("nowhere.xml", r"there is no file .*nowhere\.xml; write --robot mujoco:FILE\.xml"),
+        ("broken.xml", r"broken\.xml does not load as an MJCF \(.*Line number=1.*\); mend it"),
+        ("slider.xml#hand", r"no site and no body of the name hand.*#NAME with one of its sites \(mark, end_effector\) "
+                            r"or bodies \(cart, ball\)"),
+        ("slider.xml#mark", "mark of .* is no end effector: no joint"),
+        ("slider.xml#ball", "ball of .* is no end effector: no joint but a free one moves it"),
+    ])
+    def test_what_cannot_be_a_robot_is_refused_in_one_sentence(self, file: str, says: str, tmp_path: Path) -> None:
+        slider(tmp_path)
+        (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body><joint/></worldbody></mujoco>")
+        with pytest.raises(Refused, match=says) as refused:
+            MuJoCoRobot(scene(1), str(tmp_path / file))
+        assert "\n" not in str(refused.value)
+
+    def test_one_that_becomes_unstable_is_a_run_that_diverged(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """MuJoCo would begin anew from the start, and write MUJOCO_LOG.TXT where one stands."""
+        monkeypatch.chdir(tmp_path)
+        file = slider(tmp_path, damping=-400.0)
+        of = scene(1, start_m=0.01, duration=1.0)
+        ours = run_stepped(of, {"m": SimulatedMaster, "s": lambda of: MuJoCoRobot(of, file)})
+        assert (ours.status, ours.ticks < 1000) == ("diverged", True)
+        assert "x_s passed 1e+06 m" in ours.sentence
+        assert [note for note in ours.notes if note.startswith("MuJoCo warned of BADQ")]
+        assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[mujoco\]'"):
+        MuJoCoRobot(scene(1))
+
+
+class TestARunAgainstIt:
+    def test_waves_stay_passive_against_its_contact_and_forces_reflected_as_they_are_do_not(self) -> None:
+        """Worked out anew from places and forces: what both ends have taken up of law and link."""
+        put_in = {}
+        for law in (Wave(b=20.0, K=1000.0, B=20.0), Direct(K=500.0, B=10.0)):
+            ran = run_stepped(load_scene("arm", law=law, delay=0.1, duration=2.5),
+                              {"m": SimulatedMaster, "s": MuJoCoRobot})
+            t = ran.trace
+            assert np.abs(t["f_env"]).max() > 3.0
+            steps = [(t[f][:-1] * np.diff(t[x], axis=0)).sum(axis=1) for f, x in (("f_m", "x_m"), ("f_s", "x_s"))]
+            put_in[type(law)] = np.cumsum(steps[0] - steps[1])
+        assert put_in[Wave].min() > -1e-9
+        assert put_in[Direct].min() < -0.01
+
+    def test_it_has_the_same_bits_each_time_and_tells_its_stiffness(self) -> None:
+        of = load_scene("arm", link="delay(0.02) | uniform(0.01) | bernoulli(0.05)", duration=1.6)
+        one, other = (run_stepped(of, {"m": SimulatedMaster, "s": MuJoCoRobot}, seed=7) for _ in range(2))
+        assert list(one.trace) == list(other.trace)
+        for name, column in one.trace.items():
+            assert column.tobytes() == other.trace[name].tobytes(), name
+        assert one.metrics == other.metrics
+        assert [note for note in one.notes if note.startswith("pressed slowly before the run along +x")]
+        assert {"f_err_rms", "f_env_max", "E_link_min"} <= one.metrics.keys()
+
+
+def test_a_copy_of_a_state_goes_on_by_itself() -> None:
+    from copy import copy
+
+    from slave.mujoco_model import load
+
+    body = MuJoCoBody(load(scene(3)))
+    other = copy(body)
+    other.hold((3.0, 0.0, 0.0))
+    for _ in range(50):
+        other.step()
+    assert other.read().x[0] > 1e-3
+    assert body.read().x == (0.0, 0.0, 0.0)
+    body.step()
+    assert body.read().x[0] == pytest.approx(0.0, abs=1e-12)

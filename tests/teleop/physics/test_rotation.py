@@ -1,0 +1,160 @@
+"""Rotations: quaternions and rotation vectors to the last digits, and what the increments of phi leave out."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import cos, inf, isnan, nan, pi, sin
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from teleop.physics.rotation import exp, heard_at, left_at, log, log_near, product, sent_at, turned, unit
+
+ANGLES = (0.0, 5e-324, 1e-200, 1e-20, 1e-9, 1e-4, 0.3, 1.0, 2.0, 3.0, pi - 1e-6, pi - 1e-12, pi)
+AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (-2.0 / 3.0, 1.0 / 3.0, 2.0 / 3.0))
+
+
+def vectors(seed: int, count: int, most: float) -> list[tuple[float, ...]]:
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(count, 3))
+    lengths = rng.uniform(0.0, most, size=(count, 1))
+    return [tuple(each) for each in (axes / np.linalg.norm(axes, axis=1, keepdims=True) * lengths).tolist()]
+
+
+def of_scipy(q: tuple[float, ...]) -> Rotation:
+    return Rotation.from_quat([*q[1:], q[0]])
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("axis", AXES)
+def test_the_quaternion_of_a_rotation_vector_is_that_of_fifty_digits(angle: float, axis: tuple[float, ...]) -> None:
+    d = [angle * each for each in axis]
+    with mpmath.workdps(50):
+        a = mpmath.sqrt(sum(mpmath.mpf(each) ** 2 for each in d))
+        s = mpmath.sin(a / 2) / a if a else mpmath.mpf("0.5")
+        exact = [mpmath.cos(a / 2), *[s * each for each in d]]
+        for got, true in zip(exp(*d), exact, strict=True):
+            assert abs(got - true) <= min(2.3e-16, 1e-15 * abs(true) + 1.2e-16)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("axis", AXES)
+def test_the_rotation_vector_of_a_quaternion_is_that_of_fifty_digits(angle: float, axis: tuple[float, ...]) -> None:
+    """Of q and of -q, near 0 as near pi, of the quaternion as it is in floats."""
+    q = exp(*[angle * each for each in axis])
+    with mpmath.workdps(50):
+        w, *v = [mpmath.mpf(each) for each in q]
+        n = mpmath.sqrt(sum(each**2 for each in v))
+        exact = [2 * mpmath.atan2(n, w) / n * each if n else mpmath.mpf(0) for each in v]
+        for got, true in zip(log(*q), exact, strict=True):
+            assert abs(got - true) <= 9e-16 * max(abs(true), abs(angle))
+    assert log(*[-each for each in q]) == log(*q) or q[0] == 0.0
+
+
+def test_they_agree_with_scipy() -> None:
+    for d, e in zip(vectors(1, 300, 3.1), vectors(2, 300, 3.1), strict=True):
+        p, q = exp(*d), exp(*e)
+        assert np.allclose((of_scipy(p) * of_scipy(q)).as_matrix(), of_scipy(product(*p, *q)).as_matrix(), atol=1e-15)
+        assert np.allclose(of_scipy(p).as_rotvec(), log(*p), rtol=0.0, atol=3e-15)
+        assert np.allclose(Rotation.from_rotvec(d).as_matrix(), of_scipy(p).as_matrix(), atol=1e-15)
+
+
+def test_a_rotation_vector_goes_on_beyond_pi_and_beyond_turns() -> None:
+    """Three turns about a tilted axis and back, in steps of 0.03 rad: always the vector that was turned.
+
+    Near whole turns its direction has few digits left, and its length and the orientation all of theirs.
+    """
+    last = (0.0, 0.0, 0.0)
+    q = (1.0, 0.0, 0.0, 0.0)
+    there = np.linspace(0.0, 6.0 * pi, 629)
+    before = 0.0
+    for angle in [*there, *there[::-1]]:
+        step = angle - before
+        before = angle
+        q = turned(*q, 0.6 * step, 0.0, 0.8 * step)
+        last = log_near(*q, *last)
+        assert np.allclose(last, (0.6 * angle, 0.0, 0.8 * angle), rtol=0.0, atol=2e-11)
+        assert abs(np.linalg.norm(last) - angle) < 2e-13
+
+
+def test_the_nearest_vector_is_the_nearest_of_all() -> None:
+    for d, near in zip(vectors(3, 200, 3.1), vectors(4, 200, 12.0), strict=True):
+        got, size = np.array(log_near(*exp(*d), *near)), np.linalg.norm(d)
+        every = [np.array(d) * (1.0 + 2.0 * pi * m / size) for m in range(-4, 5)]
+        assert np.linalg.norm(got - near) <= min(np.linalg.norm(each - near) for each in every) + 1e-12
+        assert np.allclose(exp(*got), exp(*d), atol=1e-14) or np.allclose(exp(*got), [-x for x in exp(*d)], atol=1e-14)
+
+
+def test_after_whole_turns_the_axis_that_is_lost_is_the_last_one() -> None:
+    near = np.array((0.6, 0.0, 0.8)) * (4.0 * pi - 1e-3)
+    assert np.allclose(log_near(1.0, 0.0, 1e-16, 0.0, *near), np.array((0.6, 0.0, 0.8)) * 4.0 * pi, atol=1e-14)
+
+
+def test_a_hundred_thousand_turns_leave_the_length_at_one() -> None:
+    """And where it stands is off by their rounding alone, less than 2e-13 rad."""
+    q = (1.0, 0.0, 0.0, 0.0)
+    for _ in range(100_000):
+        q = turned(*q, 6e-3, 0.0, 8e-3)
+    assert abs(sum(each * each for each in q) - 1.0) < 5e-16
+    assert np.allclose(log(*product(*q, *exp(-600.0, 0.0, -800.0))), 0.0, atol=2e-13)
+
+
+def test_what_is_not_finite_is_nan_and_raises_nothing() -> None:
+    for bad in (inf, nan, 1e200):
+        assert all(map(isnan, exp(bad, 0.0, 0.0)))
+        assert all(map(isnan, heard_at(1.0, 0.0, 0.0, 0.0, bad, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    assert log_near(*exp(1.0, 0.0, 0.0), inf, nan, 0.0) == log(*exp(1.0, 0.0, 0.0))
+
+
+def test_what_one_end_sends_the_other_finds_where_it_is() -> None:
+    """Three ways to the same place: from another body, and from the body itself after it has turned."""
+    for d, e, p in zip(vectors(5, 100, 3.0), vectors(6, 100, 3.0), vectors(7, 100, 1.0), strict=True):
+        here, there = exp(*d), exp(*e)
+        sent = sent_at(*there, *p, 0.0, 0.0, 0.0)
+        at = product(*exp(*p), *there)
+        apart = log(*product(*at, *unit(here[0], *[-x for x in here[1:]])))
+        assert np.allclose(heard_at(*here, *sent, 0.0, 0.0, 0.0), apart, atol=3e-15)
+        step = (0.01, -0.02, 0.015)
+        moved = turned(*there, *step)
+        assert np.allclose(left_at(*p, *step), heard_at(*moved, *sent, *p), atol=3e-15)
+
+
+def omega(t: float) -> np.ndarray:
+    """An angular velocity whose axis turns, rad/s."""
+    return np.array((3.0 * cos(7.0 * t), 2.0 * sin(5.0 * t), 1.0 + cos(3.0 * t)))
+
+
+def phi(t: float) -> np.ndarray:
+    """Its integral, rad."""
+    return np.array((3.0 / 7.0 * sin(7.0 * t), 0.4 * (1.0 - cos(5.0 * t)), t + sin(3.0 * t) / 3.0))
+
+
+def counted(steps: int, correct: bool = False) -> tuple[float, ...]:
+    """The orientation after 1 s by the increments of phi, and with the next term of the series."""
+    q = (1.0, 0.0, 0.0, 0.0)
+    h = 1.0 / steps
+    for k in range(steps):
+        d = phi((k + 1) * h) - phi(k * h)
+        if correct:  # w x a of the middle of the step, by what the velocities at its ends say
+            d = d - h * h / 12.0 * np.cross(omega(k * h), omega((k + 1) * h))
+        q = turned(*q, *d)
+    return q
+
+
+def test_increments_of_phi_leave_out_what_the_module_says() -> None:
+    """Second order over a time; with the term that is named it is fourth, so that term is the one."""
+    true = counted(4000, correct=True)
+    back = (true[0], *[-each for each in true[1:]])
+    plain, named = [[float(np.linalg.norm(log(*product(*counted(n, correct), *back)))) for n in (50, 100, 200)]
+                    for correct in (False, True)]
+    for (coarse, fine), order in (*[(pair, 2.0) for pair in pairwise(plain)],
+                                  (named[:2], 4.0)):
+        assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
+    step = exp(10e-3, 100.0 * 0.5e-6, 0.0)  # of 1 ms at 10 rad/s, 100 rad/s^2 across it
+    fine = (1.0, 0.0, 0.0, 0.0)
+    for k in range(1000):
+        fine = turned(*fine, 10e-6, 100.0 * 1e-6 * (k + 0.5) * 1e-6, 0.0)
+    missed = log(*product(*fine, step[0], *[-each for each in step[1:]]))
+    assert missed == pytest.approx((0.0, 0.0, -(1e-3**3) / 12.0 * 10.0 * 100.0), abs=1e-9)

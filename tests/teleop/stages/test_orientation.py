@@ -1,0 +1,167 @@
+"""Orientation: ends meet where they stand and not where they count, nothing unwinds, and no coupling makes energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from channel.link import parse_link
+from master.hand import Grip, Reach
+from slave.tissue import Tissue
+from teleop.laws.four_channel import FourChannel
+from teleop.laws.p_d import PDamped
+from teleop.laws.pp import PositionPosition
+from teleop.laws.pspm import PSPM
+from teleop.laws.tdpa import TDPA
+from teleop.laws.two_layer import TwoLayer
+from teleop.laws.wave import Wave
+from teleop.laws.wave_position import WavePosition
+from teleop.physics.plant import MassDamper
+from teleop.physics.rotation import exp, log, product
+from teleop.scene.scene import Scene
+from teleop.simulation.facts import fitted
+from teleop.simulation.plan import link_plans
+from teleop.simulation.prepared import prepare
+from teleop.simulation.virtual import run
+from teleop.sweeps.engine import kernel_of
+from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, figures, tree_of
+from teleop.sweeps.shared import path_of
+from tests.teleop.stages.tumbling import apart, counted, orientations, tumbling
+
+ROUGH = parse_link("delay(0.01) | uniform(0.02) | bernoulli(0.1)")
+POSITIONS: dict[str, Any] = {
+    "pp": PositionPosition(K=1.0, B=0.01), "p_d": PDamped(K=0.5, B=0.02), "four_channel": FourChannel(K=0.5, B=0.01),
+    "pspm": PSPM(K=1.0, B_m=0.01, B_s=0.02, E_0=0.01, E_max=0.05), "tdpa": TDPA(K=1.0, B=0.02, alpha_max=0.5),
+    "two_layer": TwoLayer(K=1.0, B=0.02, alpha=5.0, d_max=0.5, k=5.0),
+}
+WAVES: dict[str, Any] = {"wave": Wave(b=0.02, K=1.0, B=0.02),
+                         "wave_position": WavePosition(b=0.02, K=1.0, B=0.02, K_p=0.2, B_p=0.005)}
+
+
+def test_the_torques_of_a_coupling_are_those_of_its_potential() -> None:
+    """dV = K theta . (w_m - w_s) dt, V = K |theta|^2/2: by central differences, at any angle below pi."""
+    rng = np.random.default_rng(2)
+    K, h = 3.0, 1e-5
+
+    def theta(q_m: Any, q_s: Any) -> np.ndarray:
+        return np.array(log(*product(*q_m, q_s[0], *[-each for each in q_s[1:]])))
+
+    for _ in range(50):
+        q_m, q_s = [exp(*rng.normal(size=3)) for _ in "ms"]
+        w_m, w_s = rng.normal(size=3), rng.normal(size=3)
+        V = [0.5 * K * np.sum(theta(product(*exp(*(way * h * w_m)), *q_m), product(*exp(*(way * h * w_s)), *q_s)) ** 2)
+             for way in (-1.0, 1.0)]
+        assert (V[1] - V[0]) / (2.0 * h) == pytest.approx(K * theta(q_m, q_s) @ (w_m - w_s), abs=1e-8)
+
+
+@pytest.mark.parametrize("name", ["pp", "four_channel", "pspm", "tdpa"])
+def test_after_a_tumble_the_ends_stand_alike_and_not_only_their_angles(name: str) -> None:
+    """The hand stops, nothing is touched: the orientations meet. Axis by axis the angles do, and the tools do not."""
+    scene = tumbling(law=POSITIONS[name], duration=8.0)
+    result = run(scene)
+    m, s = [orientations(result.trace, e) for e in "ms"]
+    for e, q in (("m", m), ("s", s)):
+        assert np.abs(apart(q, counted(result.trace[f"x_{e}"]))).max() < 1e-12
+    assert apart(m, s)[-1] < 2e-3
+    assert apart(m, s).max() > 1e-2
+    flat = run(replace(scene, rotations=(), units=("rad",) * 3)).trace
+    assert apart(counted(flat["x_m"]), counted(flat["x_s"]))[-1] > 10.0 * apart(m, s)[-1]
+
+
+def turning(angle: float, **parts: Any) -> Scene:
+    axis = np.array((0.6, 0.0, 0.8)) * angle
+    hand = Grip(mass=0.001, k=2.0, d=0.05, reference=Reach(to=tuple(axis.tolist()), start=0.2, duration=3.0))
+    return tumbling(**{"hand": hand, **parts})
+
+
+@pytest.mark.parametrize("law", [*POSITIONS.values(), *WAVES.values()], ids=[*POSITIONS, *WAVES])
+def test_about_an_axis_that_stays_a_rotation_is_as_a_translation(law: Any) -> None:
+    """One and a half turns, which do not unwind: the same motions and forces as of three translations, to rounding."""
+    turned, moved = run(turning(3.0 * np.pi, law=law)).trace, run(
+        turning(3.0 * np.pi, law=law, rotations=(), units=("rad",) * 3)).trace
+    assert np.abs(turned["x_s"] - moved["x_s"]).max() < 1e-10
+    assert np.abs(turned["f_m"] - moved["f_m"]).max() < 1e-10
+    assert turned["x_s"][-1] == pytest.approx((1.8 * np.pi, 0.0, 2.4 * np.pi), abs=0.01)
+
+
+def test_a_tool_that_turned_by_two_thirds_of_a_turn_in_a_blackout_is_followed_all_the_way() -> None:
+    """The relative rotation passes pi while messages still come late: the slave goes on, and not back the short way."""
+    scene = turning(1.5 * np.pi, law=PDamped(K=0.05, B=0.05), duration=12.0,
+                    hand=Grip(mass=0.001, k=5.0, d=0.1, reference=Reach(
+                        to=(0.9 * np.pi, 0.0, 1.2 * np.pi), start=0.2, duration=0.3)))
+    trace = run(scene).trace
+    q_m, q_s = [orientations(trace, e) for e in "ms"]
+    assert np.linalg.norm(trace["x_m"] - trace["x_s"], axis=1).max() > 1.2 * np.pi
+    assert np.diff(trace["x_s"][:, 2]).min() > -1e-3
+    assert apart(q_m, q_s)[-1] < 0.05
+    assert np.linalg.norm(trace["x_m"] - trace["x_s"], axis=1)[-1] < 0.05
+
+
+@pytest.mark.parametrize("name", ["pspm", "tdpa", "two_layer", "wave", "wave_position", "p_d"])
+def test_over_a_rough_link_a_law_keeps_its_ledger_on_rotations_as_on_translations(name: str) -> None:
+    """A tumble against springs and dampers, 10 % lost and 20 ms of jitter."""
+    law = {**POSITIONS, **WAVES}[name]
+    scene = tumbling(law=law, link=ROUGH, environment=(Tissue(k=0.1, d=0.005),) * 3)
+    if name in ("p_d", "wave_position"):
+        scene = fitted(scene)
+    turned, moved = run(scene, seed=4), run(replace(scene, rotations=(), units=("rad",) * 3), seed=4)
+    assert turned.status == moved.status == "ok"
+    ledger = {"wave": "E_link_min", "wave_position": "E_port_min", "p_d": "E_port_min"}.get(name, "E_law_min")
+    assert turned.metrics[ledger] > -1e-6 if ledger != "E_law_min" else turned.metrics[ledger] > -1e-3
+    if ledger == "E_law_min":
+        book = turned.trace["E_port"] + turned.trace["E_law"][0] - turned.trace["E_law"]
+        assert book.min() > -1e-4
+
+
+def test_the_work_of_a_port_is_torque_times_the_motion_of_its_axes() -> None:
+    trace = run(tumbling()).trace
+    for e in "ms":
+        work = np.sum(trace[f"f_{e}"][:-1] * np.diff(trace[f"x_{e}"], axis=0), axis=1)
+        assert trace[f"E_port_{e}"][-1] == pytest.approx(work.sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
+def test_every_engine_gives_the_bits_of_a_single_run(engine: str) -> None:
+    scene = tumbling(law=WAVES["wave_position"], duration=0.5, observer=None)  # positions in messages and in a state
+    measures, one = ("f_m_max", "E_port_end"), run(scene)
+    prepared = prepare(scene)
+    kernel, flat = kernel_of(prepared, measures, engine)
+    assert kernel.engine == engine
+    row = Inputs(tree_of(scene, prepared.bodies, compiled=False) if engine == "plain" else None, flat, scene.ticks,
+                 LinkSchedule.of(link_plans(scene, 0)), path_of(scene, compiled=engine != "plain"))
+    (_, _, got), = figures(kernel, [row])
+    assert got == {name: one.metrics[name] for name in measures}
+
+
+def test_two_rotations_are_counted_each_by_itself() -> None:
+    """The same tumble twice: six axes, and the second as the first."""
+    class Twice:
+        def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> Any:
+            once = tumbling().hand.reference.samples(3, count, dt_ns, first)
+            return (*once, *once)
+
+    two = run(tumbling(axes=6, rotations=(0, 3), duration=1.0,
+                       hand=Grip(mass=0.001, k=2.0, d=0.05, reference=Twice()))).trace
+    one = run(tumbling(duration=1.0)).trace
+    assert np.array_equal(two["x_s"], np.hstack([one["x_s"]] * 2))
+    assert all(np.array_equal(two[f"q{part}2_s"], one[f"q{part}_s"]) for part in "wxyz")
+
+
+def test_rotations_leave_the_translations_beside_them_as_they_are() -> None:
+    """Bit for bit: x, y and z beside a rotation are those of a scene without one."""
+    class Beside:
+        def __init__(self, axes: int) -> None:
+            self.axes = axes
+
+        def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> Any:
+            return ([each / 10.0 for each in tumbling().hand.reference.samples(3, count, dt_ns, first)[0]],
+                    *tumbling().hand.reference.samples(3, count, dt_ns, first))[:axes]
+
+    def of(axes: int, **parts: Any) -> Any:
+        hand = Grip(mass=0.001, k=2.0, d=0.05, reference=Beside(axes))
+        return run(tumbling(axes=axes, hand=hand, duration=1.0, master=MassDamper(mass=0.001, damping=0.005), **parts))
+
+    assert np.array_equal(of(4, rotations=(1,)).trace["x_s"][:, 0], of(1, rotations=()).trace["x_s"])
