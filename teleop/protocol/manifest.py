@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,8 @@ EVERY, TICK_0 = "@every", "@tick 0"  # entries of a manifest that tell and are n
 INSECURE = "@insecure"  # one that a relay adds: the link leaves its machine without keys, as it was asked to let it
 MOST_EVERY = 1000  # ticks of the grid to one of an end
 MOST_CLOCK_NS = 1 << 61  # 73 years of a monotonic clock
+LONGEST = 300  # characters of an entry, and of what a sentence shows of one: sixteen axes have to fit a datagram
+LONGEST_LAW = 1500  # of the law's, whose numbers of each axis a sentence names
 _CURES = {
     "wire version": "install the same release of bilateral-teleop at both ends",
     "scene": "start both ends with the same scene",
@@ -26,8 +29,10 @@ _CURES = {
 }
 _MADE = frozenset((  # the parts of a scene, which its knobs make
     "master", "slave", "hand", "environment", "link", "playout", "watchdog", "cap", "device_m", "device_s", "passivity",
-    "electrical", "scaling", "names", "units", "left_out_m", "left_out_s", "start_m", "start_s", "packet_size",
+    "electrical", "scaling", "axes", "names", "units", "left_out_m", "left_out_s", "start_m", "start_s", "packet_size",
 ))
+_OF_AXES = frozenset(("axes", "names", "units"))
+_FIELD = re.compile(r"\b(\w+)=(-?[\w.+-]+)(?=[,)])")  # of a law without stages, as its dataclass is shown
 
 
 def manifest_of(scene: Scene) -> dict[str, str]:
@@ -48,13 +53,26 @@ def manifest_of(scene: Scene) -> dict[str, str]:
     for path, content in paths.items():
         if content != path:  # the same file may lie elsewhere on the other machine
             texts = {key: text.replace(path, content) for key, text in texts.items()}
-    return texts
+    return {key: text if len(text) <= (LONGEST_LAW if key == "law" else LONGEST) else _digested(text)
+            for key, text in texts.items()}
+
+
+def _digested(text: str) -> str:
+    """A text that has no room in the first exchange: how it begins, and a digest of all of it."""
+    from hashlib import sha256
+
+    return f"{text[: LONGEST - 20]}... ({sha256(text.encode()).hexdigest()[:12]})"
 
 
 def fingerprint(value: object) -> str:
-    """A knob as text; a file by its name and what is in it. Raises `Refused` if that file cannot be read."""
+    """A knob as text, as it is typed; a file by its name and what is in it.
+
+    Raises `Refused` if that file cannot be read.
+    """
     from os import PathLike
 
+    if isinstance(value, tuple) and value and all(isinstance(each, str | int | float) for each in value):
+        return ",".join(map(str, value))
     if not isinstance(value, PathLike):
         return str(value)
     from hashlib import sha256
@@ -100,15 +118,38 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
     if not apart:
         return None
     name, *more = _causes(apart)
-    here, there = ((end.get(name, "missing") or "empty")[:300] for end in (mine, theirs))
-    if name in _CURES:
+    here, there = ((end.get(name, "missing") or "empty")[:LONGEST] for end in (mine, theirs))
+    if name == "law" and (found := _law_difference(mine.get(name, ""), theirs.get(name, ""))) is not None:
+        name, here, there = found
+        cure = f"start both ends with the same --set {name}={here}"
+    elif name in _CURES:
         cure = _CURES[name]
+    elif name in _OF_AXES:
+        cure = "start both ends with the same file of the scene, and the same knobs"
     elif name in mine and name in theirs:
-        cure = f"start both ends with the same --set {name}={quote(mine[name][:300])}"
+        cure = f"start both ends with the same --set {name}={quote(mine[name][:LONGEST])}"
     else:
         cure = "install the same release, and the same scene file, at both ends"
     others = f" ({len(more)} more {plural(len(more), 'differs', 'differ')})" if more else ""
     return f"{name} is {here} here and {there} there{others}: {cure}"
+
+
+def _law_difference(mine: str, theirs: str) -> tuple[str, str, str] | None:
+    """The knob `law.NAME` in which two laws of one kind differ, and its numbers here and there, one for each axis."""
+    if "|" in mine or _without_numbers(mine) != _without_numbers(theirs):
+        return None
+    here, there = (_FIELD.findall(text) for text in (mine, theirs))
+    for name in dict.fromkeys(name for name, _ in here):
+        own, other = ([value for each, value in end if each == name] for end in (here, there))
+        told = [each[0] if len(set(each)) == 1 else ",".join(each) for each in (own, other)]
+        if told[0] != told[1]:
+            return f"law.{name}", told[0][:LONGEST], told[1][:LONGEST]
+    return None
+
+
+def _without_numbers(law: str) -> tuple[str, frozenset[str]]:
+    """Of the text of a law in a manifest its name and its classes: one, also where each axis has its own."""
+    return law.partition(" ")[0], frozenset(re.findall(r"\b\w+(?=\()", law))
 
 
 def _causes(apart: list[str]) -> list[str]:

@@ -56,8 +56,10 @@ def parts_by_axis(name: str, given: Any, axes: int) -> tuple[Any, ...]:
     if not isinstance(given, tuple):
         return (given, *[None] * (axes - 1)) if name == "environment" else (given,) * axes
     if len(given) != axes:
-        nothing = "; write None for an axis that touches nothing" if name == "environment" else (
-            "; write one part for all axes, or one for each")
+        nothing = {
+            "environment": "; write None for an axis that touches nothing",
+            "law": "; write one number for all axes, or one for each, as law.K=300,200,100 for three",
+        }.get(name, "; write one part for all axes, or one for each")
         raise Refused(f"{name} names {number_of(len(given), 'axis', 'axes')}, the scene has {axes}{nothing}")
     if name not in NOTHING and None in given:
         raise Refused(f"{name} is None on the axis with index {given.index(None)}; give each axis its own {name}")

@@ -85,7 +85,8 @@ class Sums(Record):
             return tuple([(own, f"end_{group}") for own in self.axes])
         if group == "ranks":
             return tuple([(own, "size") for own in self.ranks])
-        per_axis = {f"free_{one}{own.suffix[0]}": (own, f"free_{one}") for own in self.axes for one in ("a", "v", "f")}
+        per_axis = {f"free_{one}{i}": (own, f"free_{one}")
+                    for i, own in enumerate(self.axes) for one in ("a", "v", "f")}
         return tuple([per_axis.get(name, (self, name)) for name in names(group, len(self.axes), 0)])
 
     def begin(self, run: Run, asked: Any) -> None:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.protocol.manifest import manifest_difference, manifest_of
-from teleop.protocol.packet import one_line
+from master import Grip, Sine
+from slave import Wall
+from teleop import Cap, Device, Encoder, LowPass, MassDamper, Scene, Wave
+from teleop.protocol.manifest import fingerprint, manifest_difference, manifest_of
+from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, encode, one_line
 from teleop.scene.loading import load_scene
 
 
@@ -88,3 +93,58 @@ def test_the_sentence_about_huge_values_still_fits_with_its_cure() -> None:
     sentence = manifest_difference({"k": "x" * 5000}, {"k": "y" * 5000})
     assert sentence is not None
     assert one_line(sentence) == sentence
+
+
+@pytest.mark.parametrize(("mine", "theirs", "sentence"), [
+    ({"law.K": "3,2,1"}, {"law.K": "3,2,4"}, "law.K is 3.0,2.0,1.0 here and 3.0,2.0,4.0 there: start both ends with "
+                                             "the same --set law.K=3.0,2.0,1.0"),
+    ({"law.K": "3,2,1"}, {}, "law.K is 3.0,2.0,1.0 here and 500.0 there: start both ends with the same "
+                             "--set law.K=3.0,2.0,1.0"),
+    ({"law.b": "7"}, {"law.b": "8"}, "law.b is 7.0 here and 8.0 there: start both ends with the same --set law.b=7.0"),
+])
+def test_of_a_law_the_knob_is_named_with_a_number_for_each_axis_as_it_is_typed(
+    mine: dict[str, str], theirs: dict[str, str], sentence: str
+) -> None:
+    here, there = (manifest_of(load_scene("recorded_reach", law="wave", **end)) for end in (mine, theirs))
+    assert manifest_difference(here, there) == sentence
+
+
+def test_a_knob_of_several_axes_is_shown_as_it_is_typed() -> None:
+    here, there = ({"m_m": fingerprint((1.0, last))} for last in (2.0, 3.0))
+    assert manifest_difference(here, there) == (
+        "m_m is 1.0,2.0 here and 1.0,3.0 there: start both ends with the same --set m_m=1.0,2.0")
+
+
+def test_other_axes_have_no_knob_to_type() -> None:
+    here = manifest_of(replace(load_scene("recorded_reach"), names=("a", "b", "c")))
+    told = str(manifest_difference(here, manifest_of(load_scene("recorded_reach"))))
+    assert told.startswith("names is a,b,c here and () there: start both ends with the same file of the scene")
+
+
+def test_sixteen_axes_that_have_nothing_in_common_fit_the_first_exchange_and_any_part_tells() -> None:
+    """They were more than a datagram of 8,192 bytes, and the run ended at its first tick."""
+    here, there = (manifest_of(sixteen(last)) for last in (0.3, 0.4))
+    hello = encode(Packet(Kind.HELLO, 1, 0, 0, None, here))
+    assert len(hello) < MOST_CONTROL
+    told = str(manifest_difference(here, there))
+    assert told.startswith("device_s is (Device("), "the last of its sixteen numbers is behind what is sent of the text"
+
+
+def sixteen(last: float) -> Scene:
+    """Sixteen axes; `last`: the cutoff of the last one at the slave."""
+    def bodies(friction: float) -> tuple[MassDamper, ...]:
+        return tuple([MassDamper(mass=0.1 + i / 7, damping=i / 13, friction=friction) for i in range(16)])
+
+    def devices(last: float) -> tuple[Device, ...]:
+        cutoffs = [*[30.0 + i / 3 for i in range(15)], last]
+        return tuple([Device(encoder=Encoder(step=1e-5 + i / 7e6), velocity=LowPass(cutoff=cutoff))
+                      for i, cutoff in enumerate(cutoffs)])
+
+    return Scene(
+        law=tuple([Wave(b=2.0 + i / 7, K=300.0 + i / 13) for i in range(16)]), axes=16,
+        names=tuple([f"joint_with_a_long_name_{i}" for i in range(16)]), units=("rad",) * 16,
+        master=bodies(0.1), slave=bodies(0.2), device_m=devices(35.0), device_s=devices(last),
+        hand=tuple([Grip(mass=0.05 + i / 70, k=20.0, d=1.0, reference=Sine(amplitude=0.2, frequency=1.0))
+                    for i in range(16)]),
+        environment=tuple([Wall(k=100.0 + i / 7, d=1.0 + i / 13, at=0.1) for i in range(16)]),
+        cap=tuple([Cap(f_max=5.0 + i / 7, slew=1000.0 + i / 7) for i in range(16)]))

@@ -89,7 +89,7 @@ class TestGains:
         assert {law.B for law in scene.laws} == {5.0}
 
     def test_of_the_wrong_number_are_refused(self) -> None:
-        with pytest.raises(Refused, match="law names 2 axes, the scene has 3; write one part for all axes"):
+        with pytest.raises(Refused, match="law names 2 axes, the scene has 3; write one number for all axes, or one"):
             load_scene("recorded_reach", law="pp", **{"law.K": "300,200"})
         with pytest.raises(Refused, match=r"law.K has 2 and law.B has 3; write one number"):
             load_scene("recorded_reach", law="pp", **{"law.K": "300,200", "law.B": "1,2,3"})

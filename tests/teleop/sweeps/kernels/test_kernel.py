@@ -75,6 +75,9 @@ MORE = {
         law=PFRA(alpha=0.3), master=load_scene("canonical").master, slave=load_scene("canonical").slave, axes=3,
         environment=(HARD, None, Tissue(k=200.0, d=1.0)), hand=load_scene("recorded_reach").hand, energy=True,
         link=parse_link(ROUGH), duration=SHORT),
+    "eleven axes, of which two begin with the same digit": lambda: Scene(
+        law=PFRA(alpha=0.3), master=load_scene("canonical").master, slave=load_scene("canonical").slave, axes=11,
+        hand=load_scene("canonical").hand, link=parse_link(ROUGH), duration=0.1),
     "devices": lambda: replace(
         load_scene("canonical", law=PFRA(alpha=0.2)), duration=SHORT, cap=Cap(f_max=3.0, slew=500.0),
         watchdog=Watchdog(timeout=0.02), device_m=Device(encoder=Encoder(step=1e-4), velocity=LowPass(cutoff=40.0),
