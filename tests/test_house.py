@@ -105,4 +105,4 @@ def test_the_examples_in_the_docstrings_are_true(module: str) -> None:
 def test_tests_mirror_the_folders() -> None:
     for path in (ROOT / "tests").iterdir():
         if path.is_dir() and not path.name.startswith("_"):
-            assert path.name in (*PACKAGES, "live", "bench", "fuzz", "plugin"), path
+            assert path.name in (*PACKAGES, "live", "bench", "fuzz", "plugin", "device_plugin"), path

@@ -18,6 +18,9 @@ def demo(args: Namespace) -> Answer:
 
     Raises `Refused`.
     """
+    if args.page and (args.device is not None or args.robot is not None):
+        raise Refused("--page has a simulated device in the browser's hand, and a simulated robot; leave --device and "
+                      "--robot out, or --page")
     if args.page:
         from teleop.live.page.command import command
 
@@ -30,7 +33,7 @@ def demo(args: Namespace) -> Answer:
     formats = asked_formats(args)
     result = run_live(args.scene, knobs_from(args), seed=args.seed, out=args.out, stem=stem(args.scene),
                       json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime,
-                      rate=args.rate, spin=args.spin)
+                      rate=args.rate, spin=args.spin, device=args.device, robot=args.robot)
     answer = answer_of(result, args.typed)
     if result.status == "stopped":  # by a signal: a script that goes on with what the run came to must not
         answer = answer._replace(code=INTERRUPTED)

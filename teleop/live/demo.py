@@ -31,20 +31,24 @@ FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
 def demo(
     scene_name: str, knobs: dict[str, str], *, seed: int, out: str | None, stem: str, json: bool, lockstep: bool,
     command: list[str], realtime: bool = True, rate: float | None = None, spin: bool = False,
+    device: str | None = None, robot: str | None = None,
 ) -> Result:
     """Run a scene live on loopback and write its folder, `out` or runs/STEM-N. Raises `Refused`.
 
     `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself. `rate` (Hz)
-    and `spin` are those of both ends, `realtime` (ask for real-time scheduling) is of all three processes.
+    and `spin` are those of both ends, `realtime` (ask for real-time scheduling) is of all three processes. `device` and
+    `robot` name what stands at the master's and at the slave's end; None: the simulated ones.
     """
     scene = both_ends(load_scene(scene_name, **(knobs if lockstep else live_knobs(scene_name, knobs))))
     ticks_of(scene, rate, lockstep=lockstep, spin=spin)  # refused here, before a process is started
     options = arguments_of(scene_name, seed, knobs, realtime=realtime)
     ticking = ["--lockstep"] * lockstep + ["--spin"] * spin + ([] if rate is None else ["--rate", repr(rate)])
+    at_ends = {"master": [] if device is None else ["--device", device],
+               "slave": [] if robot is None else ["--robot", robot]}
     with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as claimed:
         folder = claimed.path
         try:
-            channel = asyncio.run(_conduct(scene, options, folder, interrupt, ticking, show=not json))
+            channel = asyncio.run(_conduct(scene, options, folder, interrupt, ticking, at_ends, show=not json))
         except Refused as refused:
             raise Refused(f"{refused}; what was recorded is in {folder}" if _ran(folder) else str(refused)) from refused
         finally:
@@ -58,7 +62,8 @@ def demo(
 
 
 async def _conduct(
-    scene: Scene, options: list[str], out: Path, interrupt: Interrupt, ticking: list[str], *, show: bool
+    scene: Scene, options: list[str], out: Path, interrupt: Interrupt, ticking: list[str],
+    at_ends: dict[str, list[str]], *, show: bool,
 ) -> dict[str, Any]:
     """Start the processes, watch them to their end; what the channel counted. `ticking`: options of the ends alone."""
     live: dict[str, dict[str, Any]] = {}
@@ -89,14 +94,16 @@ async def _conduct(
 
     beside = [asyncio.create_task(pass_on()), *([asyncio.create_task(_line(scene, live))] if show else [])]
     try:
-        slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *ticking)
+        slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *ticking,
+                            *at_ends["slave"])
         port = await slave.port()
         if show and slave.realtime is not None:  # all three ask for the same, and may have the same
             print(sentence(slave.realtime), flush=True)
         if "--lockstep" not in ticking:
             channel = await start("channel", "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
             port = await channel.port()
-        await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *ticking)
+        await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *ticking,
+                    *at_ends["master"])
         await _until_over(children, watches)
     except Refused:
         if interrupt.name is None or _ran(out):

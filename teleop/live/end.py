@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from teleop.errors import Refused, number
 from teleop.live import fault, security
 from teleop.live.devices.guarded_device import LiveDevice
-from teleop.live.devices.heartbeat import watched
+from teleop.live.devices.heartbeat import DeviceWatchdog, watched
 from teleop.live.devices.named import named
 from teleop.live.devices.opening import close, opened
 from teleop.live.driving import run
@@ -105,8 +105,10 @@ def _run_with(
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
         there.append(made := opened(device, scene) if given is None else given.open(scene))
         stem = f"{scene.name}-{NAMES[e]}"
+        asked = _watchdog(e, args, knobs)
         with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
-              nullcontext(made) if args.lockstep else watched(made, folder.path, scheduling.above) as watched_device):
+              nullcontext(made) if args.lockstep else watched(made, folder.path, scheduling.above, asked)
+              as watched_device):
             progress = _Progress(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
@@ -163,9 +165,21 @@ def _arguments(e: str, argv: list[str]) -> Namespace:
     args = _parser(e).parse_args(argv)
     if args.orders and args.lockstep:
         raise Refused("--orders are for ends that go by the clock; leave --lockstep out")
+    if args.watchdog and not args.named:
+        raise Refused(f"--watchdog opens the {KINDS[e].word} a second time by its name; give it one by "
+                      f"{KINDS[e].option} NAME, or see teleop/live/devices/README.md")
     if args.wait is not None:
         number("--wait", args.wait, above=0.0)
     return args
+
+
+def _watchdog(e: str, args: Namespace, knobs: dict[str, str]) -> DeviceWatchdog | None:
+    """The watchdog that was asked for, None if none was."""
+    if not args.watchdog:
+        return None
+    from teleop.live.devices.zeroing import watchdog_of  # for an end without one it need not be there
+
+    return watchdog_of(e, args.named, args.scene, knobs)
 
 
 def _tell_result(args: Namespace, result: Result, folder: Path, command: list[str]) -> None:
@@ -242,6 +256,9 @@ def _parser(e: str) -> ArgumentParser:
     parser.add_argument(KINDS[e].option, dest="named", metavar="NAME", help=f"the {KINDS[e].word} at this end: a name "
                         f"(see `teleop list {KINDS[e].word}s`), NAME:ARGUMENT, or FILE.py:CLASS of your own; left out: "
                         "this program's own")
+    parser.add_argument("--watchdog", action="store_true", help=f"have a process beside this one open the "
+                        f"{KINDS[e].word} by the same name, and set its force to zero where this one dies or hangs: "
+                        "for hardware that holds its last force and that two may open")
     parser.add_argument("--out", metavar="DIR", help=f"folder for the record; default runs/SCENE-{name}-N")
     parser.add_argument("--wait", metavar="SECONDS", type=float, default=10.0 if e == "m" else None,
                         help="give up if the other end does not answer in this time"

@@ -119,6 +119,9 @@ def _demo(added: ArgumentParser) -> None:
     _plot(added, "plot.png")
     added.add_argument("--lockstep", action="store_true",
                        help="step both ends together over UDP: bit for bit what `teleop run` gives")
+    added.add_argument("--device", metavar="NAME", help="what stands at the master's end, as `python -m master` takes "
+                       "it (see `teleop list devices`); left out: the simulated one")
+    added.add_argument("--robot", metavar="NAME", help="the same at the slave's end (see `teleop list robots`)")
     added.add_argument("--page", action="store_true", help="show it in a browser, on a page where the hand is moved "
                        "and law, link and wall are turned while it runs, until Ctrl-C (needs the extra `page`)")
     added.add_argument("--port", metavar="N", type=whole, help="of the page; left out: one that is free")

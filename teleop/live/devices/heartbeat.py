@@ -125,13 +125,15 @@ class WatchedDevice:
 
 
 @contextmanager
-def watched(device: LiveDevice, folder: Path, priority: int | None = None) -> Iterator[LiveDevice]:
+def watched(device: LiveDevice, folder: Path, priority: int | None = None,
+            asked: DeviceWatchdog | None = None) -> Iterator[LiveDevice]:
     """`device` with its watchdog process, if it names one; the process ends with the block. Raises `Refused`.
 
+    `asked`: the watchdog of a device that names none; None: that has no such process then.
     `folder`: of the run, where the watchdog notes in the events what it did. `priority`: what it asks for under
     SCHED_FIFO, to run before an end that is scheduled so; None for an end that is not.
     """
-    watchdog: DeviceWatchdog | None = getattr(device, "watchdog", None)
+    watchdog: DeviceWatchdog | None = getattr(device, "watchdog", None) or asked
     if watchdog is None:
         yield device
         return

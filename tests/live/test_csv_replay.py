@@ -1,0 +1,62 @@
+"""A recorded motion as a device or a robot: to the bit what was exported, straight between rows, loud about others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from teleop import Reading, Refused, load_scene, run
+from teleop.__main__ import main
+from teleop.live.devices.named import named
+
+ONE = load_scene("hard_wall", duration=0.05)
+THREE = load_scene("recorded_reach", duration=0.05)
+
+
+@pytest.mark.parametrize(("scene", "e", "force"), [(ONE, "m", "f_h"), (ONE, "s", "f_env"), (THREE, "s", "f_env")])
+def test_what_was_exported_is_read_again_to_the_bit_at_every_tick(
+    scene: object, e: str, force: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = run(scene)  # type: ignore[arg-type]
+    (tmp_path / "run").mkdir()
+    result.write(tmp_path / "run", [])
+    assert main(["export", str(tmp_path / "run"), "--csv", str(tmp_path / "run.csv")]) == 0, capsys.readouterr().err
+    device = named(e, f"csv:{tmp_path / 'run.csv'}").open(scene)  # type: ignore[arg-type]
+    x, v, f = (result.trace[name].reshape(len(result.trace["t"]), -1) for name in (f"x_{e}", f"v_{e}", force))
+    device.hold((5.0,) * x.shape[1])
+    assert x.any()
+    for k in range(len(x)):
+        assert device.read(k) == Reading(tuple(x[k]), tuple(v[k]), tuple(f[k]))
+
+
+def test_a_recorded_reach_has_the_slope_behind_each_row_for_its_velocity_and_rests_at_its_ends(tmp_path: Path) -> None:
+    (tmp_path / "reach.csv").write_text("# by hand\nt, x\n0.010, 1\n0.020, 2\n0.040, 3\n")
+    device = named("m", f"csv:{tmp_path / 'reach.csv'}").open(ONE)
+    got = [(k, device.read(k).x[0], device.read(k).v[0]) for k in (0, 10, 15, 20, 30, 40, 41)]
+    assert got == [(0, 1.0, 0.0), (10, 1.0, 0.0), (15, pytest.approx(1.5), pytest.approx(100.0)),
+                   (20, 2.0, pytest.approx(100.0)), (30, pytest.approx(2.5), pytest.approx(50.0)),
+                   (40, 3.0, pytest.approx(50.0)), (41, 3.0, 0.0)]
+    assert device.read(15).f is None
+
+
+@pytest.mark.parametrize(("text", "scene", "words"), [
+    ("", ONE, "holds no motion"), ("t,x\n", ONE, "has names of columns and no row"),
+    ("t,x,y\n0,1,2\n", ONE, "holds a motion along 2 axes, and the scene has 1 (x); take a scene of 2"),
+    ("0,1,2\n", ONE, "holds a motion along 2 axes"),
+    ("t,x_m,v_m\n0,1,2\n", THREE, "holds a motion along 1 axis, and the scene has 3 (x, y, z)"),
+    ("t,x_s,v_s\n0,1,2\n", ONE, "has the slave's motion, x_s, and none of this end, x_m"),
+    ("t,x_m_a,x_m_b,x_m_c\n0,1,2,3\n", THREE, "has the axes x_m_a, x_m_b, x_m_c, and the scene's are x_m_x"),
+    ("time,x\n0,1\n", ONE, "has no column t, the time in s; it has time, x"),
+    ("t,q\n0,1\n", ONE, "has no column x_m, nor x; it has t, q"),
+    ("part,t,x_m\n1,0,1\n", ONE, "has several parts of a run"),
+    ("t,x\n0,1\n0,2\n", ONE, "line 3: t = 0 s does not come after 0 s"),
+    ("t,x\n0,1\n1,\n", ONE, "line 3 has nothing in its column x"), ("t,x\n0,1\n1\n", ONE, "line 3 has nothing"),
+    ("t,x\n0,NaN\n", ONE, "line 2: x is 'NaN' and no finite number"), ("t,x\n0,far\n", ONE, "x is 'far'"),
+    ("t,x_m_x,x_m_y,x_m_z,v_m_x\n0,1,2,3,4\n", THREE, "has v_m_x and no v_m_y and v_m_z"),
+])
+def test_a_file_that_is_no_such_motion_is_refused(text: str, scene: object, words: str, tmp_path: Path) -> None:
+    (tmp_path / "it.csv").write_text(text)
+    with pytest.raises(Refused) as refused:
+        named("m", f"csv:{tmp_path / 'it.csv'}").open(scene)  # type: ignore[arg-type]
+    assert words in str(refused.value)
