@@ -10,8 +10,8 @@ from teleop import Reading, Refused, load_scene, run
 from teleop.__main__ import main
 from teleop.live.devices.named import named
 
-ONE = load_scene("hard_wall", duration=0.05)
-THREE = load_scene("recorded_reach", duration=0.05)
+ONE = load_scene("hard_wall", duration=1.0, delay=0.01)
+THREE = load_scene("recorded_reach", duration=1.0, delay=0.01)
 
 
 @pytest.mark.parametrize(("scene", "e", "force"), [(ONE, "m", "f_h"), (ONE, "s", "f_env"), (THREE, "s", "f_env")])

@@ -29,7 +29,7 @@ from teleop.scene.scene import Scene, both_ends
 
 SIMULATED_N, MACHINE_N = 1.0, 0.1  # the push, N or N m
 RAMP_S, STAY_S = 0.1, 0.2  # of a push: up, and down again; and between
-FAR = 5e-3  # m or rad: a machine that has come so far is pushed no more
+FAR = 5e-3  # m or rad: a machine that has come so far is pushed no more, the force goes along its ramp
 LEFT_OUT = 50  # ticks that are left out once
 WAIT_S = 2.0  # for a first reading, and for a device to take zero
 
@@ -73,8 +73,8 @@ def check_device(make: str | Callable[..., LiveDevice], scene: Scene | None = No
     are left out; the sign of the force, along +x at the slave and along -x at the master, by a push of `force` (N or
     N m; left out, 1 in simulation and 0.1 on a machine) along each axis in turn, ramped; that what fails raises
     DeviceError or OSError; `close`; and, simulated, that it opens again. `push=None` pushes what is simulated alone. A
-    machine is pushed only if its force lapses by itself or a watchdog process stands beside it, and no further than
-    5 mm or rad. Whatever happens, its force is zero at the end and it is closed.
+    machine is pushed only if its force lapses by itself or a watchdog process stands beside it, and not on once it has
+    come 5 mm or 5 mrad. Whatever happens, its force is zero at the end and it is closed.
     """
     whole_number("ticks", ticks, low=1)
     scene = both_ends(load_scene("hard_wall") if scene is None else scene)
