@@ -51,7 +51,7 @@ class AxisLabels(NamedTuple):
 
 def labels_of(scene: Scene) -> AxisLabels:
     """The labels that a scene gives its axes."""
-    return AxisLabels(scene.names, scene.units)
+    return AxisLabels(scene.names, scene.axis_units if scene.rotations else scene.units)
 
 
 def labels_in(document: Mapping[str, Any]) -> AxisLabels:

@@ -8,6 +8,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.scene import Scene
+from teleop.simulation.angles import angle_error
 from teleop.simulation.felt import AT_REST, END, SUMS, TINY, figures, frame_of, resting, sums_of, turns_of
 from teleop.simulation.rest import Still
 from teleop.simulation.trace import blocks
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
+ROTATION = "a rotation"
 STANDS, DEADBAND = "a hand that comes to stand", "a deadband"
 FREE = "a slave that is moved before it touches anything"
 FELT = FREE + ", and a force that is felt then"
@@ -36,8 +38,12 @@ class Metric(NamedTuple):
 
 
 METRICS = {
-    "x_err_rms": Metric("m", "tracking error: slave against the master as it was one forward delay ago, rms", TWO_ENDS),
+    "x_err_rms": Metric("m", "tracking error: slave against the master as it was one forward delay ago, on a rotation "
+                        "by its coordinates phi, rms", TWO_ENDS),
     "x_err_max": Metric("m", "its largest value", TWO_ENDS),
+    "angle_err_rms": Metric("rad", "angle between the orientations of the slave and of the master as it was one "
+                            "forward delay ago, of several rotations the greatest, rms", ROTATION),
+    "angle_err_max": Metric("rad", "its largest value", ROTATION),
     "f_err_rms": Metric("N", "force error: felt against touched one backward delay ago, rms", TWO_ENDS),
     "f_err_max": Metric("N", "its largest value", TWO_ENDS),
     "f_m_max": Metric("N", "largest force of the stack against the hand"),
@@ -124,6 +130,9 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
     for name, (mine, theirs, _) in _ERRORS.items():
         if mine in trace and theirs in trace:
             out |= _worst(name, _error(scene, trace, name))
+    if "qw_m" in trace and "qw_s" in trace:
+        lag = _lag(_ages(trace, "seq_s", dt), dt)
+        out |= _worst("angle_err", angle_error(trace, _ticks(trace, dt), lag))
     forces = [name for name in ("f_m", "f_s", "f_h", "f_env") if name in trace]
     out |= {f"{name}_max": _greatest(trace[name]) for name in forces}
     out |= _summed(scene, trace, dt)

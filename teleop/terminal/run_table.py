@@ -206,6 +206,7 @@ _MOST_EVENTS = 5  # shown of each end
 
 _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("tracking error", _error("x_err", "m")),
+    ("angle error", _error("angle_err", "rad")),
     ("force error", _error("f_err", "N")),
     ("force at the end", _force),
     ("felt", _felt),
