@@ -24,6 +24,7 @@ from teleop.simulation.metrics import (
     PLAYED,
     PORTS,
     PRESSES,
+    ROTATION,
     STAMPS,
     STANDS,
     STORED,
@@ -228,7 +229,7 @@ NEEDS: dict[str, Callable[[Scene], bool]] = {
     LINK: lambda s: s.link is not None, PORTS: lambda s: s.energy, WAVES: lambda s: s.energy and s.has_waves,
     STAMPS: lambda s: s.energy and s.has_waves and s.link is not None, WATCHDOG: lambda s: s.watchdog is not None,
     STANDS: lambda s: prepare(s).still is not None, STORED: lambda s: structure_of(s).has.stored,
-    DEADBAND: lambda s: s.deadband is not None,
+    DEADBAND: lambda s: s.deadband is not None, ROTATION: lambda s: bool(s.rotations),
     PLAYED: lambda s: s.link is not None and s.has_waves and integrates(s.played_as),
 }
 
@@ -238,8 +239,8 @@ NEEDS: dict[str, Callable[[Scene], bool]] = {
     load_scene("local"), load_scene("local", law="direct"), load_scene("hard_wall"), load_scene("encoder_wall"),
     replace(load_scene("canonical"), hand=None), load_scene("canonical", playout="integral"),
     load_scene("canonical", playout="energy"), load_scene("canonical", law="direct", playout="integral"),
-    load_scene("canonical", deadband=0.1),
-], ids=range(12))
+    load_scene("canonical", deadband=0.1), load_scene("pose"),
+], ids=range(13))
 def test_a_run_has_the_figures_that_the_list_says_it_has(scene: Scene) -> None:
     short = replace(scene, duration=0.45)
     by_its_motion = {name for name, metric in METRICS.items() if metric.needs in (FREE, FELT, PRESSES, SWINGS)}
