@@ -9,7 +9,7 @@ one. Translations that the scene has no axis for are held by a spring and a damp
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from teleop.scene.scene import Scene
 OWN = Path(__file__).parent / "arm.xml"
 END = "end_effector"  # the site or body that is looked for
 LETTERS = ("x", "y", "z")
-SUBSTEPS = 4  # of a tick, at least
+SUBSTEPS, MOST_SUBSTEPS = 4, 1000  # of a tick
 TIP = "teleop_end_effector"  # a body without mass at that site, which forces are applied to
 LISTED = 12  # names that a sentence has
 
@@ -65,7 +65,7 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
     except ValueError as error:
         raise _not_loaded(path, error) from error
     dt = scene.dt_ns / 1e9
-    substeps = max(SUBSTEPS, ceil(dt / model.opt.timestep - 1e-9))
+    substeps = _substeps(path, dt, float(model.opt.timestep))
     model.opt.timestep = dt / substeps
     # Motors are the scene's; and a state that became unstable must not begin anew from the start, unseen.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION) | int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -73,6 +73,8 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
     data = mujoco.MjData(model)
     if (home := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")) >= 0:
         mujoco.mj_resetDataKeyframe(model, data, home)
+        if not isfinite(sum(data.qpos.tolist())):
+            raise Refused(f"the keyframe home of {path} has a place that is not finite; mend it there")
     if not cartesian:
         places, axes = ([int(at[model.joint(each).id]) for each in scene.axis_names]
                         for at in (model.jnt_qposadr, model.jnt_dofadr))
@@ -99,6 +101,15 @@ def _is_cartesian(scene: Scene) -> bool:
                           "of the end effector; write units=(...) in the scene with m for it, or name the axis after "
                           "a joint")
     return True
+
+
+def _substeps(path: str, dt: float, own: float) -> int:
+    """The sub-steps of a tick of dt seconds: `SUBSTEPS`, or as many as make them no longer than the file's own."""
+    least = dt / MOST_SUBSTEPS
+    if not own >= least:
+        raise Refused(f"{path} has a timestep of {own:g} s, and a tick of {dt:g} s has at most {MOST_SUBSTEPS} sub-"
+                      f"steps; write one of at least {least:g} in its <option>, or leave it out")
+    return max(SUBSTEPS, ceil(dt / own - 1e-9))
 
 
 def _mujoco() -> Any:
@@ -145,8 +156,11 @@ def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
     if not _is_carried(mujoco, holder):
         raise Refused(f"{wanted} of {path} is no end effector: no joint but a free one moves it; write --robot "
                       f"mujoco:{path}#NAME with a site or body at the end of its joints")
-    holder.add_body(name=TIP, pos=[0.0, 0.0, 0.0] if site is None else site.pos, explicitinertial=True, mass=0.0,
-                    ipos=[0.0, 0.0, 0.0], inertia=[0.0, 0.0, 0.0])
+    at = [0.0, 0.0, 0.0] if site is None else site.pos
+    try:
+        holder.add_body(name=TIP, pos=at, explicitinertial=True, mass=0.0, ipos=[0.0] * 3, inertia=[0.0] * 3)
+    except ValueError as error:  # the name is taken
+        raise _not_loaded(path, error) from error
 
 
 def _check_joints(mujoco: Any, scene: Scene, spec: Any, path: str) -> None:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser
 from importlib import import_module
 
 BENCHES = ("virtual", "playout", "laws", "sweep", "scale", "own_laws", "rivals", "live", "page", "cost", "secure",
-           "flood", "export", "timing", "watchdog")
+           "flood", "export", "timing", "watchdog", "mujoco")
 """Functions in modules of their names, loaded when they run."""
 
 

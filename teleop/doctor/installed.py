@@ -12,8 +12,8 @@ from teleop.errors import enumerated
 from teleop.version import DISTRIBUTION
 
 EXTRAS = {  # what to install for each
-    "cryptography": "secure", "distributed": "cluster", "matplotlib": "plot", "mcap": "log", "numba": "batch",
-    "pyOpenSSL": "secure", "scipy": "test", "websockets": "page",
+    "cryptography": "secure", "distributed": "cluster", "matplotlib": "plot", "mcap": "log",
+    "mujoco-core": "mujoco", "numba": "batch", "pyOpenSSL": "secure", "scipy": "test", "websockets": "page",
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 from channel import LeftOut
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import Deadband, DeviceError, Integral, Reading, Refused, Scene, load_scene, run
+from teleop import Deadband, DeviceError, Integral, Operator, Reading, Refused, Scene, load_scene, run
 from teleop.law import find_law
 from teleop.laws.direct import Direct
 from teleop.live.in_process import run_stepped
@@ -51,8 +51,13 @@ def test_a_run_that_diverges_does_so_at_the_same_tick_and_says_the_same(of: Scen
     same(of)
 
 
-def test_a_scene_by_its_name_over_another_link() -> None:
-    same(load_scene("jittery_wan", duration=1.0, law="tdpa"))
+@pytest.mark.parametrize("of", [
+    load_scene("jittery_wan", duration=1.0, law="tdpa"),
+    load_scene("leader_follower", duration=0.2, law="four_channel"),
+    scene(operator=Operator(clutch=((0.05, 0.1),), absent=((0.2, 0.25),), ramp=0.02)),
+], ids=["over another link", "of six joints", "with an operator's clutch"])
+def test_of_scenes_with_more_parts(of: Scene) -> None:
+    same(of)
 
 
 class Robot(SimulatedSlave):

@@ -13,9 +13,10 @@ import pytest
 from master.device import SimulatedMaster
 from slave.mujoco_body import MuJoCoBody
 from slave.mujoco_robot import MuJoCoRobot
-from teleop import MassDamper, Refused, Scene, load_scene
+from teleop import MassDamper, Refused, Scene, load_scene, run
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
+from teleop.live.devices.checking import check_device
 from teleop.live.in_process import run_stepped
 
 mujoco = pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
@@ -216,10 +217,16 @@ class TestAModelOfOnesOwn:
                             r"or bodies \(cart, ball\)"),
         ("slider.xml#mark", "mark of .* is no end effector: no joint"),
         ("slider.xml#ball", "ball of .* is no end effector: no joint but a free one moves it"),
+        ("quick.xml", "has a timestep of 1e-12 s, and a tick of 0.001 s has at most 1000 sub-steps; write one of"),
+        ("nowhere_home.xml", "the keyframe home of .* has a place that is not finite"),
     ])
     def test_what_cannot_be_a_robot_is_refused_in_one_sentence(self, file: str, says: str, tmp_path: Path) -> None:
         slider(tmp_path)
         (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body><joint/></worldbody></mujoco>")
+        sound = (tmp_path / "slider.xml").read_text()
+        (tmp_path / "quick.xml").write_text(sound.replace("0.00025", "1e-12"))
+        (tmp_path / "nowhere_home.xml").write_text(sound.replace(
+            "</mujoco>", '<keyframe><key name="home" qpos="nan 0 0 0 1 0 0 0"/></keyframe></mujoco>'))
         with pytest.raises(Refused, match=says) as refused:
             MuJoCoRobot(scene(1), str(tmp_path / file))
         assert "\n" not in str(refused.value)
@@ -267,6 +274,29 @@ class TestARunAgainstIt:
         assert one.metrics == other.metrics
         assert [note for note in one.notes if note.startswith("pressed slowly before the run along +x")]
         assert {"f_err_rms", "f_env_max", "E_link_min"} <= one.metrics.keys()
+
+
+def test_six_joints_in_mujoco_move_as_the_bodies_that_are_stepped_exactly(tmp_path: Path) -> None:
+    """Those of a scene whose follower has neither friction nor a spring: inertia and damping alone."""
+    of = load_scene("leader_follower", friction_s=0.0, k_e=0.0, d_e=0.0, duration=1.5)
+    joint = ('<body pos="{at} 0 0"><joint name="{name}" axis="0 0 1" damping="{b}" armature="{inertia}"/>'
+             '<geom size="0.01" mass="1e-6" contype="0" conaffinity="0"/></body>')
+    bodies = [joint.format(at=i, name=name, b=each.damping, inertia=each.mass)
+              for i, (name, each) in enumerate(zip(of.axis_names, of.per_axis("slave"), strict=True))]
+    file = tmp_path / "follower.xml"
+    file.write_text(f"<mujoco><worldbody>{''.join(bodies)}</worldbody></mujoco>")
+    ours = run_stepped(of, {"m": SimulatedMaster, "s": lambda of: MuJoCoRobot(of, str(file))}, seed=1)
+    exact = run(of, seed=1)
+    assert np.ptp(exact.trace["x_s"], axis=0).min() > 0.1
+    np.testing.assert_allclose(ours.trace["x_s"], exact.trace["x_s"], atol=1e-4)
+    np.testing.assert_allclose(ours.trace["f_m"], exact.trace["f_m"], atol=5e-4)
+    assert ours.trace["f_env"].shape == (1500, 6)
+
+
+def test_it_is_a_robot_as_check_device_asks_for() -> None:
+    found = check_device("mujoco", load_scene("arm"))
+    assert (found.simulated, found.senses, found.deadline) == (True, True, 0.15)
+    assert min(found.moved) > 0.02
 
 
 def test_a_copy_of_a_state_goes_on_by_itself() -> None:
