@@ -1,7 +1,7 @@
 """A Haply Inverse3 as the master's device, through Haply's Inverse service: read at ticks, without a thread.
 
     python -m master hard_wall --peer HOST:9001 --device haply
-    python -m master hard_wall --peer HOST:9001 --device "haply:ws://localhost:10001?axes=y&limit=2"
+    python -m master hard_wall --peer HOST:9001 --device "haply:ws://localhost:10001?axes=y&clutch=a"
 
 At each tick what has come is read, and the newest state stands; a command goes out with every force. What the service
 does with a force that is not renewed its documentation says without a time ("per-tick, non-persistent": the device
@@ -51,6 +51,8 @@ class Settings:
     axes: str = "xyz"  # the device's axes that are the scene's, in order, each with a sign before it if it is turned
     origin: tuple[float, ...] = (0.0, 0.0, 0.0)  # m, in the device's frame: where the scene's positions count from
     limit: float = LIMIT  # N: a longer force is made so long
+    clutch: str | None = None  # button of the grip that holds the operator's clutch open, while it is pressed
+    present: str | None = None  # button of the grip that is pressed while the operator is there
     deadline: float | None = None  # s after which the service lets go by itself, if that was measured
 
 
@@ -68,6 +70,7 @@ class Inverse3:
         """Raises `Refused` for what it cannot drive, `DeviceError` if no Inverse3 is there."""
         self._settings, self._uri = settings_of(url)
         self._rows = _rows(self._settings.axes, scene.axes)
+        self._buttons = self._settings.clutch, self._settings.present
         self._clock, self._link = clock, _Link(self._uri, self._settings)
         self._force = (0.0, 0.0, 0.0)
         self._pushes = self._commanded = False
@@ -77,8 +80,9 @@ class Inverse3:
         else:
             self.watchdog, self.deadline = None, self._settings.deadline
         if not self._link.wait(clock, OPEN_NS):
+            why = self._link.trouble or f"the Inverse service at {self._uri} said nothing for {OPEN_NS / 1e9:g} s"
             self._link.drop()
-            raise DeviceError(self._link.trouble or f"the Inverse service at {self._uri} said nothing for 2 s")
+            raise DeviceError(why)
 
     def read(self, k: int) -> Reading:
         """Position, velocity and switches, as newest told. The service tells no force of the hand."""
@@ -100,11 +104,13 @@ class Inverse3:
 
     def hold(self, force: Axes) -> None:
         """Push with -`force` (N, per axis of the scene) from now on."""
-        self._force = self._pushed(force)
+        self._force, now = self._pushed(force), self._clock()
+        if not self._link.ready:
+            self._link.poll(now)  # a watchdog that has fired asks for zero, and does not read
         if not self._link.ready:
             raise DeviceError(self._link.trouble or f"the Inverse service at {self._uri} is not there")
         self._commanded = True
-        self._send(self._clock())
+        self._send(now)
 
     def close(self) -> None:
         """Push with nothing, and let the service know that this was all."""
@@ -134,7 +140,18 @@ class Inverse3:
     def _reading(self, state: State) -> Reading:
         at, origin = state.position, self._settings.origin
         x = tuple([sign * (at[i] - origin[i]) for i, sign in self._rows])
-        return Reading(x, tuple([sign * state.velocity[i] for i, sign in self._rows]))
+        v = tuple([sign * state.velocity[i] for i, sign in self._rows])
+        return Reading(x, v, None, *[_pressed(state, button) for button in self._buttons])
+
+
+def _pressed(state: State, button: str | None) -> bool | None:
+    """Whether a button is pressed; None: none is asked for. Raises `DeviceError` if the grip has none of that name."""
+    if button is None:
+        return None
+    if state.buttons is None or button not in state.buttons:
+        there = ", ".join(sorted(state.buttons or ())) or "no buttons"
+        raise DeviceError(f"the grip has no button {button} ({there}); switch the grip on, or name one that it has")
+    return state.buttons[button]
 
 
 class _Link:
@@ -150,7 +167,7 @@ class _Link:
         self._service: InverseService | None = None
         self._out = b""
         self._since = self._retry = 0  # ns: when the connection was begun, and when the next is
-        self._states = 0
+        self._messages = 0  # that came, over all connections
         self._why: str | None = None
         self._device = settings.device
         self.heard = 0  # ns, when a state came last
@@ -196,12 +213,12 @@ class _Link:
             self._flush()
 
     def wait(self, clock: Callable[[], int], most: int) -> bool:
-        """Wait up to `most` ns for the next state; False: none came."""
-        until, before = clock() + most, self._states
+        """Wait up to `most` ns for the next message; False: none came, or one that tells no state."""
+        until, before = clock() + most, self._messages
         while (now := clock()) < until:
             self.poll(now)
-            if self._states > before:
-                return True
+            if self._messages > before:
+                return self.trouble is None
             select([self._sock] if self._sock is not None else [], [], [], 0.005)
         return False
 
@@ -236,7 +253,6 @@ class _Link:
             return
         self._service = InverseService(self._uri, self._device, self._settings.word)
         self._out = self._service.to_send()
-        self._states = 0
 
     def _take(self, now: int) -> None:
         while self._sock is not None and self._service is not None:
@@ -248,9 +264,11 @@ class _Link:
                 raise
             if not data:
                 raise DeviceError(f"the Inverse service at {self._uri} closed the connection")
+            before = self._service.states, self._service.messages
             self._service.receive(data)
-            if self._service.states > self._states:
-                self._states, self.heard, self._why = self._service.states, now, None
+            self._messages += self._service.messages - before[1]
+            if self._service.states > before[0]:
+                self.heard, self._why = now, None
                 self._device = self._service.device  # the same one after the connection was lost
 
     def _flush(self) -> None:
@@ -361,8 +379,8 @@ def _float(name: str, text: str) -> float:
 
 
 READ: dict[str, Callable[[str, str], Any]] = {
-    "device": _text, "word": _word, "axes": _axes, "origin": _place, "limit": _positive,
-    "deadline": _positive,
+    "device": _text, "word": _word, "axes": _axes, "origin": _place, "limit": _positive, "clutch": _text,
+    "present": _text, "deadline": _positive,
 }
 """How each setting is read."""
 

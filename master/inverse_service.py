@@ -36,7 +36,7 @@ class State(NamedTuple):
     position: Vector  # m
     velocity: Vector  # m/s
     orientation: tuple[float, float, float, float] | None  # of the grip: w, x, y, z; None: there is no grip
-    buttons: frozenset[str] | None  # of the grip, those that are pressed; None: there is no grip with buttons
+    buttons: dict[str, bool] | None  # of the grip, by name: is it pressed; None: there is no grip with buttons
 
 
 class InverseService:
@@ -50,7 +50,7 @@ class InverseService:
     def __init__(self, uri: str, device: str | None = None, word: str | None = None) -> None:
         self.uri, self.device, self.word = uri, device, word
         self.state: State | None = None
-        self.states = 0  # that came
+        self.messages = self.states = 0  # that came, and those of them that tell a state
         self.unanswered = 0
         self.trouble: str | None = None
         self._protocol = ClientProtocol(parse_uri(uri), max_size=1 << 20)
@@ -98,6 +98,7 @@ class InverseService:
                 self._message(data)
 
     def _message(self, data: bytes) -> None:
+        self.messages += 1
         self.unanswered = max(0, self.unanswered - 1)
         try:
             self.state, self.trouble = self._read(data), None
@@ -148,14 +149,14 @@ CURES = {
 """What the status of a device says, and what to do where it is false."""
 
 
-def _grip(said: dict[str, Any]) -> tuple[tuple[float, float, float, float] | None, frozenset[str] | None]:
+def _grip(said: dict[str, Any]) -> tuple[tuple[float, float, float, float] | None, dict[str, bool] | None]:
     for kind in GRIPS:
         for one in _entries(said, kind):
             state = _part(one, "state")
             buttons = state.get("buttons")
             pressed = None
             if isinstance(buttons, dict):
-                pressed = frozenset(name for name in buttons if buttons[name] is True)
+                pressed = {name: is_so for name, is_so in buttons.items() if isinstance(is_so, bool)}
             return (_quaternion(state["orientation"]) if "orientation" in state else None), pressed
     return None, None
 

@@ -1,6 +1,6 @@
 """A stand-in of Haply's Inverse service, with an Inverse3 that is a mass in a hand; by hand, or as a process.
 
-    python tests/master/inverse_stand_in.py vector
+    python tests/master/inverse_stand_in.py vector [PORT]
 
 It answers each message with one state, in the words of 3.5 (`vector`, a `mount` among its settings) or of 3.1
 (`values`), and takes no force in the words of the other. A force stands until the next command of any connection.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import socket
 import sys
+from contextlib import suppress
 from math import exp, sin
 from select import select
 from time import monotonic
@@ -18,6 +19,7 @@ from typing import Any
 
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
+from websockets.protocol import State as Connection
 from websockets.server import ServerProtocol
 
 MASS, SPRING, DAMPING = 0.3, 200.0, 8.0  # kg, N/m, N s/m: a hand that holds the cursor
@@ -92,6 +94,8 @@ class StandIn:
             data = sock.recv(1 << 16)
         except BlockingIOError:
             data = None
+        except ConnectionResetError:
+            data = b""
         if data == b"":
             self._clients.remove((sock, protocol))
             sock.close()
@@ -107,9 +111,10 @@ class StandIn:
                     self._waiting.append(protocol)
         while self.answers and protocol in self._waiting:
             self._waiting.remove(protocol)
-            self._answer(protocol)
+            if protocol.state is Connection.OPEN:
+                self._answer(protocol)
         for out in protocol.data_to_send():
-            if out:
+            with suppress(BrokenPipeError, ConnectionResetError):
                 sock.sendall(out)
 
     def _obey(self, said: dict[str, Any]) -> None:
@@ -142,19 +147,19 @@ class StandIn:
                 **{kind: [] if kind in self.without else devices for kind, devices in listed.items()}, **self.extra}
 
 
-def main(word: str) -> None:
+def main(word: str, port: str = "0") -> None:
     """Serve until the process is ended; its first line is the address, then there is one for each force of 0.1 N."""
-    service = StandIn(word)
-    began, told = monotonic(), 0
+    service = StandIn(word, int(port))
+    began, told = monotonic(), (0, True)
     print(service.url, flush=True)
     while True:
         select(service.sockets(), [], [], 0.001)
         service.pump(monotonic() - began)
         pushed = max(map(abs, service.force.values()))
-        if int(pushed * 10) != told:
-            told = int(pushed * 10)
-            print(f"pushes {pushed:.2f}", flush=True)
+        if (shown := (int(pushed * 10), pushed == 0.0)) != told:
+            told = shown
+            print(f"pushes {pushed:.3g}", flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from itertools import count
 from math import hypot
@@ -123,6 +124,30 @@ def test_power_is_the_same_in_the_frame_of_the_scene_and_of_the_device(new: Benc
     assert state is not None
     at_device = sum(told[name] * v for name, v in zip("xyz", state.velocity, strict=True))
     assert at_device == pytest.approx(-sum(f * v for f, v in zip((1.0, 2.0, 3.0), reading.v, strict=True)), rel=1e-12)
+
+
+def test_buttons_of_the_grip_are_the_operators_switches(new: Bench) -> None:
+    device = new.open("?clutch=a&present=b")
+    new.service.buttons = {"a": True, "b": False, "c": False}
+    reading = new.go(device, 3)
+    assert (reading.clutch, reading.present) == (True, False)
+    new.service.buttons = {"a": False, "b": True, "c": False}
+    reading = new.go(device, 3)
+    assert (reading.clutch, reading.present) == (False, True)
+    new.service.without = {"wireless_verse_grip"}
+    assert "the grip has no button a (no buttons)" in new.trouble(device, 3)
+
+
+def test_without_a_name_of_a_button_there_is_no_switch(new: Bench) -> None:
+    reading = new.go(new.open(), 3)
+    assert (reading.clutch, reading.present) == (None, None)
+
+
+@pytest.mark.parametrize("length", [0.0, 0.5, 1.1])
+def test_an_orientation_that_is_no_unit_quaternion_is_no_state(new: Bench, length: float) -> None:
+    device = new.open()
+    new.service.orientation = {"w": length, "x": 0.0, "y": 0.0, "z": 0.0}
+    assert f"no unit quaternion: its length is {length:g}" in new.trouble(device, 3)
 
 
 def test_a_force_beyond_the_limit_keeps_its_direction(new: Bench) -> None:
@@ -250,6 +275,21 @@ def test_a_service_that_is_started_again_is_found_again(new: Bench) -> None:
     assert new.well_again(device).x
     new.go(device, 3, (1.5, 0.0, 0.0))
     assert new.service.force["x"] == -1.5
+
+
+def test_letting_go_alone_finds_the_service_again(new: Bench) -> None:
+    """An end whose watchdog has fired does not read until zero was taken."""
+    device = new.open()
+    new.go(device, 5, (1.0, 0.0, 0.0))
+    new.service.drop()
+    new.trouble(device, 3)
+    for _ in range(400):
+        new.now += 1e-3
+        new.clock()
+        with suppress(DeviceError):
+            device.hold((0.0, 0.0, 0.0))
+    new.clock()
+    assert new.service.force["x"] == 0.0
 
 
 def test_a_connection_that_is_cut_is_made_anew(new: Bench) -> None:
