@@ -50,7 +50,9 @@ class Loaded:
 def load(scene: Scene, file: str | None = None) -> Loaded:
     """The model in `file` (FILE.xml or FILE.xml#NAME, NAME of the end effector) for `scene`. Raises `Refused`."""
     mujoco = _mujoco()
-    path, _, name = (str(OWN) if file is None else file).partition("#")
+    path, name = str(OWN) if file is None else file, ""
+    if "#" in path and not Path(path).is_file():
+        path, _, name = path.rpartition("#")
     spec = _spec(mujoco, path)
     cartesian = _is_cartesian(scene)
     if cartesian:

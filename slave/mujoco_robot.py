@@ -29,7 +29,8 @@ class MuJoCoRobot:
 
     deadline = DEADLINE
     senses = True
-    simulated = True  # nothing moves it but its motors and what it touches
+    simulated = True
+    passive = True  # nothing moves it but its motors and what it touches
 
     def __init__(self, scene: Scene, file: str | None = None) -> None:
         from slave.pressing import pressed

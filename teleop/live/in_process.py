@@ -31,6 +31,7 @@ from teleop.simulation.virtual import Judge, result_of
 Make = Callable[[Scene], LiveDevice]
 MEETS_NS = 1_000_000_000  # of virtual time, within which the ends have met
 NUMBER = 1  # of the session: nothing is drawn
+ANALYSE = "; to see "  # behind it stands what to type about the scene's own bodies
 
 
 def run_stepped(scene: Scene, make: Mapping[str, Make], *, seed: int = 0, clock: Callable[[], int] | None = None,
@@ -165,15 +166,22 @@ def _judged(why: Ending | None, devices: Mapping[str, LiveDevice]) -> Judge:
     """What says how the run ended.
 
     Whether it comes to rest is told where nothing but the scene's hand moves it: of a device that a person or a
-    recording moves, of which the scene knows nothing, a run that came to its end is ok.
+    recording moves, of which the scene knows nothing, a run that came to its end is ok. What to type next is told of
+    the scene's own bodies alone, which are those that an analysis knows.
     """
-    known = all(getattr(device, "scene_body", False) or getattr(device, "simulated", False)
-                for device in devices.values())
+    own = all(getattr(device, "scene_body", False) for device in devices.values())
+    known = own or all(getattr(device, "scene_body", False) or getattr(device, "passive", False)
+                       for device in devices.values())
 
     def judge(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int) -> Ending:
         if why is not None and why.sentence:
             return why
         came = verdict(prepared, trace, ran, end, trip)
-        return came if known or came.status == "diverged" else Ending("ok", came.sentence.partition(";")[0])
+        if own or came.status == "diverged":
+            return came
+        if not known:
+            return Ending("ok", came.sentence.partition(";")[0])
+        notes = tuple([note.partition(ANALYSE)[0] for note in came.notes])
+        return came._replace(sentence=came.sentence.partition(ANALYSE)[0], notes=notes)
 
     return judge

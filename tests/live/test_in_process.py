@@ -81,9 +81,10 @@ class Robot(SimulatedSlave):
 
 
 class Pushed(SimulatedMaster):
-    """A master that somebody else moves, of whose force nothing is known."""
+    """A master that something else moves, a recording for example, of whose force nothing is known."""
 
     scene_body = False
+    simulated = True
 
 
 class Broken(Robot):
@@ -143,6 +144,19 @@ def test_of_what_moves_by_itself_no_limit_cycle_is_told() -> None:
     ours = run_stepped(swings, {**SIMULATED, "s": Robot}, seed=SEED)
     assert ours.trace["x_s"].tobytes() == run(swings, seed=SEED).trace["x_s"].tobytes()
     assert (ours.status, ours.sentence) == ("ok", "ran to its end, 2000 ticks of 0.001 s")
+
+
+class Arm(Robot):
+    """One that nothing moves but its motor."""
+
+    passive = True
+
+
+def test_of_a_robot_that_nothing_else_moves_it_is_told_but_no_analysis_of_other_bodies_is_advised() -> None:
+    swings = replace(SCENES["swings to its end"], duration=2.0)
+    ours, virtual = run_stepped(swings, {**SIMULATED, "s": Arm}, seed=SEED), run(swings, seed=SEED)
+    assert ours.status == "unstable"
+    assert virtual.sentence == f"{ours.sentence}; to see what becomes of it: {virtual.sentence.rpartition(': ')[2]}"
 
 
 def test_a_motion_that_grows_under_a_hand_of_which_nothing_is_known_is_no_fault() -> None:
