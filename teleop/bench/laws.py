@@ -1,4 +1,4 @@
-"""What a law costs: a live tick of either end in one axis and in three, and compiled kernels beside those of `wave`.
+"""What a law costs: a live tick of either end in one axis, three and six joints, and kernels beside those of `wave`.
 
 The live tick is the end's generator by itself, `hard_wall` with its watchdog and force cap, a fresh message at every
 tick: what of a live end is the law's, without socket and record. Only the processor's time is counted, of each law in
@@ -23,6 +23,8 @@ from teleop.simulation.structure import NAMES
 Row = tuple[str, str, str]
 TICKS = 2000
 LEAST = {1: "asked: at most 10", 3: "asked: at most 25"}
+JOINTS = ("pp", "four_channel", "wave", "tdpa")  # laws of the scene leader_follower
+BARE = {"energy": False, "watchdog": None, "cap": None}  # the law and what it reads alone
 SIDE = {"scalar": 1, "vector": 8}  # rows at once
 
 
@@ -41,6 +43,7 @@ def laws(rounds: int) -> list[Row]:
             each = " / ".join(f"{took[name, e] / TICKS * 1e6:.1f}" for e in NAMES)
             rows.append((f"{name}: live tick in {axes} {'axis' if axes == 1 else 'axes'}, master / slave", f"{each} us",
                          asked))
+    rows += joints(rounds)
     for engine, count in SIDE.items():
         calls = {name: kernel_of(engine, [load_scene("canonical", law=name, playout="zero", k_e=5e3 + n) for n in
                                           range(count)], [1] * count) for name in names}
@@ -49,6 +52,17 @@ def laws(rounds: int) -> list[Row]:
                   "asked: at most 2.2" if name == "tdpa" and engine == "scalar" else "asked: at most 2")
                  for name in names[1:]]
     return rows
+
+
+def joints(rounds: int) -> list[Row]:
+    """A live tick of six joints with a law for each: with all stages, and without ledgers, watchdog and caps."""
+    scenes = {name: load_scene("leader_follower", law=name) for name in JOINTS}
+    calls = {(name, bare, e): ticks(replace(scene, **BARE) if bare else scene, e)
+             for name, scene in scenes.items() for bare in (False, True) for e in NAMES}
+    took = least(calls, rounds)
+    return [(f"{name}: live tick of six joints{', the law alone' * bare}, master / slave",
+             " / ".join(f"{took[name, bare, e] / TICKS * 1e6:.1f}" for e in NAMES) + " us",
+             "" if bare else "asked: at most 40") for name in JOINTS for bare in (False, True)]
 
 
 def least(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from math import inf
 from typing import Any
@@ -12,6 +13,8 @@ from teleop.scene.playout import Playout, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, link_plans
 from teleop.stages.lanes import LEFT_OUT
+
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
 
 
 def facts_of(scene: Scene, seed: int = 0, axis: int = 0) -> Facts:
@@ -91,13 +94,20 @@ def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, h
     """
     if scene.slave is None:
         return []
-    told: dict[str, list[str]] = {}
+    told: dict[str, list[tuple[str, str]]] = {}  # by what is left without the numbers
     alike = not any(isinstance(getattr(scene, name), tuple) for name in ("law", "master", "slave", "scaling"))
     for i, name in enumerate(scene.axis_names[:1] if alike else scene.axis_names):
         for sentence in broken(scene.laws[i], facts(scene, i, fwd, bwd, lossy, held)):
-            told.setdefault(sentence, []).append(name)
-    return [sentence if alike or len(names) == scene.axes else f"{enumerated(names)}: {sentence}"
-            for sentence, names in told.items()]
+            told.setdefault(_NUMBER.sub("", sentence), []).append((name, sentence))
+    return [each[0][1] if alike else _of_axes(each, scene.axes) for each in told.values()]
+
+
+def _of_axes(told: list[tuple[str, str]], axes: int) -> str:
+    """A sentence on some of so many axes, each with its numbers: that of the first, and the names of the others."""
+    names, sentences = zip(*told, strict=True)
+    if len(set(sentences)) > 1:
+        return f"{names[0]}: {sentences[0]} (and {enumerated(names[1:])}, with their own numbers)"
+    return sentences[0] if len(names) == axes else f"{enumerated(names)}: {sentences[0]}"
 
 
 def _word(playout: Playout) -> str:

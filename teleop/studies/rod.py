@@ -26,17 +26,19 @@ class RodMotion(NamedTuple):
 
 def rod_motion(scene: Scene) -> list[RodMotion]:
     """The motion of the rod along each axis; none where no hand moves a slave, and where the scene scales."""
-    paths, hand, slave = reference_samples(scene), scene.hand, scene.slave
-    scaling = scene.scaling
-    if paths is None or hand is None or slave is None or (
-            scaling is not None and (scaling.scale_x, scaling.scale_f) != (1.0, 1.0)):
+    paths = reference_samples(scene)
+    if paths is None or scene.slave is None or any(
+            each is not None and (each.scale_x, each.scale_f) != (1.0, 1.0) for each in scene.per_axis("scaling")):
         return []
     dt = scene.dt_ns / 1e9
-    one = replace(scene, slave=MassDamper(
-        mass=hand.mass + scene.master.mass + slave.mass, damping=scene.master.damping + slave.damping,
-        friction=scene.master.friction + slave.friction))
+    ends = list(zip(*[scene.per_axis(name) for name in ("master", "slave", "hand")], strict=True))
+    bodies = [MassDamper(mass=master.mass + slave.mass + (0.0 if hand is None else hand.mass),
+                         damping=master.damping + slave.damping, friction=master.friction + slave.friction)
+              for master, slave, hand in ends]
+    one = replace(scene, slave=bodies[0] if all(body == bodies[0] for body in bodies) else tuple(bodies))
     found = []
-    for plant, path, start in zip(slave_plants(one), paths, scene.vector("start_m", scene.start_m), strict=True):
+    for plant, path, start, (_, _, hand) in zip(
+            slave_plants(one), paths, scene.vector("start_m", scene.start_m), ends, strict=True):
         x, v = start, 0.0
         inner = () if plant.start is None else (plant.start,)
         motion = RodMotion(start, [], [], [])
@@ -44,7 +46,7 @@ def rod_motion(scene: Scene) -> list[RodMotion]:
             motion.x.append(x)
             motion.v.append(v)
             motion.f_env.append(plant.force(plant.c, x, v, *inner))
-            push = hand.k * (path[k] - x) + hand.d * ((path[k + 1] - path[k]) / dt - v)
+            push = 0.0 if hand is None else hand.k * (path[k] - x) + hand.d * ((path[k + 1] - path[k]) / dt - v)
             x, v, _, *inner = plant.move(plant.c, x, v, push, *inner)  # type: ignore[assignment]  # z or nothing
         found.append(motion)
     return found

@@ -213,7 +213,8 @@ def _matrix(added: ArgumentParser) -> None:
 
 def _compare(added: ArgumentParser) -> None:
     added.add_argument("file", metavar="FILE", nargs="?",
-                       help="a comparison of your own, TOML; left out: the built-in scenarios/compare.toml")
+                       help="a comparison of your own, TOML, or the name of a scene, over its own link; left out: the "
+                       "built-in scenarios/compare.toml")
     added.add_argument("--laws", metavar="NAMES", help="compare these laws, names or FILE.py, joined by commas; left "
                        "out: those of the file, the built-in one has every law with two ends")
     added.add_argument("--tuned", metavar="N", type=whole, nargs="?", const=60, help="each law with the parameters "
@@ -225,8 +226,13 @@ def _compare(added: ArgumentParser) -> None:
     _plot(added, "a figure for each question")
 
 
+def _axis(added: ArgumentParser) -> None:
+    added.add_argument("--axis", metavar="NAME", help="the axis to look at, of a scene whose axes have parts of their own")
+
+
 def _precision(added: ArgumentParser) -> None:
     scene_options(added)
+    _axis(added)
     _out(added, "SCENE-precision")
     _json(added)
     _plot(added, "precision.png")
@@ -252,6 +258,7 @@ def _stability(added: ArgumentParser) -> None:
 
 def _passivity(added: ArgumentParser) -> None:
     scene_options(added)
+    _axis(added)
     added.add_argument("--range", metavar="LOW:HIGH", help="frequencies in Hz; left out: 0.1 to half the rate, of two "
                        "ports 0.49 of it")
     added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json and curves.npz into; "
@@ -262,6 +269,7 @@ def _passivity(added: ArgumentParser) -> None:
 
 def _zwidth(added: ArgumentParser) -> None:
     scene_options(added)
+    _axis(added)
     added.add_argument("--range-k", metavar="LOW:HIGH", help="stiffness (N/m) in which to look for what is stable and "
                        "what comes to rest; left out: all")
     added.add_argument("--range-b", metavar="LOW:HIGH", help="the same of damping (N s/m)")

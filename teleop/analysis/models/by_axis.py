@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.linear import with_linear_law
+from teleop.errors import Refused, nearest
 from teleop.law import law_name
 from teleop.scene.axes import PER_AXIS
 from teleop.scene.one_axis import on_axis
@@ -52,3 +53,28 @@ def coupling_law(scene: Scene) -> str:
 
 def _grip(hand: Any) -> tuple[float, float, float] | None:
     return None if hand is None else (hand.mass, hand.k, hand.d)
+
+
+def along(scene: Scene, name: str | None) -> Scene:
+    """The scene along the axis that is called so, by itself; `name` left out: the scene as it is. Raises `Refused`."""
+    if name is None:
+        return scene
+    if name not in scene.axis_names:
+        raise Refused(f"scene {scene.name} has no axis {name!r}; {nearest(name, scene.axis_names)}")
+    if couples(scene):
+        raise Refused(f"{coupling_law(scene)} of scene {scene.name}, so none of them is judged by itself; leave --axis "
+                      "out, or take a law that does not, for example --set law=wave")
+    return replace(on_axis(scene, scene.axis_names.index(name)), name=scene.name)
+
+
+def one_loop(scene: Scene) -> Scene:
+    """The scene, whose axes have the same bodies, hand, law and device, so that one stands for all; else `Refused`."""
+    if own_parts(scene):
+        raise Refused(f"the axes of scene {scene.name} have parts of their own, and this is asked of one loop; name "
+                      f"its axis, --axis {scene.axis_names[0]}, or from Python take on_axis(scene, 0)")
+    return scene
+
+
+def own_parts(scene: Scene) -> bool:
+    """True if axes have parts of their own beside what they touch."""
+    return any(isinstance(getattr(scene, name), tuple) for name in PER_AXIS if name != "environment")

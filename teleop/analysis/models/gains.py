@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING
 
+from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.models.one_port_loop import one_axis
 from teleop.errors import Refused
 from teleop.law import law_name
@@ -18,6 +19,7 @@ def check(scene: Scene) -> Scene:
     if scene.slave is not None:
         raise Refused(f"scene {scene.name} has a slave, and a Z-width is that of one device with what its controller "
                       "renders; take a scene without one, for example teleop zwidth virtual_wall")
+    one_loop(scene)
     known = {field.name for field in fields(scene.law)} if is_dataclass(scene.law) else set()
     if not all(name in known and isinstance(getattr(scene.law, name), float | int) for name in ("K", "B")):
         raise Refused(f"law {law_name(scene.law)} has no stiffness K and damping B to draw a plane of; take one that "

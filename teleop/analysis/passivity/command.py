@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 from pathlib import Path
 
+from teleop.analysis.models.by_axis import along
 from teleop.analysis.passivity.report import ask, curves, summary, table
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_arrays
@@ -22,7 +23,7 @@ def command(args: Namespace) -> Answer:
     Raises `Refused`.
     """
     formats = asked_formats(args)
-    scene = load_scene(args.scene, **knobs_from(args))
+    scene = along(load_scene(args.scene, **knobs_from(args)), args.axis)
     found = ask(scene, seed=args.seed, span=args.range)
     answer = Answer(table(found), summary(found, args.typed))
     if args.out is None and not formats:

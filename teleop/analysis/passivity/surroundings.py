@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.models.linear import link_ticks, with_linear_law
 from teleop.errors import Refused
 from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed
@@ -22,7 +23,7 @@ def linear_parts(scene: Scene) -> tuple[Scene, list[str]]:
 
     A law that is not linear is replaced by the one that it offers, which is not left out.
     """
-    scene = with_linear_law(scene)
+    scene = with_linear_law(one_loop(scene))
     left = [name for name in ("cap", "watchdog", "passivity") if getattr(scene, name) is not None]
     changes: dict[str, Any] = dict.fromkeys((*left, "operator"))  # whose clutch is closed
     for name in ("device_m", "device_s"):

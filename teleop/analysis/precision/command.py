@@ -6,6 +6,7 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
+from teleop.analysis.models.by_axis import along
 from teleop.analysis.precision.measure import measure
 from teleop.analysis.precision.report import summary, table
 from teleop.scene.loading import load_scene
@@ -25,7 +26,7 @@ def command(args: Namespace) -> Answer:
     Raises `Refused`.
     """
     formats = asked_formats(args)
-    scene = load_scene(args.scene, **knobs_from(args))
+    scene = along(load_scene(args.scene, **knobs_from(args)), args.axis)
     with new_folder(args.out, f"{scene.name}-precision") as new:
         with shown_on(None if args.json else sys.stderr, args.seconds) as show:
             found = measure(scene, seed=args.seed, clock=args.nanoseconds, rounds=args.rounds, show=show)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
+from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.precision.contenders.contenders import Contender
 from teleop.analysis.precision.contenders.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
 from teleop.analysis.precision.costs import run_costs, step_costs
@@ -130,7 +131,7 @@ def measure(
     there are as many rounds and contenders as fit into `BUDGET` seconds. `show` takes how much is done, 0 to 1, and a
     text. Raises `Refused` for an environment whose equation is not known, and for a run too long to compare unasked.
     """
-    _check(scene, rounds)
+    _check(one_loop(scene), rounds)
     everyone = list(contenders(scene))
     show = show or _quiet
     share = 0.1 if closed(scene) else 0.5  # of the progress, for the reference

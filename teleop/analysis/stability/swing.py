@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from teleop.analysis.models.by_axis import own_parts
 from teleop.analysis.models.rest import FreeMotion, HeldGrip, settled
-from teleop.scene.axes import PER_AXIS
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import WINDOWS
@@ -70,8 +70,7 @@ def swing(scene: Scene, *, seed: int = 0) -> FreeMotion:
 
 def kicked_axes(scene: Scene) -> tuple[int, ...]:
     """The axes that are kicked: the first, and each with parts of its own, whose loop is another."""
-    own = any(isinstance(getattr(scene, name), tuple) for name in PER_AXIS if name != "environment")
-    return tuple(range(scene.axes)) if own else (0,)
+    return tuple(range(scene.axes)) if own_parts(scene) else (0,)
 
 
 def _hardest(result: Result) -> int:

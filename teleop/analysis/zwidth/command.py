@@ -7,6 +7,7 @@ from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
+from teleop.analysis.models.by_axis import along
 from teleop.analysis.zwidth.assess import assess, span
 from teleop.analysis.zwidth.report import summary, table
 from teleop.scene.loading import load_scene
@@ -26,7 +27,7 @@ def command(args: Namespace) -> Answer:
     Raises `Refused`, and KeyboardInterrupt if nothing was found yet.
     """
     formats = asked_formats(args)
-    scene = load_scene(args.scene, **knobs_from(args))
+    scene = along(load_scene(args.scene, **knobs_from(args)), args.axis)
     span_K, span_B = span("--range-k", args.range_k), span("--range-b", args.range_b)
     with new_folder(args.out, f"{scene.name}-zwidth") as new:
         with shown_on(None if args.json else sys.stderr, args.seconds) as show:

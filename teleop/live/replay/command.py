@@ -13,6 +13,7 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.record import FILE, never_met, read_record
 from teleop.live.replay.open_loop import Commanded, commanded
 from teleop.live.replay.rerun import Difference, EndFolder, difference, read_end
+from teleop.scene.axes import FORCE_UNIT
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
@@ -140,11 +141,14 @@ def _told_open(answers: Mapping[str, Commanded], scene: Scene, ends: int
                ) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     rows, document = [], {}
     for e, one in answers.items():
-        own = figures(one, scene.dt_ns)
-        apart = (f"they differ by {si(own.rms_difference, 'N')} rms, at most {si(own.greatest_difference, 'N')} at t = "
-                 f"{own.at:.3f} s") if own.greatest_difference else "the same at every tick"
-        rows.append((NAMES[e], f"f_{e} rms {si(own.rms, 'N')}, recorded {si(own.rms_recorded, 'N')}; {apart}"))
-        force = {key: finite(value) for key, value in own._asdict().items()}
+        own, axis = figures(one, scene.dt_ns), _worst_axis(one)
+        unit = FORCE_UNIT[scene.axis_units[axis]]
+        apart = (f"they differ by {si(own.rms_difference, unit)} rms, at most {si(own.greatest_difference, unit)} at "
+                 f"t = {own.at:.3f} s") if own.greatest_difference else "the same at every tick"
+        along = f" along {scene.axis_names[axis]}" * (scene.axes > 1)
+        rows.append((NAMES[e], f"f_{e}{along} rms {si(own.rms, unit)}, recorded {si(own.rms_recorded, unit)}; {apart}"))
+        force: dict[str, Any] = {key: finite(value) for key, value in own._asdict().items()}
+        force |= {"axis": scene.axis_names[axis], "unit": unit} if scene.axes > 1 else {}
         document[NAMES[e]] = {"ticks": len(one.k), "force": force,
                               "heard": "recorded" if ends == 1 else "exchanged"}
     return rows, document
@@ -157,12 +161,18 @@ def figures(one: Commanded, dt_ns: int) -> Figures:
     if not len(one.k):
         nan = float("nan")
         return Figures(nan, nan, nan, nan, nan)
-    apart = one.commanded - one.recorded
-    axis = int(np.argmax(np.max(np.abs(apart), axis=0)))
+    apart, axis = one.commanded - one.recorded, _worst_axis(one)
     i = int(np.argmax(np.abs(apart[:, axis])))
     with np.errstate(all="ignore"):  # of a law that gives what is not finite
         was, now, rest = [float(np.sqrt(np.mean(each[:, axis] ** 2))) for each in (one.recorded, one.commanded, apart)]
     return Figures(was, now, rest, float(abs(apart[i, axis])), float(one.k[i] * dt_ns / 1e9))
+
+
+def _worst_axis(one: Commanded) -> int:
+    """The axis on which the forces differ most; 0 of no ticks."""
+    import numpy as np
+
+    return int(np.argmax(np.max(np.abs(one.commanded - one.recorded), axis=0))) if len(one.k) else 0
 
 
 def _arrays(answers: Mapping[str, Commanded], scene: Scene) -> dict[str, NDArray[np.float64]]:

@@ -7,18 +7,17 @@ there every seed gives the same run.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 from teleop.errors import Refused
 from teleop.law import is_built_in
-from teleop.law.offers import broken
 from teleop.scene.library import ROOT, own_file
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import facts, of_plans
+from teleop.simulation.facts import facts, law_notes, of_plans
 from teleop.simulation.plan import LinkPlans, link_plans
 from teleop.studies.compare.file import Comparison, Part
 
@@ -71,18 +70,18 @@ def _case(asked: Comparison, where: str, law: Part, environment: Part, link: Par
                       "scene, for example scene = \"hard_wall\"")
     key = environment.name, link.name
     plans, dice = drawn.get(key) or drawn.setdefault(key, _drawn(scene, asked.seeds))
-    known = facts(scene, 0, *of_plans(scene, plans, scene.ticks))
-    found: Any = scene.law
+    played = of_plans(scene, plans, scene.ticks)
     if tuned is not None:
         knobs |= tuned[law.name, link.name]
-        found = load_scene(environment.text, **knobs).law
-    elif asked.fitted and hasattr(found, "fitted"):
-        fitted = found.fitted(known)
-        knobs |= _changed(found, fitted)
-        found = fitted
+        scene = load_scene(environment.text, **knobs)
+    elif asked.fitted and hasattr(scene.laws[0], "fitted"):
+        laws = tuple([each.fitted(facts(scene, i, *played)) for i, each in enumerate(scene.laws)])
+        knobs |= _changed(scene.laws, laws)
+        scene = replace(scene, law=laws if isinstance(scene.law, tuple) else laws[0])
+    found: Any = scene.laws[0]
     own = None if is_built_in(found) else own_file(type(found))
     return Case(law=law.name, link=link.name, environment=environment.name, scene=environment.text, knobs=knobs,
-                seeds=asked.seeds if dice else asked.seeds[:1], conditions=tuple(broken(found, known)),
+                seeds=asked.seeds if dice else asked.seeds[:1], conditions=tuple(law_notes(scene, *played)),
                 source="" if own is None else own.digest)
 
 
@@ -96,13 +95,16 @@ def _played(plans: LinkPlans) -> list[bytes]:
     return [b"" if plan is None else plan.played_at.tobytes() for plan in plans]
 
 
-def _changed(law: Any, fitted: Any) -> dict[str, object]:
-    """The parameters in which a fitted law differs, as knobs."""
-    if not is_dataclass(law):
+def _changed(laws: tuple[Any, ...], fitted: tuple[Any, ...]) -> dict[str, object]:
+    """The parameters in which fitted laws of the axes differ, as knobs: a number, or where axes differ one for each."""
+    if not is_dataclass(laws[0]):
         return {}
-    names = [field.name for field in fields(law) if field.init]
-    return {f"law.{name}": float(getattr(fitted, name)) for name in names
-            if getattr(fitted, name) != getattr(law, name)}
+    found: dict[str, object] = {}
+    for name in [field.name for field in fields(laws[0]) if field.init]:
+        was, now = [[float(getattr(law, name)) for law in each] for each in (laws, fitted)]
+        if was != now:
+            found[f"law.{name}"] = now[0] if len(set(now)) == 1 else tuple(now)
+    return found
 
 
 def _typed(value: object) -> str:

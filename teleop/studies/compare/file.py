@@ -34,7 +34,8 @@ from typing import Any
 
 from teleop.errors import Refused, nearest, whole_number
 from teleop.law import find_law, known_laws
-from teleop.scene.library import ROOT
+from teleop.scene.library import ROOT, import_bundled, known_scenes
+from teleop.scene.loading import load_scene
 from teleop.storage.files import read_bytes
 from teleop.sweeps.matrix_file import flat_knobs
 
@@ -77,17 +78,18 @@ def two_port_laws() -> list[str]:
 def read_comparison(path: Path | str = BUILT_IN, laws: Sequence[str] | None = None) -> Comparison:
     """The comparison of a file, its keys and values checked; its scenes are not made yet.
 
+    The name of an installed scene stands for a file with that scene as its environment, over the scene's own link.
     `laws`: those to be compared in place of the file's, by name or FILE.py. Raises `Refused`.
     """
     import tomllib
 
     path = Path(path)
     try:
-        held = tomllib.loads(read_bytes(path).decode())
+        held = _of_scene(str(path)) if str(path) in known_scenes() else tomllib.loads(read_bytes(path).decode())
     except (OSError, ValueError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise Refused(f"the comparison {path} cannot be read ({why}); give a file of TOML with [[link]] and "
-                      "[[environment]] tables, or none for the built-in comparison") from None
+                      "[[environment]] tables, the name of a scene, or none for the built-in comparison") from None
     where = path.name
     _known(held, TOP, where)
     if laws is not None:
@@ -107,6 +109,13 @@ def read_comparison(path: Path | str = BUILT_IN, laws: Sequence[str] | None = No
                        knobs=_knobs(held.get("set", {}), where))
     _check_knobs(found, where)
     return found
+
+
+def _of_scene(name: str) -> dict[str, Any]:
+    """What the file would hold in which a scene is the only environment, over its own link."""
+    link = load_scene(name).link
+    text = "delay(0.0)" if link is None else import_bundled("channel.link").describe(link)
+    return {"link": [{"name": "own", "link": text}], "environment": [{"name": name[:LONGEST], "scene": name}]}
 
 
 def _place(given: object, places: Sequence[str], where: str) -> str:

@@ -93,7 +93,7 @@ def work(job: Job) -> list[dict[str, Any]]:
         scene = load_scene(case.scene, **case.knobs)
         if not known:  # of one environment, so the same for all
             touch, known = touch_of_rod(scene), True
-        given = seed_energy(scene.law, scene.dt_ns / 1e9, scene.axes)
+        given = _seed_energy(scene)
         of_case = {"seed_energy": given, **margins(scene, numbers[0][1])}
         for number, seed in numbers:
             row: dict[str, Any] = {"row": number, "seed": seed, "environment": case.environment, "link": case.link,
@@ -108,6 +108,14 @@ def work(job: Job) -> list[dict[str, Any]]:
             rows.append({**row, "status": result.status, "ended": ended, "ticks": result.ticks, "sentence": sentence,
                          **result.metrics, **of_result(result, touch), **of_case})
     return rows
+
+
+def _seed_energy(scene: Scene) -> float:
+    """The energy that the laws of all axes are given before the first tick, J."""
+    dt, laws = scene.dt_ns / 1e9, scene.laws
+    if not isinstance(scene.law, tuple) or hasattr(laws[0], "master_sums"):
+        return seed_energy(laws[0], dt, scene.axes)
+    return sum(seed_energy(law, dt) for law in laws)
 
 
 def how_it_ended(result: Result) -> tuple[str, str]:
