@@ -24,7 +24,6 @@ Row = tuple[str, str, str]
 TICKS = 2000
 LEAST = {1: "asked: at most 10", 3: "asked: at most 25"}
 JOINTS = ("pp", "four_channel", "wave", "tdpa")  # laws of the scene leader_follower
-BARE = {"energy": False, "watchdog": None, "cap": None}  # the law and what it reads alone
 SIDE = {"scalar": 1, "vector": 8}  # rows at once
 
 
@@ -57,7 +56,7 @@ def laws(rounds: int) -> list[Row]:
 def joints(rounds: int) -> list[Row]:
     """A live tick of six joints with a law for each: with all stages, and without ledgers, watchdog and caps."""
     scenes = {name: load_scene("leader_follower", law=name) for name in JOINTS}
-    calls = {(name, bare, e): ticks(replace(scene, **BARE) if bare else scene, e)
+    calls = {(name, bare, e): ticks(replace(scene, energy=False, watchdog=None, cap=None) if bare else scene, e)
              for name, scene in scenes.items() for bare in (False, True) for e in NAMES}
     took = least(calls, rounds)
     return [(f"{name}: live tick of six joints{', the law alone' * bare}, master / slave",

@@ -6,6 +6,7 @@ gives its axes names or units; without them the axes are called as in `teleop.sc
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,6 +20,10 @@ SHAPES: dict[str, Check] = {"axis_names": each(text, most=MOST_AXES),
                             "axis_units": each(one_of(*FORCE_UNIT), most=MOST_AXES)}
 TURNING = {"m": "rad", "m/s": "rad/s", "N": "N m", "N/s": "N m/s", "N/m": "N m/rad", "N s/m": "N m s/rad",
            "kg": "kg m^2"}  # the unit of a quantity along an axis that turns, by that along a line
+
+
+_LONGEST_FIRST = "|".join(sorted(map(re.escape, TURNING), key=len, reverse=True))
+_BEHIND = re.compile(rf"(?<=\d )([unmkMG]?)({_LONGEST_FIRST})(?![\w/])")  # a number, with the prefix of the unit
 
 
 class AxisLabels(NamedTuple):
@@ -57,6 +62,15 @@ def labels_of(scene: Scene) -> AxisLabels:
 def labels_in(document: Mapping[str, Any]) -> AxisLabels:
     """The labels in a document whose shape was checked by `SHAPES`."""
     return AxisLabels(*[tuple(document.get(key) or ()) for key in SHAPES])
+
+
+def told_along(text: str, axis: str) -> str:
+    """A sentence on an axis in m or rad, which was written for one along a line: its units behind numbers.
+
+    >>> told_along("with 0.04 kg and 0.2 N s/m after 5 ms, 3 mm of way", "rad")
+    'with 0.04 kg m^2 and 0.2 N m s/rad after 5 ms, 3 mrad of way'
+    """
+    return _BEHIND.sub(lambda found: found[1] + TURNING[found[2]], text) if axis == "rad" else text
 
 
 def unit_on(unit: str, axis: str) -> str:

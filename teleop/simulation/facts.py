@@ -9,6 +9,7 @@ from typing import Any
 
 from teleop.errors import enumerated
 from teleop.law.offers import Delay, Facts, broken
+from teleop.scene.axis_labels import told_along
 from teleop.scene.playout import Playout, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, link_plans
@@ -98,7 +99,8 @@ def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, h
     alike = not any(isinstance(getattr(scene, name), tuple) for name in ("law", "master", "slave", "scaling"))
     for i, name in enumerate(scene.axis_names[:1] if alike else scene.axis_names):
         for sentence in broken(scene.laws[i], facts(scene, i, fwd, bwd, lossy, held)):
-            told.setdefault(_NUMBER.sub("", sentence), []).append((name, sentence))
+            own = told_along(sentence, scene.axis_units[i])
+            told.setdefault(_NUMBER.sub("", own), []).append((name, own))
     return [each[0][1] if alike else _of_axes(each, scene.axes) for each in told.values()]
 
 

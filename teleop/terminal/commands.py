@@ -227,7 +227,7 @@ def _compare(added: ArgumentParser) -> None:
 
 
 def _axis(added: ArgumentParser) -> None:
-    added.add_argument("--axis", metavar="NAME", help="the axis to look at, of a scene whose axes have parts of their own")
+    added.add_argument("--axis", metavar="NAME", help="of a scene whose axes have parts of their own: the one meant")
 
 
 def _precision(added: ArgumentParser) -> None:

@@ -176,12 +176,13 @@ def _scheduling(result: Result) -> Iterator[str]:
 
 
 def _integration(result: Result) -> Iterator[str]:
+    unit = result.labels.unit("m") or "m or rad"
     for end, own in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
-        text = f"{end}: error estimated at {si(float(own['error_estimate_max']), 'm')} a tick"
-        text += f" ({si(float(own['error_estimate_sum']), 'm')} in all), "
+        text = f"{end}: error estimated at {si(float(own['error_estimate_max']), unit)} a tick"
+        text += f" ({si(float(own['error_estimate_sum']), unit)} in all), "
         text += f"up to {number_of(own['substeps_max'], 'sub-step')}"
         over = own["ticks_over_tolerance"]
-        yield text + (f"; {number_of(over, 'tick')} above {si(own['tolerance'], 'm')}" if over else "")
+        yield text + (f"; {number_of(over, 'tick')} above {si(own['tolerance'], unit)}" if over else "")
 
 
 def _per_tick(result: Result) -> Iterator[str]:

@@ -10,6 +10,7 @@ from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_po
 from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
 from teleop.law.analysis_offers import instead
+from teleop.scene.axis_labels import labels_of, told_along
 from teleop.terminal.answer import finite, scene_head, titled
 from teleop.terminal.ranges import typed_range
 from teleop.terminal.table import facts
@@ -87,7 +88,8 @@ def table(answer: PassivityAnswer) -> str:
         rows += _two(answer.two)
     if answer.left_out:
         rows.append(("left out", ", ".join(answer.left_out) + ": not linear, or not known here"))
-    return facts(rows)
+    names = labels_of(answer.scene)
+    return facts([(label, told_along(text, names.in_units(answer.scene.axes)[0])) for label, text in rows])
 
 
 def _damping(value: float) -> str:

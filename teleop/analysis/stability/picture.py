@@ -138,7 +138,18 @@ def sweep(make: Callable[[float], Scene], values: Sequence[float], *, seed: int 
 
 
 def _margins(scene: Scene, seed: int) -> tuple[float | None, float | None, float | None]:
-    """Growth of the dominant mode (1/s), gain margin, phase margin (rad) of one scene."""
+    """Growth of the dominant mode (1/s), gain and phase margin (rad) of one scene; of several axes the worst of each.
+
+    Of a scene that is unstable on some axes the gain margin is that of those, as in `Stability`.
+    """
+    from teleop.analysis.models.by_axis import alike, couples
+
+    if scene.axes > 1 and not couples(scene):
+        every = [_margins(own, seed) for own, _ in alike(scene)]
+        shaky = [each for each in every if each[0] is not None and each[0] > 0.0] or every
+        return (max((a for a, _, _ in every if a is not None), default=None),
+                min((b for _, b, _ in shaky if b is not None), default=None),
+                None if len(shaky) < len(every) else min((c for _, _, c in every if c is not None), default=None))
     linear = linear_loop(scene, seed)
     if scene.slave is None:
         from teleop.analysis.models.one_port_loop import gain_and_mode
