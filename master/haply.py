@@ -57,11 +57,12 @@ class Settings:
 
 
 class Inverse3:
-    """The device. `read` and `hold` return at once, whatever the service does; what is wrong is a `DeviceError`.
+    """An Inverse3 of Haply by its WebSocket service, haply or haply:ws://HOST:PORT.
 
-    A service that goes away is called again every 0.25 s, and one that says nothing for 0.05 s is read no more until it
-    does. The motors push with -force, no longer than `limit`: where that may be reached, give the scene's `cap` the
-    same, so that the law knows of it.
+    `read` and `hold` return at once, whatever the service does; what is wrong is a `DeviceError`. A service that goes
+    away is called again every 0.25 s, and one that says nothing for 0.05 s is read no more until it does. The motors
+    push with -force, no longer than `limit`: where that may be reached, give the scene's `cap` the same, so that the
+    law knows of it.
     """
 
     watchdog: DeviceWatchdog | None

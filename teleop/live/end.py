@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number
 from teleop.live import fault, security
-from teleop.live.devices.guarded_device import LiveDevice
+from teleop.live.devices.guarded_device import LiveDevice, is_simulated
 from teleop.live.devices.heartbeat import DeviceWatchdog, watched
 from teleop.live.devices.named import named
 from teleop.live.devices.opening import close, opened
@@ -104,11 +104,11 @@ def _run_with(
     sealed, insecure = security.secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
         there.append(made := opened(device, scene) if given is None else given.open(scene))
+        _check_stepped(args, made)
         stem = f"{scene.name}-{NAMES[e]}"
-        asked = _watchdog(e, args, knobs)
         with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
-              nullcontext(made) if args.lockstep else watched(made, folder.path, scheduling.above, asked)
-              as watched_device):
+              nullcontext(made) if args.lockstep else watched(
+                  made, folder.path, scheduling.above, _watchdog(e, args, knobs)) as watched_device):
             progress = _Progress(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
@@ -165,12 +165,21 @@ def _arguments(e: str, argv: list[str]) -> Namespace:
     args = _parser(e).parse_args(argv)
     if args.orders and args.lockstep:
         raise Refused("--orders are for ends that go by the clock; leave --lockstep out")
+    if args.watchdog and args.lockstep:
+        raise Refused("--watchdog is for ends that go by the clock; leave --lockstep out")
     if args.watchdog and not args.named:
         raise Refused(f"--watchdog opens the {KINDS[e].word} a second time by its name; give it one by "
                       f"{KINDS[e].option} NAME, or see teleop/live/devices/README.md")
     if args.wait is not None:
         number("--wait", args.wait, above=0.0)
     return args
+
+
+def _check_stepped(args: Namespace, device: LiveDevice) -> None:
+    """Refuse a machine where a tick takes as long as its packets do."""
+    if args.lockstep and args.named and not is_simulated(device):
+        raise Refused("--lockstep holds a force for as long as packets are waited for, so it is for what is "
+                      f"simulated, and {args.named} does not say that it is; leave --lockstep out")
 
 
 def _watchdog(e: str, args: Namespace, knobs: dict[str, str]) -> DeviceWatchdog | None:

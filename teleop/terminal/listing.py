@@ -57,6 +57,8 @@ def command(args: Namespace) -> Answer:
     try:
         found = find(args.name)
     except Refused as refused:
+        if rows := _devices_called(args.name):
+            return Answer(_aligned(rows), {"found": rows})
         unknown, _, known = str(refused).partition("; ")
         near = nearest(args.name, TABLES)
         if near.startswith("did you mean"):
@@ -116,6 +118,12 @@ def _stages() -> tuple[Rows, list[str]]:
     return [*before, law, *after], [
         "in the order of a tick, a stage that a scene does not name is not there: see `teleop show tick SCENE`",
         "device_m is that of the master, device_s that of the slave; `teleop list SCENE` has the knobs of a scene"]
+
+
+def _devices_called(name: str) -> Rows:
+    """The device and the robot of this name."""
+    return [{"name": f"{kind.option} {name}", "meaning": device_line(e, name, place)}
+            for e, kind in KINDS.items() if (place := known_devices(e).get(name)) is not None]
 
 
 def _devices(e: str) -> tuple[Rows, list[str]]:

@@ -108,7 +108,3 @@ def test_without_a_watchdog_the_last_resort_lets_go_of_one_that_hangs_at_the_sec
     assert "the device has neither a deadline nor a watchdog" in err, "said at its start"
     assert "its device was set to zero force" in err
     assert motor.force == 0.0
-
-
-def test_a_watchdog_of_a_device_without_a_name_is_refused(command: Callable[..., Command]) -> None:
-    command("slave", "hard_wall", "--listen", "127.0.0.1:0", "--watchdog").refused("give it one by --robot NAME")

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from slave.__main__ import main as slave_main
 from slave.robot import SimulatedSlave
 from teleop import Reading, Refused, load_scene
+from teleop.__main__ import main
 from teleop.live.devices.named import named
+from teleop.scene.device_names import KINDS, device_line
 
 SCENE = load_scene("hard_wall", duration=0.1)
 OWN = """
@@ -31,6 +34,36 @@ class {name}:
 
 def test_a_built_in_robot_is_made_from_the_scene() -> None:
     assert isinstance(named("s", "simulated").open(SCENE), SimulatedSlave)
+
+
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_every_built_in_one_has_a_sentence_that_is_read_without_importing_it(e: str) -> None:
+    for name, place in KINDS[e].built_in.items():
+        line = device_line(e, name, place)
+        assert line.endswith("."), name
+        assert "plug-in" not in line, name
+
+
+def test_a_name_alone_is_listed_with_the_options_that_take_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "csv"]) == 0
+    told = capsys.readouterr().out
+    assert "--device csv  A recorded motion of a master" in told
+    assert "--robot csv   A recorded motion of a slave" in told
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (["--robot", "mine.py", "--lockstep"], "so it is for what is simulated, and mine.py does not say that it is"),
+    (["--robot", "mine.py", "--lockstep", "--watchdog"], "--watchdog is for ends that go by the clock"),
+    (["--watchdog"], "give it one by --robot NAME"),
+    (["--robot", "mine.py:Arm:/dev/x", "--set", "law=direct"], "the slave's device senses none"),
+])
+def test_an_end_that_cannot_be_driven_by_its_device_is_refused_before_it_listens(
+    options: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(OWN.format(name="Arm"))
+    assert slave_main(["hard_wall", "--listen", "127.0.0.1:0", "--quiet", *options]) == 2
+    assert words in capsys.readouterr().err
 
 
 def test_a_file_of_ones_own_needs_no_class_where_it_has_one_and_takes_an_argument(tmp_path: Path) -> None:

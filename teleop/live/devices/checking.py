@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from teleop.errors import DeviceError, Refused, number, number_of, whole_number
-from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice
+from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, is_simulated
 from teleop.live.devices.heartbeat import watched
 from teleop.live.devices.named import NamedDevice, named
 from teleop.live.devices.opening import close
@@ -114,7 +114,7 @@ class _Trial:
     def __init__(self, known: NamedDevice, device: LiveDevice, bare: LiveDevice, scene: Scene, e: str) -> None:
         self.known, self.bare, self.scene, self.e = known, bare, scene, e
         self.guarded = GuardedDevice(device, scene.axes)
-        self.simulated = bool(getattr(bare, "simulated", False) or getattr(bare, "scene_body", False))
+        self.simulated = is_simulated(bare)
         self.zero: Axes = (0.0,) * scene.axes
         self.k = 0
         self.began = time.monotonic_ns()

@@ -66,6 +66,11 @@ def deadline_of(device: LiveDevice, endpoint: Endpoint) -> float | None:
     return deadline
 
 
+def is_simulated(device: LiveDevice) -> bool:
+    """True if the device says that no machine moves."""
+    return bool(getattr(device, "simulated", False) or getattr(device, "scene_body", False))
+
+
 class GuardedDevice:
     """A device whose failures are values. `trouble`: what is wrong with it now, None if nothing is.
 
