@@ -138,6 +138,12 @@ def test_a_law_is_told_of_by_the_axes_on_which_its_condition_breaks() -> None:
     scene = unlike(tuple([TDPA(K=K, B=0.5, alpha_max=300.0) for K in (1500.0, 1500.0, 10.0)]), device_m=None)
     told = [note for note in run(scene).notes if note.startswith("shoulder and elbow: ")]
     assert told, run(scene).notes
+    unlike_numbers = replace(scene, law=tuple([TDPA(K=K, B=0.5, alpha_max=300.0) for K in (1500.0, 1600.0, 10.0)]),
+                             device_m=None)
+    told = [note for note in run(unlike_numbers).notes if "the coupling gives out" in note]
+    assert len(told) == 1
+    assert told[0].startswith("shoulder: ")
+    assert told[0].endswith("law.B=0.75 is the least (and elbow, with their own numbers)")
 
 
 
