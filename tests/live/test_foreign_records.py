@@ -141,7 +141,7 @@ class TestAScene:
     {"end": "x"}, {"end": None}, {"end": ["m"]}, {"dt_ns": "1"}, {"dt_ns": 0}, {"dt_ns": 10**300}, {"axes": 10**9},
     {"scene": 3}, {"scene": {}}, {"knobs": []}, {"knobs": {"duration": [1]}}, {"seed": -1}, {"seed": 1 << 64},
     {"mode": "virtual"}, {"columns": 5}, {"columns": []}, {"columns": ["k", "late_ns", "seq"]}, {"columns": [1] * 9},
-    {"columns": ["x"] * 101}, {"every": 0}, {"every": 10**9}, {"force": "felt"}, {"command": "rm"}, {"command": [1]},
+    {"columns": ["x"] * 1601}, {"every": 0}, {"every": 10**9}, {"force": "felt"}, {"command": "rm"}, {"command": [1]},
 ])
 def test_a_header_of_wrong_types_is_one_sentence(change: dict[str, Any], tmp_path: Path) -> None:
     record(tmp_path, [0.0, 1.0], header(**change))

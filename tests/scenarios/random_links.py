@@ -59,10 +59,11 @@ def scene(
 
 @cache
 def bases() -> tuple[str, ...]:
-    """The scenes that have a slave and need no file of the user's."""
+    """The scenes of up to three axes that have a slave and need no file of the user's."""
     whole = [name for name in built_in_scenes()
              if all(default is not ... for _, default, _ in knobs_of(scene_function(name)).values())]
-    return tuple(name for name in whole if load_scene(name).slave is not None)
+    made = {name: load_scene(name) for name in whole}
+    return tuple(name for name in whole if made[name].slave is not None and made[name].axes <= 3)
 
 
 # -- links
