@@ -25,12 +25,18 @@ Energy. With theta = log(q_m q_s^-1), V = K |theta|^2/2, and the exponential's l
 
 the torques K theta on one end and -K theta on the other, in the world's directions, are those of a potential, as with
 translations; so a law of positions is passive on rotation axes under the conditions that it has elsewhere. That needs
-one K for the three axes: the scene refuses laws that differ between the axes of one rotation. Sampled, theta and
-p = theta + d_m - d_s of its flat step differ by the commutators, and
+one K for the three axes: the scene refuses laws that differ between the axes of a rotation. Sampled, with d_m and d_s
+the turns of a tick and p = theta + d_m - d_s what a translation would come to,
 
-    |theta'|^2 = |p|^2 - theta . (d_m x d_s) + terms of fourth order, d_m and d_s the turns of a tick,
+    theta' = log(exp(d_m) exp(theta) exp(-d_s)),   |theta'|^2 = |p|^2 + theta . (d_m x d_s) + terms of fourth order.
 
-less than the K |d|^2 of the hold, which translations have too, where |theta| is below 1 and the ends turn alike.
+The difference is 0 where both ends turn alike, d_m = d_s, and of either sign else. Beside the K |d_m - d_s|^2/2 of a
+force that is held, which translations have too, it is as |theta| |d_s| to |d_m - d_s|: of the order of one tick either
+way, and what a damper takes of |d_m - d_s|^2/dt is above it by B/(K dt) |d_m - d_s|/(|theta| |d_s|).
+
+Waves are tied by twist and wrench alone. A commanded point is counted as an orientation too, so a coupling comes to rest
+where the tool stands as commanded; but the command has the hand's velocities and what reflections added to them, and
+ways that differ while the axis moves end at another orientation. That stays, as an offset does after lost waves.
 
 Beyond whole turns. A relative rotation of a whole turn has lost its axis; a coupling that is stretched by that much
 goes on about the last one. What an end turns by itself has no bound.
