@@ -31,8 +31,8 @@ the turns of a tick and p = theta + d_m - d_s what a translation would come to,
     theta' = log(exp(d_m) exp(theta) exp(-d_s)),   |theta'|^2 = |p|^2 + theta . (d_m x d_s) + terms of fourth order.
 
 The difference is 0 where both ends turn alike, d_m = d_s, and of either sign else. Beside the K |d_m - d_s|^2/2 of a
-force that is held, which translations have too, it is as |theta| |d_s| to |d_m - d_s|: of the order of one tick either
-way, and what a damper takes of |d_m - d_s|^2/dt is above it by B/(K dt) |d_m - d_s|/(|theta| |d_s|).
+force that is held, which translations have too, it is as |theta| |d_s| to |d_m - d_s|, and what a damper takes in the
+tick, B |d_m - d_s|^2/dt, is above it by the factor (B/(K dt)) |d_m - d_s|/(|theta| |d_s|).
 
 Waves are tied by twist and wrench alone. A commanded point is counted as an orientation too, so a coupling comes to rest
 where the tool stands as commanded; but the command has the hand's velocities and what reflections added to them, and
