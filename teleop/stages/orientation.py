@@ -34,9 +34,9 @@ The difference is 0 where both ends turn alike, d_m = d_s, and of either sign el
 force that is held, which translations have too, it is as |theta| |d_s| to |d_m - d_s|, and what a damper takes in the
 tick, B |d_m - d_s|^2/dt, is above it by the factor (B/(K dt)) |d_m - d_s|/(|theta| |d_s|).
 
-Waves are tied by twist and wrench alone. A commanded point is counted as an orientation too, so a coupling comes to rest
-where the tool stands as commanded; but the command has the hand's velocities and what reflections added to them, and
-ways that differ while the axis moves end at another orientation. That stays, as an offset does after lost waves.
+Waves are tied by twist and wrench alone. A commanded point is counted as an orientation too, so a coupling comes to
+rest where the tool stands as commanded; but the command has the hand's velocities and what reflections added to them,
+and ways that differ while the axis moves end at another orientation. That stays, as after lost waves.
 
 Beyond whole turns. A relative rotation of a whole turn has lost its axis; a coupling that is stretched by that much
 goes on about the last one. What an end turns by itself has no bound.
