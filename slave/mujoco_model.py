@@ -172,8 +172,9 @@ def _check_joints(mujoco: Any, scene: Scene, spec: Any, path: str) -> None:
     usable = _listed([f"{name} in {unit}" for name, unit in there.items() if unit is not None])
     missing = [name for name in scene.axis_names if there.get(name) is None]
     if missing:
-        raise Refused(f"the scene's axes {', '.join(missing)} are neither x, y or z nor joints of {path}; name them in "
-                      f"the scene by names=(...), after its joints ({usable}) or of x, y, z")
+        raise Refused(f"the scene's axes {', '.join(missing)} are no joints of {path} (it has {usable}), and axes that "
+                      "are not joints are called x, y, z, all of them, translations of an end effector; write --robot "
+                      "mujoco:FILE.xml with a model that has such joints, or names=(...) in the scene")
     for name, unit in zip(scene.axis_names, scene.axis_units, strict=True):
         if there[name] != unit:
             raise Refused(f"the scene's axis {name} is in {unit}, and the joint {name} of {path} is in {there[name]}; "

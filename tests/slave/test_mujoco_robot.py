@@ -179,9 +179,9 @@ class TestJoints:
 
     @pytest.mark.parametrize(("own", "says"), [
         ({"names": ("turn", "wrist"), "units": ("rad", "rad")},
-         r"axes wrist are neither x, y or z nor joints .*after its joints \(turn in rad, lift in rad, bend in rad\)"),
+         r"axes wrist are no joints of .* \(it has turn in rad, lift in rad, bend in rad\)"),
         ({"names": ("turn", "lift")}, r"axis turn is in m, and the joint turn of .* is in rad; write units="),
-        ({"names": ("x", "turn"), "units": ("m", "rad")}, "axes x are neither"),
+        ({"names": ("x", "turn"), "units": ("m", "rad")}, "axes x are no joints"),
         ({"names": ("x", "y"), "units": ("m", "rad")}, "axis y is in rad"),
     ])
     def test_axes_that_are_not_its_own_are_refused(self, own: Any, says: str) -> None:
