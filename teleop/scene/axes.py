@@ -86,6 +86,11 @@ def check_alike(name: str, parts: tuple[Any, ...]) -> None:
                       "power, or none")
 
 
+def scales(scene: Any) -> tuple[tuple[float, float], ...]:
+    """(scale_x, scale_f) of each axis of a scene, see `teleop.stages.scaling`; (1.0, 1.0) where it scales nothing."""
+    return tuple([(1.0, 1.0) if each is None else (each.scale_x, each.scale_f) for each in scene.per_axis("scaling")])
+
+
 def each_axis(make: Callable[..., Any], axes: int, **numbers: Any) -> Any:
     """What `make` makes of these numbers, for each axis where one of them is a tuple, else one for all axes.
 

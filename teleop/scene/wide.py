@@ -11,6 +11,7 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.knob import Declared, Knob
+from teleop.scene.axes import each_axis, scales
 from teleop.scene.library import import_bundled
 from teleop.scene.playout import Playout, as_typed, integrates
 from teleop.scene.scene import Scene
@@ -19,10 +20,12 @@ _SCALES = ("scale_x", "scale_f")
 WIDE = {
     "x_limit": Declared(float, Scene.x_limit, Knob(
         "m", "position beyond which a run has diverged, of master and slave", above=0.0)),
-    "scale_x": Declared(float, 1.0, Knob(
-        "", "metres of the slave, where there is one, for one metre of the master", above=0.0)),
-    "scale_f": Declared(float, 1.0, Knob(
-        "", "newtons of the slave, where there is one, for one newton of the master", above=0.0)),
+    "scale_x": Declared(float | tuple[float, ...], 1.0, Knob(
+        "", "metres (or rad) of the slave, where there is one, for one of the master; one number, or one an axis",
+        above=0.0)),
+    "scale_f": Declared(float | tuple[float, ...], 1.0, Knob(
+        "", "newtons (or N m) of the slave, where there is one, for one of the master; one number, or one an axis",
+        above=0.0)),
     "left_out": Declared(float, 0.0, Knob(
         "", "share of its ticks that each end leaves out, at random", low=0.0, high=1.0)),
     "deadband": Declared(float, 0.0, Knob(
@@ -61,11 +64,12 @@ def read_hand(value: object) -> tuple[str, Any]:
 def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with knobs of `WIDE` set. Raises `Refused`."""
     parts = {key: value for key, value in values.items() if key not in _SCALES}
-    scales = {key: value for key, value in values.items() if key in _SCALES}
-    if scales:
+    given = {key: value for key, value in values.items() if key in _SCALES}
+    if given:
         from teleop.stages.scaling import Scaling
 
-        parts["scaling"] = replace(scene.scaling or Scaling(), **scales)
+        own = [one if isinstance(scene.scaling, tuple) else one[0] for one in zip(*scales(scene), strict=True)]
+        parts["scaling"] = each_axis(Scaling, scene.axes, **{**dict(zip(_SCALES, own, strict=True)), **given})
     if "left_out" in parts:
         share = parts.pop("left_out")
         ticks = import_bundled("channel.left_out").LeftOut(share) if share > 0.0 else None

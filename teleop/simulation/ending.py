@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.scene.axes import scales
 from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import found_at_rest
@@ -73,7 +74,7 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
         return []
     motion = places(trace)
     if scene.scaling is not None and len(motion) > 1:  # in the master's units
-        motion[1] = motion[1] / scene.scaling.scale_x
+        motion[1] = motion[1] / np.array([scale_x for scale_x, _ in scales(scene)])
     swung = swings(motion, window)
     if trend(swung) != "grows":
         return []

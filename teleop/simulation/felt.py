@@ -40,6 +40,7 @@ from collections.abc import Mapping, Sequence
 from math import ceil, isfinite, nan, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 from teleop.simulation.trace import blocks
 
@@ -71,8 +72,7 @@ class Frame(NamedTuple):
 
     dt: float  # s
     axes: int
-    scale_x: float  # the slave's metres and newtons for those of the law
-    scale_f: float
+    scales: tuple[tuple[float, float], ...]  # of each axis (scale_x, scale_f), see `teleop.stages.scaling`
     at: tuple[float, ...]  # the place of what the slave touches, of each axis, m; NaN where it has none
 
     @property
@@ -83,10 +83,8 @@ class Frame(NamedTuple):
 
 def frame_of(scene: Scene) -> Frame:
     """That of a scene."""
-    scaling = scene.scaling
     places = [getattr(each, "at", nan) for each in scene.environments] if scene.slave is not None else []
-    return Frame(scene.dt_ns / 1e9, scene.axes, 1.0 if scaling is None else scaling.scale_x,
-                 1.0 if scaling is None else scaling.scale_f,
+    return Frame(scene.dt_ns / 1e9, scene.axes, scales(scene),
                  tuple([float(at) if isinstance(at, int | float) else nan for at in places]))
 
 
@@ -125,8 +123,8 @@ def figures(asked: Sequence[str], sums: Mapping[str, float], frame: Frame, ran: 
         if name in asked:
             found[name] = length(means(sums, name.removesuffix("_end"), frame, late))
     if "drift_end" in asked:
-        found["drift_end"] = length([s / frame.scale_x - m for s, m in zip(
-            means(sums, "x_s", frame, late), means(sums, "x_m", frame, late), strict=True)])
+        found["drift_end"] = length([s / scale_x - m for s, m, (scale_x, _) in zip(
+            means(sums, "x_s", frame, late), means(sums, "x_m", frame, late), frame.scales, strict=True)])
     return {name: found[name] for name in asked if name in found}
 
 
@@ -186,12 +184,13 @@ def stiffness(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
     axes = [i for i in range(frame.axes) if sums[f"touch_{i}"] == count and isfinite(frame.at[i])]
     touched = felt = way = own_way = 0.0
     for i in axes:
-        force, at = sums[f"f_env_{i}"] / count / frame.scale_f, frame.at[i] / frame.scale_x
+        scale_x, scale_f = frame.scales[i]
+        force, at = sums[f"f_env_{i}"] / count / scale_f, frame.at[i] / scale_x
         touched += force * force
         felt += force * (sums[f"f_m_{i}"] / count)
         way += force * (sums[f"x_m_{i}"] / count - at)
         if f"x_s_{i}" in sums:
-            own_way += force * (sums[f"x_s_{i}"] / count / frame.scale_x - at)
+            own_way += force * (sums[f"x_s_{i}"] / count / scale_x - at)
     if not (way > 0.0 and isfinite(felt)):
         return {}
     found = {"felt_stiffness": felt / way}

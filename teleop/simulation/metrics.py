@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 from teleop.simulation.angles import angle_error
 from teleop.simulation.felt import AT_REST, END, SUMS, TINY, figures, frame_of, resting, sums_of, turns_of
@@ -185,9 +186,17 @@ def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.floa
     lag = _lag(_ages(trace, seq, dt), dt)
     x, other = trace[mine], law_places(trace)[theirs]
     if scene.scaling is not None:  # in the master's units
-        x = x / scene.scaling.scale_x if name == "x_err" else x
-        other = other / scene.scaling.scale_f if name == "f_err" else other
+        scale_x, scale_f = [_by_axis(one) for one in zip(*scales(scene), strict=True)]
+        x = x / scale_x if name == "x_err" else x
+        other = other / scale_f if name == "f_err" else other
     return _behind(x, other, _ticks(trace, dt), lag)
+
+
+def _by_axis(numbers: tuple[float, ...]) -> Any:
+    """What a column of a trace is divided by, whose axes have numbers of their own."""
+    import numpy as np
+
+    return np.array(numbers) if len(set(numbers)) > 1 else numbers[0]
 
 
 def law_places(trace: Mapping[str, Any]) -> Mapping[str, Any]:

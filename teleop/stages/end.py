@@ -73,6 +73,8 @@ class Axis(Record):
     f_read: float
     x_before: float  # as it was read at the tick before
     dx: float
+    scale_x: float  # its metres (or rad) for one of the law, and its newtons (or N m)
+    scale_f: float
     offset: float  # how far it has moved beyond what its law was told, m
     # the law
     at: Any  # teleop.law.At
@@ -187,8 +189,6 @@ class End(Record):
     g_held: float  # of a live end the same at its last tick
     span: float  # since its last tick, s
     ran: Any  # number of its last tick, in virtual time
-    scale_x: float  # its metres and newtons for those of the law
-    scale_f: float
     clutch: Any  # 1.0 while the operator holds the clutch open, else 0.0
     present: Any  # 1.0 while the operator is there, else 0.0
     E_port: float  # the ledgers, J

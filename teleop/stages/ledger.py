@@ -75,11 +75,11 @@ class PortLedger(Stage):
     def act(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
             if e.has.encoder and e.has.scaled:
-                e.E_port = e.E_port + a.f * (a.x - own.x_was) / (e.scale_x * e.scale_f)
+                e.E_port = e.E_port + a.f * (a.x - own.x_was) / (a.scale_x * a.scale_f)
             elif e.has.encoder:
                 e.E_port = e.E_port + a.f * (a.x - own.x_was)
             elif e.has.scaled:  # in the units of the law, in which the ports add up: see `teleop.stages.scaling`
-                e.E_port = e.E_port + a.f * a.dx / (e.scale_x * e.scale_f)
+                e.E_port = e.E_port + a.f * a.dx / (a.scale_x * a.scale_f)
             else:
                 e.E_port = e.E_port + a.f * a.dx
             if e.has.encoder:

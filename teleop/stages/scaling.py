@@ -1,6 +1,7 @@
 """Position and force scaling between a master and a slave of another size, as in microsurgery or with large machines.
 
-A metre of the master is `scale_x` metres of the slave, and a newton of the master `scale_f` newtons of the slave:
+A metre of the master is `scale_x` metres of the slave, and a newton of the master `scale_f` newtons of the slave (of an
+axis that turns: a radian, a newton metre), on each axis with scales of its own where there is one `Scaling` for each:
 
     x_s = scale_x x_m        f_s = scale_f f_m
 
@@ -20,8 +21,19 @@ and the power at the slave is that of the law times scale_x scale_f:
 
 Joules of both ports add up in the master's units alone: what is passive there is passive for the two devices together,
 since each port is multiplied by a number above zero. So `E_port_s` is the work over the slave's motion divided by
-scale_x scale_f, and E_port = E_port_m - E_port_s holds as without scaling. `x_err` and `f_err` compare the ends in the
-master's units too. All other columns of the slave are its own: x_s, v_s, f_s, f_env, and what is left of its budget.
+scale_x scale_f, axis by axis, and E_port = E_port_m - E_port_s holds as without scaling. `x_err` and `f_err` compare
+the ends in the master's units too. All other columns of the slave are its own: x_s, v_s, f_s, f_env, and what is left
+of its budget.
+
+**Axes with unlike p = scale_x scale_f.** The law is where the joules are the master's, so what it claims (of the sum
+over its axes, which it may couple: `two_layer`, `tdpa`, `pspm` share one store) holds with any scales. Of the slave's
+joules W_i it gets W_i/p_i. A slave and an environment that are passive on each axis by themselves stay passive as the
+law meets them, so the whole does. Where the slave's body or what it touches couples axes, only the sum of the W_i is
+passive: with unlike p it may take W on the axis of the greater p and give it back on that of the smaller, which the law
+meets as energy made. (The mass matrix M is met as S_f^-1 M S_x, S of the scales on its diagonal, which has an energy
+where it is symmetric, and that is where p_i = p_j for each pair of axes that M couples.) So give axes that an arm or a
+surface couples the same scale_x scale_f. Their own ratio scale_x/scale_f, by which Z_m differs from Z_e, they may have.
+Nor is the slave's side of a law that couples axes passive in the slave's own joules then; in the master's it is.
 
 Source of the scaled two-port: J. E. Colgate, "Robust impedance shaping telemanipulation", IEEE Trans. Robotics and
 Automation 9(4), 1993.
@@ -36,8 +48,6 @@ from teleop.errors import number
 from teleop.law import At
 from teleop.stages.end import End, Places, Run, Stage
 
-Scales = tuple[float, float]
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scaling:
@@ -51,9 +61,8 @@ class Scaling:
         object.__setattr__(self, "scale_f", number("scale_f", self.scale_f, above=0.0))
 
 
-def in_units_of_master(c: Scales, at: At) -> At:
-    """What the slave's end of the law is told, in the master's units; c is (scale_x, scale_f)."""
-    scale_x, scale_f = c
+def in_units_of_master(scale_x: float, scale_f: float, at: At) -> At:
+    """What the slave's end of the law is told, in the master's units."""
     return At(at.x / scale_x, at.v / scale_x, at.f / scale_f, at.f_held / scale_f, at.dx / scale_x, at.fresh, at.age,
               at.dt, at.span, at.gain)
 
@@ -62,21 +71,19 @@ class ScalingStage(Stage):
     """The conversion of units around the slave's end of the law: readings before it, its force after it."""
 
     name: ClassVar[str] = "scaling"
-    c_scale: Scales
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return scene.scaling.scale_x, scene.scaling.scale_f
+        return tuple([(each.scale_x, each.scale_f) for each in scene.per_axis("scaling")])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_scale = given
-        e.scale_x = given[0]
-        e.scale_f = given[1]
+        for a in e.axes:
+            a.scale_x, a.scale_f = given[a.i]
 
     def situate(self, run: Run, e: End) -> None:
         for a in e.axes:
-            a.at = in_units_of_master(self.c_scale, a.at)
+            a.at = in_units_of_master(a.scale_x, a.scale_f, a.at)
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
-            a.f_cmd = e.scale_f * a.f_cmd
+            a.f_cmd = a.scale_f * a.f_cmd

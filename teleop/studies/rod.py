@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from teleop.physics.plant import MassDamper
+from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples, slave_plants
 
@@ -27,8 +28,7 @@ class RodMotion(NamedTuple):
 def rod_motion(scene: Scene) -> list[RodMotion]:
     """The motion of the rod along each axis; none where no hand moves a slave, and where the scene scales."""
     paths = reference_samples(scene)
-    if paths is None or scene.slave is None or any(
-            each is not None and (each.scale_x, each.scale_f) != (1.0, 1.0) for each in scene.per_axis("scaling")):
+    if paths is None or scene.slave is None or set(scales(scene)) != {(1.0, 1.0)}:
         return []
     dt = scene.dt_ns / 1e9
     ends = list(zip(*[scene.per_axis(name) for name in ("master", "slave", "hand")], strict=True))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 
 from teleop.live.page.following import Follower
+from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 
 Place = tuple[float, ...]  # m, per axis
@@ -21,7 +22,7 @@ class Clutch:
 
     def __init__(self, scene: Scene) -> None:
         self.is_open = False
-        self._scale = 1.0 if scene.scaling is None else scene.scaling.scale_x
+        self._scales = tuple([scale_x for scale_x, _ in scales(scene)])
         self._axes = scene.axes
         self._held: set[Hashable] = set()
         self._offset = (0.0,) * scene.axes  # m, of the master
@@ -66,9 +67,9 @@ class Clutch:
     def _places(self, followers: Mapping[str, Follower], k: float) -> tuple[Place, Place] | None:
         """Of master and slave at tick k, in the master's metres."""
         found = []
-        for e, scale in (("m", 1.0), ("s", self._scale)):
+        for e, own in (("m", (1.0,) * self._axes), ("s", self._scales)):
             row = followers[e].at(k) if e in followers else None
             if row is None:
                 return None
-            found.append(tuple(x / scale for x in row[followers[e].places[f"x_{e}"]]))
+            found.append(tuple(x / scale for x, scale in zip(row[followers[e].places[f"x_{e}"]], own, strict=True)))
         return found[0], found[1]

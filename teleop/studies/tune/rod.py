@@ -6,7 +6,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from teleop.errors import Refused
-from teleop.scene.axes import PER_AXIS
+from teleop.scene.axes import PER_AXIS, scales
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples
 from teleop.simulation.felt import END
@@ -34,7 +34,7 @@ def rod(scene: Scene) -> Rod:
         raise Refused(f"the axes of scene {scene.name} have parts of their own, and a search turns one number for each "
                       "knob of a law; tune the law in a scene of one axis, for example --scene hard_wall with "
                       "the numbers of that axis")
-    if scene.scaling is not None and (scene.scaling.scale_x, scene.scaling.scale_f) != (1.0, 1.0):
+    if set(scales(scene)) != {(1.0, 1.0)}:
         raise Refused(f"scene {scene.name} scales the slave's motion or force, and a law is tuned against a rigid rod "
                       "between hand and slave, which does not; leave scale_x and scale_f out")
     hand = scene.hand

@@ -291,9 +291,9 @@ def place_of_law(e: End, a: Axis) -> Any:
     """The place of one axis as the law is told it and in its units, m."""
     if e.has.operated:
         return a.x - a.offset
-    return a.x / e.scale_x if e.has.scaled else a.x
+    return a.x / a.scale_x if e.has.scaled else a.x
 
 
 def force_of_law(e: End, a: Axis) -> Any:
     """The external force of one axis in the units of the law, N."""
-    return a.f_ext / e.scale_f if e.has.scaled else a.f_ext
+    return a.f_ext / a.scale_f if e.has.scaled else a.f_ext

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from channel.delay import Delay
 from master.hand import Grip, Reach
 from slave.tissue import Tissue
+from teleop import find_law, load_scene, seed_energy
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.laws.virtual_wall import VirtualWall
@@ -24,6 +26,16 @@ from teleop.stages.scaling import Scaling
 from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, figures, plain, tree_of
 
 SMALL = Scaling(scale_x=0.2, scale_f=0.5)  # a slave a fifth of the size, with half of the force
+
+
+@dataclass(frozen=True)
+class Along:
+    """A reach along each axis by a way of its own, in half a second."""
+
+    to: tuple[float, ...]
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[Any, ...]:
+        return tuple([Reach(to=one, duration=0.5).samples(1, count, dt_ns)[0] for one in self.to[:axes]])
 
 
 def scene(**parts: object) -> Scene:
@@ -97,3 +109,52 @@ def test_a_scene_without_a_slave_has_nothing_to_scale() -> None:
 def test_a_scale_is_above_zero(number: float) -> None:
     with pytest.raises(Refused, match="scale_x"):
         Scaling(scale_x=number)
+
+
+# Axis by axis
+
+EACH = (Scaling(scale_x=0.2, scale_f=0.5), Scaling(scale_x=3.0, scale_f=1.0), Scaling(scale_x=1.0, scale_f=0.25))
+
+
+def test_each_axis_has_scales_of_its_own_and_is_the_scene_of_that_axis() -> None:
+    """Of a law that couples none: motion, forces and energy are those of three scenes of one axis."""
+    tissues = tuple([Tissue(k=k, d=20.0) for k in (2000.0, 500.0, 1000.0)])
+    hands = tuple([Grip(mass=0.3, k=k, d=20.0, reference=Along((0.05, 0.03, -0.04))) for k in (300.0, 200.0, 400.0)])
+    of = scene(axes=3, scaling=EACH, environment=tissues, hand=hands, energy=True, duration=1.0)
+    got, E_port = run(of), 0.0
+    for i, (scaling, tissue, hand) in enumerate(zip(EACH, tissues, hands, strict=True)):
+        own = replace(hand, reference=Reach(to=(0.05, 0.03, -0.04)[i], duration=0.5))
+        alone = run(scene(scaling=scaling, environment=tissue, hand=own, energy=True, duration=1.0)).trace
+        for name in ("x_m", "x_s", "f_m", "f_s", "f_env"):
+            assert np.array_equal(got.trace[name][:, i], alone[name]), name
+        E_port = E_port + alone["E_port"]
+    assert got.trace["E_port"] == pytest.approx(E_port, rel=1e-9, abs=1e-12)
+    slave, master = got.trace["x_s"] / [0.2, 3.0, 1.0], got.trace["x_m"]
+    assert got.metrics["x_err_max"] == pytest.approx(
+        np.linalg.norm(slave[1:] - master[:-1], axis=1).max(), rel=1e-9)
+    kernel = plain(of, exact_bodies(of), sorted(available(of)))
+    water, ready = LinkSchedule.of(link_plans(of, 0)), prepare(of)
+    row = Inputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
+    (_, _, told), = figures(kernel, [row])
+    assert told == {name: got.metrics[name] for name in told}
+
+
+@pytest.mark.parametrize("law", ["two_layer", "tdpa", "pspm"])
+def test_a_law_that_couples_axes_keeps_its_claim_with_unlike_scales(law: str) -> None:
+    """The sum over the axes, in the master's joules, of bodies that couple none."""
+    of = scene(law=find_law(law)(), axes=2, scaling=EACH[:2], link=Delay(0.05), energy=True, duration=3.0,
+               environment=(Tissue(k=4000.0, d=0.0), Tissue(k=50.0, d=0.0)),
+               hand=Grip(mass=0.3, k=300.0, d=20.0, reference=Along((0.05, -0.03))))
+    result = run(of)
+    assert result.status == "ok"
+    assert result.trace["E_port"].max() > 0.05, "there was work"
+    assert result.trace["E_port"].min() >= -seed_energy(of.law) - 1e-12
+
+
+def test_scales_are_typed_for_each_axis() -> None:
+    made = load_scene("recorded_reach", scale_x="0.5,1,2", scale_f=3.0)
+    assert made.scaling == tuple([Scaling(scale_x=one, scale_f=3.0) for one in (0.5, 1.0, 2.0)])
+    with pytest.raises(Refused, match="3 axes"):
+        load_scene("recorded_reach", scale_x="0.5,1")
+    with pytest.raises(Refused, match="above 0"):
+        load_scene("recorded_reach", scale_x="0.5,1,0")
