@@ -41,13 +41,13 @@ from teleop.protocol.presence import Presence
 from teleop.protocol.rates import Heard, Messages, Resampling
 from teleop.protocol.session import Session
 from teleop.protocol.sums import Sums
+from teleop.protocol.switches import SwitchEvents, switches_of, unlike
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import Plan
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES, SENSED, columns, structure_of
-from teleop.stages.end import SWITCHES
 from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]
@@ -124,6 +124,8 @@ class Endpoint:
     of the record that have the queue of waves (s), one an axis; none where nothing has a queue.
     """
 
+    _switches: SwitchEvents | None = None  # where there is an operator's part
+
     def __init__(self, scene: Scene, e: str, session: Session, messages: Messages | None = None) -> None:
         self.scene, self.e, self.session = scene, e, session
         self.stepped = messages is not None
@@ -189,7 +191,7 @@ class Endpoint:
         nothing tells, if the scene needs a switch that the device lacks, or does not heed one that it has.
         """
         scene, e = self.scene, self.e
-        if why := _unlike_switches(scene, e, switches):
+        if why := unlike(scene, e, switches):
             raise Refused(why)
         if getattr(structure_of(scene), e).has.sensed and not sensor:
             raise Refused(_no_force(scene, e))
@@ -199,6 +201,7 @@ class Endpoint:
         flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
         self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
         self._told = flat.index(f"sent_{e}") if f"sent_{e}" in flat else None
+        self._switches = SwitchEvents(scene, flat) if "clutch_m" in flat else None
         self.queues = [i for i, name in enumerate(flat) if name == f"queue_{e}@"]
         self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
 
@@ -280,6 +283,8 @@ class Endpoint:
             margin = got[1].E_in - row[self._E_out]
             if self.stamp_margin is None or margin < self.stamp_margin:
                 self.stamp_margin = margin
+        if self._switches is not None:
+            self._switches.told(k, row, self.guard)
         if self._index is not None:
             row = self._physical(row)
         self._tick = k
@@ -434,29 +439,6 @@ class Endpoint:
             stamp = float(row[self._E_in])
         packet = _new(Packet, (self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp))
         return encode(packet, self._size)
-
-
-def switches_of(reading: Reading) -> tuple[str, ...]:
-    """The switches that the device of this reading has."""
-    return tuple([name for name in SWITCHES if getattr(reading, name) is not None])
-
-
-def _unlike_switches(scene: Scene, e: str, has: tuple[str, ...]) -> str | None:
-    """Why the switches of the device at the end `e` do not go with the scene; None: they do."""
-    if e == "s":
-        return None if not has else (
-            f"the slave's robot has the switch {has[0]}, and an operator's switches are the master's; have the robot "
-            f"read {has[0]}=None, and the master's device the switch")
-    needs = () if scene.operator is None else scene.operator.needs
-    for name in SWITCHES:
-        if name in needs and name not in has:
-            return (f"the scene needs the switch {name} of the master's device, whose reading has {name}=None; have it "
-                    f"read {name} as True or False, or leave {name} out of what the scene needs")
-    if has and scene.operator is None:
-        return (f"the master's device has the switch {has[0]}, which the scene {scene.name} does not heed; have it "
-                "heeded, with --set clutch_ramp=0.05 at both ends or operator=Operator() in the scene, or read "
-                f"{has[0]}=None")
-    return None
 
 
 def _no_force(scene: Scene, e: str) -> str:

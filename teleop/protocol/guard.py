@@ -34,7 +34,7 @@ class Event(NamedTuple):
     """Something that a run's record has to tell. `k`: the tick at which it was seen."""
 
     k: int
-    what: str  # "joined", "session", "safe", "released"; of others "met", "watchdog"
+    what: str  # "joined", "session", "safe", "released"; of others "met", "watchdog", "clutch", "present"
     why: str
 
 

@@ -109,8 +109,8 @@ class Scene:
 
     def _is_judged_by_classes(self) -> bool:
         """True if the checks, which it passed, ask for no more than the classes of its parts and its numbers."""
-        if self.deadband is not None or self.packet_size is not None or self.names or self.units or (
-                self.rotations) or any(
+        looked_at = any(each is not None for each in (self.deadband, self.operator, self.packet_size))
+        if looked_at or self.names or self.units or self.rotations or any(
                 isinstance(getattr(self, name), tuple) for name in (*PER_AXIS, "start_m", "start_s")):
             return False
         touched = self.environment is None or any(
@@ -137,6 +137,7 @@ class Scene:
         if self.rotations != ():
             check_rotations(self)
         self._check_deadband()
+        self._check_operator()
         self._check_packet()
         for each in self.environments:
             if each is not None and (
@@ -174,6 +175,15 @@ class Scene:
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")
+
+    def _check_operator(self) -> None:
+        """Refuse a clutch that closes where the ends are near each other, of a law that does not tell where they are."""
+        if self.operator is None or self.operator.closes_within is None:
+            return
+        self.operator.within(self.axes)
+        if not kind.positions(messages(self.laws[0])[1]):
+            raise Refused(f"law {law_name(self.laws[0])} does not tell the master where the slave is, so closes_within "
+                          "cannot be kept; leave it out, or take a law that compares positions, such as law=pp")
 
     def _check_packet(self) -> None:
         """Refuse a law whose message has no room in a packet."""

@@ -41,6 +41,7 @@ class EndStructure(NamedTuple):
     shows: tuple[str, ...] = ()  # fields of its law's state that are recorded
     tells: tuple[str, ...] = ()  # fields of its messages that decide whether they are sent
     turns: Turns | None = None
+    rx_place: str = ""  # the position that it receives, where that decides whether a clutch closes
 
 
 class Structure(NamedTuple):
@@ -96,7 +97,8 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
     forth, back = messages(scene.laws[0], scene.dt_ns / 1e9)
     tx, rx = (forth, back) if e == "m" else (back, forth)
     return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, _shows(scene, e),
-                        _tells(tx) if run.deadband else (), _turns(scene, e, tx, rx) if scene.rotations else None)
+                        _tells(tx) if run.deadband else (), _turns(scene, e, tx, rx) if scene.rotations else None,
+                        positions(rx)[0] if "operator" in names and scene.operator.closes_within else "")
 
 
 def _turns(scene: Scene, e: str, tx: Any, rx: Any) -> Turns:
@@ -160,6 +162,7 @@ def _end_of(name: str, structure: Structure) -> End:
     e = End(name, structure.axes, own.has)
     e.stages = tuple([stage(name, structure.axes) for stage in own.stages])
     e.fields, e.tx_wave, e.rx_wave, e.rx_fields = own.fields, own.tx_wave, own.rx_wave, own.rx_fields
+    e.rx_place = own.rx_place
     e.shown = tuple([Shown(f"{a.suffix}_{field}", a, field) for field in own.shows for a in e.axes])
     e.told = tuple([Told(f"{a.suffix}_{field}", a, field) for field in own.tells for a in e.axes])
     own_turns = own.turns or Turns((), (), (), (), (), ())

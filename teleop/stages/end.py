@@ -178,6 +178,7 @@ class End(Record):
     fields: tuple[str, ...]  # of its law's sums
     tx_wave: str  # the field of its messages that is a wave, "" if none is
     rx_wave: str
+    rx_place: str  # the field of the messages that it receives that tells where the other end is, where that is asked
     rx_fields: tuple[str, ...]  # of the messages that it receives
     tx_fields: tuple[str, ...]  # of those that it sends, where it has rotations,
     state_fields: tuple[str, ...]  # ... of its law's state,

@@ -27,6 +27,13 @@ without this stage, to the bit.
 **Nothing jumps.** In a tick g changes by dt/ramp, down by the ticks that passed where some were left out. x_law is
 continuous, for it sums up g dx: on closing positions count anew from where the device is. The force fades in, from 0.
 
+**Ends that are far apart.** While the clutch is open a slave may have been moved, or held back. What a law that compares
+positions would then do on closing is a pull that grows with the ramp, no jump, but towards a place that nobody looked
+at. With `closes_within` (m, or rad; one number, or one for each axis) the clutch stays open while the ends of such a
+law, x_law and the position that its newest message tells, are farther apart on any axis: it closes by itself once they
+are not, as the slave is drawn to the master while it is free, and an event says what to do. A session that begins anew
+counts both ends from where they are. Recorded is `apart_m`, by axis.
+
 A hand's force that a law reads, f, is no variable of the port but a signal (four-channel laws feed it forward to the
 slave): the law is told g f, so that a hand on an open clutch pushes no slave.
 
@@ -43,6 +50,7 @@ that scales a port see J. E. Colgate, "Robust impedance shaping telemanipulation
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import Refused, number, number_of
@@ -60,6 +68,7 @@ class SwitchLimits(NamedTuple):
     """What the stage computes with."""
 
     steps: float  # ticks from 0 to 1
+    within: tuple[float, ...]  # m or rad, of each axis: how far apart the ends may be when it closes; inf: any way
     clutch: Spans  # ticks [from, to) in which it is held open
     absent: Spans  # ticks [from, to) in which nobody is there
 
@@ -71,12 +80,15 @@ class Operator:
     `clutch`: spans (from, to) in s in which the operator holds the clutch open; `absent`: spans in which nobody is
     there. In a live run the switches of the device count beside them. The force goes to zero over `ramp` seconds, and
     comes back over as long. `needs`: the switches, "clutch" or "present", without which a live device is refused.
+    `closes_within`: the way (m, or rad) by which the ends of a law that compares positions may be apart when the clutch
+    closes, one number or one for each axis; None: any.
     """
 
     clutch: Spans = ()
     absent: Spans = ()
     ramp: float = 0.05
     needs: tuple[str, ...] = ()
+    closes_within: float | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "clutch", _spans("clutch", self.clutch))
@@ -86,9 +98,22 @@ class Operator:
             raise Refused(f"needs are switches of a device, \"clutch\" or \"present\", not {self.needs!r}; write for "
                           "example needs=(\"present\",)")
 
-    def limits(self, dt: float) -> SwitchLimits:
+        own = self.closes_within
+        if own is not None:
+            each = tuple([number("closes_within", one, above=0.0) for one in (own if isinstance(own, tuple) else (own,))])
+            object.__setattr__(self, "closes_within", each if isinstance(own, tuple) else each[0])
+
+    def within(self, axes: int) -> tuple[float, ...]:
+        """`closes_within` of each of so many axes, m or rad; inf where it is left out. Raises `Refused`."""
+        own = inf if self.closes_within is None else self.closes_within
+        if isinstance(own, tuple) and len(own) != axes:
+            raise Refused(f"closes_within has {number_of(len(own), 'number')}, the scene has "
+                          f"{number_of(axes, 'axis', 'axes')}; write one number, or one for each axis")
+        return own if isinstance(own, tuple) else (own,) * axes
+
+    def limits(self, dt: float, axes: int = 1) -> SwitchLimits:
         """What the stage computes with, at a tick of `dt` s."""
-        return SwitchLimits(float(max(1, round(self.ramp / dt))), _in_ticks(self.clutch, dt),
+        return SwitchLimits(float(max(1, round(self.ramp / dt))), self.within(axes), _in_ticks(self.clutch, dt),
                             _in_ticks(self.absent, dt))
 
 
@@ -131,6 +156,11 @@ def ramped(steps: float, n: float, released: float, passed: float) -> float:
     return n + 1.0 if n < steps else steps
 
 
+def kept_open(n: float, released: float, far: float) -> float:
+    """1.0 while it is released, or was and the ends are too far apart to close it, else 0.0."""
+    return 1.0 if released > 0.0 or (n == 0.0 and not far <= 1.0) else 0.0
+
+
 def at_first(n: float, g: float, g_was: float) -> float:
     """The modulus of the motion before a tick: before the first one (n < 0) that of the tick."""
     return g if n < 0.0 else g_was
@@ -161,6 +191,7 @@ class Held(Record):
 
     g_told: float  # the modulus of the motion of the last tick
     x_law: float  # the position that the law was told, m
+    apart: float  # how far that is from where the other end was, m
 
 
 class OperatorStage(Stage):
@@ -172,6 +203,7 @@ class OperatorStage(Stage):
     least_g: float  # modulus above 0
     ticks_by: Any  # ticks since the last
     released: float  # 1.0 while the clutch is open or nobody is there
+    far: float  # how far the ends are apart, for how far they may be; the greatest of the axes
     n_clutch: float  # of the ramp's steps; below 0 before the first tick
     n_was: float  # the same before this tick
     g_clutch: float  # the modulus of this tick,
@@ -183,11 +215,12 @@ class OperatorStage(Stage):
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return scene.operator.limits(dt)
+        return scene.operator.limits(dt, scene.axes)
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"clutch_{e.name}", ((e, "clutch"),)), Column(f"present_{e.name}", ((e, "present"),)),
-                Column(f"g_clutch_{e.name}", ((self, "g_clutch"),)), per_axis(f"offset_{e.name}", e.axes, "offset"))
+                Column(f"g_clutch_{e.name}", ((self, "g_clutch"),)), per_axis(f"offset_{e.name}", e.axes, "offset"),
+                *[per_axis(f"apart_{e.name}", self.axes, "apart")] * (len(e.rx_place) > 0))
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_switch = given
@@ -199,6 +232,10 @@ class OperatorStage(Stage):
         for a, own in zip(e.axes, self.axes, strict=True):
             a.offset = zero(run)
             own.x_law = a.x_read
+            if len(e.rx_place) > 0:
+                own.apart = zero(run)
+        if len(e.rx_place) > 0:
+            self.far = zero(run)
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         self.ticks_by = ticks
@@ -211,6 +248,8 @@ class OperatorStage(Stage):
             e.clutch = scheduled(self.c_switch.clutch, k)
             e.present = 1.0 - scheduled(self.c_switch.absent, k)
         self.released = max(e.clutch, 1.0 - e.present)
+        if len(e.rx_place) > 0:
+            self.released = kept_open(self.n_clutch, self.released, self.far)
         self.g_was = self.g_clutch
         self.n_was = self.n_clutch
         self.n_clutch = ramped(
@@ -225,6 +264,11 @@ class OperatorStage(Stage):
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
             a.f_cmd = self.g_clutch * a.f_cmd
+        if len(e.rx_place) > 0:
+            self.far = zero(run)
+            for a, own in zip(e.axes, self.axes, strict=True):
+                own.apart = own.x_law - getattr(a.rx, e.rx_place)
+                self.far = max(abs(own.apart) / self.c_switch.within[a.i], self.far)
 
 
 def told(stage: OperatorStage, a: Axis, own: Held) -> None:

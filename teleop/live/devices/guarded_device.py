@@ -7,7 +7,8 @@ from numbers import Real
 from typing import Any, Protocol
 
 from teleop.errors import DeviceError, Refused, number, number_of
-from teleop.protocol.endpoint import Axes, Endpoint, Reading, switches_of
+from teleop.protocol.endpoint import Axes, Endpoint, Reading
+from teleop.protocol.switches import switches_of
 from teleop.simulation.trace import ForceSource
 
 DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
