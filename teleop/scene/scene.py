@@ -177,7 +177,7 @@ class Scene:
                               "slave=MassDamper(mass=0.5)")
 
     def _check_operator(self) -> None:
-        """Refuse a clutch that closes where the ends are near each other, of a law that does not tell where they are."""
+        """Refuse a clutch that closes where the ends are near each other, of a law that does not tell where."""
         if self.operator is None or self.operator.closes_within is None:
             return
         self.operator.within(self.axes)

@@ -27,9 +27,9 @@ without this stage, to the bit.
 **Nothing jumps.** In a tick g changes by dt/ramp, down by the ticks that passed where some were left out. x_law is
 continuous, for it sums up g dx: on closing positions count anew from where the device is. The force fades in, from 0.
 
-**Ends that are far apart.** While the clutch is open a slave may have been moved, or held back. What a law that compares
-positions would then do on closing is a pull that grows with the ramp, no jump, but towards a place that nobody looked
-at. With `closes_within` (m, or rad; one number, or one for each axis) the clutch stays open while the ends of such a
+**Ends that are far apart.** While the clutch is open a slave may have been moved, or held back. What a law that
+compares positions would then do on closing is a pull that grows with the ramp, no jump, but towards a place that nobody
+looked at. With `closes_within` (m, or rad; one number, or one for each axis) the clutch stays open while the ends of such a
 law, x_law and the position that its newest message tells, are farther apart on any axis: it closes by itself once they
 are not, as the slave is drawn to the master while it is free, and an event says what to do. A session that begins anew
 counts both ends from where they are. Recorded is `apart_m`, by axis.
@@ -100,8 +100,8 @@ class Operator:
 
         own = self.closes_within
         if own is not None:
-            each = tuple([number("closes_within", one, above=0.0) for one in (own if isinstance(own, tuple) else (own,))])
-            object.__setattr__(self, "closes_within", each if isinstance(own, tuple) else each[0])
+            each = [number("closes_within", one, above=0.0) for one in (own if isinstance(own, tuple) else (own,))]
+            object.__setattr__(self, "closes_within", tuple(each) if isinstance(own, tuple) else each[0])
 
     def within(self, axes: int) -> tuple[float, ...]:
         """`closes_within` of each of so many axes, m or rad; inf where it is left out. Raises `Refused`."""
