@@ -17,7 +17,7 @@ from teleop import Cap, Knob, Law, MassDamper, Operator, Refused, Scene, Watchdo
 
 DAY = 86400.0  # s
 PerAxis = float | tuple[float, ...]
-Times = tuple[float, ...]
+Times = float | tuple[float, ...]
 
 
 def scene(
@@ -78,7 +78,7 @@ def scene(
     )
 
 
-def spans(name: str, times: Times | float) -> tuple[tuple[float, float], ...]:
+def spans(name: str, times: Times) -> tuple[tuple[float, float], ...]:
     """Spans (from, to) out of times that begin and end one in turn. Raises `Refused` where one has no end."""
     times = times if isinstance(times, tuple) else (times,)
     if len(times) % 2:

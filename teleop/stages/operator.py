@@ -29,10 +29,10 @@ continuous, for it sums up g dx: on closing positions count anew from where the 
 
 **Ends that are far apart.** While the clutch is open a slave may have been moved, or held back. What a law that
 compares positions would then do on closing is a pull that grows with the ramp, no jump, but towards a place that nobody
-looked at. With `closes_within` (m, or rad; one number, or one for each axis) the clutch stays open while the ends of such a
-law, x_law and the position that its newest message tells, are farther apart on any axis: it closes by itself once they
-are not, as the slave is drawn to the master while it is free, and an event says what to do. A session that begins anew
-counts both ends from where they are. Recorded is `apart_m`, by axis.
+looked at. With `closes_within` (m, or rad; one number, or one for each axis) the clutch stays open while the ends of
+such a law, x_law and the position that its newest message tells, are farther apart on any axis: it closes by itself
+once they are not, as the slave is drawn to the master while it is free, and an event says what to do. A session that
+begins anew counts both ends from where they are. Recorded is `apart_m`, by axis.
 
 A hand's force that a law reads, f, is no variable of the port but a signal (four-channel laws feed it forward to the
 slave): the law is told g f, so that a hand on an open clutch pushes no slave.
