@@ -74,7 +74,8 @@ def fingerprint(value: object) -> str:
     if isinstance(value, tuple) and value and all(isinstance(each, str | int | float) for each in value):
         return ",".join(map(str, value))
     if not isinstance(value, PathLike):
-        return str(value)
+        many = isinstance(value, tuple) and not isinstance(value, str)
+        return ",".join(map(str, value)) if many else str(value)  # type: ignore[arg-type]  # as it is typed
     from hashlib import sha256
     from pathlib import Path
 

@@ -98,7 +98,12 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
     tx, rx = (forth, back) if e == "m" else (back, forth)
     return EndStructure(has, stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, _shows(scene, e),
                         _tells(tx) if run.deadband else (), _turns(scene, e, tx, rx) if scene.rotations else None,
-                        positions(rx)[0] if "operator" in names and scene.operator.closes_within else "")
+                        _place(scene, rx) if "operator" in names else "")
+
+
+def _place(scene: Scene, rx: Any) -> str:
+    """The position that a master receives, where an operator's clutch closes by it."""
+    return positions(rx)[0] if scene.operator is not None and scene.operator.closes_within is not None else ""
 
 
 def _turns(scene: Scene, e: str, tx: Any, rx: Any) -> Turns:

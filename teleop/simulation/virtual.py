@@ -22,6 +22,7 @@ from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord, ForceSource, assemble
 
 Judge = Callable[[Prepared, Mapping[str, Any], int, Any, int], Ending]
+MOST_BYTES = 4_000_000_000  # of rows that a run keeps in memory
 LONG = 100_000  # ticks from which on the rows are kept in a quarter of the memory, for 0.3 us a row
 
 
@@ -44,10 +45,22 @@ def run(
     return run_prepared(prepare(scene, bodies), seed=seed, clock=clock)
 
 
+def _check_memory(scene: Scene) -> None:
+    """Refuse a run whose rows no memory would hold, such as a day of a live scene."""
+    names = [name for e in ("m", "s")[: 1 if scene.slave is None else 2] for name in columns(scene, e)]
+    per_tick = 8 * sum(scene.axes if "@" in name else 1 for name in names)
+    needed = scene.ticks * per_tick
+    if needed > MOST_BYTES:
+        raise Refused(f"a run in virtual time keeps its record in memory, and {scene.ticks} ticks of {scene.dt:g} s "
+                      f"are {needed / 1e9:.3g} GB; type for example --set duration={1e4 * scene.dt:g}, or run it live, "
+                      "where the record goes to a file")
+
+
 def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] | None = None) -> Result:
     """Run a scene that was worked out already, as `run` does."""
     scene, seed = prepared.scene, check_seed(seed)
     bodies = prepared.bodies
+    _check_memory(scene)
     fwd, bwd = plans = link_plans(scene, seed)
     orders = [plan and plan.orders.tolist() for plan in (bwd, fwd)]
     if scene.slave is None:  # what its ticks are ordered says which of them are left out, and no more

@@ -19,6 +19,9 @@ from teleop.laws.direct import Direct
 from teleop.laws.four_channel import FourChannel
 from teleop.laws.pp import PositionPosition
 from teleop.laws.wave import Wave
+from teleop.physics.plant import MassDamper
+from teleop.protocol.guard import Event, Guard
+from teleop.protocol.switches import MOST, SwitchEvents
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, end_columns
@@ -172,6 +175,38 @@ def test_the_eigenvalues_are_those_with_the_clutch_closed() -> None:
     assert repr(linear_scene(replace(of, operator=OPENED))) == repr(linear_scene(of))
 
 
+# Ends that are far apart
+
+
+FAR = Operator(clutch=((0.0, 0.1),), closes_within=0.01)
+
+
+def test_it_closes_once_the_slave_has_come_near_enough_and_not_before() -> None:
+    """The slave begins 5 cm away, and its law draws it to where the master is told to be."""
+    trace = run(scene(FAR, PositionPosition(), start_s=0.05)).trace
+    closes = int(np.argmax(trace["g_clutch_m"] > 0.0))
+    assert closes > 110, "it is asked to from tick 100 on"
+    assert np.abs(trace["apart_m"][10:closes - 1]).min() > 0.01 >= abs(trace["apart_m"][closes - 1])
+    assert not trace["f_m"][:closes].any()
+    assert np.array_equal(trace["g_clutch_m"][closes:closes + 50], np.arange(1, 51) / 50), "and then it goes on closing"
+
+
+def test_where_the_slave_is_held_back_it_stays_open() -> None:
+    held = MassDamper(mass=0.5, damping=1e6)
+    assert not run(scene(FAR, PositionPosition(), start_s=0.05, slave=held)).trace["f_m"].any()
+    freely = replace(FAR, closes_within=None)
+    assert run(scene(freely, PositionPosition(), start_s=0.05, slave=held)).trace["f_m"].any()
+
+
+@pytest.mark.parametrize(("within", "law", "why"), [
+    (0.01, Wave(), "law wave does not tell the master where the slave is"), (0.0, Metered(), "above 0"),
+    ((0.1, 0.1), PositionPosition(), "2 numbers, the scene has 1 axis"),
+])
+def test_how_far_they_may_be_is_refused_where_nothing_tells(within: Any, law: Any, why: str) -> None:
+    with pytest.raises(Refused, match=why):
+        scene(Operator(closes_within=within), law)
+
+
 # Engines
 
 MEASURES = ("x_err_rms", "f_m_max", "E_port_end", "drift_end")
@@ -209,8 +244,8 @@ class Switched(SimulatedMaster):
         return super().read(k)._replace(clutch=clutch > 0.0, present=absent == 0.0)
 
 
-def driven(of: Scene, master: Any) -> dict[str, np.ndarray]:
-    """The master's record of two ends that are driven by hand, without a link."""
+def driven(of: Scene, master: Any) -> tuple[dict[str, np.ndarray], list[Event]]:
+    """The master's record and events, of two ends that are driven by hand, without a link."""
     ends, devices = met(of), {"m": master, "s": SimulatedSlave(of)}
     rows: list[float] = []
     for k in range(of.ticks):
@@ -222,7 +257,7 @@ def driven(of: Scene, master: Any) -> dict[str, np.ndarray]:
             assert datagram is not None
             ends[other].receive(datagram, now)
         rows.extend(outs["m"].row)
-    return dict(end_columns(prepare(of), "m", EndRecord(range(of.ticks), rows, None)))
+    return dict(end_columns(prepare(of), "m", EndRecord(range(of.ticks), rows, None))), ends["m"].guard.events
 
 
 def test_the_switches_of_a_live_device_do_what_a_schedule_does_in_virtual_time_to_the_bit() -> None:
@@ -230,10 +265,34 @@ def test_the_switches_of_a_live_device_do_what_a_schedule_does_in_virtual_time_t
     law = PositionPosition()
     expected = run(scene(plan, law, link=None, playout=None)).trace
     of = scene(Operator(ramp=0.02), law, link=None)
-    by_device, by_schedule = driven(of, Switched(of, plan)), driven(replace(of, operator=plan), SimulatedMaster(of))
+    by_device, _ = driven(of, Switched(of, plan))
+    by_schedule, _ = driven(replace(of, operator=plan), SimulatedMaster(of))
     for name in ("f_m", "x_m", "clutch_m", "present_m", "g_clutch_m", "offset_m", "E_port_m"):
         assert by_device[name].tobytes() == expected[name].tobytes(), name
         assert by_schedule[name].tobytes() == expected[name].tobytes(), name
+
+
+def told(of: Scene, master: Any) -> list[tuple[int, str, str]]:
+    """The events of a live master's switches."""
+    return [(k, what, why) for k, what, why in driven(of, master)[1] if what in ("clutch", "present")]
+
+
+def test_events_tell_of_the_switches_and_of_a_clutch_that_stays_open() -> None:
+    plan = Operator(clutch=((0.0, 0.1),), absent=((0.6, 0.7),), closes_within=0.01)
+    of = scene(plan, PositionPosition(), link=None, start_s=0.05, duration=0.8)
+    (first, *_), (closed, _, _), (far, _, why), (gone, *_), (back, *_) = events = told(of, SimulatedMaster(of))
+    assert [first, closed, far, gone, back] == [0, 100, 100, 600, 700]
+    assert [name for _, name, _ in events] == ["clutch"] * 3 + ["present"] * 2
+    assert "on axis x, and it closes within 0.01 m; free the slave" in why
+
+
+def test_a_switch_that_bounces_for_hours_does_not_fill_the_record_of_events() -> None:
+    guard = Guard(None, 1e-3)
+    events = SwitchEvents(scene(Operator()), ["clutch_m", "present_m", "g_clutch_m"])
+    for k in range(0, 10**6, 3):
+        events.told(k, (float(k % 2), 1.0, 1.0), guard)
+    assert len(guard.events) == MOST
+    assert np.diff([one.k for one in guard.events]).min() >= 100
 
 
 @pytest.mark.parametrize(("e", "operator", "has", "why"), [
