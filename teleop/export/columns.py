@@ -64,6 +64,7 @@ KNOWN: Mapping[str, Quantity] = {
     "clutch_m": Quantity("1", "1 while the operator holds the clutch open, else 0", "master"),
     "present_m": Quantity("1", "1 while the operator is there, else 0", "master"),
     "g_clutch_m": Quantity("1", "modulus between the master and its law: 1 closed, 0 open or nobody there", "master"),
+    "apart_m": Quantity("m", "how far the ends of the law are apart, by which the clutch closes", "master", True),
     "offset_m": Quantity("m", "how far the master has moved beyond what its law was told", "master", True),
     "f_h": Quantity("N", "force of the hand on the master", "master", True),
     "f_h_hat": Quantity("N", "force of the hand as the observer estimates it", "master", True),

@@ -74,8 +74,9 @@ def fingerprint(value: object) -> str:
     if isinstance(value, tuple) and value and all(isinstance(each, str | int | float) for each in value):
         return ",".join(map(str, value))
     if not isinstance(value, PathLike):
-        many = isinstance(value, tuple) and not isinstance(value, str)
-        return ",".join(map(str, value)) if many else str(value)  # type: ignore[arg-type]  # as it is typed
+        if isinstance(value, tuple) and value and {type(each) for each in value} <= {int, float}:
+            return ",".join(map(str, value))  # as it is typed
+        return str(value)
     from hashlib import sha256
     from pathlib import Path
 

@@ -186,7 +186,7 @@ def test_it_closes_once_the_slave_has_come_near_enough_and_not_before() -> None:
     trace = run(scene(FAR, PositionPosition(), start_s=0.05)).trace
     closes = int(np.argmax(trace["g_clutch_m"] > 0.0))
     assert closes > 110, "it is asked to from tick 100 on"
-    assert np.abs(trace["apart_m"][10:closes - 1]).min() > 0.01 >= abs(trace["apart_m"][closes - 1])
+    assert np.abs(trace["apart_m"][100:closes - 1]).min() > 0.01 >= abs(trace["apart_m"][closes - 1])
     assert not trace["f_m"][:closes].any()
     assert np.array_equal(trace["g_clutch_m"][closes:closes + 50], np.arange(1, 51) / 50), "and then it goes on closing"
 
