@@ -181,13 +181,15 @@ class TestDemo:
             return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=folder)
 
         monkeypatch.setitem(sys.modules, "teleop.live.demo", types.SimpleNamespace(demo=demo))
-        answer = typed("demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep")
+        answer = typed("demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot",
+                       "csv:a.csv")
         assert answer.code == 0
         assert "live in lockstep" in answer.out
         assert answer.out.endswith("written to runs/hard_wall-1\n")
-        command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep"]
+        command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot",
+                   "csv:a.csv"]
         rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "lockstep": True, "command": command,
-                "realtime": True, "rate": None, "spin": False}
+                "realtime": True, "rate": None, "spin": False, "device": None, "robot": "csv:a.csv"}
         assert not Path("runs/hard_wall-1/plot.png").exists()
         assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]
         if find_spec("matplotlib"):
