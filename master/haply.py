@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import errno
 import socket
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ except ModuleNotFoundError as error:
                       "'bilateral-teleop[haply]', or pip install websockets") from error
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.heartbeat import DeviceWatchdog
+from teleop.physics.rotation_axes import RotationAxes
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
 
@@ -39,6 +41,7 @@ RETRY_NS = 250_000_000  # between two attempts to reach the service
 HANDSHAKE_NS = 1_000_000_000  # for the service to say which devices it has
 OPEN_NS = 2_000_000_000  # for the first state, before the run
 FRESH_NS = 20_000_000  # for an answer to a command after a pause
+WINDOW_NS = 20_000_000  # over which the grip's angular velocity is taken: the service tells none
 LIMIT = 3.0  # N: chosen, not the device's own
 
 
@@ -70,7 +73,9 @@ class Inverse3:
     def __init__(self, scene: Scene, url: str = URL, *, clock: Callable[[], int] = monotonic_ns) -> None:
         """Raises `Refused` for what it cannot drive, `DeviceError` if no Inverse3 is there."""
         self._settings, self._uri = settings_of(url)
-        self._rows = _rows(self._settings.axes, scene.axes)
+        self._rows, self._turns = _rows(self._settings.axes, scene), bool(scene.rotations)
+        self._rotation = RotationAxes()
+        self._turned: deque[tuple[int, Axes]] = deque()  # ns and rad, of the last states
         self._buttons = self._settings.clutch, self._settings.present
         self._clock, self._link = clock, _Link(self._uri, self._settings)
         self._force = (0.0, 0.0, 0.0)
@@ -132,7 +137,7 @@ class Inverse3:
     def _pushed(self, force: Axes) -> tuple[float, float, float]:
         """The motors' force in the device's frame, N."""
         out = [0.0, 0.0, 0.0]
-        for (i, sign), f in zip(self._rows, force, strict=True):
+        for (i, sign), f in zip(self._rows, force, strict=False):  # no motor turns its grip
             out[i] -= sign * f
         length = hypot(*out)
         shrink = min(1.0, self._settings.limit / length) if length else 1.0
@@ -142,7 +147,33 @@ class Inverse3:
         at, origin = state.position, self._settings.origin
         x = tuple([sign * (at[i] - origin[i]) for i, sign in self._rows])
         v = tuple([sign * state.velocity[i] for i, sign in self._rows])
+        if self._turns:
+            phi, omega = self._orientation(state)
+            x, v = x + phi, v + omega
         return Reading(x, v, None, *[_pressed(state, button) for button in self._buttons])
+
+
+    def _orientation(self, state: State) -> tuple[Axes, Axes]:
+        """The grip's turn (rad) and angular velocity (rad/s) about the scene's axes."""
+        if state.orientation is None:
+            raise DeviceError("the grip tells no orientation; switch it on, or take a scene of three axes")
+        w, *about = state.orientation
+        hand = _handedness(self._rows)  # a turn is the other way round in a mirror
+        phi = self._rotation.phi((w, *[hand * sign * about[i] for i, sign in self._rows]))
+        told = self._turned
+        if not told or self._link.heard > told[-1][0]:
+            told.append((self._link.heard, phi))
+        while len(told) > 2 and told[-1][0] - told[1][0] >= WINDOW_NS:
+            told.popleft()
+        (since, before), (until, _) = told[0], told[-1]
+        seconds = max(until - since, 1) / 1e9
+        return phi, tuple([(now - then) / seconds for now, then in zip(phi, before, strict=True)])
+
+
+def _handedness(rows: list[tuple[int, float]]) -> float:
+    """1 where the scene's axes are turned from the device's, -1 where they are its mirror image."""
+    (i, a), (j, b), (k, c) = rows
+    return a * b * c * (1.0 if (j - i) % 3 == (k - j) % 3 == 1 else -1.0)
 
 
 def _pressed(state: State, button: str | None) -> bool | None:
@@ -386,8 +417,8 @@ READ: dict[str, Callable[[str, str], Any]] = {
 """How each setting is read."""
 
 
-def _rows(axes: str, count: int) -> list[tuple[int, float]]:
-    """For each axis of the scene, the device's axis and its sign. Raises `Refused` if there are too few."""
+def _rows(axes: str, scene: Scene) -> list[tuple[int, float]]:
+    """For each axis of the scene that is a translation, the device's axis and its sign. Raises `Refused`."""
     rows: list[tuple[int, float]] = []
     sign = 1.0
     for letter in axes:
@@ -396,7 +427,11 @@ def _rows(axes: str, count: int) -> list[tuple[int, float]]:
         else:
             rows.append(("xyz".index(letter), sign))
             sign = 1.0
+    count = 3 if scene.rotations == (3,) and scene.axes == 6 else scene.axes
+    if "rad" in scene.axis_units[:count]:
+        raise Refused("an Inverse3 has no joints of the scene's: it tells a place, and its grip's orientation; take a "
+                      "scene of one to three axes in m, or pose")
     if count > len(rows):
-        raise Refused(f"the scene has {count} axes, and the Inverse3 gives it {len(rows)} ({axes}); take a scene of at "
-                      "most three axes, or name more by ?axes=xyz")
+        raise Refused(f"the scene has {count} axes that are places, and the Inverse3 gives it {len(rows)} ({axes}); "
+                      "take a scene of at most three, or name more by ?axes=xyz")
     return rows[:count]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from json import JSONDecoder
-from math import isfinite, sqrt
+from math import isfinite
 from typing import Any, NamedTuple
 
 from websockets.client import ClientProtocol
@@ -23,11 +23,12 @@ from websockets.protocol import State as Connection
 from websockets.uri import parse_uri
 
 from teleop.errors import DeviceError
+from teleop.physics.rotation import Quaternion
+from teleop.physics.rotation_axes import unit_quaternion
 
 Vector = tuple[float, float, float]
 WORDS = ("vector", "values")  # of a force, in 3.5 and in 3.1
 GRIPS = ("wireless_verse_grip", "verse_grip")  # of which the first that is listed is read
-UNIT = 1e-3  # how far a quaternion's length may be from 1: the service tells single precision
 
 
 class State(NamedTuple):
@@ -35,7 +36,7 @@ class State(NamedTuple):
 
     position: Vector  # m
     velocity: Vector  # m/s
-    orientation: tuple[float, float, float, float] | None  # of the grip: w, x, y, z; None: there is no grip
+    orientation: Quaternion | None  # of the grip: w, x, y, z; None: there is no grip
     buttons: dict[str, bool] | None  # of the grip, by name: is it pressed; None: there is no grip with buttons
 
 
@@ -149,7 +150,7 @@ CURES = {
 """What the status of a device says, and what to do where it is false."""
 
 
-def _grip(said: dict[str, Any]) -> tuple[tuple[float, float, float, float] | None, dict[str, bool] | None]:
+def _grip(said: dict[str, Any]) -> tuple[Quaternion | None, dict[str, bool] | None]:
     for kind in GRIPS:
         for one in _entries(said, kind):
             state = _part(one, "state")
@@ -176,12 +177,8 @@ def _vector(state: dict[str, Any], name: str) -> Vector:
     return x, y, z
 
 
-def _quaternion(told: Any) -> tuple[float, float, float, float]:
-    w, x, y, z = _numbers(told, "wxyz", "orientation")
-    length = sqrt(w * w + x * x + y * y + z * z)
-    if abs(length - 1.0) > UNIT:
-        raise DeviceError(f"the grip's orientation is no unit quaternion: its length is {length:g}")
-    return w / length, x / length, y / length, z / length
+def _quaternion(told: Any) -> Quaternion:
+    return unit_quaternion(_numbers(told, "wxyz", "orientation"))
 
 
 def _numbers(told: Any, names: str, what: str) -> list[float]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from itertools import count
-from math import hypot
+from math import cos, hypot, sin
 from typing import Any
 
 import pytest
@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("websockets", reason="the extra `haply` is not installed")
 
 from master.haply import STALE_NS, Inverse3, settings_of, zeroing
-from teleop import DeviceError, Refused, Scene, Wave
+from teleop import DeviceError, Refused, Scene, Wave, load_scene
 from teleop.physics.plant import MassDamper
 from tests.master.inverse_stand_in import StandIn
 
@@ -147,7 +147,41 @@ def test_without_a_name_of_a_button_there_is_no_switch(new: Bench) -> None:
 def test_an_orientation_that_is_no_unit_quaternion_is_no_state(new: Bench, length: float) -> None:
     device = new.open()
     new.service.orientation = {"w": length, "x": 0.0, "y": 0.0, "z": 0.0}
-    assert f"no unit quaternion: its length is {length:g}" in new.trouble(device, 3)
+    assert f"quaternion ({length:g}, 0, 0, 0) is no unit quaternion" in new.trouble(device, 3)
+
+
+def opened_for(bench: Bench, name: str, more: str = "") -> Inverse3:
+    return Inverse3(load_scene(name), bench.service.url + more, clock=bench.clock)
+
+
+@pytest.mark.parametrize(("axes", "about"), [("xyz", (0, 0, 1)), ("yzx", (0, 1, 0)), ("x-yz", (0, 0, -1)),
+                                             ("-x-yz", (0, 0, 1)), ("zyx", (-1, 0, 0))])
+def test_the_grip_turns_the_scenes_rotation_beyond_half_a_turn(new: Bench, axes: str, about: tuple[int, ...]) -> None:
+    """About the device's z, at 5 rad/s, in axes that are turned and in those of a mirror."""
+    device, rate = opened_for(new, "pose", f"?axes={axes}"), 5.0
+    reading: Any = None
+    for k in range(900):
+        angle = rate * (k + 1) * 1e-3
+        new.service.orientation = {"w": cos(angle / 2), "x": 0.0, "y": 0.0, "z": sin(angle / 2)}
+        new.now += 1e-3 - 4 * new.step
+        new.clock()
+        reading = device.read(k)
+        device.hold((0.0,) * 6)
+    assert reading.x[3:] == pytest.approx([rate * 0.9 * each for each in about], abs=0.02)
+    assert reading.v[3:] == pytest.approx([rate * each for each in about], rel=0.02)
+    device.hold((1.0, 0.0, 0.0, 9.0, 9.0, 9.0))  # a torque, which no motor has
+    new.clock()
+    assert hypot(*new.service.force.values()) == pytest.approx(1.0)
+
+
+def test_without_a_grip_there_is_no_orientation(new: Bench) -> None:
+    new.service.without = {"wireless_verse_grip"}
+    assert "the grip tells no orientation" in new.trouble(opened_for(new, "pose"), 3)
+
+
+def test_a_scene_of_joints_is_refused(new: Bench) -> None:
+    with pytest.raises(Refused, match="has no joints of the scene's"):
+        opened_for(new, "leader_follower")
 
 
 def test_a_force_beyond_the_limit_keeps_its_direction(new: Bench) -> None:
@@ -342,5 +376,5 @@ def test_an_address_that_cannot_be_meant_is_refused(url: str, why: str) -> None:
 
 
 def test_a_scene_of_more_axes_than_it_has_is_refused(new: Bench) -> None:
-    with pytest.raises(Refused, match="the scene has 3 axes"):
+    with pytest.raises(Refused, match="the scene has 3 axes that are places"):
         new.open("?axes=xy")
