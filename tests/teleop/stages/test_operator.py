@@ -15,7 +15,6 @@ from slave.robot import SimulatedSlave
 from teleop import At, Operator, Reading, Scene, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.errors import Refused
-from teleop.laws.direct import Direct
 from teleop.laws.four_channel import FourChannel
 from teleop.laws.pp import PositionPosition
 from teleop.laws.wave import Wave
@@ -219,9 +218,11 @@ def rows(kernel: Kernel, scenes: list[Scene]) -> list[Any]:
 @pytest.mark.parametrize("engine", [pytest.param(scalar, marks=pytest.mark.soak), vector])
 def test_every_engine_gives_the_bits_of_a_run(engine: Any) -> None:
     """Scenes with schedules of their own, some of a few spans and some of many, side by side."""
-    schedules = [Operator(clutch=bouncing(n, 2 + 2 * (n % 2)), absent=bouncing(20 + n, 2), ramp=0.004 * (n + 1))
+    schedules = [Operator(clutch=bouncing(n, 2 + 2 * (n % 2)), absent=bouncing(20 + n, 2), ramp=0.004 * (n + 1),
+                          closes_within=0.002 * (n + 1))
                  for n in range(9)]
-    scenes = [scene(each, Direct(K=400.0, B=5.0), duration=0.3, cap=Cap(f_max=3.0, slew=300.0)) for each in schedules]
+    scenes = [scene(each, PositionPosition(), duration=0.3, start_s=0.01, cap=Cap(f_max=3.0, slew=300.0))
+              for each in schedules]
     for of in scenes[:2]:
         assert_as_a_run(plain(of, exact_bodies(of), MEASURES), of)
     first = scenes[1]
