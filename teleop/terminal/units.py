@@ -6,11 +6,13 @@ PREFIX = {-3: "n", -2: "u", -1: "m", 0: "", 1: "k", 2: "M", 3: "G"}  # u: a term
 
 
 def si(value: float, unit: str) -> str:
-    """`value` to three digits with an SI prefix.
+    """`value` to three digits with an SI prefix; without a unit, of axes in m and rad together, without a prefix too.
 
-    >>> si(0.03181, "m"), si(-1.1e-2, "J"), si(999.96, "N"), si(0.0, "J")
-    ('31.8 mm', '-11.0 mJ', '1.00 kN', '0 J')
+    >>> si(0.03181, "m"), si(-1.1e-2, "J"), si(999.96, "N"), si(0.0, "J"), si(0.0049812, "")
+    ('31.8 mm', '-11.0 mJ', '1.00 kN', '0 J', '0.00498')
     """
+    if not unit:
+        return f"{value:.3g}"
     if value == 0.0:
         return f"0 {unit}"
     digits, _, power = f"{value:.2e}".partition("e")
