@@ -36,6 +36,26 @@ def test_a_drag_moves_the_hand_by_as_much_as_the_pointer_moves(mock: Mock, page:
     page.until(f"Math.abs(row.hand[0] - {asked(mock)[-1]}) < 1e-3")
 
 
+def test_of_six_joints_the_one_that_is_chosen_is_shown_and_dragged_and_the_others_stay(
+    server: Callable[..., Mock], tab: Callable[..., Page]
+) -> None:
+    mock = server(axes=6)
+    page = tab(mock.url)
+    at_rest(page)
+    assert page.evaluate("[...$('axis').options].map(one => one.text).join()") == (
+        "joint1,joint2,joint3,joint4,joint5,joint6")
+    page.evaluate("$('axis').value = 4, $('axis').onchange({target: $('axis')})")
+    before = page.evaluate("row.all.hand")
+    page.drag(page.place("#stage"), (100.0, 0.0))
+    until(lambda: mock.of("hand") and mock.of("hand")[-1]["to"] is not None
+          and mock.of("hand")[-1]["to"][4] == pytest.approx(before[4] + 100.0 / scale(page), abs=2e-4))
+    *others, _, last = mock.of("hand")[-1]["to"]
+    assert [*others, last] == pytest.approx([*before[:4], before[5]], abs=1e-3)
+    page.until("row.xs[0] === row.all.xs[4] && row.xs[0] > .01")
+    page.until("document.querySelector('figure span').textContent.endsWith('mrad')")
+    assert page.console == []
+
+
 def test_a_press_without_a_motion_does_not_move_the_hand(mock: Mock, page: Page) -> None:
     page.click("#stage")
     page.until("drag === null")
