@@ -33,6 +33,8 @@ class EndCounts:
     last: int
     ticks: int = 0
     skipped: int = 0
+    in_read: int = 0  # ticks that went by while the device was read
+    longest_read: int = 0  # of those reads, ns
     data_sent: int = 0
     first: int = 0  # the first tick
     ran: int = 0
@@ -57,6 +59,7 @@ class Shell:
             endpoint.guard.lapse_after(deadline)
         self.outcome = Outcome()
         self.counts = EndCounts(last=-endpoint.every)
+        self._span_ns = endpoint.every * endpoint.scene.dt_ns  # a turn keeps both
         self.live_line = LiveLine(endpoint, say)
         self.security = LinkSecurity()
         self.realtime: RealTime | None = None  # the scheduling of its process
@@ -149,7 +152,11 @@ class Shell:
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end, which runs `late` ns late."""
         device, counts, endpoint = self.device, self.counts, self.endpoint
+        began = time.monotonic_ns()
         reading = device.read(k, now)
+        if (took := time.monotonic_ns() - began) > self._span_ns:
+            counts.in_read += took // self._span_ns
+            counts.longest_read = max(counts.longest_read, took)
         trouble = device.trouble
         if trouble is not None:
             if device.dead(now):

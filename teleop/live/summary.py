@@ -77,6 +77,8 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
                *[UNWATCHED] * holds_on(shell),
                *filter(None, [shell.recorder.trouble, shell.recorder.inputs.trouble, clock_note(endpoint.link),
                               sums_note(endpoint.rejected["integrals"], NAMES["s" if endpoint.e == "m" else "m"]),
+                              reading_note(shell.counts.in_read, shell.counts.longest_read,
+                                           shell.counts.skipped + shell.counts.ticks),
                               missed_note(shell.counts.skipped, shell.counts.skipped + shell.counts.ticks,
                                           endpoint.own, told)])],
     )
@@ -119,6 +121,14 @@ def sums_note(count: int, other: str) -> str | None:
             "not fit its number and the messages before; somebody changes them on the way, or the software "
             "of that end is at fault: have the link sealed (see teleop/protocol/README.md), and the same version at "
             "both ends")
+
+
+def reading_note(in_read: int, longest_ns: int, due: int) -> str | None:
+    """A sentence if more than `MISSED` of the `due` ticks of an end went by while its device was read; None if not."""
+    if in_read <= MISSED * due:
+        return None
+    return (f"{in_read} of {due} ticks went by while the device was read, for up to {longest_ns / 1e6:.3g} ms at a "
+            "time; have its read give what came last, without waiting for more: see teleop/live/devices/README.md")
 
 
 def missed_note(skipped: int, due: int, scene: Scene, realtime: dict[str, str] | None = None) -> str | None:

@@ -87,6 +87,7 @@ def test_one_that_is_slow_and_then_unplugged_is_safe_says_so_and_comes_back(
     assert motor.force == 0.0
     told = summary(tmp_path / "s")
     assert told["slave"]["skipped"] > 8 * 30, "of 50 ticks that each reading took"
+    assert any("went by while the device was read, for up to" in note for note in told["notes"])
     whats = [(event["what"], event["why"]) for event in read_events(tmp_path / "s")]
     out = next(i for i, (what, why) in enumerate(whats) if what == "safe" and "the cable is out" in why)
     assert "released" in [what for what, _ in whats[out:]]

@@ -23,7 +23,7 @@ from teleop.live.process.interrupt import Interrupt
 from teleop.live.rate import ticks_of
 from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS, FILE, read_record
-from teleop.live.summary import missed_note, sums_note
+from teleop.live.summary import missed_note, reading_note, sums_note
 from teleop.protocol.packet import DATA, Kind, peek
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
@@ -192,6 +192,13 @@ def test_a_run_of_which_a_third_of_the_ticks_was_left_out_is_not_ok_without_a_wo
     assert str(missed_note(3637, 10000, scene, given)).endswith("try --spin or --rate 500")
     assert missed_note(100, 10000, scene) is None, "one of a hundred changes no force that a hand feels"
     assert missed_note(0, 0, scene) is None, "an end that never came to a tick"
+
+
+def test_ticks_that_went_by_in_a_devices_read_are_laid_to_the_device() -> None:
+    note = str(reading_note(4900, 52_000_000, 10_000))
+    assert note.startswith("4900 of 10000 ticks went by while the device was read, for up to 52 ms at a time; ")
+    assert reading_note(100, 52_000_000, 10_000) is None
+    assert reading_note(0, 0, 0) is None
 
 
 def test_a_note_on_ticks_left_out_proposes_no_rate_that_is_refused() -> None:
