@@ -31,6 +31,7 @@ HOME = {
     "zwidth": "teleop.analysis.zwidth.command:command",
     "reproduce": "teleop.studies.reproduce.command:command",
     "list": "teleop.terminal.listing:command",
+    "manifest": "teleop.live.foreign:command",
     "show": "teleop.terminal.show:command",
     "check": "teleop.live.devices.command:command",
     "doctor": "teleop.doctor.command:command",

@@ -35,7 +35,7 @@ from teleop.live.shell import Shell
 from teleop.live.summary import UNWATCHED, holds_on, write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import Event
-from teleop.protocol.manifest import manifest_of
+from teleop.protocol.manifest import live_manifest, manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.device_names import KINDS
 from teleop.scene.loading import live_knobs, load_scene
@@ -233,7 +233,7 @@ def _turned(args: Namespace, knobs: dict[str, str]) -> tuple[Scene, dict[str, st
 
 def _manifest(scene: Scene, args: Namespace) -> dict[str, str]:
     """What the two ends have to agree on."""
-    return {**manifest_of(scene), "mode": "lockstep" if args.lockstep else "live"}
+    return {**manifest_of(scene), "mode": "lockstep"} if args.lockstep else live_manifest(scene)
 
 
 def _endpoint(scene: Scene, e: str, args: Namespace) -> Endpoint:

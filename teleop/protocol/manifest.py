@@ -64,6 +64,11 @@ def _digested(text: str) -> str:
     return f"{text[: LONGEST - 20]}... ({sha256(text.encode()).hexdigest()[:12]})"
 
 
+def live_manifest(scene: Scene) -> dict[str, str]:
+    """The same of two ends that go by the clock: `manifest_of` and the mode."""
+    return {**manifest_of(scene), "mode": "live"}
+
+
 def fingerprint(value: object) -> str:
     """A knob as text, as it is typed; a file by its name and what is in it.
 

@@ -316,6 +316,12 @@ def _show(added: ArgumentParser) -> None:
     _json(added)
 
 
+def _manifest(added: ArgumentParser) -> None:
+    scene_options(added, seed=False)
+    added.add_argument("--write", metavar="FILE", help="write the manifest as msgpack, as HELLO and WELCOME carry it")
+    _json(added)
+
+
 def _report(added: ArgumentParser) -> None:
     added.add_argument("folders", metavar="FOLDER", nargs="+",
                        help="the folder that a run, a page, a sweep, a comparison or a study wrote; several are shown "
@@ -407,6 +413,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "list": ("List scenes, laws, effects, velocity estimators, metrics, playouts, stages, bodies (their "
              "integrators), devices and robots, or the knobs of one.", _list),
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
+    "manifest": ("Print what an end in another language has to say in a scene's packets: manifest, fields in their "
+                 "places, sizes, examples in hex; see teleop/protocol/WIRE.md.", _manifest),
     "check": ("Check a device or a robot: its readings, their times, the sign of its force, and how it lets go.",
               _check),
     "doctor": ("Show what is installed and kept, and measure what this machine gives a live end, in about three "

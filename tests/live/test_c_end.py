@@ -1,0 +1,187 @@
+"""An end in C (`scenarios/examples/c`) beside an end of this package: sessions, loss, either one killed, the law."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from teleop.__main__ import main
+from tests.live.conftest import summary
+from tests.scenarios.examples.compiled import compiled
+
+pytestmark = pytest.mark.live
+Start = Callable[..., Any]
+
+PP = ["hard_wall", "--set", "law=pp", "--set", "duration=600"]
+WAVE = ["hard_wall", "--set", "duration=600"]
+K, B, F_MAX, STEP = 400.0, 4.0, 20.0, 2.0  # of PP: N/m, N s/m; its cap, N; its slew limit, N a tick
+LOG = ("met", "k", "x", "v", "f", "gain", "offset", "newest", "rx_0", "rx_1", "tx_0", "tx_1")
+
+
+class InC:
+    """Ends in C in `folder`: `start` gives a process, which logs into a file of its own."""
+
+    def __init__(self, program: Path, folder: Path) -> None:
+        self.program, self.folder, self.started = program, folder, list[subprocess.Popen[str]]()
+
+    def start(self, role: str, port: int, scene: list[str], log: str) -> subprocess.Popen[str]:
+        manifest = self.folder / "manifest"
+        assert main(["manifest", *scene, "--write", str(manifest), "--json"]) == 0
+        words = [self.program, role, "127.0.0.1", str(port), manifest, "600", self.folder / log]
+        self.started.append(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return self.started[-1]
+
+    def rows(self, log: str) -> dict[str, Any]:
+        """The columns of a log; the row in which its process was killed is left out."""
+        lines = [line for line in (self.folder / log).read_text().splitlines()[:-1] if line.count(",") == len(LOG) - 1]
+        table = np.array([line.split(",") for line in lines], dtype=float)
+        return dict(zip(LOG, table.T, strict=True))
+
+
+@pytest.fixture
+def in_c(tmp_path: Path) -> Iterator[InC]:
+    ends = InC(compiled("end", tmp_path), tmp_path)
+    yield ends
+    for one in ends.started:
+        one.kill()
+        one.communicate()
+
+
+def told(folder: Path) -> dict[str, Any]:
+    """The columns of inputs.bin, all that an end of this package was told: see `teleop.live.records.inputs`."""
+    head, _, rows = (folder / "inputs.bin").read_bytes().partition(b"\n")
+    names = json.loads(head)["columns"]
+    return dict(zip(names, np.frombuffer(rows).reshape(-1, len(names)).T, strict=True))
+
+
+def ended(process: subprocess.Popen[str]) -> dict[str, Any]:
+    """Ask an end in C to stop, and read what it has counted."""
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate()
+    assert process.returncode == 0, err  # a sanitizer would have said otherwise
+    counts: dict[str, Any] = json.loads(out.splitlines()[-1])
+    return counts
+
+
+def hears_what_it_said(folder: Path, names: tuple[str, ...], *logs: dict[str, Any]) -> int:
+    """How many messages of an end in C the other one played; each has, to the bit, the numbers that were sent."""
+    heard, tx = told(folder), [f"tx_{i}" for i in range(len(names))]
+    said = {k: row for log in logs for k, *row in zip(log["k"], *[log[each] for each in tx], strict=True)}
+    fresh = [i for i, (got, k) in enumerate(zip(heard["fresh"], heard["newest"], strict=True)) if got and k in said]
+    for i in fresh:
+        assert [heard[f"rx.{name}"][i] for name in names] == said[heard["newest"][i]]
+    return len(fresh)
+
+
+def holds_what_the_law_says(log: dict[str, Any], sign: float) -> int:
+    """At how many ticks of an end in C, with full gain and off the limits, the force was K (x - x') + B (v - v')."""
+    f = K * (log["x"] - log["rx_0"] - sign * log["offset"]) + B * (log["v"] - log["rx_1"])
+    change = np.abs(np.diff(log["f"], prepend=log["f"][0]))
+    plain = (log["gain"] == 1.0) & (log["newest"] >= 0.0) & (np.abs(f) < F_MAX) & (change < 0.99 * STEP)
+    assert np.allclose(log["f"][plain], sign * f[plain], rtol=0.0, atol=1e-9)
+    return int(np.count_nonzero(plain))
+
+
+def lets_go_first(log: dict[str, Any]) -> bool:
+    """True if every session of it but the first began without force and the force came back within the slew limit."""
+    later = np.flatnonzero(np.diff(log["met"], prepend=log["met"][0]))
+    jumps = np.abs(np.diff(log["f"]))
+    return bool(np.all(log["f"][later] == 0.0) and np.all(jumps <= STEP + 1e-9))
+
+
+def test_a_slave_in_c_serves_a_master_through_a_channel_that_loses_and_is_killed_and_started_again(
+    command: Start, in_c: InC, tmp_path: Path
+) -> None:
+    scene = [*PP, "--link", "delay(0.005) | bernoulli(0.05)"]
+    first = in_c.start("slave", 0, scene, "first.csv")
+    assert first.stdout is not None
+    port = int(first.stdout.readline().split()[1])
+    channel = command("channel", *scene, "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}", "--json")
+    master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", "--out", str(tmp_path / "m"), "--json")
+    before = master.live(lambda numbers: numbers["k"] > 1000)
+    first.kill()
+    first.wait()
+    let_go = master.live(lambda numbers: numbers["gain"] == 0.0)["k"]
+    second = in_c.start("slave", port, scene, "second.csv")
+    again = master.live(lambda numbers: numbers["gain"] == 1.0 and numbers["k"] > let_go)["k"]
+    master.live(lambda numbers: numbers["k"] > again + 500)
+    master.signal(signal.SIGTERM)
+    assert master.end()[0] == 0
+    counts = ended(second)
+    left = summary(tmp_path / "m")
+    assert before["gain"] == 1.0
+    assert (left["master"]["sessions"], left["packets"]["bwd"]["rejected"]) == (2, {})
+    assert (counts["met"], counts["rejected"]) == (1, 0)
+    logs = [in_c.rows(name) for name in ("first.csv", "second.csv")]
+    sent = sum(len(log["k"]) for log in logs)
+    assert 0.5 * sent < left["packets"]["bwd"]["received"] < sent, "5 % are lost, and a machine may be slow"
+    assert hears_what_it_said(tmp_path / "m", ("x", "v"), *logs) > 0.4 * sent
+    assert all(holds_what_the_law_says(log, -1.0) > 200 for log in logs)
+    assert np.max(logs[0]["f"]) > 0.1
+    assert logs[0]["k"][0] == 0.0
+    assert logs[1]["k"][0] > let_go, "it takes up the grid of the master that went on"
+    assert logs[1]["f"][0] == 0.0
+    assert all(map(lets_go_first, logs))
+
+
+def test_a_master_in_c_goes_on_with_a_slave_that_is_killed_and_started_again(
+    command: Start, in_c: InC, tmp_path: Path
+) -> None:
+    slave = command("slave", *PP, "--listen", "127.0.0.1:0", "--out", str(tmp_path / "one"), "--json")
+    port = slave.port()
+    master = in_c.start("master", port, PP, "master.csv")
+    slave.live(lambda numbers: numbers["k"] > 1000)
+    slave.signal(signal.SIGKILL)
+    slave.process.wait()
+    slave = command("slave", *PP, "--listen", f"127.0.0.1:{port}", "--out", str(tmp_path / "two"), "--json")
+    again = slave.live(lambda numbers: numbers["gain"] == 1.0)["k"]
+    slave.live(lambda numbers: numbers["k"] > again + 500)
+    counts = ended(master)
+    slave.end()
+    left, log = summary(tmp_path / "two"), in_c.rows("master.csv")
+    assert left["slave"]["sessions"] == 1
+    assert set(left["packets"]["fwd"]["rejected"]) <= {"session"}, "what was still sent to the one that was killed"
+    assert (counts["met"], counts["over"], counts["rejected"]) == (2, 1, 0)
+    assert hears_what_it_said(tmp_path / "two", ("x", "v"), log) > 0.4 * np.count_nonzero(log["met"] == 2.0)
+    assert holds_what_the_law_says(log, 1.0) > 500
+    assert np.max(log["f"]) > 0.5
+    silent = (log["newest"] == log["newest"][log["met"] == 1.0][-1]) & (log["met"] == 1.0)
+    assert log["f"][silent][-1] == 0.0, "a force without an answer goes to zero"
+    assert lets_go_first(log)
+
+
+@pytest.mark.parametrize("ours", ["master", "slave"])
+def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ours(
+    ours: str, command: Start, in_c: InC, tmp_path: Path
+) -> None:
+    if ours == "master":
+        theirs = in_c.start("slave", 0, WAVE, "c.csv")
+        assert theirs.stdout is not None
+        at = ["--peer", f"127.0.0.1:{theirs.stdout.readline().split()[1]}"]
+    else:
+        at = ["--listen", "127.0.0.1:0"]
+    end = command(ours, *WAVE, *at, "--out", str(tmp_path / "ours"), "--json")
+    if ours == "slave":
+        theirs = in_c.start("master", end.port(), WAVE, "c.csv")
+    end.live(lambda numbers: numbers["k"] > 1000)
+    end.signal(signal.SIGTERM)
+    assert end.end()[0] == 0
+    counts = ended(theirs)
+    left, log = summary(tmp_path / "ours"), in_c.rows("c.csv")
+    way = "bwd" if ours == "master" else "fwd"
+    assert (left["packets"][way]["rejected"], counts["rejected"], counts["met"]) == ({}, 0, 1)
+    assert counts["received"] > 0.5 * left["ticks"]
+    assert left["packets"][way]["received"] > 0.5 * left["ticks"]
+    assert hears_what_it_said(tmp_path / "ours", (), log) > 0.5 * left["ticks"]
+    sent, heard = told(tmp_path / "ours"), {"master": "u", "slave": "w"}[ours]
+    waves = dict(zip(sent["k"], sent[f"tx.{heard}"], strict=True))
+    played = [(log["rx_0"][i], waves[k]) for i, k in enumerate(log["newest"]) if k in waves and log["met"][i] == 1.0]
+    assert len(played) > 0.5 * left["ticks"]
+    assert all(one == other for one, other in played)
