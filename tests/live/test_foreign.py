@@ -70,7 +70,7 @@ def test_a_total_of_an_end_that_couples_its_axes_has_one_place(capsys: pytest.Ca
 def test_a_person_reads_sizes_places_and_the_bytes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["manifest", "hard_wall", "--set", "law=pp"]) == 0
     out = capsys.readouterr().out
-    for words in ("100 bytes, exactly", "1000000 ns", "1  x  v  sample  the master's velocity, m/s",
+    for words in ("100 bytes, exactly", "1000000 ns", "1  x  v  sample    the master's velocity, m/s",
                   "law           pp PositionPosition(K=400.0, B=4.0, rejoin=2.0)", "  4254040000"):
         assert words in out
 
