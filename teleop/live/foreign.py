@@ -33,6 +33,7 @@ from teleop.terminal.options import knobs_from
 
 SESSION, NUMBER = 0x0123456789ABCDEF, 1000  # of the examples
 SENT_NS, ECHO = 5_000_000_000, Echo(4_900_000_000, 1_000_000)
+_OF_RAD = {"m": "rad", "m/s": "rad/s", "N": "N m", "N/s": "N m/s", "N/m": "N m/rad"}
 _COMMENT = re.compile(r"\s+(\w+)\s*:[^#]*#\s*(.*)")
 
 
@@ -58,7 +59,9 @@ def places(scene: Scene, e: str) -> list[dict[str, Any]]:
     for value in layout.flat(tuple(own)):
         i, n = divmod(int(value), 1000)
         name = kind._fields[n]
-        found.append({"axis": names[i], "name": name, "kind": told[name], "says": said.get(name, "")})
+        says = said.get(name, "")
+        found.append({"axis": names[i], "name": name, "kind": told[name],
+                      "says": says if scene.axis_units[i] == "m" else _turned(says)})
     once = {one["name"] for one in found} - {one["name"] for one in found if one["axis"] != names[0]}
     for one in found:
         if scene.axes > 1 and one["name"] in once:
@@ -128,9 +131,6 @@ def _lines(scene: Scene, found: Mapping[str, Any]) -> list[str]:
         widths = [max(len(row[i]) for row in rows) for i in range(4)]
         lines += ["  " + "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[4]])
                   for row in rows]
-    if any(unit == "rad" for unit in scene.axis_units):
-        turned = ", ".join(n for n, unit in zip(scene.axis_names, scene.axis_units, strict=True) if unit == "rad")
-        lines.append(f"\nof {turned}: read rad for m and N m for N")
     lines += ["", "manifest (text, all of it compared)"]
     width = max(map(len, found["manifest"]))
     lines += [f"  {name.ljust(width)}  {text}" for name, text in found["manifest"].items()]
@@ -146,6 +146,12 @@ def _hex(digits: str) -> list[str]:
     """Bytes in hex, 32 in a line."""
     cuts = [*range(0, len(digits), 64), len(digits)]
     return [f"  {digits[a:b]}" for a, b in pairwise(cuts)]
+
+
+def _turned(says: str) -> str:
+    """What a law's file says of a field, for an axis of rad: laws are written for m."""
+    what, comma, unit = says.rpartition(", ")
+    return what + comma + _OF_RAD.get(unit, unit)
 
 
 def _comments(kind: type[Any]) -> dict[str, str]:

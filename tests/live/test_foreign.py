@@ -61,10 +61,15 @@ def test_waves_have_their_integrals_behind_all_axes_and_the_time_at_the_end(
 
 def test_a_total_of_an_end_that_couples_its_axes_has_one_place(capsys: pytest.CaptureFixture[str]) -> None:
     found = said(capsys, "recorded_reach", "--set", "law=tdpa")
-    moves = [(axis, name, "sample") for axis in "xyz" for name in "xv"]
+    moves = [(axis, name, kind) for axis in "xyz" for name, kind in (("x", "position"), ("v", "sample"))]
     assert places(found["forth"]) == [*moves[:2], ("", "E", "total"), *moves[2:]]
-    assert found["forth"][0]["says"] == "the master's position, m"
+    assert found["forth"][1]["says"] == "the master's velocity, m/s"
     assert found["E_in"] is True
+
+
+def test_of_an_axis_of_rad_the_units_are_those_of_angles(capsys: pytest.CaptureFixture[str]) -> None:
+    told = {(one["axis"], one["name"]): one["says"].rpartition(", ")[2] for one in said(capsys, "pose")["forth"]}
+    assert (told["z", "x"], told["z", "v"], told["rx", "x"], told["rx", "v"]) == ("m", "m/s", "rad", "rad/s")
 
 
 def test_a_person_reads_sizes_places_and_the_bytes(capsys: pytest.CaptureFixture[str]) -> None:
