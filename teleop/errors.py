@@ -39,6 +39,20 @@ class WrongNumber(Refused):
         return WrongNumber(self.name, self.value, self._must, self._example, more)
 
 
+class WrongCount(Refused):
+    """A refused tuple of numbers, one for each axis: its name, the tuple, and how many axes there are."""
+
+    def __init__(self, name: str, value: tuple[object, ...], axes: int) -> None:
+        super().__init__(f"{name} has {number_of(len(value), 'number')}, the scene has "
+                         f"{number_of(axes, 'axis', 'axes')}; write one number, which means for each axis, or as many "
+                         "as there are axes")
+        self.name, self.value, self._axes = name, value, axes
+
+    def called(self, name: str) -> WrongCount:
+        """The same refusal with another name of the numbers, the one under which they were typed."""
+        return WrongCount(name, self.value, self._axes)
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """Last words of a refusal of an unknown name: the nearest known names, or all of them.
 

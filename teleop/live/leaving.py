@@ -15,9 +15,12 @@ from __future__ import annotations
 import asyncio
 import time
 
+from teleop.errors import enumerated
 from teleop.live.process.ticker import Alarm
 from teleop.live.shell import Shell
+from teleop.protocol.endpoint import Axes, Endpoint
 from teleop.protocol.held_force import BLIND_NS
+from teleop.scene.axes import FORCE_UNIT
 
 RAMP_NS = 2_000_000_000  # the longest way of the force to zero
 RETRY_NS = 1_000_000_000  # zero force is tried for so long
@@ -33,7 +36,7 @@ async def let_go(shell: Shell) -> None:
         # Now, so that the other end does not go on with what it heard last. How a device that fails has ended is told
         # when it is known.
         shell.bye()
-    most, began, k = max(map(abs, endpoint.held.force)), time.monotonic_ns(), shell.counts.last
+    most, began, k = _told(endpoint, endpoint.held.force), time.monotonic_ns(), shell.counts.last
     seen = began  # when it was last read
     ring = asyncio.Event()
     alarm = Alarm(asyncio.get_running_loop(), ring.set)
@@ -57,10 +60,17 @@ async def let_go(shell: Shell) -> None:
     finally:
         alarm.close()
     device.let_go()
-    rest = max(map(abs, force))
-    jump = f", the last {rest:.3g} N at once" if rest > 0.0 else ""
-    sentence = f"{most:.3g} N taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
+    jump = f", the last {_told(endpoint, force)} at once" if any(force) else ""
+    sentence = f"{most} taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
     endpoint.guard.tell(shell.counts.ran, "zero", sentence)
+
+
+def _told(endpoint: Endpoint, force: Axes) -> str:
+    """The largest size of a force of each unit: "1.61 N", "1.61 N and 0.3 N m"."""
+    most: dict[str, float] = {}
+    for one, unit in zip(force, endpoint.scene.axis_units, strict=True):
+        most[FORCE_UNIT[unit]] = max(most.get(FORCE_UNIT[unit], 0.0), abs(one))
+    return enumerated(f"{size:.3g} {unit}" for unit, size in most.items())
 
 
 async def leave(shell: Shell) -> None:

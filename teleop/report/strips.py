@@ -149,9 +149,10 @@ def _curves(panel: TracePanel, run: Strip, shown: Sequence[int], time: Axis, box
     for curve in has:
         wide = "" if curve is has[-1] else " w"
         dashes = _dashes(run)
-        for name, i, values in axis_curves(run.trace[curve.name], shown, run.labels):
+        for name, i, values in axis_curves(column := run.trace[curve.name], shown, run.labels):
             line = line_of(t, values, time.low, time.high, max(2, round(box.width)))
-            yield Drawn(f"{plain(curve.label)} {name}".rstrip(), f"{STYLE[curve.colour]}{wide}{dashes[i]}", line)
+            dash = dashes[i] if column.ndim > 1 else ""  # what is of all axes together is of none that is drawn
+            yield Drawn(f"{plain(curve.label)} {name}".rstrip(), f"{STYLE[curve.colour]}{wide}{dash}", line)
 
 
 def _dashes(run: Strip) -> dict[int, str]:

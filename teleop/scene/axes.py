@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from teleop.errors import Refused, enumerated, number_of
+from teleop.errors import Refused, WrongCount, enumerated, number_of
 
 MOST_AXES = 16
 PER_AXIS = ("law", "master", "slave", "hand", "environment", "cap", "device_m", "device_s", "scaling")
@@ -102,9 +102,7 @@ def each_axis(make: Callable[..., Any], axes: int, **numbers: Any) -> Any:
     """
     for name, value in numbers.items():
         if isinstance(value, tuple) and len(value) != axes:
-            raise Refused(f"{name} has {number_of(len(value), 'number')}, the scene has "
-                          f"{number_of(axes, 'axis', 'axes')}; write one number, which means for each axis, or as many "
-                          "as there are axes")
+            raise WrongCount(name, value, axes)
     if not any(isinstance(value, tuple) for value in numbers.values()):
         return make(**numbers)
     return tuple([make(**{name: value[i] if isinstance(value, tuple) else value for name, value in numbers.items()})

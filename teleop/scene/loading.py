@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from teleop.errors import Refused, WrongNumber
+from teleop.errors import Refused, WrongCount, WrongNumber
 from teleop.law.contract import LawMistake
 from teleop.scene.scene import Scene
 
@@ -112,8 +112,8 @@ def _called(scene: Scene, name: str, knobs: Mapping[str, object]) -> Scene:
 
 def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:
     """A part's refusal with the name of the knob that set the part: the part may have another name for it."""
-    if isinstance(refused, WrongNumber) and given.get(refused.name) != refused.value:
-        same = [key for key, value in given.items() if type(value) in (int, float) and value == refused.value]
+    if isinstance(refused, (WrongNumber, WrongCount)) and given.get(refused.name) != refused.value:
+        same = [key for key, value in given.items() if type(value) in (int, float, tuple) and value == refused.value]
         if len(same) == 1:
             return refused.called(same[0])
     if isinstance(refused, LawMistake):

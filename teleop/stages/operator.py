@@ -53,7 +53,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.errors import Refused, number, number_of
+from teleop.errors import Refused, WrongCount, number, number_of
 from teleop.law import At
 from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Run, Stage, per_axis, zero
 from teleop.stages.record import Record
@@ -107,8 +107,7 @@ class Operator:
         """`closes_within` of each of so many axes, m or rad; inf where it is left out. Raises `Refused`."""
         own = inf if self.closes_within is None else self.closes_within
         if isinstance(own, tuple) and len(own) != axes:
-            raise Refused(f"closes_within has {number_of(len(own), 'number')}, the scene has "
-                          f"{number_of(axes, 'axis', 'axes')}; write one number, or one for each axis")
+            raise WrongCount("closes_within", own, axes)
         return own if isinstance(own, tuple) else (own,) * axes
 
     def limits(self, dt: float, axes: int = 1) -> SwitchLimits:
@@ -127,7 +126,11 @@ def _spans(name: str, value: Any) -> Spans:
     found = []
     for span in value:
         start = number(f"{name}: the beginning of a span", span[0], low=0.0, unit="s")
-        found.append((start, number(f"{name}: the end of a span", span[1], above=start, unit="s")))
+        end = number(f"{name}: the end of a span", span[1], low=0.0, unit="s")
+        if end <= start:
+            raise Refused(f"{name}: the span from {start:g} s ends at {end:g} s, which is not later; give each span "
+                          "its beginning first")
+        found.append((start, end))
     return tuple(found)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import pairwise
 from typing import Any
 
@@ -190,6 +191,14 @@ def test_the_command_tells_it_and_has_it_as_json(capsys: pytest.CaptureFixture[s
     assert main(["check", "device", "simulated", "--ticks", "50", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["moved"][0] < 0.0
     assert main(["check", "robot", "simulatedd"]) == 2
+
+
+def test_of_a_push_along_unlike_axes_each_is_told_by_its_name_in_its_unit(capsys: pytest.CaptureFixture[str]) -> None:
+    """It moved "by 0.01, 0.02 m or rad" under "1 N or N m"."""
+    assert main(["check", "robot", "simulated", "bench_top", "--ticks", "50", "--set", "axes=2",
+                 "--set", "units=m,rad", "--set", "names=rail,turn"]) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"push    1 N or 1 N m moved it by [\d.]+ m along rail, [\d.]+ rad along turn: the right", told)
 
 
 def test_a_device_that_does_not_move_says_that_its_sign_is_not_known() -> None:

@@ -107,6 +107,12 @@ def test_at_the_end_of_a_run_the_force_does_not_jump(scene: Any, seed: int | Non
             assert (shell.counts.ticks, shell.outcome.sentence) == (virtual.ticks, virtual.sentence), e
 
 
+def test_the_force_that_was_taken_to_zero_is_told_in_the_unit_of_its_axis(pair: Make) -> None:
+    """A torque of six joints was told as "1.61 N taken to zero"."""
+    both = pair(replace(SLEWED, units=("rad",), duration=0.54), seed=1).run()
+    assert all(" N m taken to zero in 0." in read_events(folder)[-1]["why"] for folder in both.write())
+
+
 def stop(both: list[Any], e: str) -> Callable[[Reading], Reading]:
     def act(reading: Reading) -> Reading:
         both[0].shells[e].interrupt.name = "SIGTERM"

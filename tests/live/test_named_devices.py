@@ -92,7 +92,7 @@ def test_a_wrong_name_is_answered_with_what_to_type(e: str, text: str, words: st
 def test_a_file_with_two_devices_asks_which_one_and_one_with_none_says_what_a_device_is(tmp_path: Path) -> None:
     file = tmp_path / "two.py"
     file.write_text(OWN.format(name="Left") + OWN.format(name="Right"))
-    with pytest.raises(Refused, match=r"has 2 devices; write --robot .*two.py:Left or --robot .*two.py:Right"):
+    with pytest.raises(Refused, match=r"has 2 devices; name one of them, .*two.py:Left or .*two.py:Right"):
         named("s", str(file))
     with pytest.raises(Refused, match="has no 'Lefft'; did you mean Left"):
         named("s", f"{file}:Lefft")

@@ -45,7 +45,8 @@ def test_limits_are_on_in_the_hands_of_whoever_drives_it() -> None:
 
 
 @pytest.mark.parametrize(("knobs", "why"), [
-    ({"clutch": "1"}, "in twos"), ({"units": "m,rad"}, "2 entries"), ({"clutch": "3,2"}, "clutch: the end of a span"),
+    ({"clutch": "1"}, "in twos"), ({"units": "m,rad"}, "2 entries"), ({"clutch": "3,2"}, "3 s ends at 2 s"),
+    ({"m_m": "1,2", "axes": "3"}, "^m_m has 2 numbers, the scene has 3 axes"),
     ({"closes_within": "0.1"}, "closes_within"), ({"axes": "17"}, "axes"),
 ])
 def test_what_cannot_be_is_refused_in_a_sentence(knobs: dict[str, str], why: str) -> None:

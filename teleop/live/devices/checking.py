@@ -16,7 +16,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from teleop.errors import DeviceError, Refused, number, number_of, whole_number
+from teleop.errors import DeviceError, Refused, enumerated, number, number_of, whole_number
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, is_simulated
 from teleop.live.devices.heartbeat import watched
 from teleop.live.devices.named import NamedDevice, named
@@ -40,6 +40,8 @@ class DeviceCheck:
 
     device: str
     axes: int
+    axis_names: tuple[str, ...]
+    axis_units: tuple[str, ...]
     senses: bool
     deadline: float | None
     watchdog: bool
@@ -144,7 +146,8 @@ class _Trial:
             notes.append("it has neither a deadline nor a watchdog: the force of an end that dies stays on; see "
                          "teleop/live/devices/README.md")
         return DeviceCheck(
-            device=called, axes=self.scene.axes, senses=bool(self.guarded.sensor), deadline=deadline,
+            device=called, axes=self.scene.axes, axis_names=self.scene.axis_names,
+            axis_units=self.scene.axis_units, senses=bool(self.guarded.sensor), deadline=deadline,
             watchdog=watchdog, simulated=self.simulated, reads=ticks, read_median=median(self.read_s),
             read_most=max(self.read_s), hold_median=median(self.hold_s), hold_most=max(self.hold_s),
             rate=1.0 / max(together, 1e-9), failed=self.failed,
@@ -287,7 +290,7 @@ def _wrong(method: str, error: Exception) -> Refused:
 
 def told(found: DeviceCheck, e: str) -> str:
     """What was found, for a person."""
-    unit = "N or N m"
+    force = enumerated(dict.fromkeys(f"{found.pushed or 0.0:g} {FORCE_UNIT[unit]}" for unit in found.axis_units), "or")
     lets_go = " and ".join([*[f"by itself after {found.deadline:g} s"] * (found.deadline is not None),
                             *["by its watchdog process"] * found.watchdog]) or "not at all if this process dies"
     lines = [
@@ -302,8 +305,9 @@ def told(found: DeviceCheck, e: str) -> str:
     if found.failed:
         lines.append(f"  failed  {number_of(found.failed, 'reading')}, the first: {found.trouble}")
     if found.pushed is not None and any(found.moved):
-        lines.append(f"  push    {found.pushed:g} {unit} moved it by {', '.join(f'{by:.3g}' for by in found.moved)} m "
-                     "or rad: the right way")
+        moved = ", ".join(f"{by:.3g} {unit} along {name}" for name, unit, by in
+                          zip(found.axis_names, found.axis_units, found.moved, strict=True))
+        lines.append(f"  push    {force} moved it by {moved}: the right way")
     return "\n".join([*lines, *[f"  note    {note}" for note in found.notes]])
 
 

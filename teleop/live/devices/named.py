@@ -75,7 +75,7 @@ def _in_file(e: str, file: str, name: str) -> Callable[..., LiveDevice]:
     if not there:
         raise Refused(f"{file} has no {word}: a class with read(k) and hold(force), see {PAGE}")
     if len(there) > 1:
-        raise Refused(f"{file} has {len(there)} devices; write "
-                      f"{enumerated([f'{option} {file}:{each}' for each in there], 'or')}")
+        raise Refused(f"{file} has {len(there)} devices; name one of them, "
+                      f"{enumerated([f'{file}:{each}' for each in there], 'or')}")
     made: Callable[..., LiveDevice] = next(iter(there.values()))
     return made

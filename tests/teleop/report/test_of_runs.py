@@ -114,6 +114,14 @@ class TestOne:
         assert any((text or "").startswith("position (") and (text or "").endswith("rad)") for text in texts)
         assert len([one for one in shown.figure("energy").iter(f"{SVG}rect") if one.get("class") == "f"]) == 1
 
+    def test_energy_is_drawn_also_where_the_first_of_many_axes_is_not(self) -> None:
+        """`teleop report MASTER SLAVE` ended with KeyError: 0 where other axes had done more work than the first."""
+        t = np.arange(50) * 0.01
+        x = np.sin(np.outer(t, np.arange(6.0)))  # the first rests
+        trace = {"t": t, "x_m": x, "x_s": x, "f_m": x, "f_s": x, "E_port": t}
+        assert len(strips([Strip("", trace, 0.01, [])])) == 4
+        assert len(strips([Strip("", trace, 0.01, [])] * 2)) == 5, "and the sentence on what is left out"
+
     def test_of_several_runs_of_many_axes_three_are_drawn_and_named(self) -> None:
         joints = told(run(load_scene("leader_follower", duration=0.8)))
         shown = of(joints, joints)
