@@ -45,9 +45,14 @@ class InC:
         return dict(zip(LOG, table.T, strict=True))
 
 
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled("end", tmp_path_factory.mktemp("c"))
+
+
 @pytest.fixture
-def in_c(tmp_path: Path) -> Iterator[InC]:
-    ends = InC(compiled("end", tmp_path), tmp_path)
+def in_c(program: Path, tmp_path: Path) -> Iterator[InC]:
+    ends = InC(program, tmp_path)
     yield ends
     for one in ends.started:
         one.kill()
@@ -184,3 +189,30 @@ def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ou
     played = [(log["rx_0"][i], waves[k]) for i, k in enumerate(log["newest"]) if k in waves and log["met"][i] == 1.0]
     assert len(played) > 0.5 * left["ticks"]
     assert all(one == other for one, other in played)
+
+
+def test_ends_of_two_scenes_refuse_each_other_whichever_is_in_c(command: Start, in_c: InC) -> None:
+    other = [*PP, "--set", "k_e=2000"]
+    slave = in_c.start("slave", 0, PP, "c.csv")
+    assert slave.stdout is not None
+    master = command("master", *other, "--peer", f"127.0.0.1:{slave.stdout.readline().split()[1]}")
+    master.refused("the slave is set up for another run", "teleop manifest")
+    assert ended(slave)["met"] == 0
+    ours = command("slave", *other, "--listen", "127.0.0.1:0", "--json")
+    theirs = in_c.start("master", ours.port(), PP, "c.csv")
+    _, err = theirs.communicate()
+    assert (theirs.returncode, "k_e is 20000.0 here and 2000.0 there" in err) == (2, True)
+    ours.refused("the master asks for another run: k_e is 2000.0 here and 20000.0 there")
+
+
+def test_a_manifest_that_it_does_not_know_the_law_of_is_refused_in_one_sentence(in_c: InC, tmp_path: Path) -> None:
+    for scene in (["hard_wall", "--set", "law=pp", "--set", "law.K=300"], None):
+        if scene is not None:
+            refused = in_c.start("slave", 0, scene, "c.csv")
+        else:
+            words = [in_c.program, "slave", "127.0.0.1", "0", tmp_path / "absent", "1"]
+            refused = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        _, err = refused.communicate()
+        assert (refused.returncode, err.count("\n")) == (2, 1)
+        assert "is no manifest of what this program does" in err
+        assert "teleop manifest hard_wall --write" in err

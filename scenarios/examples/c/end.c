@@ -161,7 +161,7 @@ static void begin(int64_t tick_0, int64_t now, int new_state) {
     met++;
     begun_ns = (tick_0 > now ? tick_0 : now) + rtt_ns;
     heard_ns = unheard_ns = 0;
-    answered = early = 0;
+    answered = early = ended = 0;
     newest.seq = -1;
     last_k = (now - start_ns) / DT - (tick_0 > now);
     if (last_k < -1) last_k = -1;
