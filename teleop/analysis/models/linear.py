@@ -18,7 +18,7 @@ from dataclasses import replace
 from itertools import repeat
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.errors import Refused
+from teleop.errors import Refused, enumerated
 from teleop.law import law_name
 from teleop.law.analysis_offers import linear_hint, linear_law
 from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed, gaps_of
@@ -96,9 +96,17 @@ def about_rest(scene: Scene) -> Scene:
     return replace(scene, environment=tuple(getattr(one, "environment", one) for one in scene.environments))
 
 
+class InTheWay(NamedTuple):
+    """A part of a scene that is not linear: its name in a sentence, and what takes it out, typed or in words."""
+
+    what: str
+    typed: str  # options of the command line; empty: no knob of the scene does
+    words: str  # empty: nothing does
+
+
 def refuse_nonlinear_parts(scene: Scene) -> None:
-    """Refuse a cap, an encoder, friction, a passivity controller, ticks left out, a queue of waves that is kept, and an
-    environment not linear."""
+    """Refuse ticks left out, a queue of waves that is kept, and all at once a cap, a deadband, a passivity controller,
+    an encoder, friction and environments not linear, with the law if that is neither."""
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         words = "leave left_out_m and left_out_s away; in place of a recorded link give --link 'delay(0.05)'"
         raise Refused("ticks are left out, so the loop is not time-invariant and its scene has no eigenvalues; "
@@ -106,24 +114,65 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
     if isinstance(gaps := scene.wave_playout, Integral) and gaps.target > 0.0:
         raise Refused(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags as their energy has "
                       f"it, so its scene has no eigenvalues; {INSTEAD}, or leave the seconds of the queue out")
+    found, bare = _nonlinear_parts(scene)
+    sums = any(hasattr(scene.laws[0], f"{end}_sums") for end in ("master", "slave"))
+    if sums and scene.rotations:
+        found.append(InTheWay(f"law {law_name(scene.laws[0])} over an orientation", "--set law=wave", ""))
+    elif found and (law := _law_in_the_way(replace(bare, rotations=()))) is not None:  # of axes that turn by themselves
+        found.append(law)
+    if not found:
+        return
+    if len(found) == 1:
+        (one,) = found
+        way_out = f", or {f'leave it out with {one.typed}' if one.typed else one.words}"
+        raise Refused(f"{one.what} is not linear, so the scene has no eigenvalues; {INSTEAD}{way_out}")
+    typed = " ".join(each.typed for each in found if each.typed)
+    cures = [*[f"make it linear with {typed}"] * bool(typed), *[each.words for each in found if not each.typed]]
+    way_out = f", or {' and '.join(cures)}" if all(cures) else ""  # a law that is never linear has none
+    raise Refused(f"{enumerated([each.what for each in found])} are not linear, so the scene has no eigenvalues; "
+                  f"{INSTEAD}{way_out}")
+
+
+def _nonlinear_parts(scene: Scene) -> tuple[list[InTheWay], Scene]:
+    """What of a scene is not linear beside its law, and the scene without that."""
+    found: list[InTheWay] = []
+    changes: dict[str, Any] = {}
     if scene.cap is not None:
-        leave = without(scene, "leave the cap out", f_max="none", slew="none", v_max="none", power="none")
-        raise Refused(f"a force cap is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")
+        found.append(InTheWay("a force cap", typed_off(scene, f_max="none", slew="none", v_max="none", power="none"),
+                              "leave the cap out"))
+        changes["cap"] = None
     if scene.deadband is not None:
-        raise Refused("a deadband is not linear, so its scene has no eigenvalues; "
-                      f"{INSTEAD}, or {without(scene, 'leave it away, deadband=None', deadband='0')}")
+        found.append(InTheWay("a deadband", typed_off(scene, deadband="0"), "leave it away, deadband=None"))
+        changes["deadband"] = None
     if scene.passivity is not None:
-        raise Refused("a passivity controller is not linear, so its scene has no eigenvalues; "
-                      f"{INSTEAD}, or {without(scene, 'leave it out', cap='none')}")
-    for device in (*scene.per_axis("device_m"), *scene.per_axis("device_s")):
-        if device is not None and device.encoder is not None:
-            raise Refused("an encoder is not linear, so its scene has no eigenvalues; "
-                          f"{INSTEAD}, or {without(scene, 'leave it out', step='none')}")
-    for body in (*scene.per_axis("master"), *scene.per_axis("slave")):
-        if body is not None and body.friction > 0.0:
-            leave = without(scene, "set friction=0", friction="0", friction_m="0", friction_s="0")
-            raise Refused(f"Coulomb friction is not linear, so its scene has no eigenvalues; {INSTEAD}, or {leave}")
-    for environment, plant in zip(scene.environments, exact_bodies(scene).slaves, strict=False):
+        found.append(InTheWay("a passivity controller", typed_off(scene, cap="none"), "leave the controller out"))
+        changes["passivity"] = None
+    devices = {name: scene.per_axis(name) for name in ("device_m", "device_s")}
+    if any(device is not None and device.encoder is not None for own in devices.values() for device in own):
+        found.append(InTheWay("an encoder", typed_off(scene, step="none"), "leave the encoder out"))
+        changes |= {name: tuple([device and replace(device, encoder=None) for device in own])
+                    for name, own in devices.items() if getattr(scene, name) is not None}
+    bodies = {name: scene.per_axis(name) for name in ("master", "slave")}
+    if any(body is not None and body.friction > 0.0 for own in bodies.values() for body in own):
+        typed = typed_off(scene, friction="0", friction_m="0", friction_s="0")
+        found.append(InTheWay("Coulomb friction", typed, "set friction=0"))
+        changes |= {name: tuple([replace(body, friction=0.0) for body in own])
+                    for name, own in bodies.items() if getattr(scene, name) is not None}
+    bare = replace(scene, **changes)
+    curved = _nonlinear_environments(bare)
+    if curved:
+        what = enumerated(list(dict.fromkeys(curved.values())))
+        typed = typed_off(scene, k_e="0", d_e="0") if scene.axes > 1 else ""  # of one axis nothing touched is left then
+        found.append(InTheWay(what, typed, "put a bonded tissue in its place (the scene soft_tissue has one)"))
+        bare = replace(bare, environment=tuple([None if i in curved else one
+                                                for i, one in enumerate(scene.environments)]))
+    return found, bare
+
+
+def _nonlinear_environments(scene: Scene) -> dict[int, str]:
+    """The class of each environment that is not linear, by the index of its axis."""
+    found = {}
+    for i, (environment, plant) in enumerate(zip(scene.environments, exact_bodies(scene).slaves, strict=False)):
         def respond(at: Sequence[float], plant: Any = plant) -> list[float]:
             if plant.start is None:
                 return [*plant.move(plant.c, *at)[:2], plant.force(plant.c, at[0], at[1])]
@@ -131,16 +180,33 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
             return [x, v, *z, plant.force(plant.c, at[0], at[1], tuple(at[3:]))]
 
         if environment is not None and matrix(respond, 3 + len(plant.start or ())) is None:
-            raise Refused(f"{type(environment).__name__} is not linear, so the scene has no eigenvalues; {INSTEAD}, "
-                          "or put a bonded tissue in its place (the scene soft_tissue has one)")
+            found[i] = type(environment).__name__
+    return found
+
+
+def _law_in_the_way(scene: Scene) -> InTheWay | None:
+    """The law of a scene whose other parts are linear, if that is not; one with a single end is not judged here."""
+    if scene.slave is None:
+        return None
+    try:
+        for e in ("m", "s"):
+            _end(scene, e, 1)
+    except Refused:
+        return InTheWay(f"law {law_name(scene.laws[0])}", linear_hint(scene.laws[0], ""), "")
+    return None
 
 
 def without(scene: Scene, words: str, **knobs: str) -> str:
     """What to type so that a part is left out of a scene, of those `knobs` that it has and has in use; else `words`."""
+    typed = typed_off(scene, **knobs)
+    return f"leave it out with {typed}" if typed else words
+
+
+def typed_off(scene: Scene, **knobs: str) -> str:
+    """The options that set those of these `knobs` that a scene has and has in use; empty if there are none."""
     own = {name: scene.knobs.get(name) for name in knobs}
-    typed = [f"--set {name}={value}" for name, value in knobs.items()
-             if own[name] is not None and (value == "none" or own[name] != float(value))]
-    return f"leave it out with {' '.join(typed)}" if typed else words
+    return " ".join(f"--set {name}={value}" for name, value in knobs.items()
+                    if own[name] is not None and (value == "none" or own[name] != float(value)))
 
 
 def linear_estimator(scene: Scene) -> str:

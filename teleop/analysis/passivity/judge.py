@@ -6,6 +6,7 @@ from collections.abc import Callable
 from math import pi
 from typing import TYPE_CHECKING, NamedTuple
 
+from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.passivity.two_port import TwoPort, continuous_two_port, sampled_two_port
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
@@ -65,6 +66,7 @@ def two_ports(scene: Scene, *, low: float = 0.1, high: float | None = None, seed
     """
     from teleop.analysis.passivity.surroundings import delays, touched
 
+    scene = one_loop(scene)
     top = 0.49e9 / scene.dt_ns
     high = top if high is None else high
     if not 0.0 < low < high <= top:

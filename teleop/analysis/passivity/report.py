@@ -10,7 +10,7 @@ from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_po
 from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
 from teleop.law.analysis_offers import instead
-from teleop.scene.axis_labels import labels_of, told_along
+from teleop.scene.axis_labels import labels_of, told_along, unit_on
 from teleop.terminal.answer import finite, scene_head, titled
 from teleop.terminal.ranges import typed_range
 from teleop.terminal.table import facts
@@ -175,7 +175,9 @@ def _llewellyn(judged: Judged) -> str:
 def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON document: SI units; what has no bound or is not known is null."""
     told = scene_head(answer.scene, "passivity", sentence=answer.sentence, seed=answer.seed, command=command)
-    told |= {"units": UNITS, "range": [answer.low, answer.high], "left_out": list(answer.left_out),
+    axis = labels_of(answer.scene).in_units(answer.scene.axes)[0]
+    told |= {"units": {name: unit_on(unit, axis) for name, unit in UNITS.items()},
+             "range": [answer.low, answer.high], "left_out": list(answer.left_out),
              "linear_law": instead(answer.scene.law) or None}
     if answer.one is not None:
         told |= {"ports": 1, "passive": answer.one.passive, **_one_numbers(answer.one)}

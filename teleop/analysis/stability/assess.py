@@ -103,12 +103,13 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
     them is, and its margins are those of the axis that has least.
     """
     from teleop.analysis.models.by_axis import alike, couples
-    from teleop.analysis.models.linear import linear_scene
+    from teleop.analysis.models.linear import about_rest, linear_scene, refuse_nonlinear_parts, with_linear_law
     from teleop.analysis.models.loop import sampled_loop
     from teleop.analysis.models.margins import critical_round_trip, gain_margin, integrators
     from teleop.analysis.models.roots import dominant
 
     if scene.axes > 1 and not couples(scene):
+        refuse_nonlinear_parts(about_rest(with_linear_law(scene)))  # of all axes at once
         return _of_axes([AxisStability(names, stability(own, seed=seed)) for own, names in alike(scene)])
     if scene.slave is None:
         return _one_port(scene)

@@ -183,5 +183,5 @@ def test_conditions_on_a_delay_count_the_silence_before_it_is_known() -> None:
 def test_an_analysis_of_the_linear_loop_refuses_it() -> None:
     from teleop.analysis.models.linear import refuse_nonlinear_parts
 
-    with pytest.raises(Refused, match="a deadband is not linear"):
+    with pytest.raises(Refused, match="a deadband and Wall are not linear"):
         refuse_nonlinear_parts(scene())

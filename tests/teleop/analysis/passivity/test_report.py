@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from teleop import Refused, load_scene
 from teleop.__main__ import main
 from teleop.analysis.models import sampled
+from teleop.analysis.models.by_axis import along
 from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.report import ask, summary, table
 from teleop.laws.virtual_coupling import ANTICIPATES, UNSTABLE
@@ -19,6 +21,34 @@ from teleop.stages.velocity.low_pass import LowPass
 from tests.teleop.analysis.models.closed_forms import filtered_wall
 
 T = 1e-3
+
+
+class TestOneAxisOfSeveral:
+    """--axis NAME asks of the loop along that axis, in its units, and of no other."""
+
+    def test_axes_with_parts_of_their_own_are_told_to_be_named(self, capsys: pytest.CaptureFixture[str]) -> None:
+        for name, first in (("leader_follower", "base"), ("pose", "x")):
+            assert main(["passivity", name]) == 2
+            assert f"--axis {first}" in capsys.readouterr().err
+
+    def test_of_a_two_port(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["passivity", "pose", "--axis", "rx"]) == 0
+        out = capsys.readouterr().out
+        assert "felt of 0.01 N m/rad touched" in out  # k_t
+        assert "N/m" not in out
+        units = summary(ask(along(load_scene("pose"), "rx")))["units"]
+        assert (units["felt_stiffness"], units["free_impedance"], units["range"]) == ("N m/rad", "N m s/rad", "Hz")
+        assert main(["passivity", "pose", "--axis", "nowhere"]) == 2
+        assert "there are" in capsys.readouterr().err
+
+    def test_of_a_one_port(self) -> None:
+        """Of two axes the second is the wall that the scene of one axis has by itself, the first another."""
+        one = load_scene("virtual_wall")
+        soft, hard = replace(one.law, K=500.0), replace(one.law, K=800.0)  # type: ignore[type-var]
+        two = replace(one, axes=2, law=(soft, hard))
+        assert [ask(along(two, name)).one.stiffness for name in "xy"] == pytest.approx([500.0, 800.0])  # type: ignore[union-attr]
+        with pytest.raises(Refused, match="--axis x"):
+            ask(two)
 
 
 class TestOnePort:
@@ -36,8 +66,6 @@ class TestOnePort:
         assert got.needed.damping == pytest.approx(wanted.damping, rel=1e-8)
 
     def test_a_filtered_velocity(self) -> None:
-        from dataclasses import replace
-
         scene = load_scene("virtual_wall", **{"law.B": 0.4})
         assert scene.device_m is not None
         slow = replace(scene, device_m=replace(scene.device_m, velocity=LowPass(cutoff=30.0)))

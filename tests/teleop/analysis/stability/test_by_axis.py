@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -53,6 +54,33 @@ def test_axes_that_a_law_couples_are_judged_together() -> None:
     assert stability(replace(load_scene("soft_tissue", **knobs), axes=2)).axes == ()
     with pytest.raises(Refused, match=r"law tdpa is not linear.*--time"):
         stability(joints(law="tdpa"))
+
+
+@pytest.mark.parametrize(("scene", "law", "words"), [
+    ("leader_follower", "pp", "a force cap and Coulomb friction are not linear"),
+    ("leader_follower", "pfra", "a force cap, Coulomb friction and law pfra are not linear"),
+    ("pose", "pp", "a force cap and Wall are not linear"),
+    ("pose", "pfra", "a force cap, Wall and law pfra over an orientation are not linear"),
+    ("encoder_wall", None, "a force cap and an encoder are not linear"),
+])
+def test_all_that_stands_in_the_way_is_named_at_once_and_what_is_told_to_type_takes_it_away(
+        scene: str, law: str | None, words: str) -> None:
+    knobs: dict[str, object] = {} if law is None else {"law": law}
+    with pytest.raises(Refused, match=words) as caught:
+        ask(scene, knobs)
+    typed = dict(re.findall(r"--set ([\w.]+)=(\w+)", str(caught.value)))
+    assert ask(scene, {**knobs, **typed}).sentence == "stable: no root outside the unit circle"
+
+
+def test_a_law_that_is_never_linear_is_named_with_the_rest_and_leaves_virtual_time_alone() -> None:
+    with pytest.raises(Refused, match=r"a force cap, Coulomb friction and law tdpa are not linear.*--time") as caught:
+        ask("leader_follower", {"law": "tdpa"})
+    assert "--set" not in str(caught.value)
+
+
+def test_a_part_that_no_knob_takes_away_is_told_in_words_beside_those_that_are_typed() -> None:
+    with pytest.raises(Refused, match=r"cap and Wall are.*--set f_max=none --set slew=none and put a bonded tissue"):
+        ask("hard_wall", {})
 
 
 def test_the_answer_names_the_axes() -> None:
