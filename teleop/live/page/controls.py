@@ -159,29 +159,28 @@ class Controls:
         return {
             "type": "hello", "scene": self.name, "axes": scene.axes, "dt": scene.dt, "laws": self.laws,
             "law": law_name(scene.laws[0]), "sliders": [slider._asdict() for slider in self.sliders(choice)],
-            "wall": _wall(scene), "f_max": most_forces(scene)[0], "span": self.span,
-            **_axes(scene),
+            "wall": _wall(scene), "f_max": most_forces(scene)[0],
+            "span": max(self.spans), **self._axes(scene),
             "link": "no link" if scene.link is None else describe(scene.link),
             "energy": None if not scene.energy else "link" if scene.has_waves else "ports",
         }
 
     @cached_property
-    def span(self) -> float:
-        """How much of each axis is worth showing, m: the wall and the scene's own motion, with room beside them."""
+    def spans(self) -> list[float]:
+        """How much of each axis is worth showing, m or rad: its wall, its own motion, and room beside them."""
         scene = self._short
-        places = [LEAST_SPAN / 2.5, *[abs(_wall(scene, i) or 0.0) for i in range(scene.axes)]]
         reference: Any = scene.reference
-        if reference is not None:
-            places += [max(map(abs, path)) for path in reference.samples(scene.axes, scene.ticks, scene.dt_ns)]
-        return float(f"{2.5 * max(places):.2g}")
+        paths = () if reference is None else reference.samples(scene.axes, scene.ticks, scene.dt_ns)
+        most = [max(map(abs, path)) for path in paths] or [0.0] * scene.axes
+        return [float(f"{2.5 * max(LEAST_SPAN / 2.5, abs(_wall(scene, i) or 0.0), far):.2g}")
+                for i, far in enumerate(most)]
 
-
-def _axes(scene: Scene) -> dict[str, Any]:
-    """Names, units, walls and caps of several axes, or of one that turns; nothing of one along a line."""
-    if scene.axes == 1 and not scene.units:
-        return {}
-    return {"names": scene.axis_names, "units": scene.axis_units, "walls": [_wall(scene, i) for i in range(scene.axes)],
-            "caps": most_forces(scene)}
+    def _axes(self, scene: Scene) -> dict[str, Any]:
+        """Names, units, walls, caps and spans of several axes, or of one that turns; nothing of one along a line."""
+        if scene.axes == 1 and not scene.units:
+            return {}
+        return {"names": scene.axis_names, "units": scene.axis_units, "caps": most_forces(scene), "spans": self.spans,
+                "walls": [_wall(scene, i) for i in range(scene.axes)]}
 
 
 def most_forces(scene: Scene) -> list[float | None]:

@@ -215,6 +215,15 @@ def test_the_scenes_own_link_stays_until_a_slider_of_it_is_moved() -> None:
     controls.scene(moved)
 
 
+def test_of_axes_in_m_and_in_rad_each_is_shown_on_a_scale_of_its_own() -> None:
+    """The wall of `pose` at 40 mm was shown on an axis of 19 m, for the tool turns by 7.6 rad."""
+    controls = Controls("pose", {})
+    choice = Choice()
+    spans = controls.hello(choice, controls.scene(choice))["spans"]
+    assert 0.06 <= max(spans[:3]) <= 0.2
+    assert max(spans[3:]) > 10.0
+
+
 def test_the_token_is_on_no_command_line_when_the_browser_is_opened(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

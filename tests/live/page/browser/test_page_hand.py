@@ -45,6 +45,7 @@ def test_of_six_joints_the_one_that_is_chosen_is_shown_and_dragged_and_the_other
     assert page.evaluate("[...$('axis').options].map(one => one.text).join()") == (
         "joint1,joint2,joint3,joint4,joint5,joint6")
     page.evaluate("$('axis').value = 4, $('axis').onchange({target: $('axis')})")
+    assert page.evaluate("view.span") == 0.4, "its own"
     before = page.evaluate("row.all.hand")
     page.drag(page.place("#stage"), (100.0, 0.0))
     until(lambda: mock.of("hand") and mock.of("hand")[-1]["to"] is not None
