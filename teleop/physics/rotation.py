@@ -10,7 +10,8 @@ Neither loses digits, near 0 as near pi: the arc tangent of both parts is as goo
 is 1 to rounding where n is small. log is at most pi long; `log_near` takes of all rotation vectors of one orientation,
 (a + 2 pi m) u, the one that is nearest to the last: |a u - last|^2 = (a - last.u)^2 + what no m changes, so m is the
 nearest whole number to (last.u - a)/(2 pi). So an angle that grows beyond pi, or beyond some turns, goes on. Where an
-orientation comes back to 0 after whole turns, its axis is lost: the last one is taken for it.
+orientation comes back to 0 after whole turns, its axis is lost: the last one is taken for it. `log_twofold` tells q
+from -q, (2 atan2(n, w)/n) (x, y, z), so it needs no last one to go on beyond pi, up to 2 pi.
 
 The coordinate of a rotation axis is phi, the integral of the angular velocity along it. `turned` counts q by the
 increments of phi, q' = exp(phi' - phi) q. That is exact where the increments were taken from quaternions, which is what
@@ -97,20 +98,44 @@ def log(w: float, x: float, y: float, z: float) -> Vector3:
     return log_near(w, x, y, z, 0.0, 0.0, 0.0)
 
 
+def log_twofold(w: float, x: float, y: float, z: float, lx: float, ly: float, lz: float) -> Vector3:
+    """The shortest rotation vector (rad) whose `exp` is this unit quaternion and not its negative: at most 2 pi long.
+
+    At a whole turn, w = -1, the axis is lost: that of the vector l is taken.
+    """
+    n = sqrt(x * x + y * y + z * z)
+    far = sqrt(lx * lx + ly * ly + lz * lz)
+    if w < 0.0 and n < LOST and 0.0 < far < MOST:
+        a = 2.0 * pi / far
+        return a * lx, a * ly, a * lz
+    if not n > 0.0:
+        return 2.0 * x, 2.0 * y, 2.0 * z
+    a = 2.0 * atan2(n, w) / n
+    return a * x, a * y, a * z
+
+
 def sent_at(w: float, x: float, y: float, z: float, px: float, py: float, pz: float,
             lx: float, ly: float, lz: float) -> Vector3:
-    """The rotation vector (rad) of the orientation that lies p from q, nearest to l."""
+    """The rotation vector (rad) of the quaternion exp(p) q, with its sign, see `log_twofold`."""
     aw, ax, ay, az = exp(px, py, pz)
     bw, bx, by, bz = product(aw, ax, ay, az, w, x, y, z)
-    return log_near(bw, bx, by, bz, lx, ly, lz)
+    return log_twofold(bw, bx, by, bz, lx, ly, lz)
 
 
-def heard_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float,
+def sign_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, sign: float) -> float:
+    """The sign of what is heard: as it was; before the first (0.0) the one with which r is less than pi from q."""
+    if sign != 0.0:
+        return sign
+    aw, ax, ay, az = exp(rx, ry, rz)
+    return -1.0 if aw * w + ax * x + ay * y + az * z < 0.0 else 1.0
+
+
+def heard_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, sign: float,
              lx: float, ly: float, lz: float) -> Vector3:
-    """How far (rad) from q the orientation of the rotation vector r lies, log(exp(r) q^-1), nearest to l."""
+    """How far (rad) from q the quaternion sign exp(r) lies, see `log_twofold`."""
     aw, ax, ay, az = exp(rx, ry, rz)
     bw, bx, by, bz = product(aw, ax, ay, az, w, -x, -y, -z)
-    return log_near(bw, bx, by, bz, lx, ly, lz)
+    return log_twofold(sign * bw, sign * bx, sign * by, sign * bz, lx, ly, lz)
 
 
 def left_at(px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> Vector3:

@@ -9,9 +9,8 @@ inertia about every axis, since only that has no gyroscopic torque: J w' = f on 
 phi is no orientation, though: bodies that have the same phi may stand differently. So each end counts the unit
 quaternion q by the increments of phi (`teleop.physics.rotation`), and a law's positions (`teleop.kind`) go by that:
 
-    x in a message that is sent      the rotation vector of exp(x - phi) q, of those of one orientation the nearest to
-                                     the last, so it goes on beyond pi; for x = phi that of q
-    x in one that is received        phi + log(q_x q^-1), likewise the nearest to the last
+    x in a message that is sent      the rotation vector of exp(x - phi) q, at most 2 pi long; for x = phi that of q
+    x in one that is received        phi + log(q_x q^-1), at most 2 pi long
     x in the law's state             at the next tick phi + log(q_x q^-1), q_x = exp(x - phi) q as it was set
 
 So to a law each place is its own phi and how far that place lies from it: K (x - rx.x) is K log(q q_rx^-1), and goes
@@ -38,8 +37,17 @@ Waves are tied by twist and wrench alone. A commanded point is counted as an ori
 rest where the tool stands as commanded; but the command has the hand's velocities and what reflections added to them,
 and ways that differ while the axis moves end at another orientation. That stays, as after lost waves.
 
-Beyond whole turns. A relative rotation of a whole turn has lost its axis; a coupling that is stretched by that much
-goes on about the last one. What an end turns by itself has no bound.
+Beyond half a turn. q and -q are one orientation; as an end turns, though, q goes on without a jump, and its sign tells
+an odd turn from an even one. So what is sent is the vector whose exponential is q and not -q, and log above is that of
+the product with its sign: a relative rotation goes on through pi up to a whole turn, and, as nothing of the past is in
+it but the sign with which the first message lay less than pi away, both ends have the same one whatever was lost on the
+way. (Each end could count by itself what it has heard. But after a silence in which the ends turned apart by more than
+pi the one that turned would count on, the one that did not would take the short way, and torques that do not add up to
+zero would spin both for ever.) With a message from more than pi apart before anything was heard they may differ still.
+
+Beyond a whole turn. There the axis is lost and log jumps from 2 pi u to -2 pi u. V is the same on both sides, so it
+gives way as a slipping clutch does, and makes no energy; a coupling so stretched draws the other way round. Where no
+message comes an end goes on by its own turn, until the next. What an end turns by itself has no bound.
 
 What differs from translations: x_err, and an environment or a hand's reference on a rotation axis, go by phi. A spring
 between phi and a place is that about a fixed axis; about others it is as passive, and no spring to an orientation.
@@ -52,7 +60,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from teleop.physics.rotation import heard_at, left_at, sent_at, turned
+from teleop.physics.rotation import heard_at, left_at, sent_at, sign_at, turned
 from teleop.stages.end import Column, End, Places, Run, Stage, Turn, zero
 from teleop.stages.lanes import where
 
@@ -80,9 +88,9 @@ class OrientationStage(Stage):
             t.x = t.y = t.z = zero(run)
             t.phi_x = t.phi_y = t.phi_z = zero(run)  # so the first turn is to where the end begins
             for one in t.heard:
-                one.x = one.y = one.z = zero(run)
-            for one in t.sent:
-                one.x = one.y = one.z = zero(run)
+                one.x = one.y = one.z = one.sign = zero(run)
+            for tells in t.sent:
+                tells.x = tells.y = tells.z = zero(run)
 
     def situate(self, run: Run, e: End) -> None:
         for t in e.turns:
@@ -108,12 +116,13 @@ def hear(run: Run, e: End, t: Turn, one: Any) -> None:
     """A position of the received message, as the law is told it."""
     t.px, t.py, t.pz = getattr(t.a.rx, one.field), getattr(t.b.rx, one.field), getattr(t.c.rx, one.field)
     if run.has.lanes:
-        new_x, new_y, new_z = heard_at(
-            t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x - t.dx, one.y - t.dy, one.z - t.dz)
+        one.sign = where(e.got, sign_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign), one.sign)
+        new_x, new_y, new_z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign, one.x, one.y, one.z)
         one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
         one.x, one.y, one.z = where(e.got, new_x, one.x), where(e.got, new_y, one.y), where(e.got, new_z, one.z)
     elif e.got:
-        one.x, one.y, one.z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x - t.dx, one.y - t.dy, one.z - t.dz)
+        one.sign = sign_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign)
+        one.x, one.y, one.z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign, one.x, one.y, one.z)
     else:
         one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
     t.a.rx = with_position(run, e.Message, e.rx_fields, t.a.rx, one.field, t.phi_x + one.x)

@@ -10,7 +10,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from teleop.physics.rotation import exp, heard_at, left_at, log, log_near, product, sent_at, turned, unit
+from teleop.physics.rotation import (
+    exp,
+    heard_at,
+    left_at,
+    log,
+    log_near,
+    log_twofold,
+    product,
+    sent_at,
+    sign_at,
+    turned,
+    unit,
+)
 
 ANGLES = (0.0, 5e-324, 1e-200, 1e-20, 1e-9, 1e-4, 0.3, 1.0, 2.0, 3.0, pi - 1e-6, pi - 1e-12, pi)
 AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (-2.0 / 3.0, 1.0 / 3.0, 2.0 / 3.0))
@@ -87,6 +99,18 @@ def test_the_nearest_vector_is_the_nearest_of_all() -> None:
         assert np.allclose(exp(*got), exp(*d), atol=1e-14) or np.allclose(exp(*got), [-x for x in exp(*d)], atol=1e-14)
 
 
+def test_a_quaternion_and_its_negative_are_told_apart_up_to_a_whole_turn() -> None:
+    """exp undoes the logarithm, sign and all; and each of two bodies finds the other where that finds it."""
+    for d, e in zip(vectors(8, 100, 6.28), vectors(9, 100, 6.28), strict=True):
+        assert np.allclose(log_twofold(*exp(*d), 0.0, 0.0, 0.0), d, rtol=0.0, atol=5e-14)
+        q, p = exp(*d), exp(*e)
+        for sign in (1.0, -1.0):
+            there, back = heard_at(*q, *e, sign, 0.0, 0.0, 0.0), heard_at(*p, *d, sign, 0.0, 0.0, 0.0)
+            assert np.allclose(there, np.negative(back), rtol=0.0, atol=1e-13)
+            assert np.allclose(product(*exp(*there), *q), np.multiply(sign, p), atol=1e-14)
+    assert log_twofold(-1.0, 0.0, 1e-17, 0.0, 0.0, 0.0, 3.0) == (0.0, 0.0, 2.0 * pi)
+
+
 def test_after_whole_turns_the_axis_that_is_lost_is_the_last_one() -> None:
     near = np.array((0.6, 0.0, 0.8)) * (4.0 * pi - 1e-3)
     assert np.allclose(log_near(1.0, 0.0, 1e-16, 0.0, *near), np.array((0.6, 0.0, 0.8)) * 4.0 * pi, atol=1e-14)
@@ -104,7 +128,7 @@ def test_a_hundred_thousand_turns_leave_the_length_at_one() -> None:
 def test_what_is_not_finite_is_nan_and_raises_nothing() -> None:
     for bad in (inf, nan, 1e200):
         assert all(map(isnan, exp(bad, 0.0, 0.0)))
-        assert all(map(isnan, heard_at(1.0, 0.0, 0.0, 0.0, bad, 0.0, 0.0, 0.0, 0.0, 0.0)))
+        assert all(map(isnan, heard_at(1.0, 0.0, 0.0, 0.0, bad, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
     assert log_near(*exp(1.0, 0.0, 0.0), inf, nan, 0.0) == log(*exp(1.0, 0.0, 0.0))
 
 
@@ -115,10 +139,10 @@ def test_what_one_end_sends_the_other_finds_where_it_is() -> None:
         sent = sent_at(*there, *p, 0.0, 0.0, 0.0)
         at = product(*exp(*p), *there)
         apart = log(*product(*at, *unit(here[0], *[-x for x in here[1:]])))
-        assert np.allclose(heard_at(*here, *sent, 0.0, 0.0, 0.0), apart, atol=3e-15)
+        assert np.allclose(heard_at(*here, *sent, sign_at(*here, *sent, 0.0), 0.0, 0.0, 0.0), apart, atol=3e-15)
         step = (0.01, -0.02, 0.015)
         moved = turned(*there, *step)
-        assert np.allclose(left_at(*p, *step), heard_at(*moved, *sent, *p), atol=3e-15)
+        assert np.allclose(left_at(*p, *step), heard_at(*moved, *sent, 1.0, *p), atol=3e-15)
 
 
 def omega(t: float) -> np.ndarray:

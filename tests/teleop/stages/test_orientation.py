@@ -118,6 +118,22 @@ def test_a_tool_that_turned_by_two_thirds_of_a_turn_in_a_blackout_is_followed_al
     assert np.linalg.norm(trace["x_m"] - trace["x_s"], axis=1)[-1] < 0.05
 
 
+@pytest.mark.parametrize("turns", [0.8, 1.3])
+def test_ends_that_turned_apart_by_more_than_half_a_turn_in_a_silence_do_not_spin_each_other_for_ever(
+        turns: float) -> None:
+    """Both reckon the same way back, so their torques are opposite and they come to rest."""
+    drag = Grip(mass=5e-4, k=0.0, d=0.5, reference=Reach(to=(0.0, 0.0, 2.0 * np.pi * turns), start=0.3, duration=0.4))
+    trace = run(turning(0.0, law=PDamped(K=0.2, B=0.02), hand=drag, duration=5.0,
+                        link=parse_link("delay(0.01) | blackout(0.2, 0.5)"))).trace
+    apart_by = trace["x_m"][700, 2] - trace["x_s"][700, 2]
+    assert np.pi < apart_by < 4.0 * np.pi
+    assert not np.any(trace["x_s"][700])
+    assert np.abs(trace["v_m"][-1]).max() + np.abs(trace["v_s"][-1]).max() < 0.01
+    assert np.abs(trace["f_m"][-1]).max() + np.abs(trace["f_s"][-1]).max() < 0.002
+    assert apart(*[orientations(trace, e) for e in "ms"])[-1] < 0.01
+    assert trace["E_port"][-1] > trace["E_port"][700] - 0.1 * apart_by ** 2, "no more than the spring held"
+
+
 @pytest.mark.parametrize("name", ["pspm", "tdpa", "two_layer", "wave", "wave_position", "p_d"])
 def test_over_a_rough_link_a_law_keeps_its_ledger_on_rotations_as_on_translations(name: str) -> None:
     """A tumble against springs and dampers, 10 % lost and 20 ms of jitter."""
