@@ -15,11 +15,12 @@ from teleop.report.page import Section, heading, made_by
 from teleop.report.scatter import Group, Plane, Point, scatter
 from teleop.report.style import STATUS
 from teleop.report.told import Told
+from teleop.scene.axis_labels import SHAPES
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse
-from teleop.studies.compare.columns import BY_KEY, COLUMNS
-from teleop.studies.compare.judge import BAD, LawVerdict, endings, rankings, verdicts
+from teleop.studies.compare.columns import COLUMNS, titled
+from teleop.studies.compare.judge import BAD, LawVerdict, columns_of, endings, rankings, verdicts
 from teleop.studies.compare.report import cells, group_text, legend, shown_columns, text
 from teleop.sweeps.definition import is_growing
 from teleop.sweeps.store import Store
@@ -35,7 +36,7 @@ _ROW = stored.record(
     dict.fromkeys((column.key for column in COLUMNS), stored.either(stored.real, stored.one_of("inf", "-inf", "nan"))))
 _SUMMARY = stored.record({}, {
     "status": stored.text, "sentence": stored.text, "file": stored.text, "notes": stored.each(stored.text),
-    "command": stored.each(stored.text), "versions": stored.named(stored.text),
+    "command": stored.each(stored.text), "axis_units": SHAPES["axis_units"], "versions": stored.named(stored.text),
     "conditions": stored.each(stored.record({"law": stored.text, "link": stored.text,
                                              "sentences": stored.each(stored.text)}))})
 
@@ -57,7 +58,7 @@ def comparison_told(folder: Path, args: Namespace) -> Told:
                       "the teleop compare that wrote it again with another --out") from error
     if not rows:
         raise Refused(f"{folder} holds a comparison without a row yet; type the teleop compare that wrote it again")
-    found = verdicts(rows, dict.fromkeys(row["law"] for row in rows))
+    found = verdicts(rows, dict.fromkeys(row["law"] for row in rows), document.get("axis_units") or ("m",))
     links, places = (list(dict.fromkeys(row[name] for row in rows)) for name in ("link", "environment"))
     said = (f"{number_of(len(found), 'law')}, {number_of(len(links), 'link')}, "
             f"{number_of(len(places), 'environment')}; {number_of(len(rows), 'row')}")
@@ -141,11 +142,11 @@ def _status(rows: Sequence[Mapping[str, Any]], found: Sequence[LawVerdict]) -> l
 
 def _tracking(found: Sequence[LawVerdict]) -> list[Markup]:
     """Tracking error over felt drag: a law far to the right tracks because it holds the hand."""
-    error, drag = BY_KEY["x_err_rms"], BY_KEY["felt_drag"]
+    columns = columns_of(found)
+    error, drag = columns["x_err_rms"], columns["felt_drag"]
     points = [Point(drag.factor * one.figures["felt_drag"].value, error.factor * one.figures["x_err_rms"].value,
                     one.law[:24], True) for one in found
               if isfinite(one.figures["felt_drag"].value) and isfinite(one.figures["x_err_rms"].value)]
     if len(points) < 2:
         return []
-    return scatter("Tracking against felt drag", [Plane(f"{drag.question} ({drag.unit})",
-                                                        f"{error.question} ({error.unit})", [Group("", "m", points)])])
+    return scatter("Tracking against felt drag", [Plane(titled(drag), titled(error), [Group("", "m", points)])])

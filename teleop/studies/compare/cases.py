@@ -35,6 +35,7 @@ class Case:
     knobs: Mapping[str, object]  # as `load_scene` takes them
     seeds: tuple[int, ...]
     conditions: tuple[str, ...]  # of the law, those that this link and these bodies break, one sentence each
+    units: tuple[str, ...]  # of its axes, m or rad
     source: str  # a digest of the law's file, of one that is not built in; else empty
 
     def command(self, seed: int) -> str:
@@ -82,7 +83,7 @@ def _case(asked: Comparison, where: str, law: Part, environment: Part, link: Par
     own = None if is_built_in(found) else own_file(type(found))
     return Case(law=law.name, link=link.name, environment=environment.name, scene=environment.text, knobs=knobs,
                 seeds=asked.seeds if dice else asked.seeds[:1], conditions=tuple(law_notes(scene, *played)),
-                source="" if own is None else own.digest)
+                units=scene.axis_units, source="" if own is None else own.digest)
 
 
 def _drawn(scene: Scene, seeds: tuple[int, ...]) -> tuple[LinkPlans, bool]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
+
+from teleop.scene.axis_labels import TURNING, AxisLabels
 
 LOW, ONE, MORE, NEITHER = "low", "one", "more", ""  # the value that is best: the least, 1, the greatest, none
 FREE, TOUCHED, ANY = "free", "touched", "any"  # the environments whose rows count
@@ -13,7 +16,7 @@ class Column(NamedTuple):
 
     key: str  # the figure, by its name in the rows
     head: str  # over the column
-    unit: str  # as it is told
+    unit: str  # as it is told, of axes along lines
     factor: float  # of the figure's own unit, to tell it
     better: str  # LOW, ONE, MORE or NEITHER, which is not ranked
     where: str
@@ -47,3 +50,27 @@ COLUMNS = (
     Column("sent", "sent", "%", 1e2, NEITHER, ANY, "packets", "packets sent, in percent of the ticks"),
 )
 BY_KEY = {column.key: column for column in COLUMNS}
+
+
+def columns_in(units: Iterable[str]) -> dict[str, Column]:
+    """The columns by their keys, in the units of axes in m or rad; in no unit where there are both.
+
+    >>> [columns_in(units)["x_err_rms"].unit for units in (["m"], ["rad"], ["m", "rad"])]
+    ['mm', 'mrad', '']
+    """
+    labels = AxisLabels(units=tuple(units))
+    return {column.key: _in(column, labels) for column in COLUMNS}
+
+
+def titled(column: Column) -> str:
+    """The question that a column answers, with its unit if it has one."""
+    return f"{column.question} ({column.unit})" if column.unit else column.question
+
+
+def _in(column: Column, labels: AxisLabels) -> Column:
+    prefix, base = ("m", "m") if column.unit == "mm" else ("", column.unit)
+    if base not in TURNING:
+        return column
+    if unit := labels.unit(base):
+        return column._replace(unit=prefix + unit)
+    return column._replace(unit="", factor=1.0, meaning=f"{column.meaning}, over axes in m and in rad")

@@ -11,6 +11,7 @@ from shutil import get_terminal_size
 from typing import Any, TextIO
 
 from teleop.errors import enumerated, number_of
+from teleop.scene.axis_labels import AxisLabels
 from teleop.simulation.metrics import METRICS, UNITS
 from teleop.simulation.result import versions
 from teleop.storage.files import replacing_text
@@ -63,7 +64,8 @@ def command(args: Namespace) -> Answer:
             line.end()
     rows = sorted(Store.look(folder).rows(), key=lambda row: row["row"])
     seconds = args.seconds() - began
-    found = verdicts(rows, [law.name for law in asked.laws])
+    units = list(dict.fromkeys(unit for case in cases for unit in case.units))
+    found = verdicts(rows, [law.name for law in asked.laws], units)
     ranked = rankings(found)
     heading = (f"compare   {where}: {number_of(len(asked.laws), 'law')}, {number_of(len(asked.links), 'link')}, "
                f"{number_of(len(asked.environments), 'environment')}, {number_of(len(asked.seeds), 'seed')} for links "
@@ -74,9 +76,9 @@ def command(args: Namespace) -> Answer:
         "rows": total, "done": len(rows), "seeds": list(asked.seeds), "path": str(folder),
         "conditions": [{"law": case.law, "link": case.link, "environment": case.environment,
                         "sentences": list(case.conditions)} for case in cases if case.conditions],
-        "tuned": args.tuned, "notes": notes, **document(found, ranked),
+        "axis_units": units, "tuned": args.tuned, "notes": notes, **document(found, ranked),
     }
-    write_csv(folder / CSV, rows, cases)
+    write_csv(folder / CSV, rows, cases, AxisLabels(units=tuple(units)))
     write_document(folder / SUMMARY, told)
     answer = Answer(text(found, ranked, cases, heading, notes, _width()), told, INTERRUPTED if interrupted else DONE)
     if formats:
@@ -112,15 +114,18 @@ def _width() -> int:
     return get_terminal_size().columns if sys.stdout.isatty() else WIDE
 
 
-def write_csv(path: Path, rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> None:
-    """Every row: its names, seed, how it ended, its figures in SI units, and the command that runs it again."""
+def write_csv(path: Path, rows: Sequence[dict[str, Any]], cases: Sequence[Case], labels: AxisLabels) -> None:
+    """Every row: its names, seed, how it ended, its figures in SI units, and the command that runs it again.
+
+    A figure over axes in m and in rad has no unit.
+    """
     commands = {number: case.command(seed) for number, case, seed in numbered(cases)}
     some = [name for name in (*METRICS, *OWN) if any(name in row for row in rows)]
-    units = {**UNITS, **{name: unit for name, (unit, _) in OWN.items()}}
+    units = {name: labels.unit(unit) for name, unit in [*UNITS.items(), *((key, own) for key, (own, _) in OWN.items())]}
     with replacing_text(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["law", "link", "environment", "seed", "status", "ticks",
-                         *[f"{name} ({units[name]})" for name in some], "sentence", "command"])
+                         *[f"{name} ({units[name]})" if units[name] else name for name in some], "sentence", "command"])
         for row in rows:
             writer.writerow([row["law"], row["link"], row["environment"], row["seed"], row["status"], row["ticks"],
                              *[row.get(name, "") for name in some], row.get("sentence", ""), commands[row["row"]]])

@@ -15,8 +15,8 @@ from functools import partial
 from math import inf, isfinite, isnan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.studies.compare.columns import BY_KEY, FREE, ONE, TOUCHED, Column
-from teleop.studies.compare.judge import BAD, LawVerdict, Row, case_values, endings
+from teleop.studies.compare.columns import FREE, ONE, TOUCHED, Column, titled
+from teleop.studies.compare.judge import BAD, LawVerdict, Row, case_values, columns_of, endings
 from teleop.terminal.plotting import (
     BLUE,
     DARK,
@@ -124,7 +124,7 @@ def _square(x: int, y: int, colour: str) -> Any:
 
 def _tracking(found: Sequence[LawVerdict]) -> Figure | None:
     """Tracking error against felt drag; the colour says how hard the wall is pressed, against that of a rigid rod."""
-    error, drag, wall = BY_KEY["x_err_rms"], BY_KEY["felt_drag"], BY_KEY["wall_late"]
+    error, drag, wall = [columns_of(found)[key] for key in ("x_err_rms", "felt_drag", "wall_late")]
     told = [(one.law, *(drag.factor * one.figures["felt_drag"].value, error.factor * one.figures["x_err_rms"].value,
                         wall.factor * one.figures["wall_late"].value)) for one in found]
     sound = [each for each in told if isfinite(each[1]) and isfinite(each[2])]
@@ -139,7 +139,7 @@ def _tracking(found: Sequence[LawVerdict]) -> Figure | None:
     bar.set_label("force on the wall, % of a rigid rod's", fontsize=9)
     for name, column, values in (("x", drag, [x for _, x, _, _ in sound]), ("y", error, [y for _, _, y, _ in sound])):
         _scale(axes, name, values)
-        getattr(axes, f"set_{name}label")(f"{column.question} ({column.unit}), median over the cases")
+        getattr(axes, f"set_{name}label")(f"{titled(column)}, median over the cases")
     _names(axes, figure, [(law + (f" ({press:.0f} %)" if isfinite(press) else ""), x, y) for law, x, y, press in sound])
     lost = [law for law, x, y, _ in told if not (isfinite(x) and isfinite(y))]
     if lost:
@@ -177,7 +177,7 @@ def _meet(one: Box, other: Box) -> bool:
 
 def _dots(question: Question, rows: Sequence[Row], found: Sequence[LawVerdict]) -> Figure | None:
     """A panel for each column: of each law a dot for each case, the median, and how many cases failed."""
-    panels = [BY_KEY[key] for key in question.keys
+    panels = [columns_of(found)[key] for key in question.keys
               if any(not isnan(one.figures[key].value) for one in found)]
     if not panels:
         return None
@@ -213,7 +213,7 @@ def _panel(axes: Axes, column: Column, cases: Mapping[str, Sequence[float]], fou
     else:
         _scale(axes, "x", every)
     where = f", {PLACES[column.where]}" if column.where in PLACES else ""
-    axes.set_xlabel(literal(f"{column.question} ({column.unit}){where}"), fontsize=9)
+    axes.set_xlabel(literal(f"{titled(column)}{where}"), fontsize=9)
     grid_lines(axes)
 
 

@@ -15,7 +15,7 @@ from math import exp, inf, isfinite, isnan, log, nan
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from teleop.studies.compare.columns import ANY, COLUMNS, FREE, LOW, MORE, NEITHER, ONE, Column
+from teleop.studies.compare.columns import ANY, BY_KEY, COLUMNS, FREE, LOW, MORE, NEITHER, ONE, Column, columns_in
 
 LEAST = 0.01  # a difference of at most this part of the value is none
 TINY = 1e-9
@@ -47,6 +47,7 @@ class LawVerdict:
     cases: int  # with at least one row
     ended: Mapping[str, int]  # how many cases ended how; one counts as the worst of its seeds
     figures: Mapping[str, Told]  # by the column's key
+    columns: Mapping[str, Column]  # in the units of the axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,15 +59,17 @@ class Ranking:
     failed: tuple[str, ...]  # laws of whose runs, where the figure counts, half or more failed
 
 
-def verdicts(rows: Sequence[Row], laws: Iterable[str]) -> list[LawVerdict]:
-    """One for each law that has rows, in the order of `laws`."""
+def verdicts(rows: Sequence[Row], laws: Iterable[str], units: Iterable[str] = ("m",)) -> list[LawVerdict]:
+    """One for each law that has rows, in the order of `laws`; `units`: those of the axes, m or rad."""
+    columns = columns_in(units)
     free = free_environments(rows)
     by_law: dict[str, list[Row]] = {law: [] for law in laws}
     for row in rows:
         by_law[row["law"]].append(row)
     counting = {column.key: _environments(column, rows, free) for column in COLUMNS}
     return [LawVerdict(law=law, cases=len(endings(own)), ended=Counter(endings(own).values()),
-                       figures={column.key: _told(column, own, counting[column.key]) for column in COLUMNS})
+                       figures={column.key: _told(column, own, counting[column.key]) for column in COLUMNS},
+                       columns=columns)
             for law, own in by_law.items() if own]
 
 
@@ -186,8 +189,13 @@ def ties(column: Column, one: Told, other: Told) -> bool:
 
 def rankings(found: Sequence[LawVerdict]) -> list[Ranking]:
     """One for each column that has a better way and a value of at least two laws."""
-    made = [ranking(column, found) for column in COLUMNS if column.better != NEITHER]
+    made = [ranking(column, found) for column in columns_of(found).values() if column.better != NEITHER]
     return [one for one in made if sum(map(len, one.groups)) > 1]
+
+
+def columns_of(found: Sequence[LawVerdict]) -> Mapping[str, Column]:
+    """The columns by their keys, as the verdicts have them."""
+    return found[0].columns if found else BY_KEY
 
 
 def held_back(found: Sequence[LawVerdict]) -> list[LawVerdict]:

@@ -8,8 +8,8 @@ from textwrap import wrap
 
 from teleop.errors import enumerated, number_of
 from teleop.studies.compare.cases import Case
-from teleop.studies.compare.columns import COLUMNS, FREE, NEITHER, ONE, TOUCHED, Column
-from teleop.studies.compare.judge import BAD, LawVerdict, Ranking, Told, held_back
+from teleop.studies.compare.columns import FREE, NEITHER, ONE, TOUCHED, Column
+from teleop.studies.compare.judge import BAD, LawVerdict, Ranking, Told, columns_of, held_back
 from teleop.terminal.printable import printable
 from teleop.terminal.table import columns
 
@@ -49,7 +49,7 @@ def cells(one: LawVerdict, shown: Sequence[Column]) -> list[str]:
 
 def shown_columns(found: Sequence[LawVerdict]) -> list[Column]:
     """The columns that say anything."""
-    told = {column: [one.figures[column.key] for one in found] for column in COLUMNS}
+    told = {column: [one.figures[column.key] for one in found] for column in columns_of(found).values()}
     return [column for column, some in told.items() if any(one.failed or not isnan(one.value) for one in some)
             and not (column.better == NEITHER and {one.value for one in some} <= {USUAL.get(column.key)})]
 
@@ -108,8 +108,12 @@ def group_text(group: Sequence[tuple[str, float]], column: Column) -> str:
 def _held_back(found: Sequence[LawVerdict]) -> list[str]:
     held = held_back(found)
     return [f"{one.law} tracks well because the hand goes less far: its wall feels "
-            f"{100.0 * one.figures['wall_late'].value:.0f} % of a rigid rod's force, its drag is "
-            f"{digits(one.figures['felt_drag'].value)} N s/m" for one in held]
+            f"{100.0 * one.figures['wall_late'].value:.0f} % of a rigid rod's force{_drag(one)}" for one in held]
+
+
+def _drag(one: LawVerdict) -> str:
+    drag, unit = one.figures["felt_drag"].value, one.columns["felt_drag"].unit
+    return f", its drag is {digits(drag)} {unit}".rstrip() if isfinite(drag) else ""
 
 
 def conditions(cases: Sequence[Case]) -> list[str]:
@@ -141,7 +145,7 @@ def document(found: Sequence[LawVerdict], ranked: Sequence[Ranking]) -> dict[str
                   "figures": {key: _figure(told) for key, told in one.figures.items()}}
                  for one in found],
         "columns": {column.key: {"unit": column.unit, "factor": column.factor, "better": column.better,
-                                 "meaning": column.meaning} for column in COLUMNS},
+                                 "meaning": column.meaning} for column in columns_of(found).values()},
         "rankings": {one.column.key: {"groups": [[law for law, _ in group] for group in one.groups],
                                       "failed": list(one.failed)} for one in ranked},
         "held_back": [one.law for one in held_back(found)],

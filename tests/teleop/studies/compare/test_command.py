@@ -174,3 +174,36 @@ def test_the_gain_margin_of_a_case_is_that_of_its_scene(small: Path) -> None:
     scene = load_scene("soft_tissue", law="direct", link="delay(0.01)", duration=0.4)
     assert float(own["direct", "tissue", "10 ms"]) == margin(scene).gain
     assert own["direct", "tissue", "loss"] == ""  # no constant delay
+
+
+def test_the_name_of_a_scene_compares_laws_in_it_in_the_units_of_its_axes(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Six joints in rad. Each law breaks its condition on every joint, which is told once, with what to type."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", "leader_follower", "--laws", "four_channel,wave", "--workers", "1"]) == 0
+    out = capsys.readouterr().out
+    head, units = (line.split() for line in out.splitlines()[2:4])
+    assert head[:5] == ["ok", "osc", "div", "track", "force"]
+    assert "mrad    N m     %" in out.splitlines()[3]
+    assert units[0] == "law"
+    assert " mm" not in out
+    said = " ".join(out.split())
+    assert said.count("passive between equal ends") == 1
+    assert "(and shoulder, elbow, forearm, wrist and flange, with their own numbers)" in said
+    document = json.loads((tmp_path / "runs" / "leader_follower" / "summary.json").read_text())
+    assert document["axis_units"] == ["rad"]
+    assert document["columns"]["felt_drag"]["unit"] == "N m s/rad"
+    assert "x_err_rms (rad)" in rows_of("runs/leader_follower")[0]
+    assert main(["report", "runs/leader_follower"]) == 0
+    assert "mrad    N m     %" in capsys.readouterr().out
+
+
+def test_figures_over_axes_in_m_and_in_rad_have_no_unit_and_say_why(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", "pose", "--laws", "wave", "--workers", "1"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "slave against the master of one delay ago, rms, over axes in m and in rad" in out
+    assert "its wall feels 46 % of a rigid rod's force every row" in out  # no drag: none is known
+    row = rows_of("runs/pose")[0]
+    assert {"x_err_rms", "f_err_rms", "E_port_min (J)"} <= set(row)
