@@ -156,7 +156,7 @@ def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
                       f"mujoco:{path}#NAME with one of its sites ({sites}) or bodies ({bodies})")
     holder = body if site is None else site.parent
     if not _is_carried(mujoco, holder):
-        raise Refused(f"{wanted} of {path} is no end effector: no joint but a free one moves it; write --robot "
+        raise Refused(f"{wanted} of {path} is no end effector: no hinge, slide or ball moves it; write --robot "
                       f"mujoco:{path}#NAME with a site or body at the end of its joints")
     at = [0.0, 0.0, 0.0] if site is None else site.pos
     try:

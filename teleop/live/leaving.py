@@ -59,7 +59,9 @@ async def let_go(shell: Shell) -> None:
             seen = seen if reading is None else now
     finally:
         alarm.close()
-    device.let_go()
+    if not device.let_go():
+        endpoint.guard.tell(shell.counts.ran, "zero", f"the device does not take zero force: {device.trouble}")
+        return
     jump = f", the last {_told(endpoint, force)} at once" if any(force) else ""
     sentence = f"{most} taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
     endpoint.guard.tell(shell.counts.ran, "zero", sentence)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
@@ -135,10 +135,19 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
         cure = "start both ends with the same file of the scene, and the same knobs"
     elif name in mine and name in theirs:
         cure = f"start both ends with the same --set {name}={quote(mine[name][:LONGEST])}"
+    elif name in _any_scenes():
+        cure = f"start both ends with the same --set {name}={quote((mine.get(name) or theirs[name])[:LONGEST])}"
     else:
         cure = "install the same release, and the same scene file, at both ends"
     others = f" ({len(more)} more {plural(len(more), 'differs', 'differ')})" if more else ""
     return f"{name} is {here} here and {there} there{others}: {cure}"
+
+
+def _any_scenes() -> Iterable[str]:
+    """The knobs that any scene takes: they are in a manifest where they were typed."""
+    from teleop.scene.wide import WIDE
+
+    return WIDE
 
 
 def _law_difference(mine: str, theirs: str) -> tuple[str, str, str] | None:

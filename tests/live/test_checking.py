@@ -108,7 +108,7 @@ class SaysThatItSenses(Mass):
     (MovesInHold, "a reading is the left limit"), (Infinite, "none of 100 readings"),
     (Raises, "its read raised ValueError: frame of 3 bytes; what may come right again raises DeviceError"),
     (Forgets, "did not close: KeyError: 'port'"), (OpensOnce, "was closed, opened again, and cannot be read"),
-    (TwoAxes, "the device has 2 axes, for it read x = (0.0, 0.0), and the scene has 1; take a scene of 2 axes"),
+    (TwoAxes, "the device has 2 axes, for so many numbers has the x that it read, and the scene has 1; take a"),
     (SaysThatItSenses, "the device says senses = True and reads f=None"),
 ])
 def test_a_mistake_is_refused_by_its_sentence(make: Any, words: str) -> None:

@@ -20,7 +20,7 @@ from teleop.live.driving import run
 from teleop.live.leaving import RETRY_NS
 from teleop.live.records.end_result import UNRELEASED
 from teleop.live.records.merge import merge
-from teleop.live.records.record import read_record
+from teleop.live.records.record import read_events, read_record
 from teleop.protocol.endpoint import Endpoint, Reading
 from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
@@ -205,7 +205,10 @@ def test_a_force_that_stays_on_is_said_and_is_not_ok(pair: Make, monkeypatch: py
     assert "the amplifier does not answer" in own.outcome.sentence
     assert own.outcome.sentence.startswith("ran to its end")
     assert device.tried >= 3
-    whole = merge(SCENE, *both.write())
+    folders = both.write()
+    zero = [event["why"] for event in read_events(folders[0]) if event["what"] == "zero"]
+    assert zero == ["the device does not take zero force: the amplifier does not answer"]
+    whole = merge(SCENE, *folders)
     assert (whole.status, whole.sentence) == (UNRELEASED, own.outcome.sentence)
 
 

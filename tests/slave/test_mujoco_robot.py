@@ -217,8 +217,8 @@ class TestAModelOfOnesOwn:
         ("broken.xml", r"broken\.xml does not load as an MJCF \(.*Line number=1.*\); mend it"),
         ("slider.xml#hand", r"no site and no body of the name hand.*#NAME with one of its sites \(mark, end_effector\) "
                             r"or bodies \(cart, ball\)"),
-        ("slider.xml#mark", "mark of .* is no end effector: no joint"),
-        ("slider.xml#ball", "ball of .* is no end effector: no joint but a free one moves it"),
+        ("slider.xml#mark", "mark of .* is no end effector: no hinge, slide or ball"),
+        ("slider.xml#ball", "ball of .* is no end effector: no hinge, slide or ball moves it"),
         ("quick.xml", "has a timestep of 1e-12 s, and a tick of 0.001 s has at most 1000 sub-steps; write one of"),
         ("nowhere_home.xml", "the keyframe home of .* has a place that is not finite"),
     ])

@@ -211,9 +211,9 @@ def _in_floats(reading: Any, axes: int) -> Reading:
     had = {len(part) for part in reading[:2] if isinstance(part, tuple)} if isinstance(reading, Reading) else set()
     if len(had) == 1 and had != {axes}:
         n = had.pop()
-        raise Refused(f"the device has {number_of(n, 'axis', 'axes')}, for it read x = {str(reading.x)[:99]}, and the "
-                      f"scene has {axes}; take a scene of {number_of(n, 'axis', 'axes')} at both ends (--set axes={n} "
-                      "where it has that knob), or another device")
+        raise Refused(f"the device has {number_of(n, 'axis', 'axes')}, for so many numbers has the x that it read, and "
+                      f"the scene has {axes}; take a scene of {number_of(n, 'axis', 'axes')} at both ends (--set "
+                      f"axes={n} where it has that knob), or another device")
     more = "," if axes == 1 else "".join(f", {{0}}{axis}" for axis in range(2, axes + 1))
     sample_x, sample_v = (f"({letter}{more.format(letter)})" for letter in "xv")
     raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "

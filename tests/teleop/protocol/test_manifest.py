@@ -81,6 +81,14 @@ def test_an_entry_of_one_end_only_is_missing_at_the_other() -> None:
         assert "--set" not in sentence
 
 
+@pytest.mark.parametrize(("here", "there"), [({"scale_x": "1.0,2.0"}, {}), ({}, {"scale_x": "1.0,2.0"})])
+def test_a_knob_of_any_scene_that_was_typed_at_one_end_alone_is_typed_at_both(
+    here: dict[str, str], there: dict[str, str]
+) -> None:
+    """It said "install the same release, and the same scene file"."""
+    assert (manifest_difference(here, there) or "").endswith("start both ends with the same --set scale_x=1.0,2.0")
+
+
 manifests = st.dictionaries(st.sampled_from(["scene", "law", "a", "b"]), st.sampled_from(["", "1", "2"]))
 
 
