@@ -14,6 +14,7 @@ from typing import Any
 
 from teleop.knob import Declared
 from teleop.scene.catalogue import find, names
+from teleop.scene.device_names import device_line, known_devices
 from teleop.scene.wide import WIDE
 from teleop.terminal.listing import PLAYOUTS, TABLES, meaning_of
 from teleop.terminal.options import FORMATS
@@ -33,7 +34,8 @@ KINDS = {
     "SCENE": "scene", "LAW": "law", "NAME=VALUE": "set", "KNOB=VALUES": "grid", "KNOB": "knob", "DIR": "folder",
     "FOLDER": "run", "RUN": "run", "SLAVE": "run", "FILE": "file", "FORMATS": "formats", "METHOD:N": "bodies",
     "--laws": "laws", "--metrics": "metrics", "--metric": "metrics", "--playouts": "playouts", "--engine": "engines",
-    "--objective": "objectives", "--picture": "pictures", "list NAME": "names", "reproduce NAME": "publications",
+    "--objective": "objectives", "--picture": "pictures", "list NAME": "names",
+    "--device": "devices", "--robot": "robots", "check NAME": "either", "reproduce NAME": "publications",
 }
 ENGINES = {"plain": "in Python", "scalar": "compiled, a row at a time", "vector": "compiled, rows side by side"}
 
@@ -120,6 +122,7 @@ def _words() -> dict[str, Words]:
 
     known = names()
     playouts = {name: plays for name, plays, _ in PLAYOUTS if name.islower()}
+    devices, robots = ({name: device_line(e, name, place) for name, place in known_devices(e).items()} for e in "ms")
     everything = {name: meaning for kind in known.values() for name, meaning in kind.items()}
     return {
         "scene": known["scenes"], "law": known["laws"], "laws": known["laws"],
@@ -127,6 +130,7 @@ def _words() -> dict[str, Words]:
         "metrics": {name: f"{one.unit}, {one.meaning}" for name, one in METRICS.items()},
         "playouts": playouts, "value playout": playouts, "engines": ENGINES, "formats": dict.fromkeys(FORMATS, ""),
         "objectives": dict.fromkeys(OBJECTIVES, ""), "pictures": dict.fromkeys(PICTURES, ""),
+        "devices": devices, "robots": robots, "either": devices | robots,
         "publications": dict.fromkeys(PUBLICATIONS, ""),
         "bodies": {f"{one.name}:": one.label for one in METHODS},
         "scene of a file": {name: _meant(one) for name, one in WIDE.items()},

@@ -159,7 +159,7 @@ def _section(name: str, document: Mapping[str, Any], told: Sequence[Block]) -> S
 
 def _precision(document: Mapping[str, Any]) -> list[Markup]:
     """The largest error of each method over its run time."""
-    methods = document["methods"]
+    methods, units = document["methods"], document.get("units") or {}
     kinds = list(dict.fromkeys(str(one["method"]) for one in methods))
     planes = []
     for series, what, unit in (("x_s", "largest error of the slave's position", "m"),
@@ -172,7 +172,7 @@ def _precision(document: Mapping[str, Any]) -> list[Markup]:
                       and one["errors"].get(series, {}).get("max")]
             dash = ("", " y", " z")[i // len(LINES) % 3]
             groups.append(Group(kind, f"{LINES[i % len(LINES)]}{dash}", sorted(points), lines=True))
-        planes.append(Plane("run time (us a tick)", f"{what} ({unit})", groups))
+        planes.append(Plane("run time (us a tick)", f"{what} ({units.get(series, unit)})", groups))
     return scatter("Error over run time", planes)
 
 

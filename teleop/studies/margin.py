@@ -132,16 +132,15 @@ def linearised(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
     """The scene without what is not linear and changes nothing about small motion, and what was taken for another."""
     own, assumed = scene, []
     for name in ("device_m", "device_s"):
-        device = getattr(own, name)
-        if device is None:
+        if getattr(own, name) is None:
             continue
-        if device.every > 1:
+        if own.per_axis(name)[0].every > 1:
             assumed.append(f"{name} renews its force at every tick")
-        own = replace(own, **{name: replace(device, encoder=None, every=1)})
-    own = replace(own, cap=None, passivity=None, master=replace(own.master, friction=0.0))
+        own = _changed(own, name, encoder=None, every=1)
+    own = _changed(replace(own, cap=None, passivity=None), "master", friction=0.0)
     if own.slave is None:
         return own, tuple(assumed)
-    own = replace(own, slave=replace(own.slave, friction=0.0))
+    own = _changed(own, "slave", friction=0.0)
     ages = _median_ages(scene, seed)
     if ages is not None:
         seconds = [ticks * scene.dt_ns / 1e9 for ticks in ages]
@@ -152,6 +151,14 @@ def linearised(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
         link = import_bundled("channel.link").parse_link(f"delay({fwd!r}) ; delay({bwd!r})")
         own = replace(own, link=link, playout=playout, left_out_m=None, left_out_s=None)
     return own, tuple(assumed)
+
+
+def _changed(scene: Scene, name: str, **numbers: Any) -> Scene:
+    """The scene with other numbers in a part, on every axis."""
+    part = getattr(scene, name)
+    changed: Any = tuple([replace(own, **numbers) for own in part]) if isinstance(part, tuple) else replace(
+        part, **numbers)
+    return replace(scene, **{name: changed})
 
 
 def _median_ages(scene: Scene, seed: int) -> Sequence[int] | None:

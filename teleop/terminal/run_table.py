@@ -47,12 +47,16 @@ def verdict(result: Result) -> str:
     return result.sentence if result.sentence.startswith(result.status) else f"{result.status}: {result.sentence}"
 
 
+MIXED = "over axes in m and in rad"  # what a figure without a unit is
+
+
 def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
         got = result.metrics
         if {f"{key}_rms", f"{key}_max"} <= got.keys():
             own = result.labels.unit(unit)
-            yield f"{si(got[f'{key}_rms'], own)} rms, {si(got[f'{key}_max'], own)} max"
+            over = "" if own else f", {MIXED}"
+            yield f"{si(got[f'{key}_rms'], own)} rms, {si(got[f'{key}_max'], own)} max{over}"
 
     return tell
 
@@ -62,7 +66,7 @@ def _force(result: Result) -> Iterator[str]:
     said = [f"{si(result.metrics[name], unit)} {word}"
             for name, word in (("f_m_end", "felt"), ("f_env_end", "touched")) if name in result.metrics]
     if said:
-        yield ", ".join(said) + ", mean over the last 0.1 s"
+        yield ", ".join(said) + ", mean over the last 0.1 s" + ("" if unit else f", {MIXED}")
 
 
 def _felt(result: Result) -> Iterator[str]:
@@ -70,10 +74,12 @@ def _felt(result: Result) -> Iterator[str]:
     got, unit = result.metrics, result.labels.unit
     if "felt_fit" in got and result.ticks * result.dt >= _LEAST_MOTION:
         yield (f"in free space {got['felt_mass']:.3g} {unit('kg')} and {got['felt_drag']:.3g} "
-               f"{unit('N s/m')} beside the master's own, which explain {got['felt_fit']:.0%} of the force")
+               f"{unit('N s/m')} beside the master's own, which explain {got['felt_fit']:.0%} of the force"
+               + ("" if unit("kg") else f", {MIXED}"))
     if "felt_share" in got:
+        over = "" if unit("N/m") else f", {MIXED}"
         yield (f"a stiffness of {si(got['felt_stiffness'], unit('N/m'))}, {100.0 * got['felt_share']:.3g} % of what is "
-               "touched")
+               f"touched{over}")
 
 
 def _energy(key: str) -> Callable[[Result], Iterator[str]]:

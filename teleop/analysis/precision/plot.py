@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.precision.contenders.outsiders import TOLERANCES
 from teleop.analysis.precision.measure import SUBSTEPS
+from teleop.analysis.precision.report import axis_of
 from teleop.errors import number_of
+from teleop.scene.axis_labels import told_along, unit_on
 from teleop.terminal.plotting import (
     BLACK,
     BLUE,
@@ -63,8 +65,9 @@ PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force o
 def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
     """Draw `got` into `path` with the suffix of each format, as `save` does; returns the files."""
     by = got.truth.method if not got.truth.estimates else f"scipy's {got.truth.method}, every change of mode located"
-    off = got.truth.off
-    reference = f"\nreference: {by}, good to {si(off['x_s'], 'm')}, {si(off['f_env'], 'N')}"
+    off, axis = got.truth.off, axis_of(got)
+    good = f"good to {si(off['x_s'], 'm')}, {si(off['f_env'], 'N')}"
+    reference = f"\nreference: {by}, {told_along(good, axis)}"
     scipys = "" if all(e.contender.rtol is None for e in got.entries) else (
         f"; scipy: rtol {', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}")
     counts = f"({number_of(got.result.ticks, 'tick')}, {number_of(got.contacts, 'contact')})"
@@ -72,7 +75,8 @@ def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     title = f"{literal(heading(got.result))}: error against run time {counts}\n{marks}{reference}"
     figure = new_figure((13.0, 9.5), title)
     every = figure.subplots(2, 2, height_ratios=(3, 2), squeeze=True)
-    for column, (series, track, what, unit) in enumerate(PANELS):
+    for column, (series, track, what, along) in enumerate(PANELS):
+        unit = unit_on(along, axis)
         _work(every[0, column], got, series, what, unit)
         _time(every[1, column], got, series, track, what, unit)
     every[1, 0].sharex(every[1, 1])

@@ -11,6 +11,7 @@ from teleop.analysis.precision.contenders.outsiders import there
 from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
 from teleop.errors import number_of
+from teleop.scene.axis_labels import labels_of, told_along, unit_on
 from teleop.terminal.answer import finite, scene_head
 from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts
@@ -32,7 +33,15 @@ def table(got: Precision) -> str:
     rows = [HEAD, *(_row(e, got.truth.off) for e in sorted(got.entries, key=_order(got.entries)))]
     if (estimated := got.truth.estimated) is not None:
         rows[1] = (*rows[1][:-1], ", ".join([f"estimated {si(estimated, 'm')}", *filter(None, rows[1][-1:])]))
-    return f"{columns(rows, left=(0, len(HEAD) - 1))}\n\n{facts(_facts(got))}"
+    axis = axis_of(got)
+    told = [tuple([told_along(cell, axis) for cell in row]) for row in rows]
+    lines = [(label, told_along(text, axis)) for label, text in _facts(got)]
+    return f"{columns(told, left=(0, len(HEAD) - 1))}\n\n{facts(lines)}"
+
+
+def axis_of(got: Precision) -> str:
+    """The unit of the axis that was looked at, m or rad."""
+    return labels_of(got.scene).in_units(got.scene.axes)[0]
 
 
 def _order(entries: Sequence[Entry]) -> Any:
@@ -143,7 +152,8 @@ def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
         **scene_head(got.scene, "precision", status=result.status, sentence=verdict(got), seed=got.seed,
                      command=command, also=["scipy"] if there() else []),
         "ticks": result.ticks, "rounds": got.rounds, "contacts": got.contacts,
-        "units": {**SERIES, "ns_per_tick": "ns", "peak_ratio": "1"},
+        "units": {**{name: unit_on(unit, axis_of(got)) for name, unit in SERIES.items()}, "ns_per_tick": "ns",
+                  "peak_ratio": "1"},
         "reference": {
             "method": got.truth.method, "sentence": got.truth.sentence,
             "off_by": {name: finite(size) for name, size in got.truth.off.items()},

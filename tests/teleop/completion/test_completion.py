@@ -159,6 +159,11 @@ class TestWhatBashOffers:
         assert complete("report", "") == ["runs/canonical-1"]
         assert complete("report", "else") == ["elsewhere"]
 
+    def test_for_a_device_or_a_robot_those_there_are(self, complete: Callable[..., list[str]]) -> None:
+        assert complete("run", "arm", "--robot", "mu") == ["mujoco"]
+        assert complete("demo", "--device", "ha") == ["haply"]
+        assert complete("check", "robot", "mu") == ["mujoco"]
+
     def test_kinds_and_names_of_what_can_be_listed(self, complete: Callable[..., list[str]]) -> None:
         assert {"metrics", "hard_wall", "wave", "bernoulli"} <= {*complete("list", "")}
 

@@ -11,7 +11,7 @@ from channel import Delay
 from master import Grip, Rest
 from slave import HuntCrossley, Tissue, Wall
 from teleop import Direct, MassDamper, PositionPosition, Scene, load_scene, run, sweep
-from teleop.analysis.stability.assess import is_stable
+from teleop.analysis.stability.assess import is_stable, stability
 from teleop.studies.margin import delay_margin, gain_margin, margin, stands
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)
@@ -40,6 +40,15 @@ def test_the_gain_margin_is_the_factor_on_the_force_that_is_fed_back() -> None:
         assert is_stable(handles(law, Tissue(k=400.0, d=0.0), link=Delay(0.002))) == stable
     assert found.gain > 1.0
     assert found.where == "in contact"
+
+
+@pytest.mark.parametrize(("scene", "linear"), [
+    ("leader_follower", {"f_max": None, "friction_m": 0.0, "friction_s": 0.0}),
+    ("pose", {"f_max": None, "slew": None, "k_e": 0.0, "d_e": 0.0})])
+def test_axes_with_parts_of_their_own_have_the_margins_of_the_worst(scene: str, linear: dict[str, Any]) -> None:
+    told, own = margin(load_scene(scene)), stability(load_scene(scene, **linear))
+    assert own.delay_margin is not None
+    assert (told.gain, told.delay) == (own.gain_margin, own.delay_margin * own.dt)  # the wall of pose takes none
 
 
 @pytest.mark.parametrize("factor", [0.6, 0.95, 1.05, 1.6])

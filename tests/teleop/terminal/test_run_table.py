@@ -184,3 +184,13 @@ class TestText:
             assert name in result.metrics
             less = {key: value for key, value in result.metrics.items() if key != name}
             assert table(replace(result, metrics=less)).startswith("run")
+
+
+def test_figures_over_axes_in_m_and_in_rad_have_no_unit_and_say_so() -> None:
+    told = rows(run(load_scene("pose", duration=0.5)))
+    for label in ("tracking error", "force error", "force at the end"):
+        assert told[label][0].endswith("over axes in m and in rad"), told[label]
+    assert "over axes" not in told["angle error"][0]  # of the rotation alone
+    joints = rows(run(load_scene("leader_follower", duration=0.05)))
+    assert " rad" in joints["integration"][0]
+    assert "over axes" not in joints["tracking error"][0]

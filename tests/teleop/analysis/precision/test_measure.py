@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
@@ -313,6 +314,16 @@ class TestTheCommand:
         assert (tmp_path / "here" / "precision.png").read_bytes().startswith(b"\x89PNG")
         with np.load(tmp_path / "here" / "errors.npz") as arrays:
             assert {"t", "x_err", "f_err", "x_s:exact", "f_env:radau/64"} <= set(arrays)
+
+    def test_one_axis_of_several_is_told_in_its_units(self, typed: Typed, quick: None, tmp_path: Path) -> None:
+        short = ["precision", "pose", "--set", "duration=0.05", "--rounds", "1", "--out", str(tmp_path / "p")]
+        assert typed(*short)[0] == 2
+        code, out, _ = typed(*short, "--axis", "rx", "--plot", "--format", "svg")
+        assert code == 0
+        assert " rad" in out
+        assert not re.search(r"\d [unmk]?(m|N)\b(?! m)", out)
+        document = json.loads((tmp_path / "p" / "summary.json").read_text())
+        assert [document["units"][name] for name in ("x_s", "f_env", "ns_per_tick")] == ["rad", "N m", "ns"]
 
     def test_json_is_one_object_and_what_is_in_the_folder(self, typed: Typed, quick: None, tmp_path: Path) -> None:
         got = typed("precision", "canonical", "--set", "duration=0.05", "--rounds", "1", "--json")

@@ -16,6 +16,7 @@ import pytest
 import teleop.analysis.zwidth.assess
 import teleop.analysis.zwidth.command
 import teleop.analysis.zwidth.measured
+from teleop.analysis.models.by_axis import along
 from teleop.analysis.zwidth.assess import ZWidth, assess, span
 from teleop.analysis.zwidth.levers import levers
 from teleop.analysis.zwidth.plane import Span
@@ -35,6 +36,16 @@ LEVERS = ["as it is", "damping x2", "encoder", "rate x2", "velocity filter", "vi
 def found() -> ZWidth:
     """That of the built-in wall."""
     return assess(load_scene("virtual_wall"))
+
+
+def test_of_several_axes_one_is_named(found: ZWidth) -> None:
+    """The second axis is the built-in wall, the first another."""
+    one = load_scene("virtual_wall")
+    assert one.master is not None
+    two = replace(one, axes=2, master=(replace(one.master, mass=0.5), one.master))
+    with pytest.raises(Refused, match="--axis x"):
+        theory(two)
+    assert numbers(theory(along(two, "y")).base)["stable_K_free"] == numbers(found.base)["stable_K_free"]
 
 
 def theory(scene: Scene) -> ZWidth:
