@@ -70,6 +70,20 @@ def turned(w: float, x: float, y: float, z: float, dx: float, dy: float, dz: flo
     return unit(pw, px, py, pz)
 
 
+def counted(w: float, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> Quaternion:
+    """The same; of none yet, (0, 0, 0, 0), the quaternion exp(d) or its negative, whichever has w >= 0.
+
+    >>> counted(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    (1.0, 0.0, 0.0, 0.0)
+    """
+    if w != 0.0 or x != 0.0 or y != 0.0 or z != 0.0:
+        return turned(w, x, y, z, dx, dy, dz)
+    ew, ex, ey, ez = exp(dx, dy, dz)
+    if ew < 0.0:
+        return -ew, -ex, -ey, -ez
+    return ew, ex, ey, ez
+
+
 def log_near(w: float, x: float, y: float, z: float, lx: float, ly: float, lz: float) -> Vector3:
     """The rotation vector of a unit quaternion (rad) that is nearest to the vector l; with l = 0 the shortest."""
     if w < 0.0:
@@ -122,20 +136,12 @@ def sent_at(w: float, x: float, y: float, z: float, px: float, py: float, pz: fl
     return log_twofold(bw, bx, by, bz, lx, ly, lz)
 
 
-def sign_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, sign: float) -> float:
-    """The sign of what is heard: as it was; before the first (0.0) the one with which r is less than pi from q."""
-    if sign != 0.0:
-        return sign
-    aw, ax, ay, az = exp(rx, ry, rz)
-    return -1.0 if aw * w + ax * x + ay * y + az * z < 0.0 else 1.0
-
-
-def heard_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, sign: float,
+def heard_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float,
              lx: float, ly: float, lz: float) -> Vector3:
-    """How far (rad) from q the quaternion sign exp(r) lies, see `log_twofold`."""
+    """How far (rad) from q the quaternion exp(r) lies, see `log_twofold`."""
     aw, ax, ay, az = exp(rx, ry, rz)
     bw, bx, by, bz = product(aw, ax, ay, az, w, -x, -y, -z)
-    return log_twofold(sign * bw, sign * bx, sign * by, sign * bz, lx, ly, lz)
+    return log_twofold(bw, bx, by, bz, lx, ly, lz)
 
 
 def left_at(px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> Vector3:

@@ -131,12 +131,6 @@ class Followed(Record):
         self.field = field
 
 
-class Heard(Followed):
-    """One that is received: how far it lies from the end."""
-
-    sign: float  # of its quaternions, from the first that came on: 1.0 or -1.0; 0.0 before
-
-
 class Turn(Record):
     """A rotation of an end: the three axes that turn it, and its orientation; see `teleop.stages.orientation`."""
 
@@ -162,7 +156,7 @@ class Turn(Record):
     def __init__(self, suffix: str, axes: tuple[Axis, ...], heard: tuple[str, ...], sent: tuple[str, ...]) -> None:
         super().__init__(suffix)
         self.a, self.b, self.c = axes
-        self.heard = tuple([Heard(f"{suffix}_rx_{field}", field) for field in heard])
+        self.heard = tuple([Followed(f"{suffix}_rx_{field}", field) for field in heard])
         self.sent = tuple([Followed(f"{suffix}_tx_{field}", field) for field in sent])
 
 

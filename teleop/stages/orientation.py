@@ -40,10 +40,10 @@ and ways that differ while the axis moves end at another orientation. That stays
 Beyond half a turn. q and -q are one orientation; as an end turns, though, q goes on without a jump, and its sign tells
 an odd turn from an even one. So what is sent is the vector whose exponential is q and not -q, and log above is that of
 the product with its sign: a relative rotation goes on through pi up to a whole turn, and, as nothing of the past is in
-it but the sign with which the first message lay less than pi away, both ends have the same one whatever was lost on the
-way. (Each end could count by itself what it has heard. But after a silence in which the ends turned apart by more than
-pi the one that turned would count on, the one that did not would take the short way, and torques that do not add up to
-zero would spin both for ever.) With a message from more than pi apart before anything was heard they may differ still.
+it, both ends have the same one whatever was lost on the way. (Each end could count by itself what it has heard. But
+after a silence in which the ends turned apart by more than pi the one that turned would count on, the one that did not
+would take the short way, and torques that do not add up to zero would spin both for ever.) An end begins with w >= 0;
+ends that begin apart, each more than a quarter of a turn from 0, may so take the long way to each other.
 
 Beyond a whole turn. There the axis is lost and log jumps from 2 pi u to -2 pi u. V is the same on both sides, so it
 gives way as a slipping clutch does, and makes no energy; a coupling so stretched draws the other way round. Where no
@@ -60,7 +60,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from teleop.physics.rotation import heard_at, left_at, sent_at, sign_at, turned
+from teleop.physics.rotation import counted, heard_at, left_at, sent_at
 from teleop.stages.end import Column, End, Places, Run, Stage, Turn, zero
 from teleop.stages.lanes import where
 
@@ -84,20 +84,19 @@ class OrientationStage(Stage):
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         for t in e.turns:
-            t.w = zero(run) + 1.0
-            t.x = t.y = t.z = zero(run)
+            t.w = t.x = t.y = t.z = zero(run)
             t.phi_x = t.phi_y = t.phi_z = zero(run)  # so the first turn is to where the end begins
             for one in t.heard:
-                one.x = one.y = one.z = one.sign = zero(run)
-            for tells in t.sent:
-                tells.x = tells.y = tells.z = zero(run)
+                one.x = one.y = one.z = zero(run)
+            for one in t.sent:
+                one.x = one.y = one.z = zero(run)
 
     def situate(self, run: Run, e: End) -> None:
         for t in e.turns:
             t.before_x, t.before_y, t.before_z = t.phi_x, t.phi_y, t.phi_z
             t.phi_x, t.phi_y, t.phi_z = t.a.at.x, t.b.at.x, t.c.at.x
             t.dx, t.dy, t.dz = t.phi_x - t.before_x, t.phi_y - t.before_y, t.phi_z - t.before_z
-            t.w, t.x, t.y, t.z = turned(t.w, t.x, t.y, t.z, t.dx, t.dy, t.dz)
+            t.w, t.x, t.y, t.z = counted(t.w, t.x, t.y, t.z, t.dx, t.dy, t.dz)
 
     def receive(self, run: Run, e: End) -> None:
         for t in e.turns:
@@ -116,13 +115,11 @@ def hear(run: Run, e: End, t: Turn, one: Any) -> None:
     """A position of the received message, as the law is told it."""
     t.px, t.py, t.pz = getattr(t.a.rx, one.field), getattr(t.b.rx, one.field), getattr(t.c.rx, one.field)
     if run.has.lanes:
-        one.sign = where(e.got, sign_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign), one.sign)
-        new_x, new_y, new_z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign, one.x, one.y, one.z)
+        new_x, new_y, new_z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x, one.y, one.z)
         one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
         one.x, one.y, one.z = where(e.got, new_x, one.x), where(e.got, new_y, one.y), where(e.got, new_z, one.z)
     elif e.got:
-        one.sign = sign_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign)
-        one.x, one.y, one.z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.sign, one.x, one.y, one.z)
+        one.x, one.y, one.z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x, one.y, one.z)
     else:
         one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
     t.a.rx = with_position(run, e.Message, e.rx_fields, t.a.rx, one.field, t.phi_x + one.x)

@@ -118,13 +118,19 @@ def test_a_tool_that_turned_by_two_thirds_of_a_turn_in_a_blackout_is_followed_al
     assert np.linalg.norm(trace["x_m"] - trace["x_s"], axis=1)[-1] < 0.05
 
 
+def test_ends_that_begin_a_whole_turn_apart_stand_alike_and_draw_at_nothing() -> None:
+    trace = run(turning(0.0, start_m=(0.0, 0.0, 2.0 * np.pi), hand=None, duration=0.1)).trace
+    assert np.abs(trace["f_m"]).max() + np.abs(trace["f_s"]).max() < 1e-14
+
+
+@pytest.mark.parametrize("link", ["delay(0.01) | blackout(0.2, 0.5)", "delay(0.01) | blackout(0, 0.7) ; delay(0.01)"])
 @pytest.mark.parametrize("turns", [0.8, 1.3])
 def test_ends_that_turned_apart_by_more_than_half_a_turn_in_a_silence_do_not_spin_each_other_for_ever(
-        turns: float) -> None:
+        turns: float, link: str) -> None:
     """Both reckon the same way back, so their torques are opposite and they come to rest."""
     drag = Grip(mass=5e-4, k=0.0, d=0.5, reference=Reach(to=(0.0, 0.0, 2.0 * np.pi * turns), start=0.3, duration=0.4))
     trace = run(turning(0.0, law=PDamped(K=0.2, B=0.02), hand=drag, duration=5.0,
-                        link=parse_link("delay(0.01) | blackout(0.2, 0.5)"))).trace
+                        link=parse_link(link))).trace
     apart_by = trace["x_m"][700, 2] - trace["x_s"][700, 2]
     assert np.pi < apart_by < 4.0 * np.pi
     assert not np.any(trace["x_s"][700])
