@@ -17,6 +17,7 @@ from teleop.version import DISTRIBUTION, __version__
 if TYPE_CHECKING:
     from teleop.checks.two_port import check_law
     from teleop.errors import DeviceError, Refused, number, whole_number
+    from teleop.export.growing import GrowingRun
     from teleop.knob import Knob, check_knobs
     from teleop.law import At, Law, OnePortLaw, find_law, messages
     from teleop.law.analysis_offers import Coupling
@@ -76,9 +77,9 @@ if TYPE_CHECKING:
 __all__ = [
     "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
     "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit",
-    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Hand", "Hold", "Integral", "Knob", "Law", "Levant",
-    "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped", "PassivityController",
-    "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result",
+    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "GrowingRun", "Hand", "Hold", "Integral", "Knob", "Law",
+    "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped",
+    "PassivityController", "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance", "Result",
     "RotationAxes", "Scaled",
     "Scaling", "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall",
     "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero",
@@ -89,6 +90,7 @@ __all__ = [
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),
     "errors": ("DeviceError", "Refused", "number", "whole_number"),
+    "export.growing": ("GrowingRun",),
     "knob": ("Knob", "check_knobs"),
     "law": ("At", "Law", "OnePortLaw", "find_law", "messages"),
     "law.analysis_offers": ("Coupling",),

@@ -15,7 +15,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 
 from teleop.export.csv_file import write_csv
-from teleop.export.growing import Growing, GrowingEnd
+from teleop.export.growing import GrowingEnd, GrowingRun
 from teleop.export.mcap_file import write_mcap
 from teleop.export.stored import read_parts
 from teleop.export.stream import ROWS, Encoder
@@ -56,7 +56,7 @@ def export(rounds: int) -> list[Row]:
 
 def _row(folder: Path) -> float:
     """Time for a row of the demo, us, without the pauses between datagrams."""
-    run, encoders, rows, spent = Growing(folder), dict[GrowingEnd, Encoder](), 0, 0.0
+    run, encoders, rows, spent = GrowingRun(folder), dict[GrowingEnd, Encoder](), 0, 0.0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there, \
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         there.bind(("127.0.0.1", 0))

@@ -60,7 +60,7 @@ def export(args: Namespace) -> Answer:
 
 def stream(args: Namespace) -> Answer:
     """Send the rows of a live run to PlotJuggler as they come, until it is over or a signal. Raises `Refused`."""
-    from teleop.export.growing import Growing
+    from teleop.export.growing import GrowingRun
     from teleop.export.stream import stream as send
     from teleop.live.net.address import address, shown
     from teleop.live.process.interrupt import Interrupt
@@ -69,7 +69,7 @@ def stream(args: Namespace) -> Answer:
     if to[1] == 0:
         raise Refused("--plotjuggler needs the port of PlotJuggler's UDP Server, not 0; for example --plotjuggler "
                       "127.0.0.1:9870")
-    run = Growing(Path(args.run))
+    run = GrowingRun(Path(args.run))
     if not args.json:
         print(f"{args.run} to {shown(to)}: positions, forces and all else that is recorded, as they are, in plain UDP; "
               "Ctrl-C ends it", file=sys.stderr, flush=True)

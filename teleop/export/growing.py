@@ -80,7 +80,7 @@ class GrowingEnd:
             raise Refused(f"{at} is no sound record of a live end ({why}); what was read before is sent") from error
 
 
-class Growing:
+class GrowingRun:
     """The run in `folder`: one end's, both ends', or several parts, of which another may come at any time."""
 
     def __init__(self, folder: Path) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from teleop.errors import Refused
 from teleop.export.columns import paths_of
-from teleop.export.growing import Growing, GrowingEnd, Some
+from teleop.export.growing import GrowingEnd, GrowingRun, Some
 from teleop.export.objects import Objects, Path
 from teleop.live.net.address import Address, shown
 
@@ -33,7 +33,9 @@ class Sent:
     unheard: int = 0
 
 
-def stream(run: Growing, to: Address, *, rows: int, stopped: Callable[[], bool], warn: Callable[[str], None]) -> Sent:
+def stream(
+    run: GrowingRun, to: Address, *, rows: int, stopped: Callable[[], bool], warn: Callable[[str], None]
+) -> Sent:
     """Send all that is in `run`, and what comes, until it is over or `stopped`. `warn` is told once if nobody listens.
 
     Raises `Refused` if nothing can be sent there, or nobody listens and the run is over already.

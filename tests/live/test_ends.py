@@ -138,7 +138,7 @@ def test_stepped_ends_by_hand_agree_on_seed_and_mode(command: Start) -> None:
 
 @pytest.mark.parametrize(("at_slave", "at_master", "words"), [
     (("hard_wall",), ("hard_wall", "--set", "law=pfra"), ["law is", "pfra", "wave"]),
-    (("hard_wall",), ("hard_wall", "--set", "law.b=3"), ["law is", "b=3.0", "b=20.0"]),
+    (("hard_wall",), ("hard_wall", "--set", "law.b=3"), ["law.b is", "3.0", "20.0", "--set law.b="]),
     (("hard_wall", "--set", "k_e=1000"), ("hard_wall",), ["k_e is", "1000.0", "20000.0", "--set k_e="]),
     (("hard_wall", "--set", "dt=0.002"), ("hard_wall",), ["dt is", "0.002", "--set dt="]),
     (("hard_wall",), ("soft_tissue",), ["scene is", "hard_wall", "soft_tissue"]),

@@ -166,7 +166,7 @@ ROWS = [(0.0, 0.1), (1.0, 0.2)]
     (lambda at: written(at, [(3, 0.1)]), "one tick alone"),
     (lambda at: written(at, ROWS, version=2), "header.version must be a whole number of at most 1"),
     (lambda at: written(at, ROWS, dt_ns=0), "dt_ns must be a whole number of at least 1000"),
-    (lambda at: written(at, ROWS, axes=7), "axes must be a whole number of at most 3"),
+    (lambda at: written(at, ROWS, axes=17), "axes must be a whole number of at most 16"),
     (lambda at: written(at, [(0, 0.1), (0, 0.2)]), "damaged: its row 1"),
     (lambda at: written(at, [(0, 0.1), (1.5, 0.2)]), "damaged: its row 1"),
     (lambda at: written(at, [(-1, 0.1), (1, 0.2)]), "damaged: its row 0"),

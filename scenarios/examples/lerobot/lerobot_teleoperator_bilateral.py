@@ -13,8 +13,7 @@ from typing import Any
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from teleop.errors import Refused
-from teleop.export.growing import Growing
+from teleop import GrowingRun, Refused
 
 MOST = 1 << 16  # rows that are taken at a time
 
@@ -30,7 +29,7 @@ class NewestRow:
     def __init__(self, folder: str, e: str, axes: list[str], force: str) -> None:
         self.e, self.axes, self.columns = e, axes, (f"x_{e}", f"v_{e}", force)
         self.over = False
-        self._run = Growing(Path(folder))
+        self._run = GrowingRun(Path(folder))
         self._told: dict[str, float] | None = None
         self._came = time.monotonic()
 

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import Refused
-from teleop.export.growing import Growing
+from teleop.export.growing import GrowingRun
 from teleop.live.records.record import FILE
 from teleop.storage.folder import claim
 from tests.teleop.export.conftest import LiveEnd
 
 
-def ticks(run: Growing, most: int = 16) -> dict[tuple[int, str], list[int]]:
+def ticks(run: GrowingRun, most: int = 16) -> dict[tuple[int, str], list[int]]:
     """All ticks that there are now, by part and end."""
     found: dict[tuple[int, str], list[int]] = {}
     while True:
@@ -29,7 +29,7 @@ def ticks(run: Growing, most: int = 16) -> dict[tuple[int, str], list[int]]:
             return found
 
 
-def times(run: Growing) -> list[int]:
+def times(run: GrowingRun) -> list[int]:
     """The times (ms) of all rows of the master, in the order in which they are told."""
     found: list[int] = []
     while some := run.take(16):
@@ -40,20 +40,20 @@ def times(run: Growing) -> list[int]:
 
 
 def test_both_ends_of_a_run_that_is_over(demo: Path) -> None:
-    run = Growing(demo)
+    run = GrowingRun(demo)
     assert not run.live
     assert ticks(run) == {(0, "m"): [*range(400)], (0, "s"): [*range(390)]}
     assert run.over
 
 
 def test_one_end_alone(demo: Path) -> None:
-    run = Growing(demo / "slave")
+    run = GrowingRun(demo / "slave")
     assert ticks(run) == {(0, "s"): [*range(390)]}
     assert run.over
 
 
 def test_the_two_ends_are_told_of_in_turn(demo: Path) -> None:
-    first = Growing(demo).take(16)
+    first = GrowingRun(demo).take(16)
     assert [(one.end.header["end"], len(one.rows)) for one in first] == [("m", 16), ("s", 16)]
 
 
@@ -68,7 +68,7 @@ def test_each_row_is_told_of_once_however_the_record_grows(steps: Sequence[int])
             shutil.copytree(written_elsewhere(Path(at)), "end", dirs_exist_ok=True)
             data, seen = Path("end", FILE).read_bytes(), list[int]()
             start = data.index(b"\n") + 1
-            run = Growing(Path("end"))
+            run = GrowingRun(Path("end"))
             assert run.live
             cut = 0
             for step in steps:  # of any number of bytes, also in the middle of a row, or of the header
@@ -91,7 +91,7 @@ def written_elsewhere(at: Path) -> Path:
 
 def test_an_end_that_begins_later_is_found(tmp_path: Path) -> None:
     claimed = claim(tmp_path / "demo")
-    run = Growing(tmp_path / "demo")
+    run = GrowingRun(tmp_path / "demo")
     assert ticks(run) == {}
     assert not run.over
     end = LiveEnd(tmp_path / "demo" / "master", "m", range(20))
@@ -107,7 +107,7 @@ def test_an_end_that_begins_later_is_found(tmp_path: Path) -> None:
 
 
 def test_the_parts_of_a_turned_run_come_one_after_the_other_on_one_axis_of_time(turned_run: Path) -> None:
-    assert times(Growing(turned_run)) == [*range(200), *range(220, 500), *range(500, 600)]
+    assert times(GrowingRun(turned_run)) == [*range(200), *range(220, 500), *range(500, 600)]
 
 
 def test_a_part_that_comes_later_is_found(turned_run: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_part_that_comes_later_is_found(turned_run: Path) -> None:
     shutil.move(turned_run, turned_run.parent / "before")
     claimed = claim(turned_run)
     shutil.copytree(turned_run.parent / "before", turned_run, dirs_exist_ok=True)
-    run = Growing(turned_run)
+    run = GrowingRun(turned_run)
     assert times(run) == [*range(200), *range(220, 500)]
     assert not run.over
     shutil.move(turned_run.parent / "kept", turned_run / "03")
@@ -132,19 +132,19 @@ def test_a_row_that_is_no_tick_ends_it_with_a_sentence(demo: Path) -> None:
     data[start + 100 * width : start + 100 * width + 8] = bytes(8)  # tick 0 again
     (demo / "slave" / FILE).write_bytes(data)
     with pytest.raises(Refused, match="after tick 99 comes a row that is no tick"):
-        ticks(Growing(demo))
+        ticks(GrowingRun(demo))
 
 
 def test_what_is_no_live_run_is_refused(tmp_path: Path, demo: Path) -> None:
     for folder, why in ((tmp_path / "none", "there is no folder"), (tmp_path, "holds no record of a live end")):
         with pytest.raises(Refused, match=why):
-            Growing(folder)
+            GrowingRun(folder)
     (demo / "master" / FILE).write_bytes(b"something else\n")
     with pytest.raises(Refused, match="no sound record of a live end"):
-        ticks(Growing(demo / "master"))
+        ticks(GrowingRun(demo / "master"))
 
 
 def test_a_run_in_virtual_time_is_to_be_exported(tmp_path: Path) -> None:
     (tmp_path / "trace.npz").write_bytes(b"")
     with pytest.raises(Refused, match=f"teleop export {tmp_path} --mcap FILE or --csv FILE"):
-        Growing(tmp_path)
+        GrowingRun(tmp_path)
