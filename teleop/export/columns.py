@@ -53,6 +53,8 @@ def _of_end(e: str) -> dict[str, Quantity]:
                                      f"{back}", "energy"),
         f"E_port_{e}": Quantity("J", f"work of the stack's force over the motion of the {own}", "energy"),
         f"E_law_{e}": Quantity("J", f"energy that the law says it keeps at the {own}", "energy"),
+        **{f"q{part}_{e}": Quantity("1", f"{part} of the unit quaternion of the {own}'s first rotation", own)
+           for part in "wxyz"},
     }
 
 
