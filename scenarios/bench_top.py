@@ -10,9 +10,8 @@ needs a duration, and a schedule stands in for the operator's switches.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from channel import Delay
 from teleop import Cap, Knob, Law, MassDamper, Operator, Refused, Scene, Watchdog, Wave, each_axis, knob
 
 DAY = 86400.0  # s
@@ -66,7 +65,7 @@ def scene(
         names=tuple(names.split(",")) if names else (),
         master=each_axis(MassDamper, axes, mass=m_m, damping=b_m),
         slave=each_axis(MassDamper, axes, mass=m_s, damping=b_s),
-        link=None if delay is None else Delay(delay),
+        link=None if delay is None else constant(delay),
         watchdog=None if timeout is None else Watchdog(timeout=timeout, age=age),
         cap=each_axis(Cap.of, axes, f_max=f_max, slew=slew, v_max=v_max, power=power),
         operator=Operator(clutch=spans("clutch", clutch), absent=spans("absent", absent), ramp=clutch_ramp,
@@ -76,6 +75,13 @@ def scene(
         dt=dt,
         duration=duration,
     )
+
+
+def constant(delay: float) -> Any:
+    """A link that delays by so much (s), each way; most machines have a network between them, and need none."""
+    from channel import Delay
+
+    return Delay(delay)
 
 
 def spans(name: str, times: Times) -> tuple[tuple[float, float], ...]:

@@ -77,14 +77,14 @@ if TYPE_CHECKING:
 __all__ = [
     "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
     "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit",
-    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "GrowingRun", "Hand", "Hold", "Integral", "Knob", "Law",
-    "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped",
+    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "GrowingRun", "Hand", "Hold", "Integral", "Knob",
+    "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped",
     "PassivityController", "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance",
-    "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall",
-    "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero",
-    "__version__", "around", "check_device", "check_knobs", "check_law", "each_axis", "end_main", "facts_of",
-    "find_law", "fitted", "load_result", "load_scene", "messages", "number", "run", "seed_energy", "sweep",
-    "whole_number",
+    "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator",
+    "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition",
+    "WavePrediction", "WaveScaled", "Zero", "__version__", "around", "check_device", "check_knobs", "check_law",
+    "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages", "number",
+    "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.two_port": ("check_law",),

@@ -13,7 +13,7 @@ from teleop.scene.knobs import knobs_of
 from teleop.scene.library import built_in_scenes, scene_function
 from teleop.simulation.structure import structure_of
 
-OTHERS = ("lte", "pose")  # which needs files, and whose caps differ by axis
+OTHERS = ("lte", "pose", "bench_top")  # which needs files, whose caps differ by axis, and whose speed has one
 LIMITED = [name for name in built_in_scenes() if "slew" in knobs_of(scene_function(name)) and name not in OTHERS]
 NONE = {"f_max": "none", "slew": "none", "timeout": "none"}
 

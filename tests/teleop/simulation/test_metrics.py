@@ -116,9 +116,10 @@ def test_rms_and_maximum_of_a_known_error() -> None:
 def test_in_three_axes_sizes_are_lengths() -> None:
     along = np.tile([3.0, 0.0, -4.0], (N, 1))
     zero = np.zeros((N, 3))
-    got = metrics(SCENE, trace(**dict.fromkeys(("x_m", "f_m", "f_h", "f_s", "f_env"), zero) | {"x_s": along}))
+    scene = replace(SCENE, axes=3)
+    got = metrics(scene, trace(**dict.fromkeys(("x_m", "f_m", "f_h", "f_s", "f_env"), zero) | {"x_s": along}))
     assert got["x_err_rms"] == got["x_err_max"] == 5.0
-    got = metrics(SCENE, trace(**dict.fromkeys(("x_m", "x_s", "f_m", "f_h", "f_s", "f_env"), along)))
+    got = metrics(scene, trace(**dict.fromkeys(("x_m", "x_s", "f_m", "f_h", "f_s", "f_env"), along)))
     assert got["f_m_max"] == got["f_s_max"] == got["f_h_max"] == got["f_env_max"] == 5.0
 
 
@@ -135,7 +136,7 @@ def test_the_force_at_the_end_is_the_mean_of_the_last_tenth_of_a_second_also_whe
     assert got["f_m_end"] == pytest.approx(force[900:][some[900:]].mean(), abs=1e-15)
     along = np.tile([3.0, 0.0, -4.0], (N, 1)) * np.where(np.arange(N) % 2, 2.0, 0.0)[:, None]
     three = dict.fromkeys(("x_m", "x_s", "f_s", "f_h", "f_env"), np.zeros((N, 3)))
-    assert metrics(SCENE, trace(**three, f_m=along))["f_m_end"] == 5.0  # of three axes a length
+    assert metrics(replace(SCENE, axes=3), trace(**three, f_m=along))["f_m_end"] == 5.0  # of three axes a length
     slow = {name: column[:3] for name, column in trace(f_m=np.array([1.0, 2.0, 3.0] + [0.0] * (N - 3))).items()}
     assert metrics(replace(SCENE, dt=0.5), {**slow, "t": np.arange(3) * 0.5})["f_m_end"] == 3.0
 

@@ -102,8 +102,8 @@ class TestUnits:
     def test_are_those_that_the_list_of_knobs_shows(self) -> None:
         units = units_of("soft_tissue", ("delay", "law.b"))
         assert {key: unit for key, unit in units.items() if not key.startswith("law.")} == {
-            "x_limit": "m", "clutch_ramp": "s", "delay": "s", "k_e": "N/m", "d_e": "N s/m", "amplitude": "m", "frequency": "Hz",
-            "observer": "1/s", "dt": "s", "duration": "s"}
+            "x_limit": "m", "clutch_ramp": "s", "delay": "s", "k_e": "N/m", "d_e": "N s/m", "amplitude": "m",
+            "frequency": "Hz", "observer": "1/s", "dt": "s", "duration": "s"}
         assert (units["law.b"], units["law.K"], units["law.B"]) == ("N s/m", "N/m", "N s/m")
 
     def test_of_one_name_differ_between_scenes(self) -> None:
