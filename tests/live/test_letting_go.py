@@ -76,7 +76,7 @@ def marked(both: Any, devices: dict[str, Felt]) -> Any:
 def gently(scene: Any, device: Felt) -> None:
     """From a force that was there when the run was over down to zero, in steps that are allowed."""
     force, when = np.array(device.held[device.over - 1 :]), np.array(device.when[device.over - 1 :])
-    least = 0.0 if scene.cap is None else 1.2 * SLEW * 1e-3  # without a slew limit a wave that is missing takes more
+    least = 0.0 if scene.cap is None else SLEW * 1e-3  # without a slew limit a wave that is missing takes more
     assert abs(force[0]) > least, "in one step it would be more than is allowed"
     assert force[-1] == 0.0
     steps = np.abs(np.diff(force))

@@ -54,7 +54,7 @@ def test_rows_that_differ_in_a_wall_alone_share_all_but_its_numbers() -> None:
     first, second, third = group.rows
     assert first.path is second.path is third.path
     assert first.schedules is second.schedules is third.schedules
-    assert len({str(ready.tree[-1].c) for ready in group.rows}) == 3
+    assert len({str(ready.tree[-1].c_s) for ready in group.rows}) == 3
     assert first.tree[:-1] == second.tree[:-1] == third.tree[:-1]
 
 
