@@ -172,9 +172,13 @@ def _late_ticks(result: Result) -> Iterator[str]:
 
 
 def _scheduling(result: Result) -> Iterator[str]:
-    """What the system gave each live end of real-time scheduling; once, where both have the same."""
+    """What the system gave each live end of real-time scheduling; once, where both have the same.
+
+    Of an end that left no summary it is not known.
+    """
     told = {end: ", ".join(f"{name} {what}" for name, what in own["realtime"].items()) if own.get("realtime") else
-            "ordinary scheduling, real-time scheduling was not asked for" for end, own in _live_ends(result)}
+            "ordinary scheduling, real-time scheduling was not asked for" for end, own in _live_ends(result)
+            if "realtime" in own or "made from its record" not in str(own.get("sentence"))}
     if len({*told.values()}) == 1 and len(told) > 1:
         yield f"both ends: {next(iter(told.values()))}"
     else:

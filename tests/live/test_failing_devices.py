@@ -12,6 +12,7 @@ import pytest
 
 from teleop.bench.motor import Motor
 from teleop.bench.watchdog import FORCE, SCENE
+from teleop.live.records.merge import load_result
 from teleop.live.records.record import read_events
 from tests.live.conftest import Command, summary
 from tests.waiting import until
@@ -106,7 +107,7 @@ def test_one_that_hangs_for_ever_is_set_to_zero_by_the_watchdog_that_was_asked_f
 
 
 def test_without_a_watchdog_the_last_resort_lets_go_of_one_that_hangs_at_the_second_signal(
-    site: Callable[..., Any]
+    site: Callable[..., Any], tmp_path: Path
 ) -> None:
     slave, motor = site()
     motor.order = STUCK
@@ -118,3 +119,5 @@ def test_without_a_watchdog_the_last_resort_lets_go_of_one_that_hangs_at_the_sec
     assert "the device has neither a deadline nor a watchdog" in err, "said at its start"
     assert "its device was set to zero force" in err
     assert motor.force == 0.0
+    why = load_result(tmp_path / "s").sentence
+    assert "asked for a reading, does not return; this is made from its record" in why, "it was \"without a word\""

@@ -3,7 +3,7 @@
 The file is what `teleop export RUN --csv FILE` writes, with the columns t, x_m and v_m of a master, or t, x_s and v_s
 of a slave (of several axes x_m_x, x_m_y, ...), and f_h or f_env where a force was sensed; or what the scene
 `recorded_reach` reads: t and one column for each axis, `t, x` or `t, x, y, z`. Times are s, positions m (rad of an axis
-that turns). What is played ignores the force.
+that turns). What is played ignores the force, and has no switches: `--set clutch=2,3` schedules a recorded clutch.
 """
 
 from __future__ import annotations

@@ -36,6 +36,7 @@ from teleop.storage.folder import BEGUN, is_being_written
 from teleop.storage.strict_json import Misshapen
 
 LEDGERS = ("E_link", "E_port", "E_law")  # of both ends together
+_MADE = "this is made from its record"  # the end of a sentence on an end that left no summary
 ALONE = 1.0  # s that one end may be there before or after the other, and what both counted still belongs together
 
 
@@ -226,13 +227,15 @@ def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tu
     e, scene = header["end"], scene or _scene(header, trust)
     check_fits(scene, header, record.ticks, folder)
     last = _last(record)
-    status, sentence = "stopped", f"the process ended without a word after tick {last}; this is made from its record"
-    if turned := next((event["why"] for event in read_events(folder) if event["what"] == "turned"), None):
-        status, sentence = "ok", f"ran to t = {(last + 1) * scene.dt:.3f} s, and was turned to {turned}"
+    events = read_events(folder)
+    told = {event["what"]: event["why"] for event in events}
+    how = f"after tick {last}: {told['stopped']}" if "stopped" in told else f"without a word after tick {last}"
+    status, sentence = "stopped", f"the process ended {how}; {_MADE}"
+    if "turned" in told:
+        status, sentence = "ok", f"ran to t = {(last + 1) * scene.dt:.3f} s, and was turned to {told['turned']}"
     if running:
         status, sentence, notes = RUNNING, f"still running: this is its record up to tick {last}", []
     every = header.get("every", 1)
-    events = read_events(folder)
     first = _first(events)
     skipped = (last - first) // every + 1 - len(record.ticks)
     notes += [UNKNOWN] * far_apart(record.ticks)
@@ -287,7 +290,7 @@ def _last(record: EndRecord) -> int:
 
 
 def _killed(end: dict[str, Any]) -> bool:
-    return "without a word" in end["sentence"]
+    return _MADE in end["sentence"]
 
 
 def _within(

@@ -133,6 +133,9 @@ class TestTable:
         told = rows(replace(wave, mode="live", extra={"master": {}, "slave": given}))
         assert told["real time"][0] == "master: ordinary scheduling, real-time scheduling was not asked for"
         assert told["real time"][1].startswith("slave: scheduler SCHED_FIFO")
+        killed = {"sentence": "the process ended without a word after tick 9; this is made from its record"}
+        told = rows(replace(wave, mode="live", extra={"master": killed, "slave": given}))
+        assert told["real time"] == ["slave: scheduler SCHED_FIFO, priority 40, memory locked"], "it is not known"
 
     def test_calls_the_error_of_an_integration_estimated(self, wave: Result) -> None:
         own = {"error_estimate_max": 4.94e-10, "error_estimate_sum": 1.2e-8, "substeps_max": 3,
