@@ -60,3 +60,18 @@ def test_a_file_that_is_no_such_motion_is_refused(text: str, scene: object, word
     with pytest.raises(Refused) as refused:
         named("m", f"csv:{tmp_path / 'it.csv'}").open(scene)  # type: ignore[arg-type]
     assert words in str(refused.value)
+
+
+def test_a_motion_in_rad_is_not_played_along_an_axis_in_m(tmp_path: Path) -> None:
+    """Six joints were played as metres: what an export has beside it was not read."""
+    joints = load_scene("leader_follower", duration=0.1)
+    result = run(joints)
+    (tmp_path / "run").mkdir()
+    result.write(tmp_path / "run", [])
+    assert main(["export", str(tmp_path / "run"), "--csv", str(tmp_path / "run.csv")]) == 0
+    text = f"csv:{tmp_path / 'run.csv'}"
+    assert named("m", text).open(joints).read(0).x == (0.0,) * 6
+    with pytest.raises(Refused, match="has x_m_base in rad, and that axis of the scene is in m; take the scene"):
+        named("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
+    (tmp_path / "run.csv-metadata.json").write_text("[1")
+    named("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))

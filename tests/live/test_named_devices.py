@@ -77,7 +77,7 @@ def test_a_file_of_ones_own_needs_no_class_where_it_has_one_and_takes_an_argumen
 @pytest.mark.parametrize(("e", "text", "words"), [
     ("s", "simulatedd", "there is no robot 'simulatedd'; did you mean simulated?"),
     ("m", "mujoco", "mujoco is a robot, and this end takes a device; give it to the other end by --robot mujoco"),
-    ("s", "csv", "csv needs what it opens behind its name: csv:ARGUMENT"),
+    ("s", "csv", "there is nothing; write csv:PATH"),
     ("s", "csv:", "--robot csv: has nothing behind its colon"),
     ("s", "simulated:3", "simulated takes nothing behind its name, and '3' stood there"),
     ("m", "gamepad", "type `teleop demo hard_wall --page`"),

@@ -20,6 +20,7 @@ from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
 from teleop.storage.files import read_bytes
+from teleop.storage.strict_json import parse
 
 FORM = "`teleop export RUN --csv FILE` writes one, and `t, x` or `t, x, y, z` is one too"
 FORCE = {"m": "f_h", "s": "f_env"}
@@ -61,8 +62,12 @@ def _between(rows: Sequence[Axes], i: int, part: float) -> Axes:
     return tuple([here + (there - here) * part for here, there in zip(rows[i - 1], rows[i], strict=True)])
 
 
-def read_motion(path: str, e: str, axes: Sequence[str]) -> RecordedMotion:
-    """The motion of the end `e`, "m" or "s", in a file; `axes`: their names. Raises `Refused` with path and line."""
+def read_motion(path: str, e: str, axes: Sequence[str], units: Sequence[str]) -> RecordedMotion:
+    """The motion of the end `e`, "m" or "s", in a file; `axes`: their names, `units`: m or rad of each.
+
+    Where the units of its columns stand beside it, as an export writes them, they are compared. Raises `Refused` with
+    path and line.
+    """
     try:
         lines = read_bytes(Path(path)).decode("utf-8-sig").splitlines()
     except OSError as error:
@@ -86,6 +91,7 @@ def read_motion(path: str, e: str, axes: Sequence[str]) -> RecordedMotion:
         raise Refused(f"{path} has several parts of a run (its column part), and one motion is played; export the "
                       "folder of one part by itself")
     x, v, f = _columns(path, header, e, axes)
+    _check_units(path, dict(zip(x, units, strict=True)))
     table = [[_cell(path, at, name, cells, columns[name]) for name in ("t", *x, *v, *f)] for at, cells in rows]
     if not table:
         raise Refused(f"{path} has names of columns and no row; {FORM}")
@@ -138,6 +144,19 @@ def _columns(path: str, header: list[str], e: str, axes: Sequence[str]) -> tuple
     return parts[0], parts[1], parts[2]
 
 
+def _check_units(path: str, units: dict[str, str]) -> None:
+    """Refuse positions that were exported in m, where the scene's axis is in rad, or the other way round."""
+    try:
+        described = parse(read_bytes(Path(f"{path}-metadata.json")))
+        told = {each["name"]: each["schema:unitText"] for each in described["tableSchema"]["columns"]}
+    except (OSError, ValueError, LookupError, TypeError):
+        return  # a file of one's own has none beside it
+    wrong = [name for name, unit in units.items() if told.get(name) in ("m", "rad") and told[name] != unit]
+    if wrong:
+        raise Refused(f"{path} has {wrong[0]} in {told[wrong[0]]}, and that axis of the scene is in {units[wrong[0]]}; "
+                      "take the scene that was recorded, with its units")
+
+
 def _other_axes(path: str, had: int, axes: Sequence[str]) -> Refused:
     return Refused(f"{path} holds a motion along {number_of(had, 'axis', 'axes')}, and the scene has {len(axes)} "
                    f"({', '.join(axes)}); take a scene of {had}, or another file")
@@ -180,9 +199,9 @@ class Replay:
 
 def replayed_device(scene: Scene, path: str) -> Replay:
     """A recorded motion of a master, csv:FILE, which no force moves."""
-    return Replay(read_motion(path, "m", scene.axis_names), scene.dt_ns)
+    return Replay(read_motion(path, "m", scene.axis_names, scene.axis_units), scene.dt_ns)
 
 
 def replayed_robot(scene: Scene, path: str) -> Replay:
     """A recorded motion of a slave, csv:FILE, which no force moves."""
-    return Replay(read_motion(path, "s", scene.axis_names), scene.dt_ns)
+    return Replay(read_motion(path, "s", scene.axis_names, scene.axis_units), scene.dt_ns)

@@ -75,8 +75,8 @@ def _check_argument(make: Any, name: str, *argument: str) -> None:
     if argument and _binds(takes, 1) is None:
         raise Refused(f"{short} takes nothing behind its name, and {argument[0]!r} stood there; write {short}")
     if not argument and _binds(takes, 2) is None:
-        raise Refused(f"{short} needs what it opens behind its name: {short}:ARGUMENT, where it has "
-                      f"{list(takes.parameters)[1]}")
+        raise Refused(f"{short} opens what stands behind its name, its {list(takes.parameters)[1]}, and there is "
+                      f"nothing; write {short}:{list(takes.parameters)[1].upper()}")
 
 
 def _signature(function: Any) -> Signature | None:
