@@ -11,7 +11,7 @@ from teleop.report.knobs import axis_of, plain
 from teleop.report.markup import Markup
 from teleop.report.scales import Axis, along, around
 from teleop.report.style import LINES
-from teleop.sweeps.pictures.layout import PlottedKnob, groups_of, spacing, spread, text_of, unit_of
+from teleop.sweeps.pictures.layout import PlottedKnob, groups_of, spacing, spread, text_of
 
 if TYPE_CHECKING:
     from teleop.sweeps.pictures.layout import Panel
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 CURVES = 5  # lines in a panel
 
 
-def curves(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], metric: str) -> tuple[Markup, str]:
+def curves(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], metric: str, measured: str
+           ) -> tuple[Markup, str]:
     """Medians of the runs that ended ok, over the seeds, with their quartiles; a cross where not every run did."""
     import numpy as np
 
@@ -47,7 +48,7 @@ def curves(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], m
     axis = axis_of(x) if x.numeric else Axis(-0.5, len(x.values) - 0.5)
     texts = None if x.numeric else [text_of(value)[:16] for value in x.values]
     boxes, total = svg.grid_of(len(panels), 3, 180.0, top=2.0 * svg.TITLE + 12.0, apart=svg.TITLE + 8.0, below=32.0)
-    parts = [svg.label(12.0, 11.0, f"{metric}{unit_of(metric)}", style="b"),
+    parts = [svg.label(12.0, 11.0, measured, style="b"),
              svg.legend([*dict.fromkeys((f"l {style}", name) for lines in told for style, name, *_ in lines if name)],
                         svg.WIDTH - svg.RIGHT, 11.0)]
     for i, (box, panel, lines) in enumerate(zip(boxes, panels, told, strict=True)):

@@ -12,7 +12,7 @@ from teleop.report.knobs import axis_of, plain
 from teleop.report.markup import Markup, joined
 from teleop.report.scales import Axis, along
 from teleop.report.style import LEVELS, OTHER, STATUS
-from teleop.sweeps.pictures.layout import PlottedKnob, spacing, spread, text_of, unit_of
+from teleop.sweeps.pictures.layout import PlottedKnob, spacing, spread, text_of
 from teleop.sweeps.pictures.maps import MapPoints, map_points
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class _Area(NamedTuple):
 
 
 def maps(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], metric: str | None,
-          words: Mapping[str, str]) -> tuple[Markup, str]:
+          words: Mapping[str, str], measured: str) -> tuple[Markup, str]:
     """Cells by status, by the share of runs that end ok, or by a metric; black between ok and not."""
     import numpy as np
 
@@ -69,7 +69,7 @@ def maps(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], met
               svg.legend([(area.style, area.name) for area in names.values()], svg.WIDTH - svg.RIGHT, 11.0),
               svg.label(svg.WIDTH - svg.RIGHT, foot + 25.0, below, anchor="end")]
     if not by_status:
-        what = f"{metric}{unit_of(metric)}, median of the runs ok" if metric else "share of the runs that end ok"
+        what = f"{measured}, median of the runs ok" if metric else "share of the runs that end ok"
         parts.append(_bar(span, what, total - 16.0))
     counts = ", ".join(f"{count} {status}" for status, count in rows.counts().items())
     return svg.figure(f"{'How rows ended' if metric is None else metric} over {x.name} and {y.name}",

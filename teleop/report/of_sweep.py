@@ -20,6 +20,7 @@ from teleop.sweeps.pictures.layout import (
     panels_of,
     text_of,
     varying,
+    with_unit,
 )
 from teleop.sweeps.pictures.picture import check
 from teleop.sweeps.pictures.report import (
@@ -98,7 +99,8 @@ def _figures(told: Mapping[str, Any], rows: Table, request: PictureRequest, trus
 
 
 def _figure(told: Mapping[str, Any], rows: Table, request: PictureRequest, trust: bool) -> list[Markup]:
-    knobs, notes = varying(rows, knob_units(told, rows, trust=trust))
+    units = knob_units(told, rows, trust=trust)
+    knobs, notes = varying(rows, units)
     numeric = [knob.name for knob in knobs if knob.numeric]
     kind, metric = request
     check([knob.name for knob in knobs], numeric, kind, metric, rows.metrics)
@@ -106,13 +108,14 @@ def _figure(told: Mapping[str, Any], rows: Table, request: PictureRequest, trust
         by_ending = metric is None and ({*rows.counts()} != {"ok"} or not rows.metrics)
         kind = "curves" if len(numeric) < 2 else "stability" if by_ending else "metric"
     metric = metric or next(iter(rows.metrics), None)
+    measured = "" if metric is None else with_unit(metric, units)
     shown = axes_knobs_of(knobs, kind)
     others = [knob for knob in knobs if knob not in shown and pairs_of(knob, shown[0]) is None]
     panels, note = panels_of(rows, others)
     if kind == "curves":
-        drawn, left = curves(rows, panels, shown, str(metric))
+        drawn, left = curves(rows, panels, shown, str(metric), measured)
     else:
-        drawn, left = maps(rows, panels, shown, metric if kind == "metric" else None, words_of(told))
+        drawn, left = maps(rows, panels, shown, metric if kind == "metric" else None, words_of(told, units), measured)
     said_ = [*notes, note, left]
     below = "; ".join(part for part in said_ if part)
     return [drawn, *[element("p", {"class": "sub"}, f"Shown: {below}.")] * bool(below)]

@@ -224,9 +224,10 @@ def groups_of(values: NDArray[Any], where: NDArray[Any], ok: NDArray[Any], count
     return np.split(values[keep][order], ends[:-1])
 
 
-def unit_of(metric: str) -> str:
-    """A metric's unit in brackets, if it has a known one."""
-    return f" ({UNITS[metric]})" if metric in UNITS else ""
+def with_unit(metric: str, units: Mapping[str, str]) -> str:
+    """A metric with its unit in brackets, if it has a known one: that of `units`, else along lines."""
+    unit = units.get(metric, UNITS.get(metric, ""))
+    return f"{metric} ({unit})" if unit else metric
 
 
 def gradient_map() -> Any:

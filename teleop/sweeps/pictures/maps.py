@@ -16,7 +16,6 @@ from teleop.sweeps.pictures.layout import (
     groups_of,
     scale,
     spacing,
-    unit_of,
 )
 from teleop.terminal.plotting import BLACK, RED, SKY, literal
 
@@ -74,11 +73,11 @@ def map_points(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob,
 
 def draw_maps(
     figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[PlottedKnob], metric: str | None,
-    words: Mapping[str, str],
+    words: Mapping[str, str], measured: str,
 ) -> str:
     """Coloured cells by status, by share of runs that end ok, or by a metric; the boundary. Leaves nothing out.
 
-    `words` are what the legend says of a status.
+    `words` are what the legend says of a status, `measured` the metric with its unit.
     """
     import numpy as np
     from matplotlib.cm import ScalarMappable
@@ -121,7 +120,7 @@ def draw_maps(
     if not by_status:
         label = f"share of runs that end {words.get('ok', 'ok')}"
         if metric is not None:
-            label = literal(f"{metric}{unit_of(metric)}, median of the runs ok")
+            label = literal(f"{measured}, median of the runs ok")
         figure.colorbar(ScalarMappable(norm, colours), ax=[axes for axes, _ in shown], label=label)
     return ""
 

@@ -20,8 +20,8 @@ from teleop.sweeps.pictures.layout import (
     spacing,
     spread,
     text_of,
-    unit_of,
     varying,
+    with_unit,
 )
 from teleop.sweeps.pictures.maps import draw_maps
 from teleop.terminal.plotting import GREY, PNG, grid_lines, literal, need_plot, new_figure, save
@@ -46,9 +46,9 @@ def draw(
     boundary between them), "metric" (the median over the seeds that end ok), "curves" (a metric over one knob, with
     its quartiles and extremes over the seeds; a line for each value of another). Left out: of two knobs with numbers
     a map, of the metric if that is given or every row ended ok, else of stability; of one curves. Knobs left over have
-    a panel for each value. `metric` is one of `table.metrics`, left out the first. `units` are those of knobs, `words`
-    what the legend says of a status. Points without a grid (a random sample) are drawn as such. Raises `Refused` if
-    the extra is missing, nothing varies, or the file cannot be written.
+    a panel for each value. `metric` is one of `table.metrics`, left out the first. `units` are those of knobs and
+    metrics, `words` what the legend says of a status. Points without a grid (a random sample) are drawn as such. Raises
+    `Refused` if the extra is missing, nothing varies, or the file cannot be written.
     """
     need_plot()
     knobs, notes = varying(table, units or {})
@@ -58,6 +58,7 @@ def draw(
         plain = metric is None and ({*table.counts()} != {"ok"} or not table.metrics)
         kind = "curves" if len(numeric) < 2 else "stability" if plain else "metric"
     metric = metric or next(iter(table.metrics), None)
+    measured = "" if metric is None else with_unit(metric, units or {})
     axes_knobs = axes_knobs_of(knobs, kind)
     others = [knob for knob in knobs if knob not in axes_knobs]
     sampled = [knob for knob in others if pairs_of(knob, axes_knobs[0]) is not None]  # of no value has it two rows
@@ -73,10 +74,10 @@ def draw(
     if kind == "curves":
         left = _curves(figure, shown, table, axes_knobs, str(metric))
     else:
-        left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words or {})
+        left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words or {}, measured)
     for at, (axes, _) in enumerate(shown):
         if at % columns == 0:
-            axes.set_ylabel(axes_knobs[1].label if kind != "curves" else literal(f"{metric}{unit_of(str(metric))}"))
+            axes.set_ylabel(axes_knobs[1].label if kind != "curves" else literal(measured))
         if at + columns >= len(panels):  # the lowest of its column, maybe above an empty place
             axes.set_xlabel(axes_knobs[0].label)
             axes.tick_params(axis="x", labelbottom=True)

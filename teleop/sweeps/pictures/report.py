@@ -137,30 +137,41 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], request: Pictur
     from teleop.sweeps.pictures.picture import draw
 
     name = str(told["scene"])
-    words = words_of(told)
+    units = knob_units(told, table, trust=trust)
     return draw(table, folder / "sweep", request.kind, metric=request.metric, title=Path(name).stem,
-                units=knob_units(told, table, trust=trust), words=words,
+                units=units, words=words_of(told, units),
                 formats=formats)
 
 
-def words_of(told: Mapping[str, Any]) -> dict[str, str]:
-    """What a legend says of a status, with the bounds that all rows had."""
-    limits = told.get("limits") or {}
+def words_of(told: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
+    """What a legend says of a status, with the bounds that all rows had; `units` as `knob_units` gives them."""
+    limits, unit = told.get("limits") or {}, units.get("x_limit", "m")
     words = {}
     if "x_limit" in limits:
-        words["diverged"] = f"diverged: beyond x_limit = {limits['x_limit']:g} m"
+        words["diverged"] = f"diverged: beyond x_limit = {limits['x_limit']:g} {unit}"
     if "duration" in limits:
-        within = f"within {limits['x_limit']:g} m for " if "x_limit" in limits else ""
+        within = f"within {limits['x_limit']:g} {unit} for " if "x_limit" in limits else ""
         words["ok"] = f"ok: {within}{limits['duration']:g} s"
     return words
 
 
 def knob_units(told: Mapping[str, Any], table: Table, *, trust: bool) -> dict[str, str]:
-    """The units of the knobs of a sweep; of the scene of a user's own, whose file is run for it, only with `trust`."""
+    """The units of knobs and metrics of a sweep; of the scene of a user's own, whose file is run for it, only with
+    `trust`. A metric over axes in m and in rad has none."""
+    from teleop.scene.axis_labels import labels_of
     from teleop.scene.library import known_scenes
+    from teleop.scene.loading import load_scene
+    from teleop.simulation.metrics import UNITS
 
     name = str(told["scene"])
-    return units_of(name, table.knobs) if trust or name in known_scenes() else {}
+    if not trust and name not in known_scenes():
+        return {}
+    try:
+        labels = labels_of(load_scene(name))
+    except Refused:  # the scene's file is gone, or needs knobs
+        return units_of(name, table.knobs)
+    metrics = {metric: labels.unit(unit) for metric, unit in UNITS.items()}
+    return {**metrics, **units_of(name, table.knobs), "x_limit": labels.unit("m") or "m or rad"}
 
 
 def with_picture(answer: Answer, table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest,

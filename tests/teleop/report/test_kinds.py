@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from teleop import load_scene, run
+from teleop.sweeps.pictures.report import knob_units, told_of, words_of
 from tests.teleop.report.read_page import SVG, Page
 
 Typed = Callable[..., Any]
@@ -69,6 +70,24 @@ class TestAComparison:
             changed = [{**rows[0], **wrong}, *rows[1:]]
             (small / "rows.jsonl").write_text("".join(json.dumps(row) + "\n" for row in changed))
             typed("report", str(small)).assert_refused("another version", "teleop compare")
+
+
+class TestASweepOfOtherAxes:
+    def test_of_joints_has_its_metric_in_rad(self, typed: Typed) -> None:
+        typed("sweep", "leader_follower", "--grid", "k_e=5,10", "--set", "duration=0.02", "--engine", "plain",
+              "--out", "s")
+        typed("report", "s")
+        shown = of("s")
+        assert "x_err_rms (rad)" in shown.texts
+        assert "x_err_rms (m)" not in shown.texts
+
+    def test_over_axes_in_m_and_in_rad_a_metric_has_no_unit_and_a_bound_has_both(self, typed: Typed) -> None:
+        typed("sweep", "pose", "--grid", "k_e=500,1000", "d_e=1,5", "--set", "duration=0.02", "--set", "x_limit=10",
+              "--engine", "plain", "--out", "s")
+        typed("report", "s")
+        assert any(text.endswith(" x_err_rms, median of the runs ok") for text in of("s").texts)
+        told, _, rows = told_of(Path("s"))
+        assert words_of(told, knob_units(told, rows, trust=False))["ok"] == "ok: within 10 m or rad for 0.02 s"
 
 
 class TestAStudy:
