@@ -24,6 +24,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.facts import unmet
 from teleop.studies.advise.links import OneWay, one_way, playouts_for
 from teleop.studies.tune.objective import SCENE, Score, objective_named
+from teleop.studies.tune.rod import rod
 from teleop.studies.tune.search import Tuned, judged, tune_law
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
@@ -127,6 +128,7 @@ def advise(scene: str, budget: int, *, fixed: Mapping[str, object], laws: Sequen
     objective_named(objective)
     names = two_port_laws() if laws is None else [*laws]
     first = load_scene(scene, **fixed)
+    rod(first)  # a scene in which no law can be tuned is refused at once, and not law by law
     ways = one_way(first, 0, seed), one_way(first, 1, seed)
     found: list[LawAdvice] = []
     rows = 0

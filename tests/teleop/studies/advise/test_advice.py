@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from teleop import load_scene, run
+from teleop.errors import Refused
 from teleop.law import find_law
 from teleop.studies.advise.advice import Advice, advise, two_port_laws
 from teleop.studies.advise.report import avoid, text
@@ -26,6 +27,13 @@ def test_every_law_with_two_ends_is_asked() -> None:
     assert {"wave", "pfra", "direct"} <= {*laws}
     assert not {"virtual_wall", "virtual_coupling"} & {*laws}
     assert all(hasattr(find_law(law), "master") for law in laws)
+
+
+@pytest.mark.parametrize(("scene", "why"), [("leader_follower", "parts of their own"), ("bench_top", "no hand")])
+def test_a_scene_in_which_no_law_can_be_tuned_is_refused_at_once(scene: str, why: str) -> None:
+    """Each law was refused by itself, and the advice was a softer wall, or a link of less delay."""
+    with pytest.raises(Refused, match=why):
+        advise(scene, 4, fixed={"link": "delay(0.02)", "duration": 0.1}, laws=["pp", "wave"])
 
 
 def test_laws_are_ranked_and_the_best_runs_as_it_is_printed(found: Advice) -> None:
