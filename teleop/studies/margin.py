@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.stability.assess import stability
 from teleop.errors import Refused
-from teleop.law import find_law
 from teleop.physics.plant import MassDamper, Plant, spring_damper
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import import_bundled, scene_function
@@ -124,8 +123,9 @@ def _scene_of(result: Result) -> Scene:
     law = knobs.pop("law")
     if "file" in law:
         raise Refused(f"the law of this run is in {law['file']}; give margin() its scene")
-    numbers = {name: value for name, value in law.items() if name != "name"}
-    return load_scene(result.scene, **knobs, law=find_law(law["name"])(**numbers))
+    numbers = {f"law.{name}": tuple(value) if isinstance(value, list) else value for name, value in law.items()
+               if name != "name"}
+    return load_scene(result.scene, **knobs, law=law["name"], **numbers)
 
 
 def linearised(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:

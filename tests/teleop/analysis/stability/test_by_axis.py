@@ -58,7 +58,6 @@ def test_axes_that_a_law_couples_are_judged_together() -> None:
 
 @pytest.mark.parametrize(("scene", "law", "words"), [
     ("leader_follower", "pp", "a force cap and Coulomb friction are not linear"),
-    ("leader_follower", "pfra", "a force cap, Coulomb friction and law pfra are not linear"),
     ("pose", "pp", "a force cap and Wall are not linear"),
     ("pose", "pfra", "a force cap, Wall and law pfra over an orientation are not linear"),
     ("encoder_wall", None, "a force cap and an encoder are not linear"),
