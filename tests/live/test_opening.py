@@ -61,7 +61,13 @@ class Watched(Robot):
     watchdog = "my_arm:zeroing"
 
 
-def raises(error: Exception) -> Callable[[Any], Any]:
+class NoTime(Robot):
+    """`teleop check` said that its force "lets go by itself after -1 s"."""
+
+    deadline = -1.0
+
+
+def raises(error: BaseException) -> Callable[[Any], Any]:
     def make(_scene: object) -> Any:
         raise error
 
@@ -84,6 +90,8 @@ def raises(error: Exception) -> Callable[[Any], Any]:
     (raises(DeviceError()), ["cannot be opened: DeviceError"]),
     (raises(ZeroDivisionError("by what")), ["make(scene), which makes the device, raised ZeroDivisionError: by what",
                                             "test_opening.py:"]),
+    (raises(SystemExit(0)), ["make(scene), which makes the device, raised SystemExit: 0"]),
+    (NoTime, ["a device's deadline must be above 0 s, not -1; write for example deadline=1"]),
     (raises(Refused("take a scene of one axis")), ["take a scene of one axis"]),
 ], ids=lambda each: each[0] if isinstance(each, list) else "")
 def test_what_is_no_device_was_a_traceback_or_ended_a_session_that_had_begun(make: Any, words: list[str]) -> None:

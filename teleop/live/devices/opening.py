@@ -7,7 +7,7 @@ from inspect import Signature, isclass, iscoroutinefunction, signature
 from traceback import extract_tb
 from typing import Any
 
-from teleop.errors import DeviceError, Refused
+from teleop.errors import DeviceError, Refused, number
 from teleop.live.devices.guarded_device import LiveDevice
 from teleop.live.devices.heartbeat import DeviceWatchdog
 from teleop.scene.scene import Scene
@@ -36,7 +36,7 @@ def opened(make: Callable[..., LiveDevice], scene: Scene, *argument: str, name: 
         raise
     except (DeviceError, OSError) as error:
         raise Refused(f"the device cannot be opened: {str(error) or type(error).__name__}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         at = extract_tb(error.__traceback__)[-1]
         raise Refused(f"{name}(scene), which makes the device, raised {type(error).__name__}: {error} "
                       f"({at.filename}:{at.lineno})") from error
@@ -53,6 +53,8 @@ def opened(make: Callable[..., LiveDevice], scene: Scene, *argument: str, name: 
     if watchdog is not None and not isinstance(watchdog, DeviceWatchdog):
         raise Refused(f"a device's watchdog is a DeviceWatchdog, not {_shown(watchdog)}; write for example "
                       f"watchdog = DeviceWatchdog(open=\"my_arm:zeroing\"), and see {PAGE}")
+    if (deadline := getattr(device, "deadline", None)) is not None:
+        number("a device's deadline", deadline, above=0.0, unit="s")
     return device
 
 
