@@ -9,12 +9,10 @@ from importlib.util import find_spec
 from teleop.errors import Refused, number, number_of
 from teleop.scene.knobs import check_text, knobs_of
 from teleop.scene.library import scene_function
-from teleop.scene.loading import load_scene
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import write_document
 from teleop.studies.advise.advice import advise, two_port_laws
 from teleop.studies.advise.report import document, text, write_laws
-from teleop.studies.tune.rod import refuse_own_parts
 from teleop.sweeps.typed import listed
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import knobs_from
@@ -41,7 +39,6 @@ def command(args: Namespace) -> Answer:
         raise Refused(f"--budget {args.budget} leaves each of {number_of(len(laws), 'law')} {number_of(each, 'row')}, "
                       f"and one point of the search takes up to {POINT}: the scene, free space and a stiffer wall; "
                       f"write --budget {POINT * len(laws)} or more, or fewer --laws")
-    refuse_own_parts(load_scene(args.scene, **knobs))  # before each law is
     with shown_on(None if args.json else sys.stderr, args.seconds, each * len(laws)) as show, \
             new_folder(args.out, "advise") as new:
         found = advise(args.scene, each, fixed=knobs, laws=laws, objective=args.objective, seed=args.seed, tell=show,

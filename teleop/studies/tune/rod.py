@@ -24,21 +24,16 @@ class Rod(NamedTuple):
     fastest: float  # m/s, its greatest speed
 
 
-def refuse_own_parts(scene: Scene) -> None:
-    """Refuse a scene whose axes have parts of their own beside what they touch."""
-    if any(isinstance(getattr(scene, name), tuple) for name in PER_AXIS if name != "environment"):
-        raise Refused(f"the axes of scene {scene.name} have parts of their own, and a search turns one number for each "
-                      "knob of a law; tune the law in a scene of one axis, for example --scene hard_wall with "
-                      "the numbers of that axis")
-
-
 def rod(scene: Scene) -> Rod:
     """Move the rod through the scene. Raises `Refused` for a scene in which no hand moves two ends."""
     path = reference_samples(scene)
     if scene.slave is None or scene.hand is None or path is None:
         raise Refused(f"scene {scene.name} has no hand that moves a slave, so there is nothing to tune a law by; take "
                       "another, for example hard_wall or free_motion")
-    refuse_own_parts(scene)
+    if any(isinstance(getattr(scene, name), tuple) for name in PER_AXIS if name != "environment"):
+        raise Refused(f"the axes of scene {scene.name} have parts of their own, and a search turns one number for each "
+                      "knob of a law; tune the law in a scene of one axis, for example --scene hard_wall with "
+                      "the numbers of that axis")
     if set(scales(scene)) != {(1.0, 1.0)}:
         raise Refused(f"scene {scene.name} scales the slave's motion or force, and a law is tuned against a rigid rod "
                       "between hand and slave, which does not; leave scale_x and scale_f out")

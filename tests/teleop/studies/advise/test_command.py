@@ -70,14 +70,6 @@ def test_a_wrong_request_is_one_sentence_and_leaves_nothing(
     assert not (tmp_path / "a").exists()
 
 
-@pytest.mark.parametrize("scene", ["leader_follower", "pose"])
-def test_axes_with_parts_of_their_own_are_refused_before_any_law_is(
-        scene: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["advise", "--scene", scene, *LINK, "--out", str(tmp_path / "a")]) == 2
-    assert "tune the law in a scene of one axis" in capsys.readouterr().err
-    assert not (tmp_path / "a").exists()
-
-
 def test_a_log_with_text_in_it_is_refused_with_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "ping.txt"
     log.write_text(LOG.replace("icmp_seq=7 ", "icmp_seq "))
