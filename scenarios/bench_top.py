@@ -33,9 +33,9 @@ def scene(
         "s", "delay of an emulated link, each way; none: the network that is there", low=0.0, link=True)] = None,
     f_max: Annotated[PerAxis | None, Knob("N", "most force (or torque, N m) of either end; none: any", low=0.0)] = 5.0,
     slew: Annotated[PerAxis | None, Knob(
-        "N/s", "most change of either force; none: any, also a jump", above=0.0)] = 500.0,
+        "N/s", "most change of either force (or torque, N m/s); none: any, also a jump", above=0.0)] = 500.0,
     v_max: Annotated[PerAxis | None, Knob(
-        "m/s", "speed from which on an end only brakes; none: it drives at any speed", low=1e-9)] = 0.5,
+        "m/s", "speed (or rad/s) from which on an end only brakes; none: it drives at any speed", low=1e-9)] = 0.5,
     power: knob.PowerBudget = None,
     timeout: knob.Timeout = 0.2,
     age: knob.MessageAge = 2.5,
@@ -46,8 +46,8 @@ def scene(
         "s", "times at which the clutch opens and closes in turn: 2,3,5,6; beside the device's own", low=0.0)] = (),
     absent: Annotated[Times, Knob("s", "times at which the operator goes and comes in turn", low=0.0)] = (),
     closes_within: Annotated[PerAxis | None, Knob(
-        "m", "farthest that the ends may be apart when the clutch closes, of a law that compares positions; none: any",
-        above=0.0)] = None,
+        "m", "farthest (or rad) that the ends may be apart when the clutch closes, of a law that compares positions; "
+        "none: any", above=0.0)] = None,
     needs_clutch: Annotated[bool, Knob("", "refuse a master's device without a clutch")] = False,
     needs_present: Annotated[bool, Knob("", "refuse a master's device without an operator-present switch")] = False,
     observer: knob.ObserverBandwidth = 200.0,

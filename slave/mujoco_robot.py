@@ -18,7 +18,7 @@ from teleop.scene.scene import Scene
 
 
 class MuJoCoRobot:
-    """A robot in MuJoCo, for the end of a slave: its motion under a force that is held between the ticks.
+    """A robot in MuJoCo, mujoco or mujoco:FILE.xml: its motion under a force that is held between the ticks.
 
     `file`: an MJCF, `FILE.xml` or `FILE.xml#NAME` with the name of the site or body that is its end effector; left
     out: the arm of this project, three joints between a wall and a table. `notes` say what was found when it was
