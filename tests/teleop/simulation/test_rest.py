@@ -155,7 +155,7 @@ class TestStatus:
     @pytest.mark.parametrize("name", sorted({*built_in_scenes()} - {"lte"}))
     def test_of_every_scene_as_it_is_is_ok_without_a_warning(self, name: str) -> None:
         scene = load_scene(name)
-        got = run(replace(scene, duration=min(scene.duration, 10.0)))  # one for machines lasts a day
+        got = run(scene if scene.duration < 3600.0 else replace(scene, duration=10.0))  # one for machines lasts a day
         assert got.status == "ok"
         assert got.sentence == f"ran to its end, {got.ticks} ticks of {got.dt:g} s"
         assert not any("grows" in note or "playout" in note or "played" in note for note in got.notes)

@@ -555,7 +555,7 @@ class TestTheCommand:
 
     @pytest.mark.parametrize(("arguments", "words"), [
         (["canonical"], ["Wall", "--time", "tissue"]),
-        (["hard_wall"], ["cap", "--time", "leave it out with --set f_max=none --set slew=none"]),
+        (["hard_wall"], ["cap", "--time", "make it linear with --set f_max=none --set slew=none"]),
         (["encoder_wall", "--set", "f_max=none"], ["leave it out with --set step=none"]),
         (["virtual_wall", "--set", "friction=0.1"], ["--set friction=0"]),
         (["soft_tissue", "--set", "law=pfra"], ["pfra", "--time", "alpha=1"]),
