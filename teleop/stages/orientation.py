@@ -45,8 +45,8 @@ after a silence in which the ends turned apart by more than pi the one that turn
 would take the short way, and torques that do not add up to zero would spin both for ever.) An end begins with w >= 0;
 ends that begin apart, each more than a quarter of a turn from 0, may so take the long way to each other.
 
-Beyond a whole turn. There the axis is lost and log jumps from 2 pi u to -2 pi u. V is the same on both sides, so it
-gives way as a slipping clutch does, and makes no energy; a coupling so stretched draws the other way round. Where no
+Beyond a whole turn. There the axis is lost and log jumps from 2 pi u to -2 pi u. V is the same on both sides, so the
+jump makes no energy; but the torque of a coupling that is turned so far changes its sign there. Where no
 message comes an end goes on by its own turn, until the next. What an end turns by itself has no bound.
 
 What differs from translations: x_err, and an environment or a hand's reference on a rotation axis, go by phi. A spring
