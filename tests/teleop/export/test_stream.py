@@ -15,7 +15,7 @@ import pytest
 
 from teleop import Refused, load_result
 from teleop.export import stream as module
-from teleop.export.growing import Growing
+from teleop.export.growing import GrowingRun
 from teleop.export.stream import LARGEST, Encoder, stream
 from teleop.storage.folder import claim
 from tests.teleop.export.conftest import LiveEnd
@@ -58,12 +58,12 @@ def receiver() -> Iterator[Receiver]:
         made.close()
 
 
-def send(run: Growing, to: tuple[str, int], rows: int = 16, **other: Any) -> module.Sent:
+def send(run: GrowingRun, to: tuple[str, int], rows: int = 16, **other: Any) -> module.Sent:
     return stream(run, to, rows=rows, **{"stopped": lambda: False, "warn": pytest.fail, **other})
 
 
 def test_a_run_that_is_over_comes_as_a_whole_to_the_bit(demo: Path, receiver: Receiver) -> None:
-    sent = send(Growing(demo), receiver.at)
+    sent = send(GrowingRun(demo), receiver.at)
     got = receiver.close()
     assert (sent.rows, sent.datagrams, sent.unheard) == (790, len(got), 0)
     assert [len(rows) for rows in got[:4]] == [16] * 4
@@ -80,7 +80,7 @@ def test_a_run_that_is_over_comes_as_a_whole_to_the_bit(demo: Path, receiver: Re
 
 
 def test_each_row_begins_with_its_timestamp(demo: Path, receiver: Receiver) -> None:
-    send(Growing(demo), receiver.at)
+    send(GrowingRun(demo), receiver.at)
     for rows in receiver.close():
         assert all(next(iter(row)) == "timestamp" for row in rows)
 
@@ -88,7 +88,7 @@ def test_each_row_begins_with_its_timestamp(demo: Path, receiver: Receiver) -> N
 def test_one_row_a_datagram_is_an_object_as_older_releases_of_plotjuggler_take_it(
     demo: Path, receiver: Receiver
 ) -> None:
-    sent = send(Growing(demo / "master"), receiver.at, rows=1)
+    sent = send(GrowingRun(demo / "master"), receiver.at, rows=1)
     got = receiver.close()
     assert (sent.rows, sent.datagrams) == (400, 400)
     assert [round(1e3 * row["timestamp"]) for row in got] == [*range(400)]
@@ -100,7 +100,7 @@ def test_what_is_not_finite_is_left_out_for_it_would_end_plotjugglers_server(
     end = LiveEnd(tmp_path / "end", "m", range(3))
     end.writer.add(3, 0, -1, (float("nan"), float("inf"), *[0.5] * 5))
     end.close()
-    send(Growing(tmp_path / "end"), receiver.at)
+    send(GrowingRun(tmp_path / "end"), receiver.at)
     (rows,) = receiver.close()
     assert b"NaN" not in receiver.datagrams[0]
     assert rows[3]["master"] == {"late_m": 0.0, "f_m": {"x": 0.5}}
@@ -109,7 +109,7 @@ def test_what_is_not_finite_is_left_out_for_it_would_end_plotjugglers_server(
 def test_a_record_that_grows_comes_without_gap_or_double(tmp_path: Path, receiver: Receiver) -> None:
     claimed = claim(tmp_path / "run")
     end = LiveEnd(tmp_path / "run" / "master", "m", range(10))
-    run, told = Growing(tmp_path / "run"), list[module.Sent]()
+    run, told = GrowingRun(tmp_path / "run"), list[module.Sent]()
     thread = threading.Thread(target=lambda: told.append(send(run, receiver.at)))
     thread.start()
     try:
@@ -130,7 +130,7 @@ def test_a_record_that_grows_comes_without_gap_or_double(tmp_path: Path, receive
 
 def test_it_stops_when_it_is_told_to(demo: Path, receiver: Receiver) -> None:
     answers = iter([False, False, True])
-    sent = send(Growing(demo), receiver.at, stopped=lambda: next(answers))
+    sent = send(GrowingRun(demo), receiver.at, stopped=lambda: next(answers))
     assert sent.rows == 64
     assert len(receiver.close()) == 4
 
@@ -145,13 +145,13 @@ def nobody() -> tuple[str, int]:
 
 def test_a_run_that_is_over_is_not_sent_to_nobody(demo: Path, nobody: tuple[str, int]) -> None:
     with pytest.raises(Refused, match=r"nobody listens on 127\.0\.0\.1:.*start PlotJuggler's UDP Server there"):
-        send(Growing(demo), nobody)
+        send(GrowingRun(demo), nobody)
 
 
 def test_of_a_live_run_is_said_once_that_nobody_listens_and_who_listens_later_gets_the_rest(tmp_path: Path) -> None:
     claimed = claim(tmp_path / "run")
     end = LiveEnd(tmp_path / "run" / "master", "m", range(48))
-    run, said, told = Growing(tmp_path / "run"), list[str](), list[module.Sent]()
+    run, said, told = GrowingRun(tmp_path / "run"), list[str](), list[module.Sent]()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         at = sock.getsockname()
@@ -179,7 +179,7 @@ def test_of_a_live_run_is_said_once_that_nobody_listens_and_who_listens_later_ge
 
 def test_rows_that_are_too_long_for_a_datagram_go_in_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     LiveEnd(tmp_path / "end", "m", range(16)).close()
-    (some,) = Growing(tmp_path / "end").take(16)
+    (some,) = GrowingRun(tmp_path / "end").take(16)
     whole, = Encoder(some.end).datagrams(some)
     assert len(whole) < LARGEST
     monkeypatch.setattr(module, "LARGEST", len(whole) // 3)
@@ -191,7 +191,7 @@ def test_rows_that_are_too_long_for_a_datagram_go_in_several(tmp_path: Path, mon
 def test_several_axes_are_fields_of_an_object(tmp_path: Path, receiver: Receiver) -> None:
     folder = tmp_path / "end"
     LiveEnd(folder, "s", range(5), scene="recorded_reach").close()
-    send(Growing(folder), receiver.at)
+    send(GrowingRun(folder), receiver.at)
     (rows,) = receiver.close()
     table = np.array([[row["slave"]["v_s"][axis] for axis in ("x", "y", "z")] for row in rows])
     raw = (folder / "record.bin").read_bytes()
