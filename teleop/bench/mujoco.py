@@ -76,7 +76,7 @@ def _robot(scene: Scene, force: tuple[float, ...]) -> float:
 
 def _steps(scene: Scene) -> float:
     """The time (us) of the sub-steps of a tick alone."""
-    from mujoco import mj_step  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    from mujoco import mj_step  # type: ignore[import-not-found,import-untyped,unused-ignore]  # an extra without types
 
     robot: Any = named("s", "mujoco").open(scene)
     model, data = robot._model.model, robot._body.data

@@ -108,8 +108,9 @@ def _hardest(ends: Sequence[Mapping[str, Any]]) -> tuple[str, str, Sequence[Mapp
         return "", "m", ends
     load = [sum(abs(f) / (cap or 1.0) for _, _, _, f, cap in same) for same in zip(*every, strict=True)]
     i = max(range(len(load)), key=load.__getitem__)
-    name, unit, *_ = every[0][i]  # type: ignore[index]
-    shown = [{**end, "x": axes[i][2], "f": axes[i][3]} for end, axes in zip(ends, every, strict=True)]  # type: ignore[index]
+    name, unit, *_ = every[0][i]  # type: ignore[index]  # none is None, see above
+    shown = [{**end, "x": axes[i][2], "f": axes[i][3]}  # type: ignore[index]  # as above
+             for end, axes in zip(ends, every, strict=True)]
     return f"{name[:NAME]} " * (len(load) > 1), unit, shown
 
 

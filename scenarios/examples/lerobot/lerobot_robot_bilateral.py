@@ -26,7 +26,7 @@ class BilateralRobotConfig(RobotConfig):  # type: ignore[misc]  # LeRobot need n
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
-class BilateralRobot(Robot):  # type: ignore[misc]
+class BilateralRobot(Robot):  # type: ignore[misc]  # as above
     """The slave's end. It observes where the slave is, how fast, the force, the time of that tick, and images."""
 
     config_class = BilateralRobotConfig

@@ -95,7 +95,7 @@ class BilateralTeleoperatorConfig(TeleoperatorConfig):  # type: ignore[misc]  # 
     patience: float = 5.0  # s without a row, after which it counts as gone
 
 
-class BilateralTeleoperator(Teleoperator):  # type: ignore[misc]
+class BilateralTeleoperator(Teleoperator):  # type: ignore[misc]  # as above
     """The master's end. Its action is where the hand is, how fast, the force, and the time of that tick."""
 
     config_class = BilateralTeleoperatorConfig
