@@ -1,6 +1,6 @@
 """A real browser for tests: Chromium without a window, spoken to over its debugging protocol (CDP).
 
-It is found by its usual names; tests that need it are skipped with a reason where there is none.
+Tests that need it are skipped with a reason where there is none.
 """
 
 from __future__ import annotations
@@ -17,16 +17,11 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+from tests.programs import BROWSERS, program
 from tests.waiting import PATIENCE, until
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 KEYS = {"ArrowLeft": 37, "ArrowRight": 39, "ArrowUp": 38, "ArrowDown": 40, "Escape": 27, "Tab": 9, "Enter": 13, " ": 32,
         "PageUp": 33, "PageDown": 34}
-
-
-def found() -> str | None:
-    """The path of a Chromium on this machine, or None."""
-    return next(filter(None, map(shutil.which, NAMES)), None)
 
 
 class Page:
@@ -159,9 +154,7 @@ class Browser:
     """A Chromium without a window and with a profile of its own; `close` ends it and removes the profile."""
 
     def __init__(self, *options: str) -> None:
-        path = found()
-        if path is None:
-            raise FileNotFoundError("there is no Chromium: apt-get install chromium")
+        path = program(*BROWSERS)
         self.profile = Path(tempfile.mkdtemp(prefix="browser-"))
         self.process = subprocess.Popen(
             [path, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--no-first-run",

@@ -20,6 +20,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadScopeScheduling
 
+from tests.programs import uses_programs
+
 LONG = ("soak", "fuzz")
 TIMED = (
     "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/",
@@ -41,10 +43,15 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip what takes minutes, unless its marker is named; refuse a name that each worker has otherwise."""
+    """Mark what can start a program; skip what takes minutes, unless its marker is named; refuse a name that each
+    worker has otherwise.
+    """
     asked = str(config.getoption("-m"))
     for item in items:
+        if uses_programs(item):
+            item.add_marker("program")
         if " at 0x" in item.name:  # the workers would end with "Different tests were collected"
             raise pytest.UsageError(f"{item.nodeid} is named by an address in memory; give its parameters ids")
         for name in LONG:

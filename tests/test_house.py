@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -14,17 +16,17 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("teleop", "master", "slave", "channel", "scenarios")
 
 
-def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=False)
 
 
 def test_ruff_finds_nothing() -> None:
-    done = run(sys.executable, "-m", "ruff", "check", ".")
+    done = run("-m", "ruff", "check", ".")
     assert done.returncode == 0, done.stdout
 
 
 def test_mypy_strict_finds_nothing() -> None:
-    done = run(sys.executable, "-m", "mypy")
+    done = run("-m", "mypy")
     assert done.returncode == 0, done.stdout
 
 
@@ -35,7 +37,7 @@ def test_layers_and_the_ban_on_hidden_clocks_are_kept() -> None:
 
 
 def test_importing_teleop_loads_neither_numpy_nor_asyncio() -> None:
-    done = run(sys.executable, "-c", "import teleop, sys; print(*sys.modules)")
+    done = run("-c", "import teleop, sys; print(*sys.modules)")
     assert done.returncode == 0
     assert not {"numpy", "asyncio", "msgpack", "argparse"} & set(done.stdout.split())
 
@@ -45,7 +47,7 @@ def test_a_package_beside_the_other_teleop_says_so_in_one_sentence(package: str,
     (tmp_path / "teleop").mkdir()
     (tmp_path / "teleop" / "__init__.py").write_text("")
     code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; import {package}"
-    done = run(sys.executable, "-c", code)
+    done = run("-c", code)
     assert done.returncode == 1
     assert "ImportError" in done.stderr
     assert "bilateral-teleop" in done.stderr.splitlines()[-1]
@@ -56,7 +58,7 @@ def test_the_command_beside_the_other_teleop_ends_with_a_sentence(tmp_path: Path
     (tmp_path / "teleop" / "__init__.py").write_text("")
     paths = [str(tmp_path), str(ROOT)]
     code = f"import sys; sys.path[:0] = {paths!r}; from scenarios.__main__ import main; sys.exit(main())"
-    done = run(sys.executable, "-c", code)
+    done = run("-c", code)
     assert done.returncode == 2
     assert done.stderr.startswith("teleop: ")
     assert len(done.stderr.splitlines()) == 1
@@ -71,8 +73,6 @@ def test_no_file_is_longer_than_the_house_allows() -> None:
 
 
 def test_every_public_module_class_and_function_has_a_docstring() -> None:
-    import ast
-
     bare = []
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
@@ -100,6 +100,49 @@ def test_the_examples_in_the_docstrings_are_true(module: str) -> None:
     failed, tried = doctest.testmod(import_module(module))
     assert tried > 0
     assert failed == 0
+
+
+STARTERS = re.compile(
+    r"subprocess\.(run|Popen|call|check_\w+|get\w+)|asyncio\.create_subprocess_\w+|pty\.spawn|shutil\.which"
+    r"|os\.(system|popen|exec\w+|spawn\w+|posix_spawnp?)")
+
+
+def undeclared(source: str) -> list[int]:
+    """Find the lines that look for or start a program which is neither this Python nor `program(...)`."""
+    tree = ast.parse(source)
+    values: dict[str, list[ast.expr]] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            values.setdefault(node.targets[0].id, []).append(node.value)
+
+    def declared(word: ast.expr, names: frozenset[str] = frozenset()) -> bool:
+        if isinstance(word, ast.List | ast.Tuple):
+            return bool(word.elts) and declared(word.elts[0], names)
+        if isinstance(word, ast.Starred | ast.BinOp):
+            return declared(word.value if isinstance(word, ast.Starred) else word.left, names)
+        if isinstance(word, ast.Name) and word.id in values and word.id not in names:
+            return all(declared(value, names | {word.id}) for value in values[word.id])
+        return ast.unparse(word.func if isinstance(word, ast.Call) else word) in ("sys.executable", "program")
+
+    lines = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and STARTERS.fullmatch(ast.unparse(node.func)):
+            lines += [node.lineno] if not any(map(declared, node.args[:1])) else []
+        elif isinstance(node, ast.ImportFrom):
+            lines += [node.lineno for part in node.names if STARTERS.fullmatch(f"{node.module}.{part.name}")]
+    return lines
+
+
+def test_tests_start_no_program_that_a_fresh_machine_may_lack() -> None:
+    """The suite passed only where zsh and fish had been installed by hand."""
+    found = {str(path.relative_to(ROOT)): lines for path in (ROOT / "tests").rglob("*.py")
+             if path.name != "programs.py" and (lines := undeclared(path.read_text()))}
+    assert found == {}, "start it by tests.programs.program(NAME), which skips the test where it is missing"
+    for wrong in ("subprocess.run(['zsh'])", "subprocess.Popen(words)", "shell = 'fish'\nsubprocess.run([shell])",
+                  "shutil.which('cc')", "from subprocess import run", "asyncio.create_subprocess_exec('sh')",
+                  "words = [sys.executable]\nwords = ['sh']\nos.execvp(words)", "os.system('true')"):
+        assert undeclared(wrong), wrong
+    assert not undeclared("words = [program('zsh'), '-c']\nsubprocess.run([*words, 'true'])\nos.execv(sys.executable)")
 
 
 def test_tests_mirror_the_folders() -> None:

@@ -15,6 +15,8 @@ import msgpack
 import numpy as np
 import pytest
 
+from tests.programs import program
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("teleop", "master", "slave", "channel", "scenarios")
 REPOSITORY_ALONE = ("teleop/bench/rivals/", "teleop/bench/c/")
@@ -23,9 +25,10 @@ REPOSITORY_ALONE = ("teleop/bench/rivals/", "teleop/bench/c/")
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="needs the sources")
 
 
-def run(*command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+def run(start: str | Path, *words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     own = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PIP_", "TELEOP_"))}
-    return subprocess.run(list(map(str, command)), cwd=cwd, env=own, capture_output=True, text=True, check=False)
+    return subprocess.run([program(start), *map(str, words)], cwd=cwd, env=own, capture_output=True, text=True,
+                          check=False)
 
 
 @pytest.fixture(scope="module")

@@ -1,22 +1,21 @@
 """Machines of their own in one: network namespaces, and cables (`veth`) between them.
 
-They need root, or a system that lets users have namespaces of their own, and the programs `TOOLS`. Where there are none
-`NoNamespaces` says why.
+They need root, or a system that lets users have namespaces of their own, and the programs of iproute2 and util-linux;
+elsewhere the test is skipped with the reason.
 """
 
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from dataclasses import dataclass
+from typing import Any
 
-TOOLS = ("ip", "unshare", "nsenter")  # of iproute2 and util-linux
+import pytest
+
+from tests.programs import program
+
 HOLD = ("sh", "-c", "echo up; exec cat")  # keeps a namespace until its standard input ends, as when the test is killed
-
-
-class NoNamespaces(Exception):
-    """This system gives none; says why."""
 
 
 @dataclass(frozen=True)
@@ -25,16 +24,24 @@ class Machine:
 
     holder: subprocess.Popen[str]
 
-    def inside(self, *words: str) -> list[str]:
-        """A command on this machine: what is started becomes it, so that its signals reach it."""
-        own = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
-        return ["nsenter", "--target", str(self.holder.pid), "--net", *own, "--", *words]
+    def start(self, *words: str, **how: Any) -> subprocess.Popen[str]:
+        """Start a command on this machine: the process becomes it, so that its signals reach it."""
+        return subprocess.Popen([program("nsenter"), *self._enter, *words], text=True, **how)
+
+    def run(self, *words: str, **how: Any) -> subprocess.CompletedProcess[str]:
+        """Run a command on this machine to its end."""
+        return subprocess.run([program("nsenter"), *self._enter, *words], text=True, check=False, **how)
+
+    @property
+    def _enter(self) -> list[str]:
+        users = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
+        return ["--target", str(self.holder.pid), "--net", *users, "--"]
 
     def ip(self, words: str) -> None:
-        """`ip WORDS` here. Raises `NoNamespaces` if it fails."""
-        done = subprocess.run(self.inside("ip", *words.split()), capture_output=True, text=True, check=False)
+        """Run `ip WORDS` here."""
+        done = self.run(program("ip"), *words.split(), capture_output=True)
         if done.returncode != 0:
-            raise NoNamespaces(f"`ip {words}` failed: {done.stderr.strip()}")
+            pytest.skip(f"no network namespaces: `ip {words}` failed: {done.stderr.strip()}")
 
     def moves_to(self, address: str, cable: str = "cable") -> None:
         """Its end of a cable has this address, and no other."""
@@ -43,7 +50,7 @@ class Machine:
 
     def counted(self, name: str) -> int:
         """A counter of IP in /proc/net/snmp, as `FragCreates`: fragments that were sent."""
-        done = subprocess.run(self.inside("cat", "/proc/net/snmp"), capture_output=True, text=True, check=True)
+        done = self.run("cat", "/proc/net/snmp", capture_output=True)
         names, numbers = (line.split() for line in done.stdout.splitlines() if line.startswith("Ip:"))
         return int(dict(zip(names, numbers, strict=True))[name])
 
@@ -53,21 +60,19 @@ class Machine:
 
 
 def machine(beside: Machine | None = None) -> Machine:
-    """A new one; `beside` another, it can be joined to that one. Raises `NoNamespaces`."""
-    if missing := [tool for tool in TOOLS if shutil.which(tool) is None]:
-        raise NoNamespaces(f"there is no program {', '.join(missing)}")
-    own = [] if os.geteuid() == 0 else ["--user", "--map-root-user"]
-    alone = ("unshare", "--net", *own, "--", *HOLD)
-    words = list(alone) if beside is None else beside.inside("unshare", "--net", "--", *HOLD)
-    holder = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    """Make a machine; one made `beside` another can be joined to that one."""
+    users = [] if beside is not None or os.geteuid() == 0 else ["--user", "--map-root-user"]
+    words = [program("unshare"), "--net", *users, "--", *HOLD]
+    pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    holder = subprocess.Popen(words, text=True, **pipes) if beside is None else beside.start(*words, **pipes)
     assert holder.stdout is not None
     if holder.stdout.readline() != "up\n":
-        raise NoNamespaces(f"`{' '.join(words)}` ended: {holder.communicate()[1].strip()}")
+        pytest.skip(f"no network namespaces: `{' '.join(words)}` ended: {holder.communicate()[1].strip()}")
     return Machine(holder)
 
 
 def join(one: Machine, other: Machine, addresses: tuple[str, str], cable: str = "cable") -> None:
-    """A cable between two, with these addresses. Raises `NoNamespaces`."""
+    """Lay a cable between two machines, with these addresses."""
     one.ip(f"link add {cable} type veth peer name {cable} netns {other.holder.pid}")
     for each, address in zip((one, other), addresses, strict=True):
         each.moves_to(address, cable)

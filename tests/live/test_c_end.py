@@ -14,6 +14,7 @@ import pytest
 
 from teleop.__main__ import main
 from tests.live.conftest import summary
+from tests.programs import program
 from tests.scenarios.examples.compiled import compiled
 
 pytestmark = pytest.mark.live
@@ -28,13 +29,13 @@ LOG = ("met", "k", "x", "v", "f", "gain", "offset", "newest", "rx_0", "rx_1", "t
 class InC:
     """Ends in C in `folder`: `start` gives a process, which logs into a file of its own."""
 
-    def __init__(self, program: Path, folder: Path) -> None:
-        self.program, self.folder, self.started = program, folder, list[subprocess.Popen[str]]()
+    def __init__(self, built: Path, folder: Path) -> None:
+        self.built, self.folder, self.started = program, folder, list[subprocess.Popen[str]]()
 
     def start(self, role: str, port: int, scene: list[str], log: str) -> subprocess.Popen[str]:
         manifest = self.folder / "manifest"
         assert main(["manifest", *scene, "--write", str(manifest), "--json"]) == 0
-        words = [self.program, role, "127.0.0.1", str(port), manifest, "600", self.folder / log]
+        words = [program(self.built), role, "127.0.0.1", str(port), manifest, "600", self.folder / log]
         self.started.append(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
         return self.started[-1]
 
@@ -46,13 +47,13 @@ class InC:
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def c_end(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled("end", tmp_path_factory.mktemp("c"))
 
 
 @pytest.fixture
-def in_c(program: Path, tmp_path: Path) -> Iterator[InC]:
-    ends = InC(program, tmp_path)
+def in_c(c_end: Path, tmp_path: Path) -> Iterator[InC]:
+    ends = InC(c_end, tmp_path)
     yield ends
     for one in ends.started:
         one.kill()
@@ -210,7 +211,7 @@ def test_a_manifest_that_it_does_not_know_the_law_of_is_refused_in_one_sentence(
         if scene is not None:
             refused = in_c.start("slave", 0, scene, "c.csv")
         else:
-            words = [in_c.program, "slave", "127.0.0.1", "0", tmp_path / "absent", "1"]
+            words = [program(in_c.built), "slave", "127.0.0.1", "0", tmp_path / "absent", "1"]
             refused = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         _, err = refused.communicate()
         assert (refused.returncode, err.count("\n")) == (2, 1)

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
 from teleop.scene.library import ROOT
+from tests.programs import COMPILERS, program
 
 HERE = ROOT / "scenarios" / "examples" / "c"
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-g"]
 WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
 def compiled(name: str, folder: Path) -> Path:
     """The program of `name`.c, below `folder`; the test is skipped where there is no compiler."""
-    if COMPILER is None:
-        pytest.skip("there is no C compiler")
-    program, sources = folder / name, [str(HERE / each) for each in ("wire.c", f"{name}.c")]
+    built, sources = folder / name, [str(HERE / each) for each in ("wire.c", f"{name}.c")]
     why = ""
     for flags in (WATCHED, []):  # not every compiler comes with the libraries that watch
-        done = subprocess.run([COMPILER, *STRICT, *flags, *sources, "-lm", "-o", str(program)], capture_output=True,
-                              text=True, check=False)
+        done = subprocess.run([program(*COMPILERS), *STRICT, *flags, *sources, "-lm", "-o", str(built)],
+                              capture_output=True, text=True, check=False)
         if done.returncode == 0:
-            return program
+            return built
         why = done.stderr
     pytest.fail(f"{name}.c does not compile: {why}")

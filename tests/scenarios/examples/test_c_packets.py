@@ -11,6 +11,7 @@ from zlib import crc32
 import pytest
 
 from teleop.protocol.packet import Packet, Rejection, decode, encode
+from tests.programs import program
 from tests.scenarios.examples.compiled import compiled
 from tests.teleop.protocol.vectors import FILE, packet_of
 
@@ -26,7 +27,7 @@ def check(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def said(check: Path, cases: list[Case]) -> list[str]:
     """What the C client says of each datagram: the packet encoded again as hex, or the rejection."""
     lines = "".join(f"{width} {data.hex()}\n" for width, data in cases)
-    done = subprocess.run([check], input=lines, capture_output=True, text=True, check=False)
+    done = subprocess.run([program(check)], input=lines, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.splitlines()
 

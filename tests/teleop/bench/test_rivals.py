@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from functools import partial
@@ -18,6 +17,7 @@ from teleop.physics.contact import events
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
+from tests.programs import COMPILERS, program
 
 ACCURACY = 1e-6  # m, of either handle's position
 
@@ -97,9 +97,9 @@ def test_python_control_runs_the_same_scene() -> None:
     assert control.position_error(ct, short(0.4)) < 0.01 * ACCURACY
 
 
-@pytest.mark.skipif(shutil.which("cc") is None and shutil.which("gcc") is None, reason="it compiles its equations")
 def test_what_jitcdde_solves_is_the_limit_of_short_ticks() -> None:
     jit = pytest.importorskip("jitcdde")
+    program(*COMPILERS)  # it compiles its equations
     ticks = (2e-4, 1e-4, 5e-5)
     paths = [np.array(exact_positions(short(0.4, dt=dt)))[:, :: round(1e-3 / dt)] for dt in ticks]
     reference = jitcdde.positions(jit, short(0.4), jitcdde.TIGHT)

@@ -6,7 +6,6 @@ import fcntl
 import os
 import pty
 import select
-import shutil
 import subprocess
 import termios
 from collections.abc import Callable
@@ -18,22 +17,21 @@ import pytest
 from teleop.completion.script import KINDS, SHELLS, commands_of, script
 from teleop.scene.catalogue import find, names
 from teleop.terminal.commands import parser
+from tests.programs import program
 
 HANGS = 60.0  # s without a byte, after which a shell is taken to hang
 START = {
-    "bash": (["bash", "--norc", "-i"], "source {script}; teleop() {{ echo \"TYPED<$*>\"; }}; echo READ''Y"),
-    "zsh": (["zsh", "-f", "-i"], "autoload -U compinit; compinit -u -D; source {script}; "
+    "bash": (["--norc", "-i"], "source {script}; teleop() {{ echo \"TYPED<$*>\"; }}; echo READ''Y"),
+    "zsh": (["-f", "-i"], "autoload -U compinit; compinit -u -D; source {script}; "
             "teleop() {{ echo \"TYPED<$*>\" }}; echo READ''Y"),
-    "fish": (["fish", "--no-config", "-i"],
+    "fish": (["--no-config", "-i"],
              "source {script}; function teleop; echo \"TYPED<$argv>\"; end; echo READ''Y"),
 }
 EVERYWHERE = pytest.mark.parametrize("shell", SHELLS)
 
 
 def written(folder: Path, shell: str) -> Path:
-    """A file with the script for `shell`; the test is skipped where there is no such shell."""
-    if shutil.which(shell) is None:
-        pytest.skip(f"there is no {shell} on this machine")
+    """Write the script for `shell` into a file."""
     path = folder / f"completion.{shell}"
     path.write_text(script(shell, parser()))
     return path
@@ -41,12 +39,13 @@ def written(folder: Path, shell: str) -> Path:
 
 def at_a_terminal(shell: str, folder: Path, keys: str) -> str:
     """The words that `teleop` gets of a person at a terminal of `shell` who types `keys` and a return."""
-    start, setting_up = START[shell]
+    options, setting_up = START[shell]
+    command = [program(shell), *options]
     ours, theirs = pty.openpty()
     home = folder / "home"
     home.mkdir()
     process = subprocess.Popen(
-        start, cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+        command, cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509 - without a terminal of its own it leaves
         env={"PATH": os.environ["PATH"], "HOME": str(home), "TERM": "xterm", "LC_ALL": "C.UTF-8", "PS1": "$ "},
     )
@@ -97,7 +96,7 @@ def complete(tmp_path: Path) -> Callable[..., list[str]]:
 
     def ask(*words: str) -> list[str]:
         asked = subprocess.run(
-            ["bash", "--norc", "-c", f"source {path}; COMP_WORDS=(teleop \"$@\"); COMP_CWORD=$#; _teleop; "
+            [program("bash"), "--norc", "-c", f"source {path}; COMP_WORDS=(teleop \"$@\"); COMP_CWORD=$#; _teleop; "
              "printf '%s\\n' \"${COMPREPLY[@]}\"", "bash", *words],
             cwd=tmp_path, check=True, capture_output=True, text=True)
         assert asked.stderr == ""
@@ -187,13 +186,13 @@ def test_every_kind_that_is_named_is_one_of_an_argument() -> None:
     assert KINDS.keys() - told <= {"RUN"}
 
 
-def test_words_that_a_shell_would_read_as_orders_are_only_words(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_words_that_a_shell_would_read_as_orders_are_only_words(shell: str, tmp_path: Path) -> None:
     added = parser()
     commands_of(added)["run"].add_argument("--odd", metavar="N", help="it's `touch ran` $(touch ran) \"so\"")
     path = tmp_path / "odd.sh"
-    for shell in filter(shutil.which, ("bash", "zsh")):
-        path.write_text(script(shell, added))
-        ask = f"source {path} 2>/dev/null; _teleop_complete --odd run hard_wall"
-        said = subprocess.run([shell, "-c", ask], cwd=tmp_path, check=True, capture_output=True, text=True)
-        assert said.stdout == "--odd\tit's `touch ran` $(touch ran) \"so\"\n"
+    path.write_text(script(shell, added))
+    ask = f"source {path} 2>/dev/null; _teleop_complete --odd run hard_wall"
+    answer = subprocess.run([program(shell), "-c", ask], cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert answer.stdout == "--odd\tit's `touch ran` $(touch ran) \"so\"\n"
     assert [each.name for each in tmp_path.iterdir()] == ["odd.sh"]

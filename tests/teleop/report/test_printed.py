@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -12,17 +11,16 @@ import pytest
 from teleop import load_scene, run
 from teleop.report.of_runs import Run, of_one, of_several
 from teleop.report.page import page
+from tests.programs import BROWSERS, program
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-pytestmark = [pytest.mark.live, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to print with")]
+pytestmark = pytest.mark.live
 
 
 def printed(html: bytes, at: Path) -> tuple[int, str]:
     """The sheets of a page that is printed, and what the browser's console says."""
     (at / "page.html").write_bytes(html)
     done = subprocess.run(
-        [str(CHROMIUM), "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={at / 'profile'}",
+        [program(*BROWSERS), "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={at / 'profile'}",
          "--enable-logging=stderr", "--v=0", "--no-pdf-header-footer", f"--print-to-pdf={at / 'page.pdf'}",
          (at / "page.html").as_uri()], capture_output=True, text=True, check=True, timeout=120)
     console = "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
