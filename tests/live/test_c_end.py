@@ -30,7 +30,7 @@ class InC:
     """Ends in C in `folder`: `start` gives a process, which logs into a file of its own."""
 
     def __init__(self, built: Path, folder: Path) -> None:
-        self.built, self.folder, self.started = program, folder, list[subprocess.Popen[str]]()
+        self.built, self.folder, self.started = built, folder, list[subprocess.Popen[str]]()
 
     def start(self, role: str, port: int, scene: list[str], log: str) -> subprocess.Popen[str]:
         manifest = self.folder / "manifest"
