@@ -3,8 +3,9 @@
 The force goes as in the safe state: along the watchdog's ramp and within the slew limit, tick by tick, so that nothing
 jumps in a person's hand. The law has no part in it: the force that was held falls in amount until it is zero. The
 device is read meanwhile, for the velocity cap; after a run that diverged it is not, since its readings are not
-believed. Without readings the way takes `BLIND_NS` at most, else `RAMP_NS`; what is left then goes at once. So does all
-of it after a second signal, and where something was raised: what is broken is asked for nothing more than zero.
+believed. Without readings the way takes `BLIND_NS` at most, else as long as the guard says; what is left then goes at
+once. So does all of it after a second signal, and where something was raised: what is broken is asked for nothing more
+than zero.
 
 Each of the steps is taken whatever the ones before it raise. Zero force is tried again for `RETRY_NS` by a device
 that does not take it; then the status is `UNRELEASED`, and the sentence says that the force may still be on.
@@ -22,7 +23,6 @@ from teleop.protocol.endpoint import Axes, Endpoint
 from teleop.protocol.held_force import BLIND_NS
 from teleop.scene.axes import FORCE_UNIT
 
-RAMP_NS = 2_000_000_000  # the longest way of the force to zero
 RETRY_NS = 1_000_000_000  # zero force is tried for so long
 PAUSE = 0.005  # s between two tries
 
@@ -45,8 +45,8 @@ async def let_go(shell: Shell) -> None:
         now, passed, reading = began, 1, None  # that of this tick has been used
         while True:
             force = endpoint.held.over(None if reading is None else reading.v, passed)
-            blind = now - seen > BLIND_NS or now - began > RAMP_NS
-            if shell.interrupt.again or blind or not any(force):
+            spent = now - seen > BLIND_NS or endpoint.guard.overdue
+            if shell.interrupt.again or spent or not any(force):
                 break
             if not device.hold(force):
                 break

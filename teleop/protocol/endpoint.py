@@ -268,8 +268,8 @@ class Endpoint:
             self._begin(k, reading)
         got = self._rates.take(self.inbox, self._tick, k)
         gain = self._gain(k, now, None if got is None else k - got[0], trouble)
-        if self.guard.lapsed:
-            self.held.zero()
+        if self.guard.lapsed or self.guard.overdue:
+            self.held.zero(k)
         seq, rx, waves = (-1, None, None) if got is None else (got[0], got[1].rx, got[1].waves)
         x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
         own, newest = k // self.every, seq if self.every == 1 else seq / self.every
@@ -288,7 +288,7 @@ class Endpoint:
         if self._index is not None:
             row = self._physical(row)
         self._tick = k
-        if not self.held.take(force):
+        if not self.held.take(k, force):
             self.force_failed = f"f_{self.e}"
         if self.e == "s":
             self._follow()

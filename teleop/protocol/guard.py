@@ -13,6 +13,9 @@ rest. A law that gives what is not finite ends the run, at zero force: an unstab
 In a stall the force was held all the while, so the ramp counts the time that has passed, not the ticks that ran: after
 one that was longer than the ramp the first force is zero. Of a device whose force lapses by itself it is zero after a
 stall of nearly its deadline, since it was let go in the meantime: what comes next must not jump.
+
+A slew limit may hold a force for longer than the ramp. `LONGEST` seconds after the gain has come to 0 the force is
+`overdue`, whatever the slew limit says: what is left of it goes in one step, and an event says so.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from teleop.protocol.deadline import LAPSING
+from teleop.stages.force_cap import LONGEST
 from teleop.stages.watchdog import Watchdog, late_step
 
 UNNAMED = Watchdog(timeout=0.8)
@@ -56,6 +60,8 @@ class Guard:
         self._c = None if self._dog is None else self._dog.limits(dt)
         self._dt, self._every = dt, every
         self.lapsed = False  # was the force let go by the device before this tick
+        self._shareless = 0  # own ticks since the gain was above 0
+        self._longest = LONGEST / dt + 0.5
         self._lapses = float("inf")  # own ticks from one that ran to the next, and it was
         self._quiet_ticks = float("inf")
         self._waits = False  # for the first packet since the cause was over: from that one on the quiet ticks count
@@ -65,8 +71,13 @@ class Guard:
         self._old_k = -(1 << 62)  # the last tick at which one was
 
     @property
+    def overdue(self) -> bool:
+        """True from `LONGEST` seconds after the gain has come to 0 on: no force is held then."""
+        return self._shareless > self._longest
+
+    @property
     def lets_go_ns(self) -> int:
-        """Time (ns) after the last packet from which on there is no force."""
+        """Time (ns) after the last packet from which on there is no force within a fast slew limit."""
         return 0 if self._dog is None else round((self._dog.timeout + self._dog.ramp) * 1e9)
 
     def lapse_after(self, deadline: float) -> None:
@@ -135,6 +146,7 @@ class Guard:
         if not_heard:  # it is not released before the other end hears this one; what came has settled it all the same
             quiet = min(quiet, c.settle + silent - passed)
         self.gain, self._quiet_ticks = late_step(c, self.gain, quiet, silent, passed)
+        self._shareless = 0 if self.gain > 0.0 else self._shareless + passed
         if self.safe and self._quiet_ticks - silent > c.settle:
             self.safe, self.cause = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
@@ -179,6 +191,7 @@ class Guard:
         step = passed * (self._dog or UNNAMED).limits(self._dt).step
         self.lapsed = passed > self._lapses
         self.gain = self.gain - step if self.gain > step and not self.lapsed else 0.0
+        self._shareless = 0 if self.gain > 0.0 else self._shareless + passed
         return self.gain
 
     def tell(self, k: int, what: str, why: str) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from math import isfinite
 
 from teleop.protocol.guard import Guard
+from teleop.scene.axes import FORCE_UNIT
 from teleop.scene.scene import Scene
 from teleop.stages.force_cap import cap, caps
 from teleop.stages.velocity_cap import limit_speed
@@ -26,6 +27,7 @@ class HeldForce:
         self._dt_ns, dt = scene.dt_ns, every * scene.dt_ns / 1e9
         # Of each axis its greatest velocity, None where it has none, and its cap; none of a scene without a cap.
         self._limits = [] if scene.cap is None else [(each.speed(), each.limits(dt)) for each in caps(scene)]
+        self._units = [FORCE_UNIT[unit] for unit in scene.axis_units]
         self._k = 0  # the tick at which it was set last
 
     def begin(self, k: int) -> None:
@@ -37,21 +39,31 @@ class HeldForce:
         ticks, self._k = (k - self._k) // self._every, k
         return ticks
 
-    def take(self, force: tuple[float, ...]) -> bool:
-        """Set it to `force` (N, per axis); False if that is not finite, and then it stays what it was."""
+    def take(self, k: int, force: tuple[float, ...]) -> bool:
+        """Set it to `force` (N, per axis) at tick k; False if that is not finite, and then it stays what it was."""
         if not isfinite(sum(force)) and not all(map(isfinite, force)):  # a sum may be too great that is of finite ones
             return False
+        if not any(force):
+            self.zero(k)
         self.force = force
         return True
 
-    def zero(self) -> None:
-        """Set it to zero, as its device has done by itself."""
+    def zero(self, k: int) -> None:
+        """Set it to zero at tick k, with an event where that is a step which the slew limit does not allow.
+
+        There is none where the device has set it to zero by itself.
+        """
+        steps = [(abs(f), unit) for f, (_, c), unit in zip(self.force, self._limits, self._units, strict=False)
+                 if abs(f) > c.step * (1.0 + 1e-9)]
         self.force = (0.0,) * len(self.force)
+        if steps and not self._guard.lapsed:
+            self._guard.tell(k, "zero", "{:.3g} {} set to zero in one step, which the slew limit still held".format(
+                *max(steps)))
 
     def lost(self) -> None:
         """The device did not take it: whatever it holds now, the next force begins at zero, along the guard's ramp."""
         self._guard.gain = 0.0
-        self.zero()
+        self.force = (0.0,) * len(self.force)
 
     def blind(self, k: int, ran: int, trouble: str) -> tuple[float, ...]:
         """The force to hold at tick k, which has no reading and so no law; `ran`: the last tick that had.
@@ -64,17 +76,19 @@ class HeldForce:
             gain = self._guard.fall()
         if (k - ran) * self._dt_ns > BLIND_NS or self._guard.lapsed:
             self._guard.gain = gain = 0.0
-            self.zero()
+            self.zero(k)
         return self._scaled(before, gain, None)
 
     def over(self, v: tuple[float, ...] | None, passed: int = 1) -> tuple[float, ...]:
         """The force to hold `passed` own ticks later with the run over; one step of the slew limit, however many.
 
+        Whoever asks ends this where the guard is `overdue`.
+
         `v`: the velocity (m/s, per axis), by which the velocity cap is kept; None if it is not known.
         """
         before, gain = self._guard.gain, self._guard.fall(passed)
         if self._guard.lapsed:
-            self.zero()
+            self.force = (0.0,) * len(self.force)
         return self._scaled(before, gain, v)
 
     def _scaled(self, before: float, gain: float, v: tuple[float, ...] | None) -> tuple[float, ...]:

@@ -90,7 +90,9 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         dx="dx" in reading or (run.energy and "encoder" not in names) or any(stage.wants_dx for stage in stages),
         leaves_out=scene.leaves_out(e) is not None, encoder="encoder" in names,
         velocity="velocity" in names, scaled="scaling" in names, operated="operator" in names,
-        watchdog="watchdog" in names, span="span" in reading, gain="gain" in reading)
+        watchdog="watchdog" in names, span="span" in reading, gain="gain" in reading,
+        slewed=not names.isdisjoint(("watchdog", "operator")) and any(
+            cap is not None and cap.slew is not None for cap in scene.per_axis("cap")))
     fields = sums_type(scene.laws[0], e, scene.dt_ns / 1e9)._fields if sums else ()
     if not run.slave:
         return EndStructure(has, stages, fields)

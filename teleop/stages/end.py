@@ -46,6 +46,7 @@ class EndHas(NamedTuple):
     scaled: bool = False  # its units are not those of the law
     operated: bool = False  # a clutch stands between it and its law
     watchdog: bool = False
+    slewed: bool = False  # its force has a slew limit, and a gain by which it is let go
     span: bool = False  # its law reads the time since its last tick,
     gain: bool = False  # ... and the watchdog's gain at that tick
     observed: bool = False  # its law reads the observer's force
@@ -192,6 +193,7 @@ class End(Record):
     ran: Any  # number of its last tick, in virtual time
     clutch: Any  # 1.0 while the operator holds the clutch open, else 0.0
     present: Any  # 1.0 while the operator is there, else 0.0
+    g_clutch: Any  # the modulus between the master and its law
     E_port: float  # the ledgers, J
     E_in: float
     E_out: float

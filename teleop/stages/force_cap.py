@@ -11,22 +11,26 @@ from math import inf
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import number
-from teleop.stages.end import End, Places, Run, Stage
+from teleop.stages.end import End, Places, Run, Stage, zero
 from teleop.stages.energy_budget import BURST, BudgetLimits
 from teleop.stages.velocity_cap import FADES_FROM, SpeedLimits
+
+LONGEST = 1.0  # s for which a slew limit holds a force of which the law has no share any more
 
 
 class CapLimits(NamedTuple):
     f_max: float  # N
     step: float  # N a tick
+    most: float = inf  # ticks without any share of the law's force, after which none is held
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cap:
     """|f| <= f_max (N) and |df/dt| <= slew (N/s), per axis; drive at less than v_max (m/s) and with `power` (W) alone.
 
-    At the end of a live run the force goes to zero within `slew` and `v_max`. The work that it does on that way, at
-    most |f| ramp/2 + f^2/(2 slew) times the speed, is not counted against `power`.
+    A force that is let go (by the watchdog, the operator's clutch, or the end of a live run) goes to zero within `slew`
+    and `v_max`, and takes at most `LONGEST` seconds beyond its ramp: what is left then goes in one step. The work that
+    it does on that way, at most |f| ramp/2 + f^2/(2 slew) times the speed, is not counted against `power`.
 
     Each is left out with None. For the last two see `limit_speed` and `limit_power`, which say what they promise and
     when.
@@ -58,7 +62,7 @@ class Cap:
 
     def limits(self, dt: float) -> CapLimits:
         """What `cap` computes with."""
-        return CapLimits(self.most, inf if self.slew is None else self.slew * dt)
+        return CapLimits(self.most, inf if self.slew is None else self.slew * dt, LONGEST / dt + 0.5)
 
     def speed(self) -> SpeedLimits | None:
         """What `limit_speed` computes with."""
@@ -77,7 +81,7 @@ def caps(scene: Any) -> tuple[Cap, ...]:
 
 def cap(c: CapLimits, f: float, f_held: float) -> float:
     """`f` within the cap, and within one tick's slew of `f_held`. NaN stays NaN: it must be seen."""
-    f_max, step = c
+    f_max, step, _ = c
     # min and max keep their first argument when the comparison with NaN fails.
     return max(min(max(min(f, f_max), -f_max), f_held + step), f_held - step)
 
@@ -88,8 +92,25 @@ def let_go(c: CapLimits, gain: float, since: float) -> CapLimits:
     The slew is that of one tick, however long it was held, for a jump is what the limit is against. But let go after a
     stall, at gain 0, it slews what it could have slewed in the meantime.
     """
-    f_max, step = c
-    return CapLimits(f_max, step * since if gain <= 0.0 else step)
+    f_max, step, most = c
+    return CapLimits(f_max, step * since if gain <= 0.0 else step, most)
+
+
+def share(e: End) -> Any:
+    """The share of the law's force that is held: that of the watchdog, and of the operator's clutch."""
+    if e.has.watchdog and e.has.operated and not e.has.live:
+        return e.g * e.g_clutch
+    return e.g_clutch if e.has.operated else e.g
+
+
+def without_share(share: float, ticks: float, passed: float) -> float:
+    """The number of ticks since the law last had a `share` of the force, `passed` ticks after it was `ticks`."""
+    return 0.0 if share > 0.0 else ticks + passed
+
+
+def still_held(c: CapLimits, ticks: float, f_held: float) -> float:
+    """The force from which the slew limit counts, `ticks` after the law last had a share of it: none after `most`."""
+    return 0.0 if ticks > c.most else f_held
 
 
 class OverflowStage(Stage):
@@ -108,6 +129,8 @@ class ForceCapStage(Stage):
     name: ClassVar[str] = "force_cap"
     c_cap: tuple[CapLimits, ...]  # for each axis
     held_for: Any  # ticks since the force was set
+    passed_by: Any  # ticks since the last
+    shareless: Any  # ticks since the law last had a share of the force
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
@@ -115,13 +138,19 @@ class ForceCapStage(Stage):
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_cap = given
+        if e.has.slewed:
+            self.shareless = zero(run)
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         self.held_for = since
+        self.passed_by = ticks
 
     def act(self, run: Run, e: End, k: int) -> None:
+        if e.has.slewed:
+            self.shareless = without_share(share(e), self.shareless, self.passed_by if e.has.leaves_out else 1.0)
         for a in e.axes:
+            f_held = still_held(self.c_cap[a.i], self.shareless, a.f) if e.has.slewed else a.f
             if e.has.leaves_out and (e.has.live or e.has.watchdog):
-                a.f_cmd = cap(let_go(self.c_cap[a.i], e.g, self.held_for), a.f_cmd, a.f)
+                a.f_cmd = cap(let_go(self.c_cap[a.i], e.g, self.held_for), a.f_cmd, f_held)
             else:
-                a.f_cmd = cap(self.c_cap[a.i], a.f_cmd, a.f)
+                a.f_cmd = cap(self.c_cap[a.i], a.f_cmd, f_held)

@@ -209,8 +209,7 @@ class OperatorStage(Stage):
     far: float  # how far the ends are apart, for how far they may be; the greatest of the axes
     n_clutch: float  # of the ramp's steps; below 0 before the first tick
     n_was: float  # the same before this tick
-    g_clutch: float  # the modulus of this tick,
-    g_was: float  # ... and of the last
+    g_was: float  # the modulus of the last tick
 
     def __init__(self, e: str, axes: int) -> None:
         super().__init__(e, axes)
@@ -222,14 +221,14 @@ class OperatorStage(Stage):
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"clutch_{e.name}", ((e, "clutch"),)), Column(f"present_{e.name}", ((e, "present"),)),
-                Column(f"g_clutch_{e.name}", ((self, "g_clutch"),)), per_axis(f"offset_{e.name}", e.axes, "offset"),
+                Column(f"g_clutch_{e.name}", ((e, "g_clutch"),)), per_axis(f"offset_{e.name}", e.axes, "offset"),
                 *[per_axis(f"apart_{e.name}", self.axes, "apart")] * (len(e.rx_place) > 0))
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_switch = given
         self.least_g = 1.0 / self.c_switch.steps
         self.n_clutch = zero(run) - 1.0
-        self.g_clutch = self.g_was = zero(run) + 1.0
+        e.g_clutch = self.g_was = zero(run) + 1.0
         e.clutch = zero(run)
         e.present = zero(run) + 1.0
         for a, own in zip(e.axes, self.axes, strict=True):
@@ -253,12 +252,12 @@ class OperatorStage(Stage):
         self.released = max(e.clutch, 1.0 - e.present)
         if len(e.rx_place) > 0:
             self.released = kept_open(self.n_clutch, self.released, self.far)
-        self.g_was = self.g_clutch
+        self.g_was = e.g_clutch
         self.n_was = self.n_clutch
         self.n_clutch = ramped(
             self.c_switch.steps, self.n_was, self.released, self.ticks_by if e.has.leaves_out else 1.0)
-        self.g_clutch = self.n_clutch / self.c_switch.steps
-        self.g_was = at_first(self.n_was, self.g_clutch, self.g_was)
+        e.g_clutch = self.n_clutch / self.c_switch.steps
+        self.g_was = at_first(self.n_was, e.g_clutch, self.g_was)
 
     def situate(self, run: Run, e: End) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
@@ -266,7 +265,7 @@ class OperatorStage(Stage):
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
-            a.f_cmd = self.g_clutch * a.f_cmd
+            a.f_cmd = e.g_clutch * a.f_cmd
         if len(e.rx_place) > 0:
             self.far = zero(run)
             for a, own in zip(e.axes, self.axes, strict=True):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from teleop.laws.direct import Direct
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.session import Session
-from teleop.stages.force_cap import Cap
+from teleop.stages.force_cap import LONGEST, Cap
 from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import MS, START, met, reading, scene
@@ -105,7 +105,33 @@ def test_after_a_stall_on_its_way_the_force_is_where_the_ramp_has_come_to_or_at_
 
 def test_a_force_is_held_if_its_parts_are_finite_whatever_their_sum_is() -> None:
     held = met(scene(Direct(K=200.0, B=0.0)))["s"].held
-    assert held.take((1.7e308, 1.7e308))
-    assert not held.take((1.0, nan))
-    assert not held.take((float("inf"), float("-inf")))
+    assert held.take(0, (1.7e308, 1.7e308))
+    assert not held.take(1, (1.0, nan))
+    assert not held.take(2, (float("inf"), float("-inf")))
     assert held.force == (1.7e308, 1.7e308)
+
+
+@pytest.mark.parametrize("held", [15.5, 6062.0])
+def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_ramp_of_a_silent_peer(held: float) -> None:
+    """15.5 N at 5 N/s were held for 2.9 s after the peer had died, in the safe state as at the end of a run."""
+    ramp, dog = 0.05, Watchdog(timeout=0.1, ramp=0.05)
+    silent, over = (met(scene(Direct(K=0.0, B=0.0), watchdog=dog, cap=Cap(f_max=1e4, slew=5.0)))["s"] for _ in range(2))
+    for end in (silent, over):
+        end.tick(0, START, reading(0.0))
+        end.held.force = (held,)
+    most = round((ramp + LONGEST) / 1e-3) + 2
+    first = [each.why for each in silent.guard.events]
+    force = [silent.tick(k, START + k * MS, reading(0.0)).force[0] for k in range(1, 110 + most)]
+    assert first == []
+    assert min(force[:1000]) > held - 5.01
+    assert force[-10:] == [0.0] * 10
+    steps = np.abs(np.diff([held, *force]))
+    assert np.count_nonzero(steps > 5e-3 + 1e-9) == 1, "one step"
+    assert [event.what for event in silent.guard.events] == ["safe", "zero"]
+    assert f"{steps.max():.3g} N set to zero in one step" in silent.guard.events[1].why
+
+    ticks = 0
+    while not over.guard.overdue:
+        assert over.held.over((0.0,))[0] > 0.0
+        ticks += 1
+    assert ticks <= most

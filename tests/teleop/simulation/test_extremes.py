@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations, product
 from math import hypot, inf, isfinite
@@ -26,6 +26,7 @@ from teleop.scene.playout import repeats
 from teleop.scene.scene import Scene
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
+from teleop.stages.force_cap import LONGEST
 from teleop.terminal.run_table import table
 from tests.teleop.simulation.extremes import CHOICES, RANGES, TICKS, Case, failing, lines_kept, rows, scene_of, tried
 
@@ -182,20 +183,28 @@ def passive(scene: Scene, environment: Any, x: np.ndarray, v: np.ndarray, f: np.
 
 
 def test_guards_guard(cases: list[Case]) -> None:
-    """|f| and its change stay within the cap, the watchdog's gain within 0 and 1."""
+    """|f| and its change stay within the cap, the watchdog's gain in 0 to 1; after 1 s at 0 there is no force."""
 
     def holds(case: Case) -> bool:
-        gains = [case.result.trace[g] for g in ("g_m", "g_s") if g in case.result.trace]
-        good = all(((g >= 0.0) & (g <= 1.0)).all() for g in gains)
-        cap = case.scene.cap
-        for f in case.axes("f_m", "f_s") if cap else []:
-            known = f[np.isfinite(f).all(axis=1)]
+        trace, cap = case.result.trace, case.scene.cap
+        good = all(((trace[g] >= 0.0) & (trace[g] <= 1.0)).all() for g in ("g_m", "g_s") if g in trace)
+        for e, f in zip("ms", case.axes("f_m", "f_s") if cap else [], strict=False):
+            finite = np.isfinite(f).all(axis=1)
+            known = f[finite]
             steps = np.abs(np.diff(known, axis=0, prepend=0.0))
-            slewed = cap.slew is None or (steps <= cap.slew * case.scene.dt + 4.0 * EPS * cap.f_max).all()
+            late = let_go_for(trace, e, f)[finite] > LONGEST / case.scene.dt + 1.0
+            good = good and not known[late].any()
+            slewed = cap.slew is None or (steps[~late] <= cap.slew * case.scene.dt + 4.0 * EPS * cap.f_max).all()
             good = good and bool((np.abs(known) <= cap.f_max).all()) and bool(slewed)
         return good
 
     assert failing(cases, holds) == []
+
+
+def let_go_for(trace: Mapping[str, np.ndarray], e: str, f: np.ndarray) -> np.ndarray:
+    """Ticks for which the watchdog's gain of the end `e` has been 0."""
+    ticks = np.arange(len(f))
+    return ticks - np.maximum.accumulate(np.where(trace[f"g_{e}"] > 0.0, ticks, -1)) if f"g_{e}" in trace else 0 * ticks
 
 
 def test_projected_force_is_never_above_the_hands_and_moves_nobody(cases: list[Case]) -> None:
