@@ -5,18 +5,27 @@ from __future__ import annotations
 import asyncio
 import gc
 import time
+from contextlib import suppress
 from functools import partial
 
-from teleop.live.leaving import leave, let_go
+from teleop.live.leaving import leave, leave_without_loop, let_go
 from teleop.live.listening import Listening
 from teleop.live.lockstep import by_packets
 from teleop.live.meeting import first_reading, meet
 from teleop.live.orders import Orders
 from teleop.live.process.suspension import Suspension, boottime
+from teleop.live.process.tick_loop import in_tick_loop
 from teleop.live.process.ticker import Alarm
 from teleop.live.shell import Shell
 from teleop.protocol.endpoint import Stepped
 from teleop.protocol.session import FINISHED
+
+
+def run_in_loop(shell: Shell, *, spin_ns: int = 0) -> None:
+    """`run` in a loop of its own. No force is left on where the loop itself fails, in which no coroutine goes on."""
+    with suppress(BaseException):  # it is known to the shell
+        in_tick_loop(run(shell, spin_ns=spin_ns), shell.fail)
+    leave_without_loop(shell)
 
 
 async def run(shell: Shell, *, spin_ns: int = 0) -> None:
@@ -82,6 +91,7 @@ class ClockDriver:
                 self._join(self._due() + 1)
             elif (reading := shell.device.read(0, time.monotonic_ns())) is not None:
                 shell.endpoint.place(reading.x)
+            shell.retake_signals()
             self._arm()
             await shell.outcome.over.wait()
         finally:
@@ -133,6 +143,8 @@ class ClockDriver:
     def wake(self) -> None:
         """Do what is due: read the socket, judge what came, and run the tick."""
         shell, counts, session = self.shell, self.shell.counts, self.session
+        if shell.interrupt.lost:
+            shell.retake_signals()
         if (slept := self.suspension.passed()):
             shell.endpoint.stood_still(slept)
         if self.listening.endpoint is not shell.endpoint:

@@ -19,7 +19,7 @@ from teleop.live.devices.guarded_device import LiveDevice, is_simulated
 from teleop.live.devices.heartbeat import DeviceWatchdog, watched
 from teleop.live.devices.named import named
 from teleop.live.devices.opening import close, opened
-from teleop.live.driving import run
+from teleop.live.driving import run_in_loop
 from teleop.live.lastresort import LastResort
 from teleop.live.live_line import live_text
 from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
@@ -27,7 +27,6 @@ from teleop.live.net.wire import Wire
 from teleop.live.orders import SHAPES, Orders, orders_option, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.process.tick_loop import in_tick_loop
 from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES, UNRELEASED
 from teleop.live.records.record import EVERY, RecordWriter, fresh_folder
@@ -104,6 +103,7 @@ def _run_with(
     sealed, insecure = security.secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
         there.append(made := opened(device, scene) if given is None else given.open(scene))
+        interrupt.retake()
         _check_stepped(args, made)
         stem = f"{scene.name}-{NAMES[e]}"
         with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
@@ -130,13 +130,10 @@ def _run_with(
                 shell.told = partial(_told, e)
                 turning = Turning(shell, made, folder, knobs, partial(_turned, args), recorder_of)
                 shell.orders = Orders(SHAPES, turning.take)
-            if not (args.json or args.quiet):
-                shell.hint = partial(_hint, NAMES[e])
-            if holds_on(shell):
-                complain(UNWATCHED, DONE)
+            _warn(shell, NAMES[e], quiet=args.json or args.quiet)
             _greet(e, args, wire, scheduling.told)
             try:
-                in_tick_loop(run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0))
+                run_in_loop(shell, spin_ns=realtime.SPIN_NS if args.spin else 0)
             finally:
                 scheduling.give_back()  # what is left to do has time
                 if turning is not None:
@@ -293,7 +290,8 @@ def _wire(e: str, at: Address, secure_link: SecureLink | None) -> Iterator[Wire]
     try:
         yield wire
     finally:
-        wire.sock.close()
+        with suppress(OSError):  # a driver has closed it
+            wire.sock.close()
 
 
 def _greet(e: str, args: Any, wire: Wire, scheduling: dict[str, str] | None) -> None:
@@ -314,6 +312,14 @@ def _greet(e: str, args: Any, wire: Wire, scheduling: dict[str, str] | None) -> 
               f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}{keys}", flush=True)
     if scheduling is not None and not args.json:
         print(f"{NAMES[e]}: {realtime.sentence(scheduling)}", flush=True)
+
+
+def _warn(shell: Shell, name: str, *, quiet: bool) -> None:
+    """Say on standard error what is wrong, and let it be said later."""
+    if not quiet:
+        shell.hint = partial(_hint, name)
+    if holds_on(shell):
+        complain(UNWATCHED, DONE)
 
 
 def _hint(name: str, sentence: str) -> None:

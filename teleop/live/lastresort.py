@@ -1,11 +1,12 @@
 """What ends a live end whose loop stands still, in a driver or a law that does not return: the second signal.
 
 A signal's handler in Python runs between two steps of the interpreter's main thread, so while a driver hangs in a
-system call there is none. The number of each signal is written to a pipe by the system's own handler, and a thread
-waits for it there. It runs as soon as the main thread has not the interpreter to itself: while that sleeps, waits,
-reads, computes in Python, or is in compiled code that has released the interpreter's lock. Compiled code that hangs
-with the lock held stops this thread too; against that, as against SIGKILL and SIGSTOP, stand the deadline of a device
-and a watchdog in a process of its own.
+system call there is none. The number of each signal is written to a pipe by Python's handler in C, and a thread waits
+for it there. Ten times a second it sees to it that this handler and that pipe are still what was put there: a driver
+may have taken the one for itself, or closed the other. The thread runs as soon as the main thread has not the
+interpreter to itself: while that sleeps, waits, reads, computes in Python, or is in compiled code that has released the
+interpreter's lock. Compiled code that hangs with the lock held stops this thread too; against that, as against SIGKILL
+and SIGSTOP, stand the deadline of a device and a watchdog in a process of its own.
 
 The thread touches the device only where the loop is known to stand still: an end that is well lets go by itself.
 """
@@ -18,6 +19,7 @@ import signal
 import sys
 import time
 from contextlib import suppress
+from fcntl import F_DUPFD_CLOEXEC, fcntl
 from threading import Thread, main_thread
 from traceback import walk_stack
 from types import TracebackType
@@ -33,6 +35,8 @@ from teleop.terminal.options import FAULT, FORCED
 HEED_S = 2.0  # a signal that was not heeded for so long counts as two
 HUNG_S = 0.3  # so long after the second an end that is well has no force any more
 LEAVE_S = 4.0  # so long after that it has none either, if it heeds the one; and so long a start is waited for
+POLL_S = 0.1  # between two looks at what foreign code may have taken
+_HIGH = 200  # the least number of a descriptor that replaces one
 ACT_S = 1.0  # for the device to take zero force, the record to be written and the peer to be told
 
 
@@ -59,34 +63,72 @@ class LastResort:
 
     def __enter__(self) -> LastResort:
         self._reads, self._writes = os.pipe()
-        os.set_blocking(self._writes, False)
+        self._claim()
         self._before = signal.set_wakeup_fd(self._writes, warn_on_full_buffer=False)
         self._thread = Thread(target=self._wait, name="last resort", daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        signal.set_wakeup_fd(self._before)
+        with suppress(OSError, ValueError):  # whoever had it before may have closed it
+            signal.set_wakeup_fd(self._before)
         self._done = True
-        os.write(self._writes, b"\0")
+        if self._has_pipe():
+            os.write(self._writes, b"\0")
         self._thread.join()
-        os.close(self._reads)
-        os.close(self._writes)
+        if self._has_pipe():
+            os.close(self._reads)
+            os.close(self._writes)
+
+    def _claim(self) -> None:
+        """The two ends are this thread's own, for the numbers of signals."""
+        os.set_blocking(self._writes, False)
+        self._pipe = os.fstat(self._writes)
+        self.interrupt.wakeup = self._writes
+
+    def _has_pipe(self) -> bool:
+        """True if both ends are what they were: others may have closed them, and have opened something else since."""
+        try:
+            return all(os.path.samestat(os.fstat(end), self._pipe) for end in (self._reads, self._writes))
+        except OSError:
+            return False
+
+    def _open_anew(self) -> bool:
+        """Make another pipe, from which the handler in C learns by `Interrupt.retake`; True if there is one."""
+        with suppress(OSError):  # there are no descriptors left
+            # High numbers: whoever had a low one that is closed by now may still write to it.
+            low = os.pipe()
+            self._reads, self._writes = (fcntl(end, F_DUPFD_CLOEXEC, _HIGH) for end in low)
+            for end in low:
+                os.close(end)
+            self._claim()
+            self.interrupt.lost = True
+        return self._has_pipe()
+
+    def _came(self, seconds: float) -> bytes:
+        """The numbers of the signals that have come, waiting so long for the first."""
+        if not self._has_pipe() and not self._open_anew():
+            time.sleep(seconds)
+            return b""
+        ready, _, _ = select.select([self._reads], [], [], seconds)
+        self.interrupt.restore()
+        return os.read(self._reads, 64) if ready and self._has_pipe() else b""
 
     def _wait(self) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are the main thread's
+        # The main thread's, unless that has blocked them. To be unblocked here too is to hear of them all the same.
+        signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals() - self.interrupt.taken)
         due = float("inf")  # when this thread acts
         while not self._done:
             left = due - time.monotonic()
             if left > 0.0:
-                ready, _, _ = select.select([self._reads], [], [], None if left == float("inf") else left)
-                came = os.read(self._reads, 64) if ready else b""
+                came = self._came(min(left, POLL_S))
                 for number in self.interrupt.taken.intersection(came):
                     times = came.count(number) - self._is_overrun(number)
                     if not times:
                         continue
                     self._names += [name_of(number)] * times
                     self.interrupt.seen = len(self._names)
+                    self.interrupt.name = self.interrupt.name or self._names[0]  # whoever handles it in Python
                     due = min(due, time.monotonic() + (HEED_S if len(self._names) == 1 else HUNG_S))
             elif self._may_wait():
                 due = float("inf")

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Iterator
 
 from teleop.errors import enumerated
 from teleop.live.process.ticker import Alarm
@@ -77,24 +78,39 @@ def _told(endpoint: Endpoint, force: Axes) -> str:
 
 async def leave(shell: Shell) -> None:
     """Take these steps. What one of them raises is a fault of the run, and keeps no other from being taken."""
-    await _zero(shell)
+    for pause in _steps(shell):
+        await asyncio.sleep(pause)
+
+
+def leave_without_loop(shell: Shell) -> None:
+    """Take them where they were not all taken, for the loop has failed: nothing here needs it, or a descriptor."""
+    for pause in _steps(shell):
+        time.sleep(pause)
+
+
+def _steps(shell: Shell) -> Iterator[float]:
+    """Each step of leaving that is not over at once gives the seconds to wait before it goes on."""
+    if shell.left:
+        return
+    yield from _zero(shell)
     shell.guarded(lambda: _write_events(shell))
     shell.guarded(shell.recorder.close)
     for _ in range(3):  # a farewell may be lost too
         shell.guarded(shell.bye)
-        await asyncio.sleep(0.002)
+        yield 0.002
     shell.counts.dropped = shell.wire.dropped
     shell.guarded(shell.wire.end)
+    shell.left = True
 
 
-async def _zero(shell: Shell) -> None:
+def _zero(shell: Shell) -> Iterator[float]:
     device, until = shell.device, time.monotonic_ns() + RETRY_NS
     device.closed = True
     while not device.let_go() and device.forced:
         if time.monotonic_ns() > until:
             shell.outcome.unreleased(f"its device did not take zero force in {RETRY_NS / 1e9:g} s ({device.trouble})")
             break
-        await asyncio.sleep(PAUSE)
+        yield PAUSE
     shell.free = True
 
 

@@ -35,6 +35,7 @@ async def first_reading(shell: Shell) -> bool:
         shell.outcome.end("refused", str(refused))
         return False
     shell.recorder.begin(shell.device.force_source)
+    shell.retake_signals()
     return True
 
 

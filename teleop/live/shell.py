@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from teleop.errors import number_of
+from teleop.errors import enumerated, number_of, plural
 from teleop.law.contract import not_finite
 from teleop.live import fault
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadline_of
@@ -24,6 +24,7 @@ from teleop.protocol.guard import Event
 from teleop.protocol.session import FINISHED, SessionBegun
 from teleop.scene.scene import Scene
 from teleop.simulation.outcome import divergence
+from teleop.terminal.options import DONE, complain
 
 
 @dataclass
@@ -65,6 +66,7 @@ class Shell:
         self.realtime: RealTime | None = None  # the scheduling of its process
         self.peer_timeout = peer_timeout  # s for the first exchange; None: without a bound
         self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is no peer, while that is waited for
+        self.left = False  # has it been through all of `leaving`
         self.free = False  # it has let go of its device, or given that up
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
         self.told: Callable[[Event], None] = lambda _event: None  # what has happened, as it is written down
@@ -77,6 +79,15 @@ class Shell:
         self.scene, self.recorder, self.counts = endpoint.scene, recorder, counts
         endpoint.witness = recorder.inputs
         self.live_line.go_on(endpoint)
+
+    def retake_signals(self) -> None:
+        """Take back the signals that a driver or a library has taken for itself, and name them."""
+        self.interrupt.retake()
+        if names := self.interrupt.retaken():
+            why = (f"a driver or a library had taken {enumerated(names)} for itself; taken back, so that "
+                   f"{plural(len(names), 'it ends', 'they end')} this run with its force at zero")
+            self.note(Event(self.counts.ran, "signals", why))
+            complain(why, DONE)
 
     def so_far(self) -> float:
         """The time of the run (s) up to which this end has come."""

@@ -58,7 +58,8 @@ class Claim:
     def close(self) -> None:
         """Let go of the folder; it stays."""
         if self._held is not None:
-            os.close(self._held)
+            with suppress(OSError):  # others have closed it
+                os.close(self._held)
         self._held = None
 
 

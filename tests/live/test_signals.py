@@ -31,7 +31,7 @@ UNTAKEN = {  # and why
     "SIGPIPE": "ignored by Python", "SIGXFSZ": "ignored by Python", "SIGTTOU": "ignored by teleop.live.process.output",
 }
 DEVICE = """
-import ctypes, os, select, struct, sys, threading, time
+import ctypes, os, select, signal, struct, sys, threading, time
 from {module} import {kind}
 from teleop.live.end import end_main
 
@@ -50,6 +50,10 @@ def hang():
 
 class Robot({kind}):
     '''Its force stands in a file, whatever becomes of this process, as in an amplifier.'''
+
+    def __init__(self, scene):
+        super().__init__(scene)
+        {opens}
 
     def read(self, k):
         if {hangs} and k >= 500:
@@ -86,11 +90,15 @@ class Force:
         return time.monotonic() - began
 
 
-def robot(folder: Path, e: str = "s", act: str = "pass", where: str | None = None, when: str = "pass") -> Force:
-    """Write the program of an end with such a device; `act` is what hangs, `where` it is called from."""
+def robot(folder: Path, e: str = "s", act: str = "pass", where: str | None = None, when: str = "pass",
+          opens: str = "pass") -> Force:
+    """Write the program of an end with such a device; `act` is what hangs, `where` it is called from.
+
+    `opens`: what it does while it is opened.
+    """
     module, kind = ("slave.robot", "SimulatedSlave") if e == "s" else ("master.device", "SimulatedMaster")
     (folder / "robot.py").write_text(DEVICE.format(module=module, kind=kind, e=e, act=act, hangs=where is not None,
-                                                   where=where or "pass", when=when))
+                                                   where=where or "pass", when=when, opens=opens))
     return Force(folder)
 
 
@@ -259,3 +267,53 @@ def test_a_driver_that_hangs_even_for_zero_is_ended_and_the_force_is_said_to_be_
     assert "the device, given a force, does not return" in err
     assert MAY_BE_ON in err
     assert force() != 0.0
+
+
+TAKES = {  # how a driver takes SIGTERM
+    "with its default": "signal.signal(signal.SIGTERM, signal.SIG_DFL)",
+    "with a handler": "signal.signal(signal.SIGTERM, lambda number, frame: os._exit(0))",
+    "below Python": "ctypes.CDLL(None).signal(15, 0)",
+    "by blocking it": "signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])",
+}
+
+
+@pytest.mark.parametrize(("how", "at"), [
+    *[(how, "opening") for how in TAKES], ("below Python", "the first reading"), ("below Python", "a tick"),
+    ("with a handler", "a tick"),
+])
+def test_a_driver_that_takes_signals_for_itself_leaves_no_force(
+    how: str, at: str, command: Make, tmp_path: Path
+) -> None:
+    """The end died of SIGTERM with 4.26 N on."""
+    act = {"the first reading": f"self._k == 0 and {TAKES[how]}", "a tick": f"self._k == 500 and {TAKES[how]}"}
+    force = robot(tmp_path, "s", when=act.get(at, "pass"), opens=TAKES[how] if at == "opening" else "pass")
+    own, other = pair(command)
+    force.until(lambda f: abs(f) > 0.1)
+    while own.event("live")["k"] < 750:  # a tick or two after a look of the thread
+        pass
+    own.signal(signal.SIGTERM)
+    code, _, err = own.end()
+    assert (code, force()) == (0, 0.0)
+    assert "a driver or a library had taken SIGTERM for itself; taken back" in err
+    assert any(event["what"] == "signals" for event in read_events(tmp_path / "s"))
+    assert summary(tmp_path / "s")["sentence"].endswith("it was asked to stop (SIGTERM)")
+    assert other.end()[0] == 0
+
+
+@pytest.mark.parametrize("kind", ["", "timerfd", "eventpoll"])
+def test_a_driver_that_closes_files_that_are_not_its_own_leaves_no_force(
+    kind: str, command: Make, tmp_path: Path
+) -> None:
+    """The loop failed, and nothing that stood in a coroutine was done: 4.26 N on, no status, no error.txt."""
+    links = f"[fd for fd in range(3, 64) if fd != FILE and {kind!r} in link(fd)]"
+    link = "link = lambda fd: os.path.exists(f'/proc/self/fd/{fd}') and os.readlink(f'/proc/self/fd/{fd}') or 'none'"
+    force = robot(tmp_path, "s", where=f"{link}; [os.close(fd) for fd in {links} if link(fd) != 'none']")
+    own, other = pair(command)
+    force.until(lambda f: abs(f) > 0.1)
+    code, _, err = own.end()
+    assert (code, force()) == (1, 0.0)
+    assert "the live loop raised OSError" in err
+    assert "Traceback" not in err
+    assert summary(tmp_path / "s")["status"] == "stopped"
+    assert (tmp_path / "s" / "error.txt").exists()
+    assert not kind or other.end()[0] == 0, "it is told, if there is a socket left"

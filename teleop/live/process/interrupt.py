@@ -3,6 +3,9 @@
 The loops look at the note when they can stop cleanly. So a signal neither cuts the writing of a record in
 two, nor does one that comes early, or twice, end the process before it has told the other end.
 
+Drivers are other people's code, and some take SIGINT or SIGTERM for themselves while they are opened, in Python or
+below it. `Interrupt.retake` compares each signal with what was put there, on both levels, and takes it back.
+
 Of the signals that end a process by default these are not among them: SIGKILL, which no process can take; SIGSEGV,
 SIGBUS, SIGFPE and SIGILL, after which the instruction that failed would only fail again for ever; SIGPIPE and SIGXFSZ,
 which Python ignores. Nor is SIGSTOP, which stops it. Ctrl-Z (SIGTSTP) is: a process that is stopped holds its force.
@@ -10,6 +13,7 @@ which Python ignores. Nor is SIGSTOP, which stops it. Ctrl-Z (SIGTSTP) is: a pro
 
 from __future__ import annotations
 
+import ctypes
 import signal
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,6 +25,11 @@ OTHERS = ("SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGABRT", "SIGALRM", "SIGV
           "SIGSTKFLT", "SIGTRAP", "SIGSYS", "SIGXCPU", "SIGTSTP", "SIGTTIN")
 OVERRUN = getattr(signal, "SIGXCPU", None)  # without a sleep for too long, under real-time scheduling
 REAL_TIME = range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1)
+
+_SIZE = 256  # bytes of a struct sigaction, and more; the handler is its first word in every C library here
+_HANDLER = ctypes.sizeof(ctypes.c_void_p)
+_DEFAULT = bytes(_HANDLER)
+_DEFAULTS = (signal.SIG_DFL, signal.default_int_handler)
 
 
 def name_of(number: int) -> str:
@@ -48,7 +57,12 @@ class Interrupt:
         self.seen = 0  # by `LastResort`: two of one kind that come while compiled code runs are one to a handler
         self.overrun: Callable[[], None] | None = None  # heeds the first SIGXCPU, see `realtime`
         self._overran = False
+        self.wakeup = -1  # where `LastResort` hears of signals, by the handler in C
+        self.lost = False  # has `LastResort` found a signal that is not taken any more
+        self._sigaction: Any = getattr(ctypes.CDLL(None), "sigaction", None)
         self._before: dict[int, Any] = {}
+        self._actions: dict[int, bytes] = {}
+        self._retaken: set[int] = set()  # and not yet told
 
     @property
     def taken(self) -> frozenset[int]:
@@ -56,16 +70,61 @@ class Interrupt:
 
     def __enter__(self) -> Interrupt:
         others = [int(getattr(signal, name)) for name in OTHERS if hasattr(signal, name)]
-        default = (signal.SIG_DFL, signal.default_int_handler)
         for number in (*ALWAYS, *others, *REAL_TIME):
-            if number in ALWAYS or signal.getsignal(number) in default:
+            if number in ALWAYS or signal.getsignal(number) in _DEFAULTS:
                 with suppress(OSError, ValueError):  # this system keeps it for itself
                     self._before[number] = signal.signal(number, self._note)
+                    self._actions[number] = self._action(number)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for number, handler in self._before.items():
+        for number, handler in self._before.items():  # whatever has become of them
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def restore(self) -> None:
+        """Take back what was taken below Python, and see that `lost` says whether any was. For any thread.
+
+        A handler in Python can be set by the main thread alone: see `retake`.
+        """
+        for number, action in self._actions.items():
+            if self._is_lost(number):
+                self.lost = True
+                if self._is_lost_below(number):
+                    self._sigaction(number, action, None)
+                    self._retaken.add(number)
+
+    def retake(self) -> None:
+        """Take back each signal that foreign code has taken or blocked since. For the main thread."""
+        self.lost = False
+        blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, self.taken) & self.taken
+        self._retaken.update(number for number in self._before if number in blocked or self._is_lost(number))
+        for number in self._retaken:
+            signal.signal(number, self._note)
+        if self.wakeup >= 0:
+            with suppress(OSError, ValueError):  # that has been closed too; `LastResort` will see it
+                signal.set_wakeup_fd(self.wakeup, warn_on_full_buffer=False)
+
+    def retaken(self) -> list[str]:
+        """The names of those that were taken back since this was asked last."""
+        names = [name_of(number) for number in sorted(self._retaken)]
+        self._retaken.clear()
+        return names
+
+    def _is_lost(self, number: int) -> bool:
+        """True if it would not be noted any more. As at first, what is not in `ALWAYS` may have a handler of others."""
+        handler = signal.getsignal(number)
+        in_python = handler != self._note if number in ALWAYS else handler in _DEFAULTS
+        return in_python or self._is_lost_below(number)
+
+    def _is_lost_below(self, number: int) -> bool:
+        """The same of the C level, of which Python sees nothing; False where that cannot be read."""
+        own, now = self._actions[number][:_HANDLER], self._action(number)[:_HANDLER]
+        return now != own and (number in ALWAYS or now == _DEFAULT)
+
+    def _action(self, number: int) -> bytes:
+        """What the system does at a signal, as its struct; nothing where that cannot be read."""
+        was = ctypes.create_string_buffer(_SIZE)
+        return was.raw if self._sigaction is not None and self._sigaction(number, None, was) == 0 else b""
 
     @property
     def again(self) -> bool:

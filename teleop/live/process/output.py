@@ -19,6 +19,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from errno import EBADF
+from functools import partial
 from typing import Any
 
 from teleop.errors import number_of, plural
@@ -40,6 +42,7 @@ class Output(io.RawIOBase):
         self.dropped = 0  # messages for which there was no room
         self._fd = fd
         self._put = _without_blocking(fd)
+        self._anew = True  # is that by a descriptor of its own
         self._tail = b""  # of a message that is out in part
         self._until = 0.0  # when waiting ends, of the monotonic clock (s)
 
@@ -71,8 +74,11 @@ class Output(io.RawIOBase):
             except BlockingIOError:
                 if not self._room():
                     return False
-            except (OSError, ValueError):  # its reader has gone, its disk is full, it was closed
-                self._tail = b""
+            except (OSError, ValueError) as error:  # its reader has gone, its disk is full, it was closed
+                if getattr(error, "errno", None) == EBADF and self._anew:  # others closed the one that was opened anew
+                    self._anew, self._put = False, partial(_flagged, self._fd)
+                else:
+                    self._tail = b""
         return True
 
     def _room(self) -> bool:
@@ -148,7 +154,14 @@ def _without_blocking(fd: int) -> Callable[[bytes], int]:
         own = os.open(f"/proc/self/fd/{fd}", _ANEW)
     except OSError:  # a terminal of another user, a pipe without a reader, another system than Linux
         return lambda data: _flagged(fd, data)
-    return lambda data: os.write(own, data)
+    opened = os.fstat(own)
+
+    def write(data: bytes) -> int:
+        if not os.path.samestat(os.fstat(own), opened):  # others have closed it, and its number is that of another file
+            raise OSError(EBADF, os.strerror(EBADF))
+        return os.write(own, data)
+
+    return write
 
 
 def _flagged(fd: int, data: bytes) -> int:

@@ -11,9 +11,11 @@ import asyncio
 import select
 import selectors
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from typing import Any
 
 _MOST = 16  # events in one call
+_LOOK_S = 0.1  # without any event, after which it is looked whether the timers are still there
 
 
 if hasattr(select, "epoll"):
@@ -32,10 +34,14 @@ if hasattr(select, "epoll"):
             if not readers:
                 return super().select(timeout)
             ready: list[tuple[selectors.SelectorKey, int]] = []
+            longest = _LOOK_S if timeout is None else min(max(timeout, 0.0), _LOOK_S)
             try:
-                events = self.epoll.poll(timeout if timeout is None or timeout > 0.0 else 0.0, _MOST)
+                events = self.epoll.poll(longest, _MOST)
             except InterruptedError:
                 return ready
+            if not events and longest == _LOOK_S:
+                for fd in readers:
+                    self.epoll.modify(fd, select.EPOLLIN)  # raises OSError if somebody has closed that timer
             for fd, event in events:
                 if fd in readers:
                     readers[fd]()
@@ -70,10 +76,15 @@ class TickLoop(asyncio.SelectorEventLoop):
     def ring_no_more(self, fd: int) -> None:
         """Forget that timer."""
         del self._ringing.readers[fd]
-        self._ringing.epoll.unregister(fd)
+        with suppress(OSError):  # others have closed it
+            self._ringing.epoll.unregister(fd)
 
 
-def in_tick_loop(main: Coroutine[Any, Any, None]) -> None:
-    """`asyncio.run`, in such a loop where there can be one."""
+def in_tick_loop(main: Coroutine[Any, Any, None], failed: Callable[[BaseException], None] = lambda _: None) -> None:
+    """`asyncio.run`, in such a loop where there can be one; `failed` is told what ended it before it is taken down."""
     with asyncio.Runner(loop_factory=TickLoop if TickLoop.available else None) as runner:
-        runner.run(main)
+        try:
+            runner.run(main)
+        except BaseException as error:
+            failed(error)
+            raise

@@ -16,6 +16,7 @@ import ctypes
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 from teleop.live.process.tick_loop import TickLoop
 
@@ -62,7 +63,8 @@ class Timer:
 
     def close(self) -> None:
         """Ring no more."""
-        os.close(self.fd)
+        with suppress(OSError):  # others have closed it
+            os.close(self.fd)
         self.fd = -1
 
 
