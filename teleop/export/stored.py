@@ -19,7 +19,7 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import settle
 from teleop.live.records.record import FILE
 from teleop.scene.axis_labels import labels_in
-from teleop.simulation.result import LATEST, RUNNING, incomplete, stored_summary
+from teleop.simulation.result import LATEST, RUNNING, incomplete, law_with_gains, stored_summary
 from teleop.storage.archive import StoredArray, open_arrays
 from teleop.storage.folder import BEGUN, is_being_written
 from teleop.storage.strict_json import Misshapen
@@ -84,10 +84,9 @@ class Part:
 
     def said(self) -> list[Said]:
         """With what it begins, what happened at its ends, and how it ended, in order of time."""
-        law = self.summary["parameters"].get("law")
-        name = law["name"] if isinstance(law, Mapping) else law
+        law = law_with_gains(self.summary["parameters"].get("law"))
         what = f"part {self.number:02d}" if self.number else "run"
-        found = [Said(self.ns(self.first or 0.0), "info", "run", f"{what} of {self.summary['scene']}, law {name}")]
+        found = [Said(self.ns(self.first or 0.0), "info", "run", f"{what} of {self.summary['scene']}, law {law}")]
         dt_ns = round(self.summary["dt"] * 1e9)
         for end in NAMES.values():
             own = self.summary.get(end)

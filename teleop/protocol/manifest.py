@@ -43,7 +43,8 @@ def manifest_of(scene: Scene) -> dict[str, str]:
     """
     from teleop.protocol.packet import VERSION
 
-    parts = {name: getattr(scene, name) for name in scene.__dataclass_fields__ if name not in ("name", "knobs")}
+    parts = {name: getattr(scene, name) for name in scene.__dataclass_fields__
+             if name not in ("name", "knobs", "own_law")}
     fixed = {
         **parts, "wire version": VERSION, "scene": scene.name, "law": f"{law_name(scene.laws[0])} {scene.law}",
         "packet_size": scene.wire_size, "law source": _own_source(scene.laws[0]),

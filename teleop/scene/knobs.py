@@ -13,7 +13,7 @@ from typing import Any, get_args, get_type_hints
 
 from teleop.errors import Refused, WrongNumber, enumerated, nearest, number, number_of, whole_number
 from teleop.knob import UNDECLARED, Declared, declared, knobs_of_fields
-from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, name_of_law
+from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, innermost, name_of_law
 from teleop.laws.around.names import LawText, arguments_of_law, around, law_text, read_stage
 from teleop.scene.own_law import file_law, file_named
 from teleop.scene.playout import Playout, Zero, read_playout
@@ -83,7 +83,9 @@ def settle(
     left = known.keys() - given.keys()
     for key, value in given.items():
         if key == "law" and of_law and isinstance(value, str):
-            values[key] = _by_axis(partial(_named_law, value), of_law)
+            own = _own_as_named(value, known[key].default)
+            values[key] = (_by_axis(partial(_named_law, value), of_law) if own is None else
+                           _tuned_by_axis(own, of_law))
         elif key in known:
             values[key] = read_knob(key, value, known[key])
         elif key in PARTS:
@@ -155,7 +157,7 @@ def read(key: str, value: object, hint: Any, own: Declared = _PLAIN) -> object:
         return _number(key, value, own, whole=float not in kinds, vector=any(get_args(kind) for kind in kinds),
                        none=NoneType in kinds)
     if key == "law" or Law in kinds or OnePortLaw in kinds:
-        return _law(key, value)
+        return _law(key, value, own.default)
     if any(getattr(kind, "__name__", "") == "VelocityEstimator" for kind in kinds) and isinstance(value, str):
         from teleop.stages.velocity.named import ESTIMATORS
 
@@ -203,9 +205,9 @@ def _is_law(value: object) -> bool:
     return hasattr(value, "master_start") or hasattr(value, "force")
 
 
-def _law(key: str, value: object) -> object:
+def _law(key: str, value: object, default: object) -> object:
     if isinstance(value, str):
-        return _named_law(value, {})
+        return read_law(value, default)
     if isinstance(value, tuple) and value and all(map(_is_law, value)):
         return value  # one for each axis
     if not _is_law(value):
@@ -213,9 +215,41 @@ def _law(key: str, value: object) -> object:
     return value
 
 
-def read_law(text: str) -> Any:
-    """The law that a text names: `wave`, `wave(b=3.0)`, `FILE.py:CLASS`, `deadband(0.1) | wave`. Raises `Refused`."""
-    return _named_law(text, {})
+def read_law(text: str, default: object = None) -> Any:
+    """The law that a text names: `wave`, `wave(b=3.0)`, `FILE.py:CLASS`, `deadband(0.1) | wave`. Raises `Refused`.
+
+    `default`: the law that a scene has by itself. A text that names this law keeps the scene's gains, unless brackets
+    say that they are written out: `wave()` has the law's own numbers everywhere.
+    """
+    own = _own_as_named(text, default)
+    return _named_law(text, {}) if own is None else own
+
+
+def law_with_its_numbers(text: str, scene: Callable[..., Any]) -> str:
+    """The text that gives a law its own numbers in the scene of this function: `wave()` where `wave` has the scene's.
+
+    Raises `Refused` for a text that names no law.
+    """
+    default = knobs_of(scene)["law"].default if "law" in knobs_of(scene) else None
+    own = _own_as_named(text, default)
+    return text if own is None or own == _named_law(text, {}) else f"{text}()"
+
+
+def _own_as_named(text: str, default: Any) -> Any | None:
+    """The scene's own law (of several axes a tuple) with the stages of `text` around; None if it names another law."""
+    parts = law_text(text)
+    laws = default if isinstance(default, tuple) else (default,)
+    if parts.arguments or not all(is_dataclass(law) and not isinstance(law, type) for law in laws):
+        return None
+    kind = innermost(type(laws[0]))
+    if _law_class(parts.law) is not kind:
+        return None
+    found = [kind(**{each.name: getattr(law, each.name) for each in fields(kind) if each.init}) for law in laws]
+    if parts.stages:
+        found = [around(" | ".join(parts.stages), law) for law in found]
+        if type(found[0]) is type(laws[0]) and not any("(" in stage for stage in parts.stages):
+            found = [*laws]  # the scene's own stages too
+    return tuple(found) if isinstance(default, tuple) else found[0]
 
 
 def _by_axis(make: Callable[[Mapping[str, object]], Any], changes: Mapping[str, object]) -> Any:

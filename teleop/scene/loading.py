@@ -17,7 +17,8 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
     """Make the scene `name` (built in, of a plug-in, or a path ending in .py) with its knobs set.
 
     `law` may be a law, a law's name, or "FILE.py:CLASS" for one in a file; `law.FIELD` sets one of the law's own
-    numbers. Knobs of every scene are `x_limit` (m), beyond which a run has diverged, `scale_x` and `scale_f`, the
+    numbers. The name of the scene's own law keeps the scene's gains; another law, and one with brackets, "wave()", has
+    its defaults. Knobs of every scene are `x_limit` (m), beyond which a run has diverged, `scale_x` and `scale_f`, the
     slave's metres and newtons for one of the master's, `link`, which takes a link or its text and replaces the
     scene's, and `hand`, the folder of a live page (or a `master.HandRecording`) whose hand the scene's moves as. Values
     may be texts, as on the command line. Raises `Refused`.
@@ -58,6 +59,7 @@ class SceneMaker:
         self._shown: dict[str, object] = {}  # the knobs of every scene that are set, as they are shown
         self._wide: dict[str, Any] = {}  # and their values
         self._read: dict[str, Declared] = {}  # the knobs that may differ from those of that scene
+        self._own_law: Any = None  # the law that the function has by itself
         self._laws: dict[str, Any] = {}  # by the text that names each: looked up once, in a file or a plug-in too
 
     def scene(self, knobs: Mapping[str, object]) -> Scene:
@@ -87,7 +89,7 @@ class SceneMaker:
             raise Refused(f"scene {self._name!r} returned {type(scene).__name__}; its function must return a "
                           "teleop.Scene")
         scene = with_wide(scene, self._wide) if self._wide else scene
-        return _called(scene, self._stem, {**settled, **self._shown})
+        return _called(scene, self._stem, {**settled, **self._shown}, self._own_law)
 
     def _settle(self, knobs: Mapping[str, object]) -> None:
         """Read and check all knobs; those of later scenes too may differ, where no other knob depends on them."""
@@ -98,15 +100,16 @@ class SceneMaker:
         self._shown = {key: shown for key, (shown, _) in of_scene.items()}
         self._wide = {key: value for key, (_, value) in of_scene.items()}
         known = knobs_of(self._function)
+        self._own_law = known["law"].default if "law" in known and known["law"].default is not ... else None
         tuned = any(key not in known and key.startswith("law.") for key in self._fixed)
         if all(key in known and not (key == "law" and tuned) for key in knobs):
             self._read = {key: known[key] for key in knobs}
 
 
-def _called(scene: Scene, name: str, knobs: Mapping[str, object]) -> Scene:
-    """The same scene with a name and its knobs, without a second check of its parts."""
+def _called(scene: Scene, name: str, knobs: Mapping[str, object], own_law: Any) -> Scene:
+    """The same scene with a name, its knobs and its own law, without a second check of its parts."""
     called = object.__new__(Scene)
-    called.__dict__.update(scene.__dict__, name=name, knobs=knobs)
+    called.__dict__.update(scene.__dict__, name=name, knobs=knobs, own_law=own_law)
     return called
 
 

@@ -94,6 +94,7 @@ class Scene:
     tolerance: float = 1e-9  # m a tick, for bodies that have no closed form
     name: str = "scene"
     knobs: Mapping[str, object] = field(default_factory=dict)
+    own_law: Any = None  # the law that the scene's function has by itself; None: there is none, or it is not known
 
     def __post_init__(self) -> None:
         kinds, numbers = self._kinds(), _NUMBERS(self)

@@ -127,7 +127,7 @@ def typed(scene: Scene, *options: str) -> str:
     from shlex import quote
 
     from teleop.law import is_built_in, law_name
-    from teleop.scene.knobs import knobs_of
+    from teleop.scene.knobs import knobs_of, read_law
     from teleop.scene.library import known_scenes, scene_function
 
     if scene.name not in known_scenes():
@@ -141,7 +141,7 @@ def typed(scene: Scene, *options: str) -> str:
             if type(value) is not type(usual):
                 name = law_name(value) if is_built_in(value) else _file(type(value))
                 said.append(f"--set law={quote(name)}")
-                usual = type(value)()
+                usual = read_law(name, usual) if is_built_in(value) else type(value)()
             said += [f"--set law.{each.name}={getattr(value, each.name)}" for each in fields(value)
                      if getattr(value, each.name) != getattr(usual, each.name)]
         elif value != usual:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from teleop.errors import number_of
+from teleop.law import innermost, law_name
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.packets import Packets
@@ -14,6 +16,22 @@ SHARE = 0.99  # of the packets that come, which a longer playout is to play
 FADES = 0.001  # of the ticks: where so many are gaps, a steady force has lost a twentieth of itself in ten seconds
 ENOUGH = 1_000_000  # packets that tell how late those of a link come: an open-ended live run has 86 million
 MARGIN = 0.01  # s, live: what the machine adds to the link
+
+
+def untuned(scene: Scene) -> list[str]:
+    """The note on a law that is not the scene's own and has its defaults, which nobody chose for this scene."""
+    law, own = scene.laws[0], scene.own_law[0] if isinstance(scene.own_law, tuple) else scene.own_law
+    if own is None or innermost(type(law)) is innermost(type(own)) or not all(map(_has_defaults, scene.laws)):
+        return []
+    return [f"law {law_name(law)} runs with its defaults, which are not tuned for scene {scene.name}; set its gains "
+            "with --set law.NAME=VALUE, or search them with teleop tune"]
+
+
+def _has_defaults(law: Any) -> bool:
+    """True if every number of a law, stages around it left out, is the law's default; False of one without numbers."""
+    kind = innermost(type(law))
+    own = [each for each in fields(kind) if each.init] if is_dataclass(kind) else []
+    return bool(own) and all(getattr(law, each.name) == each.default for each in own)
 
 
 def unplayed(scene: Scene, trace: Mapping[str, Any], packets: Mapping[str, Packets], *, seed: int, live: bool = False

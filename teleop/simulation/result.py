@@ -161,6 +161,24 @@ def parameters(scene: Scene) -> dict[str, object]:
     return plain
 
 
+def law_with_gains(law: object) -> str:
+    """The law as `parameters` has it, in one line.
+
+    >>> law_with_gains({"name": "wave", "b": 20.0, "K": [1000.0, 500.0]})
+    'wave(b=20, K=(1000, 500))'
+    """
+    if not isinstance(law, Mapping):
+        return str(law)
+    gains = ", ".join(f"{name}={_gain(value)}" for name, value in law.items() if name not in ("name", "file", "sha256"))
+    return f"{law['name']}({gains})"
+
+
+def _gain(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return f"({', '.join(map(_gain, value))})"
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
 def read_result(folder: Path) -> Result:
     """The run whose files lie complete in `folder`, its trace as arrays. Raises `Refused` if there is none.
 

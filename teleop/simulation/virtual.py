@@ -12,7 +12,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.ending import Ending
 from teleop.simulation.facts import law_notes, of_plans
-from teleop.simulation.notes import faded, unplayed
+from teleop.simulation.notes import faded, unplayed, untuned
 from teleop.simulation.outcome import integration, over_tolerance, too_old, verdict
 from teleop.simulation.packets import counts_of, packet_counts
 from teleop.simulation.plan import LinkPlans, check_seed, link_plans, round_trip
@@ -112,7 +112,7 @@ def result_of(
     # Of a run that ended early, only what was sent until then counts.
     known = sent is None and ran == scene.ticks
     packets = counts_of(plans, ran) if known else packet_counts(scene, seed, ran, sent)
-    told = [*law_notes(scene, *of_plans(scene, plans, ran)), *notes]
+    told = [*untuned(scene), *law_notes(scene, *of_plans(scene, plans, ran)), *notes]
     told += too_old(scene, "master", bwd, ran)
     told += too_old(scene, "slave", fwd, ran)
     told += over_tolerance(reports)

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from teleop.errors import Refused, number_of, plural
-from teleop.simulation.result import head, parameters
+from teleop.simulation.notes import untuned
+from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.sweeps.pictures.report import (
     PictureRequest,
     joined,
@@ -82,7 +83,7 @@ class Swept(NamedTuple):
         count = len(self.plan.grid)
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
         rows = [("sweep", f"{self.plan.scene}, {grouped(count)} {plural(count, 'row')} of {turned}"),
-                *status_rows(self.table)]
+                *[("law", law) for law in self._laws()], *status_rows(self.table)]
         found = not self.ran and len(self.table) == len(self.plan.grid)
         rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if found else
                      f"{self.plan.engine}: {self.plan.why}{threads}{rate}"))
@@ -90,7 +91,14 @@ class Swept(NamedTuple):
                  for (engine, why), ran in self.plan.ran.items() if why]
         if self.cluster is not None:
             rows.append(("cluster", f"{self.cluster[0]}, rows by {self.cluster[1]} of its workers"))
+        rows += [("note", note) for scene in (self.plan.first, *self.plan.others) for note in untuned(scene)]
         return f"{facts(rows)}\n{self.table.text(all_by=report_of(self.folder, len(self.table)))}"
+
+    def _laws(self) -> list[str]:
+        """Each law of the rows with its gains; those that the sweep turns have their values in the table."""
+        turned = self.plan.grid.knobs
+        return [law_with_gains(in_common(scene, {*turned} - {"law"})["law"])
+                for scene in (self.plan.first, *self.plan.others)]
 
 
 def command(args: Namespace) -> Answer:

@@ -47,6 +47,7 @@ class Sweep:
 
     scene: str
     first: Scene  # that of the first row
+    others: tuple[Scene, ...] = ()  # the same with every other law of the grid, the first `MOST_LAWS` of them
     grid: Grid
     fixed: Mapping[str, object]
     measures: tuple[Measure, ...]
@@ -122,8 +123,8 @@ def plan_sweep(
     laws = [one.law for one in (first, *others)]
     made_by: list[Any] = [scene_function(scene), *map(type, laws)]
     files = map(own_file, made_by)
-    return Sweep(scene=scene, first=first, grid=points, fixed={**fixed, **read}, measures=measures, engine=chosen,
-                 why=why, sources=_own_sources(scene, laws, _replayed(points)),
+    return Sweep(scene=scene, first=first, others=tuple(others), grid=points, fixed={**fixed, **read},
+                 measures=measures, engine=chosen, why=why, sources=_own_sources(scene, laws, _replayed(points)),
                  files=tuple([file for file in files if file is not None]))
 
 

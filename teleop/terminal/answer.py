@@ -11,8 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.law import law_name
-from teleop.simulation.result import head, parameters
+from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.storage.strict_json import written
 from teleop.terminal.options import DONE
 from teleop.terminal.printable import printable
@@ -60,8 +59,8 @@ def say(answer: Answer, *, json: bool) -> None:
 
 
 def titled(scene: Scene) -> str:
-    """Scene and law, as a table and a plot are headed."""
-    return f"{scene.name}, law {law_name(scene.laws[0])}"
+    """Scene and law with its gains, as a table and a plot are headed."""
+    return f"{scene.name}, law {law_with_gains(parameters(scene)['law'])}"
 
 
 def scene_head(scene: Scene, mode: str, *, sentence: str, seed: int, command: Sequence[str], status: str = "done",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import number_of
+from teleop.simulation.result import law_with_gains
 from teleop.terminal.table import facts
 from teleop.terminal.units import si
 
@@ -37,9 +38,8 @@ def what(result: Result) -> str:
 
 
 def heading(result: Result) -> str:
-    """Scene and law."""
-    law = result.parameters.get("law")
-    return f"{result.scene}, law {law['name'] if isinstance(law, Mapping) else law}"
+    """Scene and law with its gains."""
+    return f"{result.scene}, law {law_with_gains(result.parameters.get('law'))}"
 
 
 def verdict(result: Result) -> str:

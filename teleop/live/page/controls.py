@@ -15,6 +15,8 @@ from teleop.scene.knobs import knobs_of
 from teleop.scene.library import import_bundled, scene_function
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
+from teleop.simulation.notes import untuned
+from teleop.simulation.result import law_with_gains, parameters
 
 OPEN_ENDED = "86400"  # s; a page goes on until Ctrl-C
 LOOKED_AT = 10.0  # s of the scene's own motion, for the span that is shown
@@ -158,7 +160,8 @@ class Controls:
         describe = import_bundled("channel.link").describe
         return {
             "type": "hello", "scene": self.name, "axes": scene.axes, "dt": scene.dt, "laws": self.laws,
-            "law": law_name(scene.laws[0]), "sliders": [slider._asdict() for slider in self.sliders(choice)],
+            "law": law_name(scene.laws[0]), "gains": law_with_gains(parameters(scene)["law"]),
+            "notes": untuned(scene), "sliders": [slider._asdict() for slider in self.sliders(choice)],
             "wall": _wall(scene), "f_max": most_forces(scene)[0],
             "span": max(self.spans), **self._axes(scene),
             "link": "no link" if scene.link is None else describe(scene.link),

@@ -17,7 +17,7 @@ from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
 from teleop.simulation.ending import Ending, ending
 from teleop.simulation.facts import delay, law_notes, longest
-from teleop.simulation.notes import faded, unplayed
+from teleop.simulation.notes import faded, unplayed, untuned
 from teleop.simulation.packets import Packets, packet_counts
 from teleop.simulation.plan import round_trip
 from teleop.simulation.prepared import Prepared, prepare
@@ -129,7 +129,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     elif not any(running.values()):
         packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
     lossy, held = any(each.lost > 0 for each in packets.values()), max(longest(each.ticks) for each in records.values())
-    notes = [*law_notes(scene, delays["s"], delays["m"], lossy, held * scene.dt_ns / 1e9), *notes]
+    notes = [*untuned(scene), *law_notes(scene, delays["s"], delays["m"], lossy, held * scene.dt_ns / 1e9), *notes]
     run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
     extra = {**own, "channel": channel}
     if again and _met_anew(events, span):

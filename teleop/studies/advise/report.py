@@ -212,7 +212,7 @@ def avoid(found: Advice) -> list[str]:
         else:
             told.append(f"{one.law}: {'; '.join([*_against(one, best), *one.broken]) or 'a little worse in all'}")
     if best is not None and best.tuned is not None and best.tuned.default is not None and best.tuned.default.broken:
-        told.append(f"{best.law} with its own parameters: {best.tuned.default.broken}")
+        told.append(f"{best.law} untuned: {best.tuned.default.broken}")
     for playout, score, conditions in found.playouts:
         told.append("; ".join([f"playout {playout} with the advised gains: {_of_playout(score, best)}", *conditions]))
     return told

@@ -14,7 +14,8 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.law import is_built_in
-from teleop.scene.library import ROOT, own_file
+from teleop.scene.knobs import law_with_its_numbers
+from teleop.scene.library import ROOT, own_file, scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.facts import facts, law_notes, of_plans
@@ -61,7 +62,8 @@ def cases_of(asked: Comparison, where: str, tuned: Tuned | None = None) -> list[
 def _case(asked: Comparison, where: str, law: Part, environment: Part, link: Part,
           drawn: dict[tuple[str, str], tuple[LinkPlans, bool]], tuned: Tuned | None) -> Case:
     knobs = {**asked.knobs, **environment.knobs, **link.knobs, "law": law.text, **law.knobs, "link": link.text}
-    try:
+    try:  # one law has the same numbers in all environments, also in that whose own law it is
+        knobs["law"] = law_with_its_numbers(law.text, scene_function(environment.text))
         scene = load_scene(environment.text, **knobs)
     except Refused as refused:
         raise Refused(f"{where}: {refused} (law {law.name!r}, link {link.name!r}, environment "

@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
+from teleop.scene.knobs import law_with_its_numbers
+from teleop.scene.library import scene_function
 from teleop.studies.compare.file import Comparison
 from teleop.studies.compare.parallel import in_parallel
 
@@ -38,7 +40,8 @@ def tune_all(asked: Comparison, budget: int, *, workers: int, show: Callable[[in
              ) -> dict[tuple[str, str], Found]:
     """What each search finds, by the names of law and link. Raises `Refused` for a budget that takes no search."""
     place = next(each for each in asked.environments if each.name == asked.tune)
-    jobs = [Search((law.name, link.name), place.text, law.text, budget, asked.seeds[0],
+    of_place = scene_function(place.text)
+    jobs = [Search((law.name, link.name), place.text, law_with_its_numbers(law.text, of_place), budget, asked.seeds[0],
                    {**asked.knobs, **place.knobs, **link.knobs, **law.knobs, "link": link.text})
             for law in asked.laws for link in asked.links]
     show(0, len(jobs))

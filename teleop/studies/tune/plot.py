@@ -38,7 +38,7 @@ def draw(tuned: Tuned, path: Path, formats: Sequence[str]) -> list[Path]:
     axes.step(*_columns(front), where="post", color=BLUE, linewidth=1.2, label="front")
     if tuned.default is not None and not tuned.default.broken:
         axes.scatter(*_columns([_place(tuned.default)]), marker="s", s=70, facecolors="none", edgecolors=BLACK,
-                     label="the law's own parameters")
+                     label="untuned")
     axes.scatter(*_columns([_place(tuned.score)]), marker="*", s=190, color=ORANGE, edgecolors=BLACK, zorder=5,
                  label="best" if tuned.feasible else "nearest")
     axes.set_xlabel("drag: greatest force against the hand in free space (N)")

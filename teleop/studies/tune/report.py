@@ -44,7 +44,7 @@ def text(tuned: Tuned) -> str:
           ] * (tuned.margin > 1.0),
     ]
     if tuned.feasible:
-        own = "" if tuned.default is None else f" ({_value(tuned.default)} with the law's own parameters)"
+        own = "" if tuned.default is None else f" ({_value(tuned.default)} untuned)"
         rows.append(("result", f"{_settings(tuned)}: {tuned.score.value:.3f}{own}"))
         rows += [("but", sentence) for sentence in conditions(tuned)]
     else:
@@ -102,10 +102,10 @@ def figure(found: Score, task: str, metric: str) -> float | None:
 
 
 def _figures(tuned: Tuned) -> str:
-    """Each term with the figure behind it: of the best point, of the law's own parameters, of the rod."""
+    """Each term with the figure behind it: of the best point, of the untuned law, of the rod."""
     steady = tuned.rod.steady
     of_rod = {"tracking": 0.0, "drag": 0.0, "touch": steady, "feel": steady, "rough": None, "force": 0.0}
-    lines: list[Sequence[str]] = [("", "tuned", "own parameters", "rigid rod", "term", "of its own")]
+    lines: list[Sequence[str]] = [("", "tuned", "untuned", "rigid rod", "term", "untuned")]
     for name, (words, task, metric) in SHOWN.items():
         if name not in tuned.score.terms:
             continue

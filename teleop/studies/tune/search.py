@@ -1,8 +1,8 @@
 """The search for a law's parameters: a Latin hypercube, then a coordinate search, with a stated number of rows.
 
-1. The first points are the law's own parameters, those that it fits to link and bodies where it offers that, those that
-   the scene gives this law, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until half of the rows are
-   spent.
+1. The first points are the parameters that the law has in the scene, those that it fits to link and bodies where it
+   offers that, its defaults, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until half of the rows
+   are spent.
 2. From the best point a coordinate search (compass search: Kolda, Lewis & Torczon, SIAM Review 45, 2003): all points
    one step up and down in each parameter, at once; the best of them is the next place if it is better, and one more
    step is tried along the way that led there; if none is, the step is halved. Steps are parts of each parameter's
@@ -27,7 +27,7 @@ from typing import Any
 
 from teleop.errors import Refused, number
 from teleop.law.offers import claims_of
-from teleop.scene.knobs import knobs_of
+from teleop.scene.knobs import knobs_of, law_with_its_numbers
 from teleop.scene.library import scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
@@ -73,7 +73,7 @@ class Tuned:
     ranges: Ranges
     best: Mapping[str, Any]  # knob -> value, of `names`; of an infeasible search the point that comes nearest
     score: Score  # of the best, over all seeds it was run with
-    default: Score | None = None  # of the law's own parameters
+    default: Score | None = None  # of the law as it is in the scene, untuned
     tried: tuple[tuple[Mapping[str, Any], Score], ...] = ()  # every point, in the order in which they were run
     rod: Rod
     margin: float
@@ -236,11 +236,10 @@ class _Search:
                      linear=None if found.broken else margin(self._scene(best), seed=self.seed))
 
     def _laws(self) -> list[Any]:
-        """The law as it is, as it fits itself to link and bodies, and as the scene has it, if that is of its kind."""
-        by_scene = load_scene(self.name, **{key: value for key, value in self.fixed.items()
-                                            if not key.startswith("law.")}).law
-        fitting = fitted(self.scene, self.seed).law
-        return [self.scene.law, fitting, *[each for each in [by_scene] if type(each) is type(self.scene.law)]]
+        """The law as it is in the scene, as it fits itself to link and bodies, and with its defaults."""
+        text = law_with_its_numbers(self.law, scene_function(self.name))
+        by_itself = load_scene(self.name, **{**self.fixed, "law": text}).law
+        return [self.scene.law, fitted(self.scene, self.seed).law, by_itself]
 
     def _of_law(self, law: Any) -> Point:
         return self._place({name: getattr(law, name.removeprefix("law.")) for name in self.ranges.turned})

@@ -206,6 +206,18 @@ def test_a_law_takes_its_own_numbers_and_the_scenes_own_law_those_that_were_type
     assert controls.scene(back).law.b == 7.0
 
 
+def test_the_page_turned_back_to_the_scenes_law_without_its_gains_and_showed_none() -> None:
+    controls = Controls("hard_wall", {"law": "pfra"})
+    first = Choice()
+    shown = controls.hello(first, controls.scene(first))
+    assert shown["gains"].startswith("pfra(alpha=0, ")
+    assert len(shown["notes"]) == 1
+    assert "not tuned for scene hard_wall" in shown["notes"][0]
+    back = controls.chosen(first, {"law": "wave"})
+    shown = controls.hello(back, controls.scene(back))
+    assert (shown["gains"], shown["notes"]) == ("wave(b=20, K=1000, B=20)", [])
+
+
 def test_the_scenes_own_link_stays_until_a_slider_of_it_is_moved() -> None:
     controls = Controls("jittery_wan", {})
     assert "link" not in controls.knobs(controls.chosen(Choice(), {"k_e": 1e3}))

@@ -122,7 +122,7 @@ def test_events_are_what_foxglove_calls_a_log(demo: Path) -> None:
     assert told["master", "safe: silence: no fresh packet for 0.8 s"] == (120_000_000, LEVELS["warning"])
     assert told["master", "released: fresh packets for 0.05 s"] == (300_000_000, LEVELS["info"])
     assert told["slave", "met: session 1"] == (0, LEVELS["info"])
-    assert told["run", "run of canonical, law wave"] == (0, LEVELS["info"])
+    assert told["run", "run of canonical, law wave(b=2, K=500, B=20)"] == (0, LEVELS["info"])
     last = messages["/log"][-1]
     assert last[1]["message"].startswith("stopped: the process ended without a word after tick 399")
     assert last[1]["level"] == LEVELS["warning"]
@@ -134,7 +134,8 @@ def test_the_parts_of_a_turned_run_lie_on_one_axis_of_time(turned_run: Path) -> 
     messages, _ = read(written(turned_run))
     times = [ns // 10**6 for ns, _ in messages["/master"]]
     assert times == [*range(200), *range(220, 500), *range(500, 600)]
-    begun = [(ns // 10**6, message["message"]) for ns, message in messages["/log"] if "part " in message["message"]]
+    begun = [(ns // 10**6, message["message"].split("(")[0]) for ns, message in messages["/log"]
+             if "part " in message["message"]]
     assert begun == [(0, "part 01 of canonical, law wave"), (220, "part 02 of canonical, law tdpa"),
                      (500, "part 03 of canonical, law wave")]
     waves = [ns // 10**6 for ns, message in messages["/energy"] if "E_in_fwd" in message]

@@ -188,7 +188,8 @@ class TestThePartsOfAPage:
         begun = [(0, "start"), (4000, "turned")]
         section = of_parts("pg", [told(canonical), told(other)], begun, {"scene": "canonical"}, 6)
         shown = Page(page([section]))
-        for said in ("canonical, 2 parts on the page", "start", "turned", "4.0 s", "wave", "direct"):
+        for said in ("canonical, 2 parts on the page", "start", "turned", "4.0 s", "wave(b=2, K=500, B=20)",
+                     "direct(K=500, B=20, kf=1)"):
             assert said in shown.texts, said
 
 

@@ -15,9 +15,10 @@ from channel.delay import Delay
 from teleop import Knob, Refused, knob, load_scene
 from teleop.errors import number
 from teleop.law import Law, OnePortLaw
+from teleop.laws.around.names import around
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.scene.knobs import knobs_of, read, settle
+from teleop.scene.knobs import knobs_of, read, read_law, settle
 from teleop.scene.library import built_in_scenes, scene_function
 from teleop.scene.parts import Vector
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
@@ -310,6 +311,29 @@ class TestLaws:
     def test_keep_the_numbers_of_the_scene_that_are_not_turned(self) -> None:
         base: Any = load_scene("canonical").law
         assert load_scene("canonical", **{"law.b": 3.0}).law == Wave(b=3.0, K=base.K, B=base.B)
+
+    @pytest.mark.parametrize(("given", "law"), [
+        ({"law": "wave"}, Wave(b=20.0, K=1000.0, B=20.0)),
+        ({"law": "wave", "law.b": "3"}, Wave(b=3.0, K=1000.0, B=20.0)),
+        ({"law": "wave", "law.b": "3,4"}, (Wave(b=3.0, K=1000.0, B=20.0), Wave(b=4.0, K=1000.0, B=20.0))),
+        ({"law": "wave()"}, Wave()), ({"law": "wave(b=3.0)"}, Wave(b=3.0)),
+        ({"law": "deadband(0.1) | wave"}, around("deadband(0.1)", Wave(b=20.0, K=1000.0, B=20.0))),
+        ({"law": "deadband(0.1) | wave()"}, around("deadband(0.1)", Wave())),
+        ({"law": "pfra"}, PFRA()),
+    ])
+    def test_of_the_scene_lost_its_gains_where_it_was_named(self, given: dict[str, Any], law: object) -> None:
+        values, _ = settle("hard_wall", scene_function("hard_wall"), given)
+        assert values["law"] == law
+
+    def test_of_the_scene_with_stages_of_its_own_lost_their_numbers_where_it_was_named(self) -> None:
+        own = around("deadband(0.3)", Wave(b=20.0))
+        assert read_law("deadband | wave", own) is own
+        assert read_law("deadband(0.1) | wave", own) == around("deadband(0.1)", Wave(b=20.0))
+        assert read_law("wave", own) == Wave(b=20.0)
+
+    def test_of_each_axis_of_the_scene_lost_their_gains_where_they_were_named(self) -> None:
+        own = (Wave(b=20.0), Wave(b=10.0))
+        assert read_law("wave", own) == own
 
     def test_out_of_their_domain_are_refused_with_what_they_are_and_where_that_comes_from(self) -> None:
         with pytest.raises(Refused) as refused:

@@ -48,6 +48,11 @@ class TestTheGrid:
         typed("sweep", "soft_tissue", "--grid", axis, *SHORT).assert_refused(words)
         assert not Path("runs").exists()
 
+    def test_of_laws_lost_the_scenes_gains_and_showed_none(self, typed: Typed) -> None:
+        shown = typed("sweep", "hard_wall", "--grid", "law=wave,pfra", "k_e=100,200", *SHORT).out
+        assert "law      wave(b=20, K=1000, B=20)\nlaw      pfra(alpha=0, " in shown
+        assert "note     law pfra runs with its defaults, which are not tuned for scene hard_wall" in shown
+
     def test_with_a_number_out_of_bounds_behind_a_good_one_refuses_that_row_alone(self, typed: Typed) -> None:
         document = json.loads(typed("sweep", "soft_tissue", "--grid", "k_e=100,-5", *SHORT, "--json").out)
         assert document["counts"] == {"ok": 1, "refused": 1}

@@ -12,7 +12,7 @@ from teleop import Refused, Result, load_scene, run
 from teleop.simulation.result import Packets
 from teleop.terminal.options import guarded
 from teleop.terminal.printable import printable
-from teleop.terminal.run_table import table
+from teleop.terminal.run_table import heading, table
 
 
 def rows(result: Result) -> dict[str, list[str]]:
@@ -32,7 +32,7 @@ def wave() -> Result:
 class TestTable:
     def test_says_what_ran_and_how_it_ended(self, wave: Result) -> None:
         told = rows(wave)
-        assert told["run"] == ["canonical, law wave, virtual time, seed 0"]
+        assert told["run"] == ["canonical, law wave(b=2, K=500, B=20), virtual time, seed 0"]
         assert told["status"] == ["ok: ran to its end, 1000 ticks of 0.001 s"]
 
     def test_does_not_say_the_status_twice(self, wave: Result) -> None:
@@ -197,3 +197,17 @@ def test_figures_over_axes_in_m_and_in_rad_have_no_unit_and_say_so() -> None:
     joints = rows(run(load_scene("leader_follower", duration=0.05)))
     assert " rad" in joints["integration"][0]
     assert "over axes" not in joints["tracking error"][0]
+
+
+def test_two_runs_with_other_gains_had_the_same_header() -> None:
+    heads = [heading(run(load_scene("hard_wall", duration=0.01, law=law))) for law in ("wave", "wave()")]
+    assert heads == ["hard_wall, law wave(b=20, K=1000, B=20)", "hard_wall, law wave(b=2, K=500, B=20)"]
+
+
+@pytest.mark.parametrize(("knobs", "noted"), [
+    ({"law": "pfra"}, True), ({"law": "deadband(0.1) | pfra"}, True), ({"law": "pfra", "law.alpha": "0.5"}, False),
+    ({"law": "wave"}, False), ({"law": "wave()"}, False), ({}, False),
+])
+def test_another_law_ran_with_untuned_gains_and_no_note(knobs: dict[str, str], noted: bool) -> None:
+    notes = run(load_scene("hard_wall", duration=0.01, **knobs)).notes
+    assert any("runs with its defaults, which are not tuned for scene hard_wall" in note for note in notes) == noted

@@ -40,8 +40,8 @@ def test_the_same_search_gives_the_same_bits_with_any_number_of_threads(found: T
 
 def test_another_seed_tries_other_points(found: Tuned) -> None:
     other = tuned(seed=1)
-    assert other.tried[0][0] == found.tried[0][0] == {"law.b": 2.0, "law.K": 500.0, "law.B": 20.0}
-    assert other.tried[1][0] == found.tried[1][0] == {"law.b": 20.0, "law.K": 1000.0, "law.B": 20.0}  # the scene's
+    assert other.tried[0][0] == found.tried[0][0] == {"law.b": 20.0, "law.K": 1000.0, "law.B": 20.0}  # the scene's
+    assert other.tried[1][0] == found.tried[1][0] == {"law.b": 2.0, "law.K": 500.0, "law.B": 20.0}  # the law's
     assert other.tried[2][0] != found.tried[2][0]
 
 
