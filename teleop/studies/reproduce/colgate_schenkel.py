@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from teleop.analysis.passivity.one_port import one_port
-from teleop.studies.reproduce.publication import Finding, Publication
+from teleop.studies.reproduce.publication import Finding, Kind, Publication
 from teleop.studies.reproduce.rendered import wall
 
 WALLS = ((1600.0, 0.0), (800.0, 0.4), (1000.0, 0.25))  # N/m, N s/m
@@ -22,12 +22,13 @@ def rerun() -> list[Finding]:
     for factor, said in ((1.0 + NEAR, "passive"), (1.0 - NEAR, "not passive")):
         verdict = one_port(wall(K, B, b=0.8 * factor)).passive
         found.append(Finding(f"that wall with {0.8 * factor:.4g} N s/m", said, {True: "passive", False: "not passive",
-                             None: "not known"}[verdict]))
+                             None: "not known"}[verdict], "", f"{NEAR:.1%} from the bound"))
     return found
 
 
 PUBLICATION = Publication(
     name="colgate_schenkel",
+    kind=Kind.FORMULA,
     source="J. E. Colgate and G. G. Schenkel, Passivity of a class of sampled-data systems: application to haptic "
            "interfaces, J. Robotic Systems 14(1), 1997",
     about="a device with a sampled wall is passive iff b >= K T/2 + |B|",

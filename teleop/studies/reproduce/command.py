@@ -12,12 +12,13 @@ from teleop.simulation.result import head
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import write_document
 from teleop.studies.reproduce import PUBLICATIONS, find_publication
-from teleop.studies.reproduce.publication import DIFFERS, PUBLISHED, REPRODUCED, Finding, Publication
+from teleop.studies.reproduce.publication import DIFFERS, FITTED, PUBLISHED, REPRODUCED, Finding, Kind, Publication
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import columns
 
 Came = Mapping[str, tuple[Publication, Sequence[Finding]]]
-LABELS = (REPRODUCED, DIFFERS, PUBLISHED)
+WORDS = {REPRODUCED: "reproduced", DIFFERS: "different", FITTED: "fitted, which is no reproduction",
+         PUBLISHED: "quoted and not run"}
 PAGE = "page.md"
 
 
@@ -40,27 +41,32 @@ def _rerun(publications: Sequence[Publication]) -> Came:
 
 
 def _answer(came: Came, typed: Sequence[str]) -> Answer:
-    findings = [finding for _, of_one in came.values() for finding in of_one]
-    sentence = verdict(findings)
     document = {
-        **head(status="done", sentence=sentence, scene=", ".join(came), mode="reproduce", parameters={}, seed=None,
-               command=typed, dt=None),
-        "publications": [{"name": one.name, "source": one.source, "about": one.about, "setting": one.setting,
-                          "findings": [_told(finding) for finding in of_one]} for one, of_one in came.values()],
+        **head(status="done", sentence="; ".join(verdict(came)), scene=", ".join(came), mode="reproduce",
+               parameters={}, seed=None, command=typed, dt=None),
+        "publications": [{"name": one.name, "kind": one.kind.value, "source": one.source, "about": one.about,
+                          "setting": one.setting, "findings": [_told(finding) for finding in of_one]}
+                         for one, of_one in came.values()],
     }
     return Answer(table(came), document)
 
 
-def verdict(findings: Sequence[Finding]) -> str:
-    """How many of the numbers came out as printed, in a sentence."""
-    counts = {label: sum(finding.label == label for finding in findings) for label in LABELS}
-    return (f"of {number_of(len(findings), 'published number')} {counts[REPRODUCED]} reproduced, {counts[DIFFERS]} "
-            f"that differ, {counts[PUBLISHED]} quoted and not run")
+def verdict(came: Came) -> list[str]:
+    """How many of the numbers came out as printed: a sentence for each kind of number, for they weigh unlike."""
+    sentences = []
+    for kind in Kind:
+        labels = [finding.label for one, findings in came.values() if one.kind is kind for finding in findings]
+        counts = [f"{labels.count(label)} {words}" for label, words in WORDS.items() if label in labels]
+        if labels:
+            sentences.append(f"{number_of(len(labels), 'number')} {kind.value}: {', '.join(counts)}")
+    return sentences
 
 
 def _told(finding: Finding) -> dict[str, Any]:
     return {"what": finding.what, "label": finding.label, "printed": finding.printed, "published": finding.value,
-            "found": finding.found, "unit": finding.unit, "tolerance": finding.within, "remark": finding.remark}
+            "found": finding.found, "unit": finding.unit,
+            "tolerance": finding.tolerance if finding.within is None else finding.within,
+            "tolerance_chosen_here": finding.tolerance is not None, "remark": finding.remark}
 
 
 def table(came: Came) -> str:
@@ -68,17 +74,14 @@ def table(came: Came) -> str:
     blocks = []
     for one, findings in came.values():
         lines = [("what", "label", "published", "here", "tolerance", "unit"), *map(_cells, findings)]
-        remarks = [f"  {finding.what}: {finding.remark}" for finding in findings
-                   if finding.remark and (finding.label != REPRODUCED or finding.value is None)]
+        remarks = [f"  {finding.what}: {finding.remark}" for finding in findings if finding.remark]
         blocks.append("\n".join([f"{one.name}: {one.about}", f"  {one.source}", columns(lines, left=(0, 1)), *remarks]))
-    every = [finding for _, findings in came.values() for finding in findings]
-    return "\n\n".join([*blocks, verdict(every)])
+    return "\n\n".join([*blocks, "\n".join(verdict(came))])
 
 
 def page(came: Came) -> str:
     """All of it as one page of Markdown: sources, settings, numbers, tolerances and remarks."""
-    every = [finding for _, findings in came.values() for finding in findings]
-    lines = ["# Published comparisons, run again", "", f"{verdict(every).capitalize()}."]
+    lines = ["# Published comparisons, run again", "", *[f"- {sentence}" for sentence in verdict(came)]]
     for one, findings in came.values():
         lines += ["", f"## {one.name}", "", f"{one.source}.", "", f"What is compared: {one.about}.", "",
                   f"How it is run here: {one.setting}.", "",
@@ -89,8 +92,9 @@ def page(came: Came) -> str:
 
 
 def _cells(finding: Finding) -> tuple[str, ...]:
-    within = "" if finding.within is None else f"{finding.within:.3g}"
-    return (finding.what, finding.label, finding.printed, shown(finding), within, finding.unit)
+    within = (finding.tolerance or "") if finding.within is None else f"{finding.within:.3g}"
+    chosen = " (chosen here)" if finding.tolerance is not None else ""
+    return (finding.what, finding.label, finding.printed, shown(finding), f"{within}{chosen}", finding.unit)
 
 
 def shown(finding: Finding) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, Publication
+from teleop.studies.reproduce.publication import Finding, Kind, Publication
 from teleop.studies.reproduce.rendered import held, wall
 
 MASS, DAMPING, HAND = 2.0, 1.0, 40.0  # kg, N s/m, N s/m; not known, see `setting`
 CAP = 1000.0  # N s/m of the controller's damper, a quarter of 4 M/T, with which a sampled damper reverses the motion
 SPEED = 0.2  # m/s, at the first contact
 AT_REST = 2e-5  # m, peak-to-peak in the last half second
+REST = f"swing below {1e3 * AT_REST:g} mm"
 SOFT = 1e-3  # N/m of a hand's spring so long that its force is constant
 
 
@@ -43,15 +44,15 @@ def rerun() -> list[Finding]:
     slow, slow_calm = contact(3e4, 15, None), contact(3e4, 15, CAP)
     fast, late = "90 kN/m at 1 kHz", "30 kN/m at 66.7 Hz"
     return [
-        Finding(f"{fast}, no controller", "does not come to rest", _rest(bare)),
-        Finding(f"{fast}, with the controller", "comes to rest", _rest(calm)),
-        Finding(f"{fast}, with the controller: bounces", "6", None, remark="printed as about 6; the mass that is not "
-                f"known was chosen by this number, and gives {calm.contacts} contacts"),
+        Finding(f"{fast}, no controller", "does not come to rest", _rest(bare), "", REST),
+        Finding(f"{fast}, with the controller", "comes to rest", _rest(calm), "", REST),
+        Finding(f"{fast}, with the controller: bounces", "6", float(calm.contacts), is_fitted=True,
+                remark="printed as about 6; the mass that is not known was chosen by this number"),
         Finding(f"{fast}: the most that the controller added", "below 40 N",
                 "below 40 N" if calm.control < 40.0 else f"{calm.control:.1f} N",
                 remark=f"{calm.control:.1f} N with a device of {MASS:g} kg, which is assumed; with 1 kg it is 29.8 N"),
-        Finding(f"{late}, no controller", "does not come to rest", _rest(slow)),
-        Finding(f"{late}, with the controller", "comes to rest", _rest(slow_calm)),
+        Finding(f"{late}, no controller", "does not come to rest", _rest(slow), "", REST),
+        Finding(f"{late}, with the controller", "comes to rest", _rest(slow_calm), "", REST),
         Finding(f"{late}, with the controller: bounces", "1", slow_calm.contacts - 1.0, "", 0.0,
                 "contacts after the first"),
     ]
@@ -63,6 +64,7 @@ def _rest(came: Contact) -> str:
 
 PUBLICATION = Publication(
     name="hannaford_ryu",
+    kind=Kind.PRINTED,
     source="B. Hannaford and J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and "
            "Automation 18(1), 2002",
     about="a hard wall met at 200 mm/s bounces on, and comes to rest with the passivity controller",

@@ -4,19 +4,32 @@ A number is labelled by what came of it:
 
     reproduced    the stack's number lies within the tolerance of what is printed
     differs       it does not; the remark says why
+    fitted        something that the publication leaves open was chosen here by this very number
     published     it was not run again here; the remark says what is lacking
 
-The tolerance of a printed number is half of its last digit, unless the finding names another one and says why.
+The tolerance of a printed number is half of its last digit, unless the finding names one that was chosen here.
+
+Publications are counted apart by what their numbers are (`Kind`): only a number that a paper prints is a measurement or
+a result of others; a formula at numbers of our own says that its derivation holds here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple
 
-REPRODUCED, DIFFERS, PUBLISHED = "reproduced", "differs", "published"
+REPRODUCED, DIFFERS, FITTED, PUBLISHED = "reproduced", "differs", "fitted", "published"
 ROUNDING = 1e-9  # of the tolerance: 0.5 of the last digit is within half of it
+
+
+class Kind(Enum):
+    """Where the numbers of a publication are from."""
+
+    PRINTED = "printed in a paper"
+    FORMULA = "of a paper's formula at numbers chosen here"
+    TEXTBOOK = "of teaching material"
 
 
 class Finding(NamedTuple):
@@ -26,8 +39,10 @@ class Finding(NamedTuple):
     printed: str  # as it is printed, or as the printed formula gives it: "33.53", or a statement such as "stable"
     found: float | str | None  # here; None: not run again
     unit: str = ""
-    tolerance: float | None = None  # in the unit; None: half of the last printed digit, and no tolerance of a statement
+    tolerance: float | str | None = None  # chosen here, in the unit; of a statement in words; None: half of the last
+    # printed digit, and none of a statement
     remark: str = ""  # why it differs or was not run, or what had to be assumed
+    is_fitted: bool = False  # what the publication leaves open was chosen by this number
 
     @property
     def value(self) -> float | None:
@@ -40,13 +55,17 @@ class Finding(NamedTuple):
     @property
     def within(self) -> float | None:
         """The tolerance (in the unit); None for a statement."""
-        return None if self.value is None else last_digit(self.printed) if self.tolerance is None else self.tolerance
+        if self.value is None or isinstance(self.tolerance, str):
+            return None
+        return last_digit(self.printed) if self.tolerance is None else self.tolerance
 
     @property
     def label(self) -> str:
-        """`reproduced`, `differs` or `published`."""
+        """`reproduced`, `differs`, `fitted` or `published`."""
         if self.found is None:
             return PUBLISHED
+        if self.is_fitted:
+            return FITTED
         value, within = self.value, self.within
         if value is None or within is None:
             return REPRODUCED if self.found == self.printed else DIFFERS
@@ -59,6 +78,7 @@ class Publication:
     """A publication and the rerun of its numbers."""
 
     name: str
+    kind: Kind
     source: str  # authors, title, where and when
     about: str  # what is compared, in a sentence
     setting: str  # the scene that is run here, and what of it is printed and what assumed

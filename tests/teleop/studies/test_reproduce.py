@@ -25,7 +25,7 @@ DIFFER = {  # what is known not to come out as printed, and why it cannot
     "damping_injection": {"T1^2 + T2^2"},
     "choi_tan": {"increase from 250 Hz to 40 kHz"},
 }
-QUOTED = {"hannaford_ryu": 1, "choi_tan": 2}
+OTHERS = {("hannaford_ryu", "fitted"): 1, ("choi_tan", "published"): 2}
 
 
 class TestALabel:
@@ -39,6 +39,7 @@ class TestALabel:
         (Finding("verdict", "stable", "unstable"), "differs"),
         (Finding("bounces", "6", "many"), "differs"),
         (Finding("peak", "33.53", None), "published"),
+        (Finding("bounces", "6", 6.0, is_fitted=True), "fitted"),
     ])
     def test_says_what_came_of_a_number(self, finding: Finding, label: str) -> None:
         assert finding.label == label
@@ -59,7 +60,8 @@ def test_a_publication_is_reproduced_but_where_the_reason_is_known(name: str) ->
     assert {words for finding in differ for words in known if words in finding.what} == known
     assert len(differ) == len(known)
     assert all(finding.remark for finding in findings if finding.label != "reproduced")
-    assert sum(finding.label == "published" for finding in findings) == QUOTED.get(name, 0)
+    for label in ("fitted", "published"):
+        assert sum(finding.label == label for finding in findings) == OTHERS.get((name, label), 0)
     assert publication.name == name
 
 
@@ -83,7 +85,18 @@ class TestTheCommand:
         assert told.code == 0
         row = next(line for line in told.out.splitlines() if line.startswith("run B (K 2500): observed energy"))
         assert row.split()[-5:] == ["reproduced", "-17.6", "-17.60", "0.05", "mJ"]
-        assert told.out.splitlines()[-1].startswith("of 15 published numbers 15 reproduced")
+        assert told.out.splitlines()[-1] == "15 numbers of teaching material: 15 reproduced"
+
+    def test_counted_formulas_and_fitted_numbers_as_if_a_paper_had_printed_them(self, typed: Typed) -> None:
+        assert typed("reproduce", "hannaford_ryu").out.splitlines()[-1] == (
+            "7 numbers printed in a paper: 5 reproduced, 1 different, 1 fitted, which is no reproduction")
+        counts = typed("reproduce", "colgate_schenkel").out.splitlines()[-1]
+        assert counts == "5 numbers of a paper's formula at numbers chosen here: 5 reproduced"
+
+    def test_did_not_say_that_a_tolerance_was_chosen_here(self, typed: Typed) -> None:
+        out = typed("reproduce", "hannaford_ryu").out
+        row = next(line for line in out.splitlines() if line.startswith("90 kN/m at 1 kHz, no controller"))
+        assert row.endswith("swing below 0.02 mm (chosen here)")
 
     def test_says_why_a_number_differs_and_why_one_was_not_run(self, typed: Typed) -> None:
         out = typed("reproduce", "choi_tan").out
@@ -96,6 +109,7 @@ class TestTheCommand:
             key: value for key, value in told.items() if key != "path"}
         first = told["publications"][0]["findings"][0]
         assert (first["published"], first["label"], first["tolerance"]) == (1.5, "reproduced", 1e-6)
+        assert first["tolerance_chosen_here"] is True
         assert first["found"] == pytest.approx(1.5)
         page = (tmp_path / "kept" / "page.md").read_text()
         assert "## diolaiti" in page
@@ -110,6 +124,17 @@ class TestTheCommand:
         assert [find_publication(name).name for name in PUBLICATIONS] == list(PUBLICATIONS)
         with pytest.raises(Refused):
             find_publication("publication")
+
+
+def test_the_row_of_a_master_that_nobody_holds_passed_with_direct_reflection_too() -> None:
+    """Nothing was touched in it: f_env was 0 throughout."""
+    from teleop.studies.reproduce.polushin import let_go
+
+    moved, touched = let_go("direct")
+    assert (moved, touched) == (pytest.approx(0.0812, abs=1e-4), pytest.approx(0.708, abs=1e-3))
+    moved, touched = let_go("pfra")
+    assert moved == 0.0
+    assert touched > 1.0
 
 
 def test_without_its_tank_the_franken_scene_does_not_come_to_rest() -> None:
