@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.axes import scales
+from teleop.scene.axis_labels import labels_of
 from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import found_at_rest
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from teleop.simulation.prepared import Prepared
 
 BEYOND = 2.0  # times the way that the hand's reference and the environment have
-OWN = 1e-3  # m of swing besides
+OWN = 1e-3  # m or rad of swing besides
 
 
 class Ending(NamedTuple):
@@ -39,19 +40,25 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
         return Ending("ok", sentence, {}, tuple(growth(prepared, trace)))
     swung = swings(motion := places(trace), still.window)
     status = still.status(swung, trip)
+    unit = position_unit(scene)
     at_rest = {"swing_end": swung[-1], **found_at_rest(scene, trace, still, status)}
     since = f"{sentence}; nothing has moved the scene since t = {still.since * scene.dt_ns / 1e9:g} s, and"
     if still.undecided(swung, trip):
         enough = (still.since + WINDOWS * still.least(trip)) * scene.dt_ns / 1e9
-        sentence = (f"{since} {still.left(swung, trip):.3g} m of swing are left, but that was too short a time "
+        sentence = (f"{since} {still.left(swung, trip):.3g} {unit} of swing are left, but that was too short a time "
                     f"for a verdict; type --set duration={enough:g}")
         return Ending(status, sentence, at_rest, tuple(growth(prepared, trace)))
     if status != "ok":
-        does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} m before)"
+        does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} {unit} before)"
         hertz = at_rest.get("swing_frequency") or pitch(motion, still.window, scene.dt)
-        sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} m peak to peak; to see what becomes of it: "
-                    f"teleop stability {typed(scene, '--time')}")
+        sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} {unit} peak to peak; to see what becomes of "
+                    f"it: teleop stability {typed(scene, '--time')}")
     return Ending(status, sentence, at_rest)
+
+
+def position_unit(scene: Scene) -> str:
+    """The unit of the largest of the positions of all axes: m, rad, or either where some axes turn."""
+    return labels_of(scene).unit("m") or "m or rad"
 
 
 def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
@@ -86,10 +93,11 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
         given, put_in = -_port(trace), _will(prepared, trace)
     if swung[-1] <= BEYOND * way + OWN or not given > put_in:
         return []
-    return [f"the motion still grows at the end: a swing of {swung[-1]:.3g} m peak to peak in the last eighth of the "
-            f"run and of {swung[0]:.3g} m half a run before, where the hand's reference moves over {way:.3g} m; law "
-            f"and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see whether "
-            f"the loop is stable: teleop stability {typed(scene)}"]
+    unit = position_unit(scene)
+    return [f"the motion still grows at the end: a swing of {swung[-1]:.3g} {unit} peak to peak in the last eighth of "
+            f"the run and of {swung[0]:.3g} {unit} half a run before, where the hand's reference moves over {way:.3g} "
+            f"{unit}; law and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see "
+            f"whether the loop is stable: teleop stability {typed(scene)}"]
 
 
 def _port(trace: Mapping[str, Any]) -> float:

@@ -9,7 +9,7 @@ from teleop.errors import number_of, plural
 from teleop.law.contract import not_finite
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.ending import Ending, ending
+from teleop.simulation.ending import Ending, ending, position_unit
 from teleop.simulation.plan import Plan
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, tr
     if end is None:
         return ending(prepared, trace, trip, f"ran to its end, {number_of(ran, 'tick')} of {scene.dt:g} s")
     far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]
-    return Ending("diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} m"))
+    return Ending("diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} {position_unit(scene)}"))
 
 
 def divergence(scene: Scene, k: int, what: str) -> str:
@@ -81,8 +81,8 @@ def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tupl
     return {"integration": found} if found else {}
 
 
-def over_tolerance(reports: dict[str, Any]) -> list[str]:
-    """The notes on the ends whose integration was not within the scene's tolerance at every tick."""
-    return [f"{number_of(over, 'tick')} of the {end} {plural(over, 'is', 'are')} not within {own['tolerance']:g} m: "
-            "the figures may be off by the estimate; a smaller dt may help"
+def over_tolerance(reports: dict[str, Any], unit: str) -> list[str]:
+    """The notes on the ends whose integration was not within the scene's tolerance (`unit`: m or rad) at every tick."""
+    return [f"{number_of(over, 'tick')} of the {end} {plural(over, 'is', 'are')} not within {own['tolerance']:g} "
+            f"{unit}: the figures may be off by the estimate; a smaller dt may help"
             for end, own in reports.get("integration", {}).items() if (over := own.get("ticks_over_tolerance"))]

@@ -10,7 +10,7 @@ from teleop.errors import Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.ending import Ending
+from teleop.simulation.ending import Ending, position_unit
 from teleop.simulation.facts import law_notes, of_plans
 from teleop.simulation.notes import faded, unplayed, untuned
 from teleop.simulation.outcome import integration, over_tolerance, too_old, verdict
@@ -115,7 +115,7 @@ def result_of(
     told = [*untuned(scene), *law_notes(scene, *of_plans(scene, plans, ran)), *notes]
     told += too_old(scene, "master", bwd, ran)
     told += too_old(scene, "slave", fwd, ran)
-    told += over_tolerance(reports)
+    told += over_tolerance(reports, position_unit(scene))
     told += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
     told += came.notes
     return Result.make(

@@ -183,3 +183,18 @@ def test_a_wall_that_is_pressed_through_jitter_is_no_limit_cycle() -> None:
     assert pressed.metrics["swing_end"] > 5e-5
     assert pressed.status == "ok"
     assert run(load_scene("hard_wall", link=rough, law="direct")).status == "limit cycle"
+
+
+@pytest.mark.parametrize(("knobs", "status"), [
+    ({"delay": 0.1, "duration": 9.0}, "unstable"), ({"delay": 0.1}, "ok"), ({"x_limit": 0.5}, "diverged"),
+])
+def test_the_swing_of_joints_was_told_in_m(knobs: dict[str, Any], status: str) -> None:
+    got = run(load_scene("leader_follower", **knobs))
+    assert got.status == status
+    assert set(re.findall(r"\d (m|rad)\b", got.sentence)) == {"rad"}
+
+
+def test_the_motion_of_an_axis_that_turns_was_told_to_grow_in_m() -> None:
+    note, = warned(run(replace(load_scene("soft_tissue", law="direct", delay=0.1), units=("rad",))), "grows")
+    assert len(re.findall(r"\d rad\b", note)) == 3
+    assert not re.findall(r"\d m\b", note)
