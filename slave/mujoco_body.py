@@ -8,6 +8,7 @@ positions and velocities of bodies a sub-step behind the state, so they are comp
 from __future__ import annotations
 
 from copy import copy
+from math import hypot
 
 from slave.mujoco_model import Loaded
 from teleop.errors import DeviceError
@@ -36,12 +37,13 @@ class MuJoCoBody:
         mujoco.mj_forward(self._model, self.data)
         self._velocity, self._wrench = np.zeros(6), np.zeros(6)
         self._force: Axes = (0.0,) * len(model.axes)
+        self._besides: dict[bool, tuple[float, float, int, int]] = {}
         self._views()
 
     def __copy__(self) -> MuJoCoBody:
         other = MuJoCoBody.__new__(MuJoCoBody)
         other.__dict__.update(self.__dict__)
-        other.data = copy(self.data)
+        other.data, other._besides = copy(self.data), {}
         other._views()
         return other
 
@@ -102,31 +104,54 @@ class MuJoCoBody:
         for i, home in self.loaded.held:
             self._applied[i] = HOLD_K * (home - where[i]) - HOLD_D * speed[i]
 
+    def contact_notes(self) -> list[str]:
+        """The contacts at the ticks that were read and that f_env does not count, a sentence for each kind."""
+        robot, found = self.loaded.robot, []
+        for of_robot, (force, when, one, other) in sorted(self._besides.items()):
+            what = "the robot touched itself" if of_robot else "a part of the robot before its end effector touched something"
+            found.append(f"{what}: up to {force:.4g} N, {robot.body_name(one)} against {robot.body_name(other)} at "
+                         f"t = {when:.3f} s; f_env does not count it")
+        return found
+
     def _touch(self) -> Axes:
-        """The sum of the contact forces of the end effector on what is not part of it, N, along the scene's axes."""
-        data, own = self.data, self.loaded
+        """The sum of the contact forces of the end effector on what is not the robot, N, along the scene's axes."""
+        data = self.data
         total = [0.0, 0.0, 0.0]
-        for n in range(data.ncon):
+        for n in self._contacts():
             contact = data.contact[n]
-            one, other = contact.geom.tolist()
-            if (one in own.geoms) == (other in own.geoms):
-                continue
             self._mujoco.mj_contactForce(self._model, data, n, self._wrench)
-            sign = 1.0 if one in own.geoms else -1.0  # it is the force of the first geom on the second
+            sign = 1.0 if contact.geom[0] in self.loaded.geoms else -1.0  # it is the force of the first on the second
             force, frame = self._wrench.tolist(), contact.frame.tolist()
             for i in range(3):
                 total[i] += sign * (force[0] * frame[i] + force[1] * frame[3 + i] + force[2] * frame[6 + i])
-        return tuple([total[i] for i in own.axes])
+        return tuple([total[i] for i in self.loaded.axes])
 
     def _torque(self) -> Axes:
-        """What the contacts take from each joint of the scene, N m, or N where it slides."""
+        """The torque that contacts with what is not the robot take from each joint of the scene, N m, or N of a slide."""
         data = self.data
         if not data.ncon:
             return (0.0,) * len(self.loaded.axes)
         import numpy as np
 
         contact = data.efc_type >= int(self._mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
+        counted = contact & np.isin(data.efc_id, self._contacts())
         found = np.zeros(self._model.nv)
-        self._mujoco.mj_mulJacTVec(self._model, data, found, np.where(contact, data.efc_force, 0.0))
+        self._mujoco.mj_mulJacTVec(self._model, data, found, np.where(counted, data.efc_force, 0.0))
         return tuple((-found[self.loaded.axes]).tolist())
 
+    def _contacts(self) -> list[int]:
+        """The contacts that f_env counts: of `geoms` with what is not the robot. The largest of the others are kept."""
+        data, own, counted = self.data, self.loaded, []
+        for n in range(data.ncon):
+            one, other = data.contact[n].geom.tolist()
+            inside = (one in own.robot.geoms) + (other in own.robot.geoms)
+            if inside == 0:
+                continue
+            if inside == 1 and (one in own.geoms or other in own.geoms):
+                counted.append(n)
+                continue
+            self._mujoco.mj_contactForce(self._model, data, n, self._wrench)
+            force = hypot(*self._wrench[:3].tolist())
+            if force > self._besides.get(inside == 2, (0.0,))[0]:
+                self._besides[inside == 2] = (force, data.time, one, other)
+        return counted

@@ -2,17 +2,18 @@
 
 Axes that are called x, y, z are translations of the end effector along the world's axes of these names; the scene's
 zero is where the end effector stands at the start less the scene's start_s, so it begins where the scene says. Other
-axes are joints of their names, in rad or m, that begin at start_s. The model begins in its keyframe `home` if it has
-one. Translations that the scene has no axis for are held by a spring and a damper.
+axes are joints of their names, in rad or m, that begin at start_s. The pose that the model begins in is in
+`slave.mujoco_pose`. Translations that the scene has no axis for are held by a spring and a damper.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, isfinite
+from math import ceil
 from pathlib import Path
 from typing import Any
 
+from slave.mujoco_pose import Robot, start_pose
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 
@@ -31,7 +32,8 @@ class Loaded:
     `names` and `units` are the scene's. `axes`: of an end effector the world's axes (0, 1, 2), of joints their degrees
     of freedom; `places`: of joints, where they stand in qpos. `tip`: the body that forces are applied to; None: the
     axes are joints. `zero`: where in the world the scene's positions count from, m. `held`: world's axes without one of
-    the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it.
+    the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it; where the axes are
+    joints, all of the robot's. `robot`: the part of the model that is the robot. `notes`: on the pose that it begins in.
     """
 
     model: Any
@@ -45,14 +47,17 @@ class Loaded:
     zero: tuple[float, ...]
     held: tuple[tuple[int, float], ...]
     geoms: frozenset[int]
+    robot: Robot
+    notes: tuple[str, ...]
 
 
 def load(scene: Scene, file: str | None = None) -> Loaded:
-    """The model in `file` (FILE.xml or FILE.xml#NAME, NAME of the end effector) for `scene`. Raises `Refused`."""
+    """The model in `file` for `scene`: FILE.xml, FILE.xml#NAME with NAME of the end effector, or either with @POSE.
+
+    POSE is that of `slave.mujoco_pose.start_pose`. Raises `Refused`.
+    """
     mujoco = _mujoco()
-    path, name = str(OWN) if file is None else file, ""
-    if "#" in path and not Path(path).is_file():
-        path, _, name = path.rpartition("#")
+    path, name, pose = _parts(file)
     spec = _spec(mujoco, path)
     cartesian = _is_cartesian(scene)
     if cartesian:
@@ -72,25 +77,56 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
     # Motors are the scene's; and a state that became unstable must not begin anew from the start, unseen.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION) | int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     starts = scene.vector("start_s", scene.start_s)
-    data = mujoco.MjData(model)
-    if (home := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")) >= 0:
-        mujoco.mj_resetDataKeyframe(model, data, home)
-        if not isfinite(sum(data.qpos.tolist())):
-            raise Refused(f"the keyframe home of {path} has a place that is not finite; mend it there")
+    label = "mujoco" if file is None else f"mujoco:{path}" + (f"#{name}" if name else "")
     if not cartesian:
         places, axes = ([int(at[model.joint(each).id]) for each in scene.axis_names]
                         for at in (model.jnt_qposadr, model.jnt_dofadr))
-        data.qpos[places] = starts
-        return Loaded(model, data.qpos.copy(), substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (),
-                      frozenset())
-    mujoco.mj_forward(model, data)
+        robot = _robot(mujoco, model, label, name or path, None, scene.axis_names, axes,
+                       dict(zip(places, starts, strict=True)))
+        qpos, notes = start_pose(robot, pose)
+        return Loaded(model, qpos, substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (), robot.geoms,
+                      robot, tuple(notes))
     tip = model.body(TIP).id
-    at = data.xpos[tip].tolist()
     axes = [LETTERS.index(each) for each in scene.axis_names]
+    robot = _robot(mujoco, model, label, name or END, tip, scene.axis_names, axes, {})
+    qpos, notes = start_pose(robot, pose)
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    at = data.xpos[tip].tolist()
     return Loaded(
-        model, data.qpos.copy(), substeps, scene.axis_names, scene.axis_units, axes, [], tip,
-        tuple([at[i] - start for i, start in zip(axes, starts, strict=True)]),
-        tuple([(i, at[i]) for i in range(3) if i not in axes]), _geoms_of(model, tip))
+        model, qpos, substeps, scene.axis_names, scene.axis_units, axes, [], tip,
+        tuple([at[i] - start for i, start in zip(axes, starts, strict=True)]), tuple([(i, at[i]) for i in robot.held]),
+        _geoms_of(model, tip), robot, tuple(notes))
+
+
+def _parts(file: str | None) -> tuple[str, str, str | None]:
+    """The path of the MJCF, the name of the end effector ("": `END`), and the pose, None without one."""
+    if file is None:
+        return str(OWN), "", None
+    ends = [n for n, letter in enumerate(file) if letter in "#@"]
+    end = next((n for n in (len(file), *reversed(ends)) if Path(file[:n]).is_file()), min(ends, default=len(file)))
+    name, at, pose = file[end:].partition("@")
+    return file[:end], name.removeprefix("#"), pose if at else None
+
+
+def _robot(mujoco: Any, model: Any, label: str, point: str, tip: int | None, names: tuple[str, ...], axes: list[int],
+           starts: dict[int, float]) -> Robot:
+    """The part of a compiled model that is the robot: the kinematic trees of its end effector, or of its joints."""
+    hinged = [tip] if tip is not None else [int(model.dof_bodyid[dof]) for dof in axes]
+    roots = {int(model.body_rootid[body]) for body in hinged}
+    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    joints = [n for n in range(model.njnt)
+              if model.jnt_type[n] in kinds and int(model.body_rootid[model.jnt_bodyid[n]]) in roots]
+    carriers = set()
+    body = tip or 0
+    while body:
+        carriers.add(body)
+        body = int(model.body_parentid[body])
+    carrying = [n for n in joints if tip is None or int(model.jnt_bodyid[n]) in carriers]
+    geoms = [n for n in range(model.ngeom) if int(model.body_rootid[model.geom_bodyid[n]]) in roots]
+    return Robot(mujoco, model, label, point, tuple(carrying), tuple([n for n in joints if n not in carrying]),
+                 frozenset(geoms), tip, axes, [] if tip is None else [i for i in range(3) if i not in axes], starts, names)
 
 
 def _is_cartesian(scene: Scene) -> bool:

@@ -65,4 +65,4 @@ class MuJoCoRobot:
     @property
     def notes(self) -> list[str]:
         """What a summary has to tell of it."""
-        return [*self._told, *self._body.warnings()]
+        return [*self._model.notes, *self._told, *self._body.contact_notes(), *self._body.warnings()]
