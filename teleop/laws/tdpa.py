@@ -29,17 +29,32 @@ is taken back by a damper min(-G/(dt max(v^2, v_min^2)), alpha_max). One that ow
 more than alpha_max v, and in each axis by itself: else a strong force turns a slow master round within each tick, and
 pushes though it resisted.
 
-Books. Each G + E - seen grows by the work w, less what `store` drops. Summed, with under way the E that is not yet
-seen,
+The coupling. The slave's books are of v_d dt, its port is of dx. With the spring's energy P = K (x_d - x)^2/2 and dx =
+v dt the coupling between them burns over a tick
 
-    E_law = G_m + G_s + under way        E_port = E_law - E0 + dropped + C
+    h = f_s (v_d dt - dx) - dP = K dt^2/2 (v_d^2 - v^2) + B dt (v_d - v)^2
 
-where C is what the coupling took between v_d dt and the slave's dx. Its spring, taken at the end of a tick, gives
-nothing; the hold plays f_s half a tick late, which takes K dt/2 off the damping: C >= 0 for K dt/2 <= B <= 2 m/T, m
-the slave's, but for a wall that turns it round within a tick, where the damper pushes with B |v dx|.
+since the hold plays f_s half a tick late. No damping keeps h from going below zero: with beta = 2 B/(K dt) it does for
+v_d/v between (beta - 1)/(beta + 1) and 1, down to -K dt^2 v^2/(2 (1 + beta)). So C counts what went into the coupling
+and has not come out of it, G pays what is missing, and (P - C - least h)+ of G is kept back when the slave spends:
 
-What is below zero. The slave knows f_s and v_d before it spends, so G_s < 0 only by what a held force does over ticks
-that are left out, and more than the one that was asked for: waits that follow each other add up until they are paid.
+    C += max(asked, held) - f_held dx        G += min(C, 0)        C = min(C+, store + P)
+
+Books. Each G + E - seen grows by the work w, less what `store` drops. Summed, with under way the E not yet seen,
+
+    E_law = G_m + G_s + under way        E_port = E_law - E0 + dropped + C >= E_law - E0
+
+whatever K, B, dt and the bodies are.
+
+What is below zero. The slave knows f_s and v_d before it spends, and the least that h can be for the v that it reads.
+So G_s < 0 only by what it cannot know: by dx - v dt, and by a held force over ticks that are left out, which does more
+than the one that was asked for; waits that follow each other add up until they are paid. While it owes, v_d = m. Then
+f_s = f_0/2, and with the storage Q = P/2
+
+    -f_s dx - dQ = dt ((B + 3 K dt/4) m^2 - (B - K dt) m v/2 + (B - K dt/2) v^2/2)
+
+is never below zero for B >= 0.5224 K dt (with b = B/(K dt) the root of 7 b^2 + 4 b = 4), so the debt does not grow;
+what B holds against a slave takes energy for B <= 2 m/T, m its mass and T the longest tick.
 A cap turns what is held of a force of several axes to another direction, in which it may push: where it did more than
 was asked for and G_s < 0, v_d = m, in which each axis takes energy, capped or not.
 The master spends f v dt and pays -f d, for the motion d that follows: from G_m >= -debt one tick leaves G_m >= -debt -
@@ -60,6 +75,7 @@ from teleop.knob import Knob, check_knobs
 from teleop.law import At
 from teleop.law.offers import Facts, enough
 
+PAYS = (sqrt(8.0) - 1.0) / 3.5  # B/(K dt) from which on the coupling of a slave that owes takes energy
 TINY = 1e-300  # in place of nothing below a fraction
 FREE = 1e300  # J or N, where nothing limits
 NEARLY = 1e-9  # of the work that was asked for: a held force that did no more than that is the one that was asked for
@@ -89,6 +105,7 @@ class Slave(NamedTuple):
     x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
     f_d: float  # the force that was asked for, N
+    C: float  # energy that went into the coupling and has not come out of it, J; the same in each axis
 
 
 class MasterSums(NamedTuple):
@@ -98,10 +115,13 @@ class MasterSums(NamedTuple):
 
 
 class SlaveSums(NamedTuple):
-    asked: float  # work of the force that was asked for, over the last tick, J
+    asked: float  # work of the force that was asked for on the commanded point's way, over the last tick, J
     held: float  # of the force that was held, J
+    out: float  # of the force that was held on the slave's own way, J
+    P: float  # energy of the coupling's spring, J
     ff: float  # the square of f_0, of 2 z m, N^2
     cc: float  # that of f_0 + 2 z c, the command's way to m times 2 z, N^2
+    vv: float  # that of the velocity, m^2/s^2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,8 +144,8 @@ class TDPA:
         check_knobs(self)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
-        least, most = 0.5 * self.K * facts.dt, facts.mass_m / facts.held
-        coupling = (f"the coupling gives out no more than its commanded point puts in where B >= K dt/2, which "
+        least, most = PAYS * self.K * facts.dt, facts.mass_m / facts.held
+        coupling = (f"the coupling of a slave that owes energy takes it back where B >= {PAYS:.4f} K dt, which "
                     f"B = {self.B:g} N s/m is not; --set law.B={enough(least, least=True)} is the least")
         damper = (f"the master's damper takes energy where alpha_max <= m/T, T the longest tick, which "
                   f"alpha_max = {self.alpha_max:g} N s/m is not; --set law.alpha_max={enough(most, least=False)} "
@@ -140,7 +160,7 @@ class TDPA:
         return Master(0.0, 0.0, 0.0), Back(0.0, 0.0)
 
     def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(self.E0, 0.0, 0.0, at.x, 0.0, 0.0), Forth(at.x, 0.0, 0.0)  # until the first message: stay
+        return Slave(self.E0, 0.0, 0.0, at.x, 0.0, 0.0, 0.0), Forth(at.x, 0.0, 0.0)  # until the first message: stay
 
     def master_stored(self, s: Master) -> float:
         return s.G + (s.E - s.seen)
@@ -163,21 +183,27 @@ class TDPA:
 
     def slave_sums(self, s: Slave, at: At, rx: Forth) -> SlaveSums:
         dt, step, along = at.dt, at.dt * s.v_d, at.dx * (1.0 - at.dt / at.span)
-        _, f_0, c = commanded(self.K, self.B, self.drift, s.x_d + along, at.x, at.v, rx.x, rx.v, at.gain)
-        off = f_0 + 2.0 * (self.B + self.K * dt) * c
-        done = at.f_held * along
-        return SlaveSums(s.f_d * step + done, at.f_held * step + done, f_0 * f_0, off * off)
+        x_d, f_0, c = commanded(self.K, self.B, self.drift, s.x_d + along, at.x, at.v, rx.x, rx.v, at.gain)
+        off, e, done = f_0 + 2.0 * (self.B + self.K * dt) * c, x_d - at.x, at.f_held * along
+        return SlaveSums(s.f_d * step + done, at.f_held * step + done, at.f_held * at.dx, 0.5 * self.K * e * e,
+                         f_0 * f_0, off * off, at.v * at.v)
 
     def slave(self, s: Slave, at: At, rx: Forth, over: SlaveSums) -> tuple[float, Back, Slave]:
-        G, E = observed(s.G, s.E, rx.E - s.seen, -max(over.asked, over.held), self.store + self.E0)
+        spent = max(over.asked, over.held)
+        C = s.C + (spent - over.out)
+        G, E = observed(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
+        C = min(max(C, 0.0), self.store + over.P)
         dt, z = at.dt, self.B + self.K * at.dt
         x_d = s.x_d + at.dx * (1.0 - dt / at.span)
         x_d, f_0, c = commanded(self.K, self.B, self.drift, x_d, at.x, at.v, rx.x, rx.v, at.gain)
-        beyond = 1.0 - sqrt(min(max(over.ff * dt + 4.0 * z * G, 0.0) / max(over.cc * dt, TINY), 1.0))
+        K_dt = self.K * dt
+        worst = 0.5 * dt * over.vv * (K_dt * K_dt / (K_dt + 2.0 * self.B))  # of what the hold may give, J
+        left = G - max(worst + over.P - C, 0.0)
+        beyond = 1.0 - sqrt(min(max(over.ff * dt + 4.0 * z * left, 0.0) / max(over.cc * dt, TINY), 1.0))
         beyond = max(beyond, (G < 0.0) * (over.held > over.asked + NEARLY * abs(over.asked)))
         v_d = c - beyond * (c + 0.5 * f_0 / z)
         f_s = f_0 + z * v_d
-        return f_s, Back(at.gain * f_s, E), Slave(G, E, rx.E, x_d + dt * v_d, v_d, f_s)
+        return f_s, Back(at.gain * f_s, E), Slave(G, E, rx.E, x_d + dt * v_d, v_d, f_s, C)
 
 
 def observed(G: float, E: float, came: float, w: float, most: float) -> tuple[float, float]:

@@ -190,23 +190,25 @@ def _capped(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
 
 def _rigid(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
     """The command is scaled by what there is over the power that the force of now would have."""
-    G, E = tdpa.observed(s.G, s.E, rx.E - s.seen, -max(over.asked, over.held), self.store + self.E0)
+    spent = max(over.asked, over.held)
+    C = s.C + spent - over.out
+    G, E = tdpa.observed(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
     x_d, f_0, c = tdpa.commanded(self.K, self.B, self.drift, s.x_d + at.dx * (1.0 - at.dt / at.span), at.x, at.v,
                                  rx.x, rx.v, at.gain)
     v_d = c * min(max(G, 0.0) / max(at.dt * f_0 * c, tdpa.TINY), 1.0)
     f_s = f_0 + (self.B + self.K * at.dt) * v_d
-    return f_s, tdpa.Back(at.gain * f_s, E), tdpa.Slave(G, E, rx.E, x_d + at.dt * v_d, v_d, f_s)
+    after = tdpa.Slave(G, E, rx.E, x_d + at.dt * v_d, v_d, f_s, min(max(C, 0.0), self.store + over.P))
+    return f_s, tdpa.Back(at.gain * f_s, E), after
 
 
 def _booked(which: str) -> Any:
     def sums(self: TDPA, s: Any, at: At, rx: Any) -> Any:
         own = TDPA.slave_sums(self, s, at, rx)
         if which == "asked":
-            return own._replace(held=own.asked)
-        if which == "held":
-            return own._replace(asked=own.held)
-        work = at.f_held * at.dx
-        return own._replace(asked=work, held=work) if which == "dx" else own._replace(asked=-own.held, held=-own.asked)
+            return own._replace(held=own.asked, out=s.f_d * at.dx)
+        if which == "but for the hold":
+            return own._replace(out=-tdpa.FREE, vv=0.0)
+        return own._replace(asked=-own.held, held=-own.asked, out=-own.out)
 
     return sums
 
@@ -237,6 +239,5 @@ TDPA_WRONG = (
     mutant(TDPA, "AskedForByTheSlave", {"K": 2000.0, "B": 5.0, "drift": 50.0, "E0": 0.005},
            slave_sums=_booked("asked")),
     mutant(TDPA, "TakesBackByTheAskedForce", NEARLY=1e300),
-    mutant(TDPA, "MotionOfTheSlave", slave_sums=_booked("dx")),
     mutant(TDPA, "AskedForByTheMaster", master_start=_asked_start, master_sums=_asked_sums, master=_asked_master),
 )
