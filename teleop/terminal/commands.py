@@ -303,7 +303,7 @@ def _check(added: ArgumentParser) -> None:
                        "way its force acts: see that nobody and nothing is in its way; left out: only what is "
                        "simulated is pushed")
     added.add_argument("--force", metavar="F", type=float, help="of the push, in N or N m; left out: 0.1 on a machine, "
-                       "1 in simulation")
+                       "at most 1 in simulation")
     added.add_argument("--ticks", metavar="N", type=whole, default=1000, help="read so often, a machine by the clock; "
                        "left out: 1000; with more you have the time to unplug it and to plug it in again")
     _json(added)

@@ -1,8 +1,8 @@
 """The check of a device against what a live end asks of it: `check_device(MyArm, e="s")`, `teleop check robot NAME`.
 
 How long `read` and `hold` take is measured and told, never judged: another machine has other times. All else is right
-or refused with one sentence. A device is pushed only if it says that it is simulated, by an attribute `simulated` or
-`scene_body` that is true, or if that is asked for.
+or is a `DeviceFault` with one sentence. A device is pushed only if it says that it is simulated, by an attribute
+`simulated` or `scene_body` that is true, or if that is asked for.
 """
 
 from __future__ import annotations
@@ -11,14 +11,27 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from math import ceil
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from teleop.errors import DeviceError, Refused, enumerated, number, number_of, whole_number
+from teleop.errors import DeviceError, Refused, number, number_of, whole_number
+from teleop.live.devices.call_watch import CallWatch
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, is_simulated
 from teleop.live.devices.heartbeat import watched
+from teleop.live.devices.judging import (
+    DeviceFault,
+    Mistake,
+    Motion,
+    check_deadline,
+    check_growth,
+    check_lag,
+    check_reach,
+    check_sensor,
+    check_velocity,
+)
 from teleop.live.devices.named import NamedDevice, named
 from teleop.live.devices.opening import close
 from teleop.protocol.endpoint import Axes, Reading
@@ -27,9 +40,14 @@ from teleop.scene.device_names import KINDS
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
 
-SIMULATED_N, MACHINE_N = 1.0, 0.1  # the push, N or N m
-RAMP_S, STAY_S = 0.1, 0.2  # of a push: up, and down again; and between
+GENTLE = 0.2  # m/s^2 or rad/s^2, to which what is simulated is pushed, were it the scene's own body
+SIMULATED_N, MACHINE_N = 1.0, 0.1  # N or N m: of what is simulated, if less does not move it, and of a machine
+RAMP_S, STAY_S = 0.1, 0.2  # of a push of a machine: up, and down again; and between
+PROBE = 0.1  # of that push, held for half as long before it: a force that adds up is still small then
 FAR = 5e-3  # m or rad: a machine that has come so far is pushed no more, the force goes along its ramp
+HAND = 1e-3  # m or rad: a machine that nobody pushes and that came so far was moved by a hand
+SAME = 1e-3  # of the push: a simulated sensor is no nearer to the motor's force, unless it reads that
+NEARLY = 0.05  # of a machine, whose current is measured
 LEFT_OUT = 50  # ticks that are left out once
 WAIT_S = 2.0  # for a first reading, and for a device to take zero
 
@@ -52,9 +70,7 @@ class DeviceCheck:
     hold_median: float
     hold_most: float
     rate: float  # 1/s, by the medians
-    failed: int  # readings that could not be had
-    trouble: str = ""  # of the first of them
-    pushed: float | None = None  # N or N m
+    pushed: tuple[float, ...] = ()  # N or N m, in each axis; empty: it was not pushed
     moved: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -65,18 +81,25 @@ class DeviceCheck:
 
 def check_device(make: str | Callable[..., LiveDevice], scene: Scene | None = None, *, e: str = "s",
                  push: bool | None = None, force: float | None = None, ticks: int = 1000) -> DeviceCheck:
-    """Raise `Refused` with one sentence for the first thing in which a device is none; else what was measured.
+    """Raise `DeviceFault` with one sentence for the first mistake of a device; else return what was measured.
 
     `make`: what makes it from the scene, or the text of `--device` or `--robot`; `scene`: left out, `hard_wall`; `e`:
-    the end at which it stands, "m" or "s". It is read and held at `ticks` ticks: a machine by the clock.
+    the end at which it stands, "m" or "s". It is read and held at `ticks` ticks: a machine by the clock. Raises
+    `Refused` for a request that cannot be carried out: an unknown name, a device that does not open, other axes.
 
-    Tried are: what `opened` asks for; numbers, one for each axis and finite, with a force always or never; that a
-    reading is a left limit, so the same before and after a force is set at its tick (simulated: at tick 0); ticks that
-    are left out; the sign of the force, along +x at the slave and along -x at the master, by a push of `force` (N or
-    N m; left out, 1 in simulation and 0.1 on a machine) along each axis in turn, ramped; that what fails raises
+    Tried are: what `opened` asks for; numbers, one for each axis and finite, with a force always or never, at every
+    tick; its deadline; that a reading is a left limit, so the same before and after a force is set at its tick
+    (simulated: at tick 0); ticks that are left out; that v is the slope of x; the sign of the force, along +x at the
+    slave and along -x at the master, by a push of `force` (N or N m; left out, 0.1 on a machine, and in simulation what
+    gives the scene's own body 0.2 m/s^2 or rad/s^2, twice as much while it does not move, at most 1) along each
+    axis in turn; that the push moves it by less than 5 cm (or 0.05 rad), that its force ends when zero is asked for,
+    that the next tick knows of it (simulated), and that a force sensor senses something else; that what fails raises
     DeviceError or OSError; `close`; and, simulated, that it opens again. `push=None` pushes what is simulated alone. A
-    machine is pushed only if its force lapses by itself or a watchdog process stands beside it, and not on once it has
-    come 5 mm or 5 mrad. Whatever happens, its force is zero at the end and it is closed.
+    machine is pushed only if its force lapses by itself or a watchdog process stands beside it, along a ramp, and not
+    on once it has come 5 mm or 5 mrad. Whatever happens, its force is zero at the end and it is closed.
+
+    A `read` or `hold` that does not return for 1.2 s ends the process with a sentence and exit code 1, for nothing else
+    can: zero force is tried first, from another thread.
     """
     whole_number("ticks", ticks, low=1)
     scene = both_ends(load_scene("hard_wall") if scene is None else scene)
@@ -85,11 +108,12 @@ def check_device(make: str | Callable[..., LiveDevice], scene: Scene | None = No
     device = known.open(scene)
     raised: BaseException | None = None
     try:
-        with TemporaryDirectory() as folder, watched(device, Path(folder)) as beside:
-            trial = _Trial(known, beside, device, scene, e)
+        check_deadline(getattr(device, "deadline", None))
+        with TemporaryDirectory() as folder, watched(device, Path(folder)) as beside, CallWatch(called) as watch:
+            trial = _Trial(known, beside, device, scene, e, watch)
             try:
-                found = trial.run(called, ticks)
-                found = trial.push(found, push, force)
+                result = trial.run(called, ticks)
+                result = trial.push(result, push, force)
             finally:
                 trial.let_go()
     except BaseException as error:
@@ -98,42 +122,51 @@ def check_device(make: str | Callable[..., LiveDevice], scene: Scene | None = No
     finally:
         why = close(device)
         if why is not None and raised is None:
-            raise Refused(f"{called} did not close: {why}; what close raises is told after every run, which ends with "
-                          "exit code 1 then")
-    if found.simulated:
+            raise DeviceFault(Mistake.CLOSE, f"{called} did not close: {why}; what close raises is told after every "
+                              "run, which ends with exit code 1 then")
+    if result.simulated:
         again = known.open(scene)
         with suppress(Refused):
             if GuardedDevice(again, scene.axes).read(0, 0) is not None:
                 close(again)
-                return found
-        raise Refused(f"{called} was closed, opened again, and cannot be read: let close give back all that it took")
-    return found
+                return result
+        raise DeviceFault(Mistake.CLOSE, f"{called} was closed, opened again, and cannot be read: let close give back "
+                          "all that it took")
+    return result
 
 
 class _Trial:
     """A device under test. `device`: with its watchdog; `bare`: without."""
 
-    def __init__(self, known: NamedDevice, device: LiveDevice, bare: LiveDevice, scene: Scene, e: str) -> None:
-        self.known, self.bare, self.scene, self.e = known, bare, scene, e
-        self.guarded = GuardedDevice(device, scene.axes)
+    def __init__(self, known: NamedDevice, device: LiveDevice, bare: LiveDevice, scene: Scene, e: str,
+                 watch: CallWatch) -> None:
+        self.known, self.bare, self.scene, self.e, self.watch = known, bare, scene, e, watch
+        self.guarded = watch.guarded = GuardedDevice(device, scene.axes)
         self.simulated = is_simulated(bare)
         self.zero: Axes = (0.0,) * scene.axes
         self.k = 0
         self.began = time.monotonic_ns()
         self.read_s: list[float] = []
         self.hold_s: list[float] = []
-        self.failed, self.trouble = 0, ""
+        self.failed: list[int] = []  # ticks without a reading
+        self.trouble = ""  # of the first of them
+        self.sums = list(self.zero)  # of all forces that were held, per axis
+        self.adds_up = 0.0  # N or N m: steps in which a device that adds them up is given the contrary; 0: it does not
 
     def run(self, called: str, ticks: int) -> DeviceCheck:
         """Read and hold no force."""
         first = self._first()
         if self.simulated:
             self._left_limit(first)
+        motions = self._motions()
         for at in range(ticks):
-            self.k += LEFT_OUT if at == ticks // 2 else 1
-            self._tick(self.zero)
-        if self.failed == ticks:
-            raise Refused(f"none of {number_of(ticks, 'reading')} could be had: {self.trouble}")
+            if at == ticks // 2:
+                self._check_slopes(motions)
+                motions = self._motions()
+                self.k += LEFT_OUT
+            self._tick(self.zero, motions)
+        self._check_readings()
+        self._check_slopes(motions)
         together = median(self.read_s) + median(self.hold_s)
         notes = []
         if together > self.scene.dt:
@@ -150,14 +183,13 @@ class _Trial:
             axis_units=self.scene.axis_units, senses=bool(self.guarded.sensor), deadline=deadline,
             watchdog=watchdog, simulated=self.simulated, reads=ticks, read_median=median(self.read_s),
             read_most=max(self.read_s), hold_median=median(self.hold_s), hold_most=max(self.hold_s),
-            rate=1.0 / max(together, 1e-9), failed=self.failed,
-            trouble=self.trouble, notes=tuple(notes))
+            rate=1.0 / max(together, 1e-9), notes=tuple(notes))
 
     def _first(self) -> Reading:
         until = time.monotonic() + WAIT_S
         while (reading := self._read(0)) is None:
             if time.monotonic() > until:
-                raise Refused(f"it cannot be read: {self.guarded.trouble}")
+                raise DeviceFault(Mistake.UNREAD, f"it cannot be read: {self.guarded.trouble}")
             time.sleep(0.005)
         return reading
 
@@ -165,16 +197,26 @@ class _Trial:
         """What is read at tick 0 is the same before and after a force is set there."""
         self._hold((SIMULATED_N,) * self.scene.axes)
         after = self._read(0)
+        self._hold((-SIMULATED_N,) * self.scene.axes)
         self._hold(self.zero)
         if after is None or (after.x, after.v) != (first.x, first.v):
-            raise Refused(f"at tick 0 it read x = {first.x}, v = {first.v}, and after a force was held there "
-                          f"{'nothing' if after is None else f'x = {after.x}, v = {after.v}'}; a reading is the left "
-                          "limit: let read(k) move it by the force held since the tick before, and hold move nothing")
+            raise DeviceFault(Mistake.NOT_LEFT_LIMIT, (
+                f"at tick 0 it read x = {first.x}, v = {first.v}, and after a force was held there "
+                f"{'nothing' if after is None else f'x = {after.x}, v = {after.v}'}; a reading is the left limit: let "
+                "read(k) move it by the force held since the tick before, and hold move nothing"))
 
-    def _tick(self, force: Axes) -> Reading | None:
-        """One tick: a reading, and `force` from then on. By the clock, where there is a machine."""
+    def _motions(self) -> list[Motion]:
+        return [Motion(name, unit) for name, unit in zip(self.scene.axis_names, self.scene.axis_units, strict=True)]
+
+    def _tick(self, force: Axes, motions: list[Motion] | None = None) -> Reading | None:
+        """One tick: a reading, which the motion of each axis gets, and `force` from then on.
+
+        By the clock, where there is a machine.
+        """
+        self.k += 1
         if not self.simulated:
             time.sleep(max(0.0, (self.began + self.k * self.scene.dt_ns - time.monotonic_ns()) / 1e9))
+        at = self.k * self.scene.dt_ns if self.simulated else time.monotonic_ns()
         began = time.perf_counter_ns()
         reading = self._read(self.k)
         read = time.perf_counter_ns()
@@ -182,133 +224,224 @@ class _Trial:
         self.hold_s.append((time.perf_counter_ns() - read) / 1e9)
         self.read_s.append((read - began) / 1e9)
         if reading is None:
-            self.failed += 1
+            self.failed.append(self.k)
             self.trouble = self.trouble or str(self.guarded.trouble)
+        else:
+            for motion, x, v in zip(motions or (), reading.x, reading.v, strict=False):
+                motion.t.append(at / 1e9)
+                motion.x.append(x)
+                motion.v.append(v)
         return reading
 
     def _read(self, k: int) -> Reading | None:
         try:
-            return self.guarded.read(k, time.monotonic_ns())
+            with self.watch.calling("read"):
+                return self.guarded.read(k, time.monotonic_ns())
         except Refused:
             raise
         except Exception as error:
-            raise _wrong("read", error) from error
+            raise _raises("read", error) from error
 
     def _hold(self, force: Axes) -> None:
+        self.sums = [total + each for total, each in zip(self.sums, force, strict=True)]
         try:
-            self.guarded.hold(force)
+            with self.watch.calling("hold"):
+                self.guarded.hold(force)
         except Exception as error:
-            raise _wrong("hold", error) from error
+            raise _raises("hold", error) from error
 
-    def push(self, found: DeviceCheck, asked: bool | None, force: float | None) -> DeviceCheck:
-        """`found`, with what a push along each axis did."""
+    def _check_readings(self) -> None:
+        """Raise `DeviceFault` if a reading could not be had."""
+        reads, failed = number_of(len(self.read_s), "reading"), len(self.failed)
+        if failed:
+            some = f"none of {reads} could be had" if failed == len(self.read_s) else (
+                f"{failed} of {reads} could not be had, the first at tick {self.failed[0]}, the last "
+                f"{number_of(self.k - self.failed[-1], 'tick')} before the end")
+            raise DeviceFault(Mistake.UNREAD, f"{some}: {self.trouble}; an end lets go at each of them: see to its "
+                              "cable, its driver, and what read hands over")
+
+    def _check_slopes(self, motions: list[Motion], least: float = 0.0) -> None:
+        for motion in motions:
+            check_velocity(motion, max(least, 0.0 if self.simulated else HAND))
+
+    def push(self, result: DeviceCheck, asked: bool | None, force: float | None) -> DeviceCheck:
+        """`result`, with what a push along each axis did."""
         if asked is False or (asked is None and not self.simulated):
             why = "" if asked is False else ": ask for it by --push (from Python push=True)"
-            return _noted(found, f"the sign of its force was not tried, since that moves it{why}")
-        if found.deadline is None and not found.watchdog:
-            raise Refused("it is not pushed, for it has neither a deadline nor a watchdog, and should this process die "
-                          "meanwhile the force would stay on; give it one, see teleop/live/devices/README.md")
-        most = number("force", (SIMULATED_N if self.simulated else MACHINE_N) if force is None else force, above=0.0)
-        twin = _Twin(self.known, self.scene, self.k) if self.simulated else None
-        try:
-            moved = tuple([self._push_along(axis, most, twin) for axis in range(self.scene.axes)])
-        finally:
-            if twin is not None:
+            return _noted(result, f"the sign of its force was not tried, since that moves it{why}")
+        if result.deadline is None and not result.watchdog:
+            raise DeviceFault(Mistake.NO_LIMIT, (
+                "it is not pushed, for it has neither a deadline nor a watchdog, and should this process die meanwhile "
+                "the force would stay on; give it one, see teleop/live/devices/README.md"))
+        most = None if force is None else number("force", force, above=0.0)
+        axes = range(self.scene.axes)
+        if self.simulated:
+            twin = _Twin(self.known, self.scene, self.k, self.watch)
+            try:
+                pushes = [self._push_simulated(axis, most, twin) for axis in axes]
+            finally:
                 close(twin.device)
-        still = [name for name, by in zip(self.scene.axis_names, moved, strict=True) if not by]
-        found = replace(found, pushed=most, moved=moved)
-        return _noted(found, f"no force moved it along {', '.join(still)}, so its sign there is not known") if (
-            still) else found
+        else:
+            pushes = [self._push_machine(axis, most or MACHINE_N) for axis in axes]
+        still = [name for name, (_, by) in zip(self.scene.axis_names, pushes, strict=True) if not by]
+        result = replace(result, pushed=tuple([size for size, _ in pushes]), moved=tuple([by for _, by in pushes]))
+        return _noted(result, f"no force moved it along {', '.join(still)}, so its sign there is not known") if (
+            still) else result
 
-    def _push_along(self, axis: int, most: float, twin: _Twin | None) -> float:
-        """By how much (m or rad) a push moved it along an axis, 0 where it cannot be told. Refuses the wrong way."""
+    def _push_simulated(self, axis: int, asked: float | None, twin: _Twin) -> tuple[float, float]:
+        """The force of a sudden push and by how much (m or rad) it moved the device, 0 where it did not."""
+        body = self.scene.per_axis("slave" if self.e == "s" else "master")[axis]
+        size = min(SIMULATED_N, GENTLE * getattr(body, "mass", 0.5)) if asked is None else asked
+        stay = max(10, round(STAY_S / self.scene.dt))
+        while True:
+            motion = self._motions()[axis]
+            wobble = [self._step(axis, 0.0, motion, twin) for _ in range(10)]  # of a device with dice of its own
+            least = 2.0 * (max(wobble) - min(wobble))
+            motion = self._motions()[axis]
+            for force in (size,) * stay + (0.0,) * (stay + 1):
+                self._step(axis, force, motion, twin)
+            self._judge(axis, motion, least, 0.0, SAME * size)
+            moved = _farthest(motion)
+            if abs(moved) > least or asked is not None or size >= SIMULATED_N:
+                return size, moved if abs(moved) > least else 0.0
+            size = min(SIMULATED_N, 2.0 * size)
+
+    def _push_machine(self, axis: int, most: float) -> tuple[float, float]:
+        """The same of a machine, along a ramp, after a smaller push that would show that its force adds up."""
         ramp, stay = (max(1, round(each / self.scene.dt)) for each in (RAMP_S, STAY_S))
-        rested = [self._step(axis, 0.0) for _ in range(2 * ramp + stay)] if twin is None else []
-        at_rest = [x for x in rested if x is not None]
-        start = at_rest[-1] if at_rest else 0.0
-        least = 2.0 * (max(at_rest) - min(at_rest)) if at_rest else 0.0  # it moves so much when nobody pushes it
-        top, gain, by, step = 0.0, 0.0, 0.0, 1.0 / ramp
+        at_rest = self._motions()[axis]
+        for _ in range(2 * ramp + stay):
+            self._step(axis, 0.0, at_rest)
+        least = 2.0 * (max(at_rest.x) - min(at_rest.x))  # it moves so much when nobody pushes it
+        noise = 2.0 * (max(at_rest.f) - min(at_rest.f)) if at_rest.f else 0.0
+        step, probe, gain = 1.0 / ramp, self._motions()[axis], 0.0
+        for i in range(ramp + 2):
+            gain = min(PROBE, gain + step) if i < ramp // 2 else max(0.0, gain - step)
+            self._step(axis, gain * most, probe)
+        for _ in range(probe.pushed()):
+            self._step(axis, 0.0, probe)
+        self._check_adding(axis, probe, least, PROBE * most)
+        for force in probe.held[1:probe.pushed() + 1]:  # and the contrary, so that what is free stands still again
+            self._step(axis, -force, probe)
+        motion, gain = self._motions()[axis], 0.0
         for i in range(2 * ramp + stay):
-            down = i >= ramp + stay or (twin is None and abs(by) > FAR)
-            gain = max(0.0, gain - step) if down else min(1.0, gain + step)
-            x = self._step(axis, gain * most)
-            if x is not None:
-                by = x - (start if twin is None else twin.at(self.k)[axis])
-                top = by if abs(by) > abs(top) else top
-        self._step(axis, 0.0)
-        if abs(top) <= least:
-            return 0.0
-        sign, along = (1.0, "+x at the slave") if self.e == "s" else (-1.0, "-x at the master, against the hand")
-        if top * sign < 0.0:
-            unit = self.scene.axis_units[axis]
-            raise Refused(f"a force of {most:g} {FORCE_UNIT[unit]} along {self.scene.axis_names[axis]} moved it by "
-                          f"{top:.3g} {unit}, the wrong way: a force acts along {along}; turn its sign in hold")
-        return top
+            by = motion.by[-1] if motion.by else 0.0
+            gain = max(0.0, gain - step) if i >= ramp + stay or abs(by) > FAR else min(1.0, gain + step)
+            self._step(axis, gain * most, motion)
+        self._step(axis, 0.0, motion)
+        up = [most * min(1.0, (i + 1) * step) for i in range(ramp)]
+        self._judge(axis, motion, least, noise, NEARLY * most, whole=[*up, *[most] * stay, *up[::-1]])
+        moved = _farthest(motion)
+        return most, moved if abs(moved) > least else 0.0
 
-    def _step(self, axis: int, force: float) -> float | None:
-        """The position along an axis at the next tick, where `force` is held along it from then on."""
-        self.k += 1
+    def _judge(self, axis: int, motion: Motion, least: float, noise: float, tolerance: float,
+               whole: list[float] | None = None) -> None:
+        """Raise `DeviceFault` for what a push has shown. `least`: m or rad that it moves without one."""
+        self._check_readings()
+        moved, pushed = _farthest(motion), max(motion.held, key=abs)
+        if self.simulated:
+            check_lag(motion, self.scene.dt)
+            self._check_adding(axis, motion, least, pushed)
+        sign, along = (1.0, "+x at the slave") if self.e == "s" else (-1.0, "-x at the master, against the hand")
+        if abs(moved) > least and moved * sign < 0.0:
+            raise DeviceFault(Mistake.WRONG_WAY, (
+                f"a force of {pushed:g} {FORCE_UNIT[motion.unit]} along {motion.name} moved it by {moved:.3g} "
+                f"{motion.unit}, the wrong way: a force acts along {along}; turn its sign in hold"))
+        check_velocity(motion, least if self.simulated else max(5.0 * least, HAND))
+        check_reach(motion, whole or ())
+        check_sensor(motion, least, tolerance + noise)
+
+    def _check_adding(self, axis: int, motion: Motion, least: float, size: float) -> None:
+        try:
+            check_growth(motion, least)
+        except DeviceFault:
+            self.adds_up = abs(size)
+            raise
+
+    def _step(self, axis: int, force: float, motion: Motion, twin: _Twin | None = None) -> float:
+        """The position along an axis at the next tick, where `force` is held along it from then on.
+
+        It counts from that of the twin, or of the first reading of the motion.
+        """
         reading = self._tick((*self.zero[:axis], force, *self.zero[axis + 1:]))
-        return None if reading is None else reading.x[axis]
+        base = None if twin is None else twin.at(self.k)
+        if reading is None:
+            return motion.by[-1] if motion.by else 0.0
+        f = None if reading.f is None else reading.f[axis]
+        motion.add(self.k * self.scene.dt if self.simulated else time.monotonic_ns() / 1e9, reading.x[axis],
+                   reading.v[axis], f, force,
+                   None if base is None else (base.x[axis], base.v[axis], 0.0 if base.f is None else base.f[axis]))
+        return motion.by[-1]
 
     def let_go(self) -> None:
-        """No force, whatever it raises. Raises `Refused` if it does not take that."""
+        """No force, whatever it raises. Raises `DeviceFault` if it does not take that."""
         until = time.monotonic() + WAIT_S
+        for axis, total in enumerate(self.sums if self.adds_up else ()):
+            steps = ceil(abs(total) / self.adds_up)
+            for _ in range(steps):
+                with suppress(Exception):
+                    self.guarded.hold((*self.zero[:axis], -total / steps, *self.zero[axis + 1:]))
         while not self.guarded.let_go():
             if time.monotonic() > until:
-                raise Refused(f"it does not take zero force ({self.guarded.trouble}): the force may still be on")
+                raise DeviceFault(Mistake.UNRELEASED, f"it does not take zero force ({self.guarded.trouble}): the "
+                                  "force may still be on; switch it off")
             time.sleep(0.005)
 
 
 class _Twin:
     """The same simulated device, which nobody pushes."""
 
-    def __init__(self, known: NamedDevice, scene: Scene, k: int) -> None:
-        self.device = known.open(scene)
-        self._zero = self._x = (0.0,) * scene.axes
+    def __init__(self, known: NamedDevice, scene: Scene, k: int, watch: CallWatch) -> None:
+        self.device, self._watch = known.open(scene), watch
+        self._zero = (0.0,) * scene.axes
+        self._reading = Reading(self._zero, self._zero)
         self._k = 0
         self.at(k)
 
-    def at(self, k: int) -> Axes:
-        """Its position at tick k."""
+    def at(self, k: int) -> Reading:
+        """What it reads at tick k."""
         for each in range(self._k, k + 1):
-            with suppress(DeviceError, OSError):
-                self._x = self.device.read(each).x
+            with suppress(DeviceError, OSError), self._watch.calling("read"):
+                self._reading = self.device.read(each)
                 self.device.hold(self._zero)
         self._k = k
-        return self._x
+        return self._reading
 
 
-def _noted(found: DeviceCheck, note: str) -> DeviceCheck:
-    return replace(found, notes=(*found.notes, note))
+def _farthest(motion: Motion) -> float:
+    """How far it came from where it would be without the push, until the force was zero again, m or rad."""
+    return max(motion.by[:motion.pushed()], key=abs, default=0.0)
 
 
-def _wrong(method: str, error: Exception) -> Refused:
-    return Refused(f"its {method} raised {type(error).__name__}: {error}; what may come right again raises DeviceError "
-                   "of teleop or an OSError, on which an end is safe and asks again, and all else ends the run")
+def _noted(result: DeviceCheck, note: str) -> DeviceCheck:
+    return replace(result, notes=(*result.notes, note))
 
 
-def told(found: DeviceCheck, e: str) -> str:
-    """What was found, for a person."""
-    force = enumerated(dict.fromkeys(f"{found.pushed or 0.0:g} {FORCE_UNIT[unit]}" for unit in found.axis_units), "or")
-    lets_go = " and ".join([*[f"by itself after {found.deadline:g} s"] * (found.deadline is not None),
-                            *["by its watchdog process"] * found.watchdog]) or "not at all if this process dies"
+def _raises(method: str, error: Exception) -> DeviceFault:
+    return DeviceFault(Mistake.RAISES, (
+        f"its {method} raised {type(error).__name__}: {error}; what may come right again raises DeviceError of teleop "
+        "or an OSError, on which an end is safe and asks again, and all else ends the run"))
+
+
+def report(result: DeviceCheck, e: str) -> str:
+    """What was measured, for a person."""
+    lets_go = [] if result.deadline is None else [f"by itself after {result.deadline:g} s"]
+    lets_go += ["by its watchdog process"] * result.watchdog
     lines = [
-        f"{KINDS[e].word} {found.device}: {number_of(found.axes, 'axis', 'axes')}, "
-        f"{'with a' if found.senses else 'without a'} force sensor{', simulated' * found.simulated}",
-        f"  read    {_time(found.read_median)} median, {_time(found.read_most)} at most, of "
-        f"{number_of(found.reads, 'call')}",
-        f"  hold    {_time(found.hold_median)} median, {_time(found.hold_most)} at most",
-        f"  rate    {found.rate:,.0f} a second, 1 / (read + hold) by the medians, measured now on this machine",
-        f"  force   lets go {lets_go}",
+        f"{KINDS[e].word} {result.device}: {number_of(result.axes, 'axis', 'axes')}, "
+        f"{'with a' if result.senses else 'without a'} force sensor{', simulated' * result.simulated}",
+        f"  read    {_time(result.read_median)} median, {_time(result.read_most)} at most, of "
+        f"{number_of(result.reads, 'call')}",
+        f"  hold    {_time(result.hold_median)} median, {_time(result.hold_most)} at most",
+        f"  rate    {result.rate:,.0f} a second, 1 / (read + hold) by the medians, measured now on this machine",
+        f"  force   lets go {' and '.join(lets_go) or 'not at all if this process dies'}",
     ]
-    if found.failed:
-        lines.append(f"  failed  {number_of(found.failed, 'reading')}, the first: {found.trouble}")
-    if found.pushed is not None and any(found.moved):
-        moved = ", ".join(f"{by:.3g} {unit} along {name}" for name, unit, by in
-                          zip(found.axis_names, found.axis_units, found.moved, strict=True))
-        lines.append(f"  push    {force} moved it by {moved}: the right way")
-    return "\n".join([*lines, *[f"  note    {note}" for note in found.notes]])
+    if any(result.moved):
+        pushes = zip(result.pushed, result.moved, result.axis_names, result.axis_units, strict=True)
+        moved = ", ".join(f"{by:.3g} {unit} along {name} ({force:.3g} {FORCE_UNIT[unit]})"
+                          for force, by, name, unit in pushes)
+        lines.append(f"  push    moved it by {moved}: the right way")
+    return "\n".join([*lines, *[f"  note    {note}" for note in result.notes]])
 
 
 def _time(seconds: float) -> str:
