@@ -12,7 +12,6 @@ from teleop.live.leaving import leave, leave_without_loop, let_go
 from teleop.live.listening import Listening
 from teleop.live.lockstep import by_packets
 from teleop.live.meeting import first_reading, meet
-from teleop.live.orders import Orders
 from teleop.live.process.suspension import Suspension, boottime
 from teleop.live.process.tick_loop import in_tick_loop
 from teleop.live.process.ticker import Alarm
@@ -78,14 +77,12 @@ class ClockDriver:
         self._dt_ns, self._ticks = shell.scene.dt_ns, shell.scene.ticks  # kept, for a scene works them out anew
         self._span_ns = self._dt_ns * shell.endpoint.every
         self._set_to = 0  # the start of the grid that the timer is set to
-        self._alarm = Alarm(loop, partial(shell.guarded, self.wake), spin_ns)
+        self._alarm = Alarm(loop, partial(shell.guarded, self._ring), spin_ns)
 
     async def drive(self) -> None:
         """Tick until the run is over."""
-        shell, orders, loop = self.shell, self.shell.orders, asyncio.get_running_loop()
+        shell = self.shell
         try:
-            if orders is not None:
-                loop.add_reader(orders.fd, shell.guarded, partial(self._obey, orders))
             self.listening.update(time.monotonic_ns(), shell.take_events())
             if self.session.joined:
                 self._join(self._due() + 1)
@@ -95,8 +92,6 @@ class ClockDriver:
             self._arm()
             await shell.outcome.over.wait()
         finally:
-            if orders is not None:
-                loop.remove_reader(orders.fd)
             self._alarm.close()
 
     def _start_ns(self) -> int:
@@ -128,12 +123,14 @@ class ClockDriver:
         shell.counts.first = shell.counts.last + every
         shell.endpoint.join(shell.counts.first)
 
-    def _obey(self, orders: Orders) -> None:
-        """Carry out what has come; without whoever gives the orders, leave."""
-        orders.read()
-        if orders.over:
-            asyncio.get_running_loop().remove_reader(orders.fd)
-            self.shell.stop("the process that gave it orders has ended")
+    def _ring(self) -> None:
+        """Do what is due, and with the force renewed carry out orders; without whoever gives them, leave."""
+        self.wake()
+        orders = self.shell.orders
+        if orders is not None and not self.shell.outcome.over.is_set():
+            orders.read()
+            if orders.over:
+                self.shell.stop("the process that gave it orders has ended")
 
     def _go_on(self) -> None:
         """The end was turned: see `teleop.live.turning`."""
