@@ -141,6 +141,24 @@ def test_one_that_is_never_opened_changes_no_bit() -> None:
     assert all(with_one[name].tobytes() == none[name].tobytes() for name in none)
 
 
+def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_clutch_opened() -> None:
+    """The same bits in each engine, and live."""
+    plan, law = Operator(clutch=((2.5, 4.0),), ramp=0.05), PositionPosition(K=1000.0)
+    swung = load_scene("canonical", law=law, frequency=0.1, duration=4.0)
+    slow = replace(swung, operator=plan, energy=True, observer=None, link=None, playout=None,
+                   cap=Cap(f_max=20.0, slew=0.2))
+    trace = run(slow).trace
+    size = np.abs(trace["f_m"])
+    last = np.flatnonzero(size).max()
+    assert 3545 < last < 2500 + 50 + 1000, "the ramp and a second"
+    assert size[last] > 0.01, "which the slew limit still held"
+    one = plain(slow, exact_bodies(slow), MEASURES)
+    assert repr(rows(vector(slow, exact_bodies(slow), MEASURES), [slow])) == repr(rows(one, [slow]))
+    by_device, events = driven(slow, SimulatedMaster(slow))
+    assert by_device["f_m"].tobytes() == trace["f_m"].tobytes()
+    assert any(event.what == "zero" for event in events)
+
+
 def test_an_absent_operator_is_an_open_clutch() -> None:
     clutch = run(scene(Operator(clutch=((0.5, 1.0),)))).trace
     absent = run(scene(Operator(absent=((0.5, 1.0),)))).trace
