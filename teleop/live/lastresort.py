@@ -105,7 +105,7 @@ class LastResort:
             self.interrupt.lost = True
         return self._has_pipe()
 
-    def _came(self, seconds: float) -> bytes:
+    def _read_signals(self, seconds: float) -> bytes:
         """The numbers of the signals that have come, waiting so long for the first."""
         if not self._has_pipe() and not self._open_anew():
             time.sleep(seconds)
@@ -121,7 +121,7 @@ class LastResort:
         while not self._done:
             left = due - time.monotonic()
             if left > 0.0:
-                came = self._came(min(left, POLL_S))
+                came = self._read_signals(min(left, POLL_S))
                 for number in self.interrupt.taken.intersection(came):
                     times = came.count(number) - self._is_overrun(number)
                     if not times:

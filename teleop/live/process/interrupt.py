@@ -118,11 +118,11 @@ class Interrupt:
 
     def _is_lost_below(self, number: int) -> bool:
         """The same of the C level, of which Python sees nothing; False where that cannot be read."""
-        own, now = self._actions[number][:_HANDLER], self._action(number)[:_HANDLER]
-        return now != own and (number in ALWAYS or now == _DEFAULT)
+        before, now = self._actions[number][:_HANDLER], self._action(number)[:_HANDLER]
+        return now != before and (number in ALWAYS or now == _DEFAULT)
 
     def _action(self, number: int) -> bytes:
-        """What the system does at a signal, as its struct; nothing where that cannot be read."""
+        """The struct of what the system does at a signal; empty where that cannot be read."""
         was = ctypes.create_string_buffer(_SIZE)
         return was.raw if self._sigaction is not None and self._sigaction(number, None, was) == 0 else b""
 
