@@ -108,7 +108,7 @@ class MuJoCoBody:
         """The contacts at the ticks that were read and that f_env does not count, a sentence for each kind."""
         robot, found = self.loaded.robot, []
         for of_robot, (force, when, one, other) in sorted(self._besides.items()):
-            what = "the robot touched itself" if of_robot else "a part of the robot before its end effector touched something"
+            what = "the robot touched itself" if of_robot else "the robot touched something before its end effector"
             found.append(f"{what}: up to {force:.4g} N, {robot.body_name(one)} against {robot.body_name(other)} at "
                          f"t = {when:.3f} s; f_env does not count it")
         return found
@@ -127,7 +127,7 @@ class MuJoCoBody:
         return tuple([total[i] for i in self.loaded.axes])
 
     def _torque(self) -> Axes:
-        """The torque that contacts with what is not the robot take from each joint of the scene, N m, or N of a slide."""
+        """The torque (N m; N of a slide) that contacts with what is not the robot take from each joint of the scene."""
         data = self.data
         if not data.ncon:
             return (0.0,) * len(self.loaded.axes)

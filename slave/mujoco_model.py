@@ -31,9 +31,10 @@ class Loaded:
 
     `names` and `units` are the scene's. `axes`: of an end effector the world's axes (0, 1, 2), of joints their degrees
     of freedom; `places`: of joints, where they stand in qpos. `tip`: the body that forces are applied to; None: the
-    axes are joints. `zero`: where in the world the scene's positions count from, m. `held`: world's axes without one of
-    the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it; where the axes are
-    joints, all of the robot's. `robot`: the part of the model that is the robot. `notes`: on the pose that it begins in.
+    axes are joints. `zero`: where in the world the scene's positions count from, m. `held`: world's axes without one
+    of the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it; where the axes
+    are joints, all of the robot's. `robot`: the part of the model that is the robot. `notes`: on the pose that it
+    begins in.
     """
 
     model: Any
@@ -84,8 +85,8 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
         robot = _robot(mujoco, model, label, name or path, None, scene.axis_names, axes,
                        dict(zip(places, starts, strict=True)))
         qpos, notes = start_pose(robot, pose)
-        return Loaded(model, qpos, substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (), robot.geoms,
-                      robot, tuple(notes))
+        return Loaded(model, qpos, substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (),
+                      robot.geoms, robot, tuple(notes))
     tip = model.body(TIP).id
     axes = [LETTERS.index(each) for each in scene.axis_names]
     robot = _robot(mujoco, model, label, name or END, tip, scene.axis_names, axes, {})
@@ -125,8 +126,9 @@ def _robot(mujoco: Any, model: Any, label: str, point: str, tip: int | None, nam
         body = int(model.body_parentid[body])
     carrying = [n for n in joints if tip is None or int(model.jnt_bodyid[n]) in carriers]
     geoms = [n for n in range(model.ngeom) if int(model.body_rootid[model.geom_bodyid[n]]) in roots]
+    held = [] if tip is None else [i for i in range(3) if i not in axes]
     return Robot(mujoco, model, label, point, tuple(carrying), tuple([n for n in joints if n not in carrying]),
-                 frozenset(geoms), tip, axes, [] if tip is None else [i for i in range(3) if i not in axes], starts, names)
+                 frozenset(geoms), tip, axes, held, starts, names)
 
 
 def _is_cartesian(scene: Scene) -> bool:

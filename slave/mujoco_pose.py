@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from math import isfinite, pi, sqrt
 from typing import Any
 
-from teleop.errors import Refused
+from teleop.errors import Refused, enumerated
 
 POSES, SEED = 1000, 0  # of the search, drawn evenly
 MARGIN = 0.1  # of the range of a joint, to either of its limits
@@ -73,7 +73,8 @@ class Robot:
         for joint in (*self.joints, *self.others):
             at, limits = float(qpos[self.model.jnt_qposadr[joint]]), self.limits(joint)
             if limits is not None and not limits[0] - OUTSIDE <= at <= limits[1] + OUTSIDE:
-                found.append(f"{self.joint_name(joint)} is at {at:.4g} and may be from {limits[0]:.4g} to {limits[1]:.4g}")
+                found.append(f"{self.joint_name(joint)} is at {at:.4g} and may be from {limits[0]:.4g} to "
+                             f"{limits[1]:.4g}")
         return found
 
     def obstacle(self, data: Any) -> str:
@@ -160,8 +161,8 @@ def _positions(robot: Robot, pose: str) -> list[float]:
     except ValueError:
         found = []
     if len(found) != len(robot.joints) or not isfinite(sum(found)):
-        raise Refused(f"@{pose} is not {len(robot.joints)} finite numbers with commas between them, which the joints of "
-                      f"{robot.label} are; {_to_type(robot)}")
+        raise Refused(f"@{pose} is not {len(robot.joints)} finite numbers with commas between them, one for each joint "
+                      f"of {robot.label}; {_to_type(robot)}")
     return found
 
 
@@ -174,14 +175,14 @@ def _searched(robot: Robot, data: Any, own: Any) -> tuple[Any, list[str]]:
     own = _others_inside(robot, own)
     for place, at in robot.starts.items():
         before[place] = own[place] = at
-    spans = {int(model.jnt_qposadr[joint]): _span(robot, joint) for joint in robot.joints}
-    spans = {place: span for place, span in spans.items() if span is not None and place not in robot.starts}
+    spans = {place: span for joint in robot.joints if (place := int(model.jnt_qposadr[joint])) not in robot.starts
+             and (span := _span(robot, joint)) is not None}
     own_inside = own.copy()
     for place, (low, high) in spans.items():
         own_inside[place] = min(max(low, own[place]), high)
     if outside := robot.outside(own_inside):  # only what the scene says can be
-        raise Refused(f"the scene begins outside the joint limits of {robot.label}: {'; '.join(outside)}; write start_s "
-                      "in the scene, inside them")
+        raise Refused(f"the scene begins outside the joint limits of {robot.label}: {'; '.join(outside)}; write "
+                      "start_s in the scene, inside them")
     poses = [own_inside]
     for draw in rng.random((POSES if spans else 0, len(spans))):
         poses.append(own.copy())
@@ -192,7 +193,8 @@ def _searched(robot: Robot, data: Any, own: Any) -> tuple[Any, list[str]]:
     _place(robot, data, poses[best])
     if why := _blocked(robot, data):
         raise Refused(why)
-    order = sorted(range(len(poses)), key=lambda n: (n != 0, -values[n]))  # the file's own positions first
+    first = 0 if (own_inside == before).all() else None  # the file's own positions, where they are sound
+    order = sorted(range(len(poses)), key=lambda n: (n != first, -values[n]))
     far = [n for n in order if values[n] >= PART * values[best]]
     touches = ""
     for n in far:
@@ -208,8 +210,8 @@ def _searched(robot: Robot, data: Any, own: Any) -> tuple[Any, list[str]]:
 def _found(robot: Robot, qpos: Any) -> str:
     """The note on a pose that was found, with what to type for it."""
     typed = ",".join(f"{round(float(qpos[robot.model.jnt_qposadr[joint]]), DIGITS):g}" for joint in robot.joints)
-    return (f"the MuJoCo model began in a pose that was searched for, inside its joint limits, free of contact and far "
-            f"from singular: {robot.label}@q={typed}")
+    return ("the MuJoCo model began in a pose that was searched for, inside its joint limits, free of contact and "
+            f"far from singular: @q={typed}")
 
 
 def _others_inside(robot: Robot, qpos: Any) -> Any:
@@ -263,11 +265,19 @@ def _jacobians(robot: Robot, data: Any) -> tuple[Any, Any, Any]:
         row = np.zeros(data.nefc)
         row[n] = 1.0
         mujoco.mj_mulJacTVec(model, data, equal[n], row)
+    return jacobian(robot, data), jacobian(robot, data, robot.held), equal
+
+
+def jacobian(robot: Robot, data: Any, axes: Sequence[int] | None = None) -> Any:
+    """The Jacobian of the axes, of the scene unless others are given, rows of length nv."""
+    import numpy as np
+
+    axes = list(robot.axes if axes is None else axes)
     if robot.tip is None:
-        return np.eye(model.nv)[list(robot.axes)], np.zeros((0, model.nv)), equal
-    J = np.zeros((3, model.nv))
-    mujoco.mj_jacBody(model, data, J, None, robot.tip)
-    return J[list(robot.axes)], J[list(robot.held)], equal
+        return np.eye(robot.model.nv)[axes]
+    J = np.zeros((3, robot.model.nv))
+    robot.mujoco.mj_jacBody(robot.model, data, J, None, robot.tip)
+    return J[axes]
 
 
 def _mobility(J: Any, inverse: Any, constraints: Any) -> Any:
@@ -300,15 +310,16 @@ def _blocked(robot: Robot, data: Any) -> str:
     values, ways = np.linalg.eigh(left)
     if values[0] > needed:
         return ""
-    along = [name for name, part in zip(robot.names, abs(ways[:, 0]), strict=True) if part > 0.3]
+    along = [name for name, part in zip(robot.names, abs(ways[:, 0]), strict=True)
+             if part > 0.3 or not values[-1] > needed]
     if np.linalg.eigvalsh(beside)[0] > needed:
         return _welded(robot, data, along)
     if np.linalg.eigvalsh(free)[0] > needed:
-        return (f"{robot.point} does not move under a push along {_both(along)} while it is held along "
-                f"{_both(['xyz'[i] for i in robot.held])}, for which the scene has no axis; give the scene these axes "
-                "too, or write names=(...) with the one that it moves along")
-    return (f"{robot.point} does not move under a push along {_both(along)}: no motion of its joints does that in this "
-            f"pose; {_to_type(robot)}, or leave out of the scene the axes that it cannot move along")
+        return (f"{robot.point} does not move under a push along {enumerated(along)} while it is held along "
+                f"{enumerated(['xyz'[i] for i in robot.held])}, for which the scene has no axis; give the scene these "
+                "axes too, or write names=(...) with the one that it moves along")
+    return (f"{robot.point} does not move under a push along {enumerated(along)}: no motion of its joints does that "
+            f"in this pose; {_to_type(robot)}, or leave out of the scene the axes that it cannot move along")
 
 
 def _welded(robot: Robot, data: Any, along: list[str]) -> str:
@@ -321,8 +332,8 @@ def _welded(robot: Robot, data: Any, along: list[str]) -> str:
             names.append(" to ".join(model.body(int(each)).name or "the world"
                                      for each in (model.eq_obj1id[n], model.eq_obj2id[n])))
     what = f"welds or connects {_listed(names)}" if names else "couples its joints"
-    return (f"{robot.point} does not move under a push along {_both(along)}: the file's <equality> {what}; take that "
-            "out of the file, or write active=\"false\" there")
+    return (f"{robot.point} does not move under a push along {enumerated(along)}: the file's <equality> {what}; take "
+            "that out of the file, or write active=\"false\" there")
 
 
 def _to_type(robot: Robot) -> str:
@@ -339,10 +350,6 @@ def _keyframes(robot: Robot) -> str:
 
 def _sites(robot: Robot) -> str:
     return f"--robot {robot.label.partition('#')[0]}#NAME with another of its sites or bodies"
-
-
-def _both(names: list[str]) -> str:
-    return " and ".join(names)
 
 
 def _listed(names: list[str]) -> str:

@@ -41,7 +41,7 @@ class MuJoCoRobot:
         self._k = self._renewed = 0
         self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))
         self._lost = False
-        self._told = [pressed(self._model, copy(self._body))]
+        self._told = pressed(self._model, copy(self._body))
 
     def read(self, k: int) -> Reading:
         """Position, velocity and contact force, the left limit at tick k. Ticks may be left out."""

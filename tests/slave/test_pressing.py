@@ -19,7 +19,7 @@ pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco
 def told(file: str | None = None, axes: int = 3) -> tuple[str, list[float]]:
     """The sentence, and the two stiffnesses in it, N/m."""
     model = load(scene(axes), file)
-    text = pressed(model, copy(MuJoCoBody(model)))
+    text = pressed(model, copy(MuJoCoBody(model)))[0]
     return text, [float(each.replace(",", "")) for each in re.findall(r"([\d,]+) N/m at", text)]
 
 
