@@ -106,12 +106,12 @@ class MuJoCoBody:
 
     def contact_notes(self) -> list[str]:
         """The contacts at the ticks that were read and that f_env does not count, a sentence for each kind."""
-        robot, found = self.loaded.robot, []
-        for of_robot, (force, when, one, other) in sorted(self._besides.items()):
+        robot, notes = self.loaded.robot, []
+        for of_robot, (force, when, first, second) in sorted(self._besides.items()):
             what = "the robot touched itself" if of_robot else "the robot touched something before its end effector"
-            found.append(f"{what}: up to {force:.4g} N, {robot.body_name(one)} against {robot.body_name(other)} at "
+            notes.append(f"{what}: up to {force:.4g} N, {robot.body_name(first)} against {robot.body_name(second)} at "
                          f"t = {when:.3f} s; f_env does not count it")
-        return found
+        return notes
 
     def _touch(self) -> Axes:
         """The sum of the contact forces of the end effector on what is not the robot, N, along the scene's axes."""
@@ -141,17 +141,17 @@ class MuJoCoBody:
 
     def _contacts(self) -> list[int]:
         """The contacts that f_env counts: of `geoms` with what is not the robot. The largest of the others are kept."""
-        data, own, counted = self.data, self.loaded, []
+        data, loaded, counted = self.data, self.loaded, []
         for n in range(data.ncon):
-            one, other = data.contact[n].geom.tolist()
-            inside = (one in own.robot.geoms) + (other in own.robot.geoms)
+            first, second = data.contact[n].geom.tolist()
+            inside = (first in loaded.robot.geoms) + (second in loaded.robot.geoms)
             if inside == 0:
                 continue
-            if inside == 1 and (one in own.geoms or other in own.geoms):
+            if inside == 1 and (first in loaded.geoms or second in loaded.geoms):
                 counted.append(n)
                 continue
             self._mujoco.mj_contactForce(self._model, data, n, self._wrench)
             force = hypot(*self._wrench[:3].tolist())
             if force > self._besides.get(inside == 2, (0.0,))[0]:
-                self._besides[inside == 2] = (force, data.time, one, other)
+                self._besides[inside == 2] = (force, data.time, first, second)
         return counted

@@ -13,7 +13,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from slave.mujoco_pose import Robot, start_pose
+from slave.mujoco_pose import Robot, listed, start_pose
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 
@@ -22,7 +22,6 @@ END = "end_effector"  # the site or body that is looked for
 LETTERS = ("x", "y", "z")
 SUBSTEPS, MOST_SUBSTEPS = 4, 1000  # of a tick
 TIP = "teleop_end_effector"  # a body without mass at that site, which forces are applied to
-LISTED = 12  # names that a sentence has
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +188,7 @@ def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
     site: Any = next((each for each in spec.sites if each.name == wanted), None)
     body: Any = next((each for each in spec.bodies[1:] if each.name == wanted), None)
     if site is None and body is None:
-        sites, bodies = _listed([each.name for each in spec.sites]), _listed([each.name for each in spec.bodies[1:]])
+        sites, bodies = listed([each.name for each in spec.sites]), listed([each.name for each in spec.bodies[1:]])
         raise Refused(f"{path} has no site and no body of the name {wanted}, to be its end effector; write --robot "
                       f"mujoco:{path}#NAME with one of its sites ({sites}) or bodies ({bodies})")
     holder = body if site is None else site.parent
@@ -207,7 +206,7 @@ def _check_joints(mujoco: Any, scene: Scene, spec: Any, path: str) -> None:
     """Refuse axes that are no joints of the model of these names, hinges in rad and slides in m."""
     kinds = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
     there = {each.name: kinds.get(each.type) for each in spec.joints if each.name}
-    usable = _listed([f"{name} in {unit}" for name, unit in there.items() if unit is not None])
+    usable = listed([f"{name} in {unit}" for name, unit in there.items() if unit is not None])
     missing = [name for name in scene.axis_names if there.get(name) is None]
     if missing:
         raise Refused(f"the scene's axes {', '.join(missing)} are no joints of {path} (it has {usable}), and axes that "
@@ -239,8 +238,3 @@ def _geoms_of(model: Any, tip: int) -> frozenset[int]:
         if int(model.body_parentid[body]) in parts:
             parts.add(body)
     return frozenset(n for n in range(model.ngeom) if int(model.geom_bodyid[n]) in parts)
-
-
-def _listed(names: list[str]) -> str:
-    known = [name for name in names if name]
-    return ", ".join([*known[:LISTED], *["..."] * (len(known) > LISTED)]) or "none has a name"

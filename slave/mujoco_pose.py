@@ -69,23 +69,23 @@ class Robot:
 
     def outside(self, qpos: Any) -> list[str]:
         """The joints that are not inside their limits, each in words."""
-        found = []
+        wrong = []
         for joint in (*self.joints, *self.others):
             at, limits = float(qpos[self.model.jnt_qposadr[joint]]), self.limits(joint)
             if limits is not None and not limits[0] - OUTSIDE <= at <= limits[1] + OUTSIDE:
-                found.append(f"{self.joint_name(joint)} is at {at:.4g} and may be from {limits[0]:.4g} to "
+                wrong.append(f"{self.joint_name(joint)} is at {at:.4g} and may be from {limits[0]:.4g} to "
                              f"{limits[1]:.4g}")
-        return found
+        return wrong
 
     def obstacle(self, data: Any) -> str:
-        """What the robot touches, or the constraint that is broken, in words; empty where neither is.
+        """The contact of the robot, or the constraint that is broken, in words; empty where neither is.
 
         `data`: positions and constraints of the pose are computed in it.
         """
         for contact in data.contact:
-            one, other = contact.geom.tolist()
-            if not contact.exclude and (one in self.geoms or other in self.geoms):
-                return f"{self.body_name(one)} touches {self.body_name(other)}"
+            first, second = contact.geom.tolist()
+            if not contact.exclude and (first in self.geoms or second in self.geoms):
+                return f"{self.body_name(first)} touches {self.body_name(second)}"
         if data.ne and float(abs(data.efc_pos[:data.ne]).max()) > APART:
             return "an equality constraint of the file is broken"
         return ""
@@ -101,7 +101,7 @@ def start_pose(robot: Robot, pose: str | None) -> tuple[Any, list[str]]:
     data = robot.mujoco.MjData(robot.model)
     home = _keyframe(robot, data, "home")
     if pose is not None:
-        return _typed(robot, data, pose, home), []
+        return _pose_of(robot, data, pose, home), []
     if home is None:
         return _searched(robot, data, robot.model.qpos0.copy())
     for place, at in robot.starts.items():
@@ -129,7 +129,7 @@ def _keyframe(robot: Robot, data: Any, name: str) -> Any:
     return data.qpos.copy()
 
 
-def _typed(robot: Robot, data: Any, pose: str, home: Any) -> Any:
+def _pose_of(robot: Robot, data: Any, pose: str, home: Any) -> Any:
     """The positions of a pose as it is typed. Raises `Refused`."""
     if pose.startswith("q="):
         qpos = _others_inside(robot, robot.model.qpos0.copy() if home is None else home)
@@ -157,35 +157,33 @@ def _typed(robot: Robot, data: Any, pose: str, home: Any) -> Any:
 def _positions(robot: Robot, pose: str) -> list[float]:
     """The numbers of a pose `q=...`, one for each joint. Raises `Refused`."""
     try:
-        found = [float(each) for each in pose.removeprefix("q=").split(",")]
+        positions = [float(each) for each in pose.removeprefix("q=").split(",")]
     except ValueError:
-        found = []
-    if len(found) != len(robot.joints) or not isfinite(sum(found)):
+        positions = []
+    if len(positions) != len(robot.joints) or not isfinite(sum(positions)):
         raise Refused(f"@{pose} is not {len(robot.joints)} finite numbers with commas between them, one for each joint "
                       f"of {robot.label}; {_to_type(robot)}")
-    return found
+    return positions
 
 
-def _searched(robot: Robot, data: Any, own: Any) -> tuple[Any, list[str]]:
-    """A pose that is sound, and the note on it; `own`: the positions of what is not sampled. Raises `Refused`."""
+def _searched(robot: Robot, data: Any, reference: Any) -> tuple[Any, list[str]]:
+    """A pose that is sound, and the note on it; `reference`: the file's own positions. Raises `Refused`."""
     import numpy as np
 
     model, rng = robot.model, np.random.default_rng(SEED)
-    before = own.copy()
-    own = _others_inside(robot, own)
     for place, at in robot.starts.items():
-        before[place] = own[place] = at
+        reference[place] = at
+    inside = _others_inside(robot, reference.copy())
     spans = {place: span for joint in robot.joints if (place := int(model.jnt_qposadr[joint])) not in robot.starts
              and (span := _span(robot, joint)) is not None}
-    own_inside = own.copy()
     for place, (low, high) in spans.items():
-        own_inside[place] = min(max(low, own[place]), high)
-    if outside := robot.outside(own_inside):  # only what the scene says can be
+        inside[place] = min(max(low, inside[place]), high)
+    if outside := robot.outside(inside):  # only what the scene says can be
         raise Refused(f"the scene begins outside the joint limits of {robot.label}: {'; '.join(outside)}; write "
                       "start_s in the scene, inside them")
-    poses = [own_inside]
+    poses = [inside]
     for draw in rng.random((POSES if spans else 0, len(spans))):
-        poses.append(own.copy())
+        poses.append(inside.copy())
         for part, (place, (low, high)) in zip(draw.tolist(), spans.items(), strict=True):
             poses[-1][place] = round(low + part * (high - low), DIGITS)
     values = _manipulabilities(robot, data, poses)
@@ -193,7 +191,7 @@ def _searched(robot: Robot, data: Any, own: Any) -> tuple[Any, list[str]]:
     _place(robot, data, poses[best])
     if why := _blocked(robot, data):
         raise Refused(why)
-    first = 0 if (own_inside == before).all() else None  # the file's own positions, where they are sound
+    first = 0 if (inside == reference).all() else None  # the file's own positions, where they are sound
     order = sorted(range(len(poses)), key=lambda n: (n != first, -values[n]))
     far = [n for n in order if values[n] >= PART * values[best]]
     touches = ""
@@ -201,13 +199,13 @@ def _searched(robot: Robot, data: Any, own: Any) -> tuple[Any, list[str]]:
         _place(robot, data, poses[n])
         why = robot.obstacle(data)
         if not why:
-            return poses[n], [_found(robot, poses[n])] if (poses[n] != before).any() else []
+            return poses[n], [_search_note(robot, poses[n])] if (poses[n] != reference).any() else []
         touches = touches or why
     raise Refused(f"none of {len(poses)} poses of {robot.label} inside its joint limits is both far from singular and "
                   f"free of contact ({touches}); {_to_type(robot)}")
 
 
-def _found(robot: Robot, qpos: Any) -> str:
+def _search_note(robot: Robot, qpos: Any) -> str:
     """The note on a pose that was found, with what to type for it."""
     typed = ",".join(f"{round(float(qpos[robot.model.jnt_qposadr[joint]]), DIGITS):g}" for joint in robot.joints)
     return ("the MuJoCo model began in a pose that was searched for, inside its joint limits, free of contact and "
@@ -244,19 +242,19 @@ def _manipulabilities(robot: Robot, data: Any, poses: Sequence[Any]) -> list[flo
     import numpy as np
 
     model, contact = robot.model, int(robot.mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    before, found = model.opt.disableflags, []
+    flags, values = model.opt.disableflags, []
     model.opt.disableflags |= contact  # which takes most of the time, and does not bear on it
     for qpos in poses:
         _place(robot, data, qpos)
         J, held, equal = _jacobians(robot, data)
         least = np.linalg.eigvalsh(_mobility(J, np.eye(model.nv), np.vstack((held, equal))))[0]
-        found.append(sqrt(max(0.0, float(least))))
-    model.opt.disableflags = before
-    return found
+        values.append(sqrt(max(0.0, float(least))))
+    model.opt.disableflags = flags
+    return values
 
 
 def _jacobians(robot: Robot, data: Any) -> tuple[Any, Any, Any]:
-    """Of the scene's axes, of the translations that are held, and of the equality constraints: rows of length nv."""
+    """Rows of length nv: of the scene's axes, of the translations that are held, of the equality constraints."""
     import numpy as np
 
     mujoco, model = robot.mujoco, robot.model
@@ -331,26 +329,28 @@ def _welded(robot: Robot, data: Any, along: list[str]) -> str:
         if data.eq_active[n] and model.eq_type[n] in bodies and model.eq_objtype[n] == int(mujoco.mjtObj.mjOBJ_BODY):
             names.append(" to ".join(model.body(int(each)).name or "the world"
                                      for each in (model.eq_obj1id[n], model.eq_obj2id[n])))
-    what = f"welds or connects {_listed(names)}" if names else "couples its joints"
+    what = f"welds or connects {listed(names)}" if names else "couples its joints"
     return (f"{robot.point} does not move under a push along {enumerated(along)}: the file's <equality> {what}; take "
             "that out of the file, or write active=\"false\" there")
 
 
 def _to_type(robot: Robot) -> str:
-    """What to type for another pose."""
-    joints = _listed([robot.joint_name(joint) for joint in robot.joints])
+    """The words on what to type for another pose."""
+    joints = listed([robot.joint_name(joint) for joint in robot.joints])
     keys = " or @NAME of a keyframe" if robot.model.nkey else ""
     return f"write --robot {robot.label}@q=Q1,Q2,... with a position, rad or m, for each of {joints}{keys}"
 
 
 def _keyframes(robot: Robot) -> str:
     names = [robot.model.key(n).name or str(n) for n in range(robot.model.nkey)]
-    return f"it has {_listed(names)}" if names else "it has none"
+    return f"it has {listed(names)}" if names else "it has none"
 
 
 def _sites(robot: Robot) -> str:
     return f"--robot {robot.label.partition('#')[0]}#NAME with another of its sites or bodies"
 
 
-def _listed(names: list[str]) -> str:
-    return ", ".join([*names[:LISTED], *["..."] * (len(names) > LISTED)])
+def listed(names: list[str]) -> str:
+    """The first `LISTED` of the names that are not empty, as a sentence has them."""
+    known = [name for name in names if name]
+    return ", ".join([*known[:LISTED], *["..."] * (len(known) > LISTED)]) or "none has a name"

@@ -41,7 +41,7 @@ class MuJoCoRobot:
         self._k = self._renewed = 0
         self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))
         self._lost = False
-        self._told = pressed(self._model, copy(self._body))
+        self._press_notes = pressed(self._model, copy(self._body))
 
     def read(self, k: int) -> Reading:
         """Position, velocity and contact force, the left limit at tick k. Ticks may be left out."""
@@ -64,5 +64,5 @@ class MuJoCoRobot:
 
     @property
     def notes(self) -> list[str]:
-        """What a summary has to tell of it."""
-        return [*self._model.notes, *self._told, *self._body.contact_notes(), *self._body.warnings()]
+        """Sentences for the summary: the pose, what was pressed, contacts beside f_env, what MuJoCo warned of."""
+        return [*self._model.notes, *self._press_notes, *self._body.contact_notes(), *self._body.warnings()]

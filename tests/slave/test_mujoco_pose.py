@@ -192,10 +192,10 @@ class TestWhatIsNotTheRobot:
             assert float(notes[0].split()[6]) >= 4.9
 
     def test_an_elbow_that_presses_is_a_note_and_not_what_the_end_effector_feels(self, tmp_path: Path) -> None:
-        elbow = '<geom name="elbow" size="0.03" contype="1" conaffinity="1"/>'
+        elbow = '<geom name="elbow" pos="0 0 0.3" size="0.03" contype="1" conaffinity="1"/>'
         wall = '<geom name="wall" type="box" size="0.01 0.5 0.05" pos="0.258 0 0.31" contype="1" conaffinity="1"/>'
         file = Path(arm(tmp_path, world=wall))
-        file.write_text(file.read_text().replace('<joint name="bend"', f'{elbow}<joint name="bend"'))
+        file.write_text(file.read_text().replace('<body name="fore"', f'{elbow}<body name="fore"'))
         robot = MuJoCoRobot(scene(3), f"{file}@q=0,0.8,-1.5")
         assert {reading.f for reading in moved(robot, [(3.0, 0.0, -3.0)] * 100)} == {(0.0, 0.0, 0.0)}
         assert [each for each in robot.notes if "touched something before its end effector" in each]
