@@ -20,9 +20,11 @@ from teleop.scene.scene import Scene
 class MuJoCoRobot:
     """A robot in MuJoCo, mujoco or mujoco:FILE.xml: its motion under a force that is held between the ticks.
 
-    `file`: an MJCF, `FILE.xml` or `FILE.xml#NAME` with the name of the site or body that is its end effector; left
-    out: the arm of this project, three joints between a wall and a table. `notes` say what was found when it was
-    pressed against what it touches, and what MuJoCo warned of. f_env is the force of the contacts at the last sub-step
+    `file`: an MJCF, `FILE.xml` or `FILE.xml#NAME` with the name of the site or body that is its end effector, either
+    with the pose that it begins in, `@KEYFRAME` or `@q=Q1,Q2,...` (see `slave.mujoco_pose`); left out: the arm of this
+    project, three joints between a wall and a table. `notes` say in which pose it began, what was found when it was
+    pressed against what it touches, which contacts f_env does not count, and what MuJoCo warned of. f_env is the force
+    of the contacts of the end effector with what is not the robot, at the last sub-step
     before the tick. A force that is not renewed within its deadline lapses. A model that becomes unstable reads a place
     beyond any bounds, so that the run has diverged. Raises `Refused`.
     """

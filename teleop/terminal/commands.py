@@ -106,7 +106,7 @@ def _run(added: ArgumentParser) -> None:
     added.add_argument("--device", metavar="NAME", help="what stands at the master's end: a device by name, NAME or "
                        "NAME:ARGUMENT, or FILE.py:CLASS; left out: the simulated master")
     added.add_argument("--robot", metavar="NAME", help="what stands at the slave's end, for example mujoco, or "
-                       "mujoco:FILE.xml; left out: the simulated slave")
+                       "mujoco:FILE.xml#TIP@POSE, POSE a keyframe or q=Q1,Q2,...; left out: the simulated slave")
     _out(added, "SCENE")
     _json(added)
     _plot(added, "plot.png")
