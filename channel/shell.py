@@ -61,27 +61,29 @@ class RelayShell:
 
     def _sleep(self, selector: DefaultSelector, timer: Timer) -> None:
         """Until something comes, or is about to be due."""
-        due = self._due()
+        due, look = self._due(), LOOK_S
+        if self.orders is not None and self.orders.waiting:
+            look = 0.0
         if due is None:
-            self._obey(selector.select(LOOK_S))
+            self._obey(selector.select(look))
             return
         left = due - LEAD_NS - time.monotonic_ns()
         if left <= 0:
             return
         if timer.fd < 0:
-            self._obey(selector.select(min(LOOK_S, left / 1e9)))
+            self._obey(selector.select(min(look, left / 1e9)))
             return
         if due != self._set_to:
             timer.set(due - LEAD_NS)
             self._set_to = due
-        ready = selector.select(LOOK_S)
+        ready = selector.select(look)
         if any(key.fd == timer.fd for key, _ in ready):
             timer.rang()
         self._obey(ready)
 
     def _obey(self, ready: list[tuple[SelectorKey, int]]) -> None:
         """Carry out the orders that have come."""
-        if self.orders is not None and any(key.fd == self.orders.fd for key, _ in ready):
+        if self.orders is not None and (self.orders.waiting or any(key.fd == self.orders.fd for key, _ in ready)):
             self.orders.read()
 
     def _deliver(self) -> None:

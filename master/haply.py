@@ -3,9 +3,10 @@
     python -m master hard_wall --peer HOST:9001 --device haply
     python -m master hard_wall --peer HOST:9001 --device "haply:ws://localhost:10001?axes=y&clutch=a"
 
-At each tick what has come is read, and the newest state stands; a command goes out with every force. What the service
-does with a force that is not renewed its documentation says without a time ("per-tick, non-persistent": the device
-"returns to idle"), so a watchdog process sends zero as well, and `deadline` is for who has measured it.
+At each tick what has come is read, within a share of the tick, and the newest state stands; a command goes out with
+every force. What the service does with a force that is not renewed its documentation says without a time ("per-tick,
+non-persistent": the device "returns to idle"), so a watchdog process sends zero as well, and `deadline` is for who has
+measured it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import hypot
 from select import select
-from time import monotonic_ns
+from time import monotonic_ns, thread_time_ns
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
@@ -29,6 +30,7 @@ except ModuleNotFoundError as error:
                       "'bilateral-teleop[haply]', or pip install websockets") from error
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.heartbeat import DeviceWatchdog
+from teleop.live.intake import SHARE, intake
 from teleop.physics.rotation_axes import RotationAxes
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
@@ -42,6 +44,10 @@ HANDSHAKE_NS = 1_000_000_000  # for the service to say which devices it has
 OPEN_NS = 2_000_000_000  # for the first state, before the run
 FRESH_NS = 20_000_000  # for an answer to a command after a pause
 WINDOW_NS = 20_000_000  # over which the grip's angular velocity is taken: the service tells none
+PIECE = 128  # bytes of the service that are looked at between two looks at the clock: up to 64 frames, 0.8 ms at most
+ROOM = 1 << 12  # bytes that are read at once
+UNSENT = 1 << 16  # bytes that the service has not taken
+SHARE_NS = 300_000  # that may go into what the service says at a look of the watchdog process, which has no ticks
 LIMIT = 3.0  # N: chosen, not the device's own
 
 
@@ -77,7 +83,7 @@ class Inverse3:
         self._rotation = RotationAxes()
         self._turned: deque[tuple[int, Axes]] = deque()  # ns and rad, of the last states
         self._buttons = self._settings.clutch, self._settings.present
-        self._clock, self._link = clock, _Link(self._uri, self._settings)
+        self._clock, self._link = clock, _Link(self._uri, self._settings, int(SHARE * scene.dt_ns))
         self._force = (0.0, 0.0, 0.0)
         self._pushes = self._commanded = False
         self._asked = 0  # ns, when a command went out last
@@ -189,15 +195,16 @@ def _pressed(state: State, button: str | None) -> bool | None:
 class _Link:
     """The connection, made anew whenever it is lost. All its calls return at once but `wait`."""
 
-    def __init__(self, uri: str, settings: Settings) -> None:
-        self._uri, self._settings = uri, settings
+    def __init__(self, uri: str, settings: Settings, share_ns: int = SHARE_NS) -> None:
+        self._uri, self._settings, self._share_ns = uri, settings, share_ns
         where = urlsplit(uri)
         self._where = where.hostname, where.port or 80
         self._found: list[Any] = []  # the addresses that the name has, of which the first is tried next
         self._untried = 0
         self._sock: socket.socket | None = None
         self._service: InverseService | None = None
-        self._out = b""
+        self._in = self._out = b""
+        self._behind: int | None = None  # ns, since when there is always more to take in; None: there was not
         self._since = self._retry = 0  # ns: when the connection was begun, and when the next is
         self._messages = 0  # that came, over all connections
         self._why: str | None = None
@@ -241,7 +248,7 @@ class _Link:
         """Tell a force; what the system does not take now goes with the next call."""
         assert self._service is not None
         self._service.command(force)
-        with suppress(OSError):  # the next `poll` meets it too, and says it
+        with suppress(OSError, DeviceError):  # the next `poll` meets it too, and says it
             self._flush()
 
     def wait(self, clock: Callable[[], int], most: int) -> bool:
@@ -258,7 +265,7 @@ class _Link:
         """Say that the connection is over."""
         assert self._service is not None
         self._service.close()
-        with suppress(OSError):
+        with suppress(OSError, DeviceError):
             self._flush()
 
     def drop(self) -> None:
@@ -266,10 +273,10 @@ class _Link:
         if self._sock is not None:
             self._sock.close()
         self._sock = self._service = None
-        self._out = b""
+        self._in = self._out = b""
 
     def _call(self, now: int) -> None:
-        self._since = now
+        self._since, self._behind = now, None
         try:
             if not self._found:  # once: a name server may take seconds
                 self._found = socket.getaddrinfo(*self._where, type=socket.SOCK_STREAM)
@@ -287,21 +294,37 @@ class _Link:
         self._out = self._service.to_send()
 
     def _take(self, now: int) -> None:
-        while self._sock is not None and self._service is not None:
-            try:
-                data = self._sock.recv(1 << 16)
-            except OSError as error:
-                if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOTCONN):
-                    return
-                raise
-            if not data:
-                raise DeviceError(f"the Inverse service at {self._uri} closed the connection")
-            before = self._service.states, self._service.messages
-            self._service.receive(data)
-            self._messages += self._service.messages - before[1]
-            if self._service.states > before[0]:
-                self.heard, self._why = now, None
-                self._device = self._service.device  # the same one after the connection was lost
+        """Take what has come, as much as a tick has time for. Raises `DeviceError` where that is never all."""
+        assert self._service is not None
+        before = self._service.states, self._service.messages
+        for _ in intake(self._share_ns, clock=thread_time_ns):  # of the processor, whatever else it does
+            if not self._in and not self._receive():
+                self._behind = None
+                break
+            piece, self._in = self._in[:PIECE], self._in[PIECE:]
+            self._service.receive(piece)
+        else:
+            self._behind = now if self._behind is None and before[0] else self._behind
+        self._messages += self._service.messages - before[1]
+        if self._service.states > before[0]:
+            self.heard, self._why = now, None
+            self._device = self._service.device  # the same one after the connection was lost
+        if self._behind is not None and now - self._behind > STALE_NS:
+            raise DeviceError(f"the Inverse service at {self._uri} sends more than can be read, so its newest state is "
+                              "not known; end what else is connected to it, or start it anew")
+
+    def _receive(self) -> bool:
+        """Have bytes in hand; False if there are none now. Raises OSError or `DeviceError` where there will be none."""
+        assert self._sock is not None
+        try:
+            self._in = self._sock.recv(ROOM)
+        except OSError as error:
+            if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOTCONN):
+                return False
+            raise
+        if not self._in:
+            raise DeviceError(f"the Inverse service at {self._uri} closed the connection")
+        return True
 
     def _flush(self) -> None:
         if self._sock is None or self._service is None:
@@ -313,6 +336,8 @@ class _Link:
         except OSError as error:
             if error.errno not in (errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOTCONN):
                 raise
+        if len(self._out) > UNSENT:
+            raise DeviceError(f"the Inverse service at {self._uri} does not take what it is told; start it anew")
 
     def _lose(self, now: int, error: Exception) -> None:
         had = self.ready

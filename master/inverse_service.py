@@ -28,6 +28,7 @@ from teleop.physics.rotation_axes import unit_quaternion
 
 Vector = tuple[float, float, float]
 WORDS = ("vector", "values")  # of a force, in 3.5 and in 3.1
+PARTS = 100  # of one message
 GRIPS = ("wireless_verse_grip", "verse_grip")  # of which the first that is listed is read
 
 
@@ -93,6 +94,9 @@ class InverseService:
     def _take(self, frame: Frame) -> None:
         """A frame; a message may come in several."""
         if frame.opcode in (Opcode.TEXT, Opcode.BINARY, Opcode.CONT):
+            if len(self._parts) >= PARTS:
+                raise DeviceError(f"the Inverse service at {self.uri} sent a message in more than {PARTS} parts; start "
+                                  "it anew")
             self._parts.append(bytes(frame.data))
             if frame.fin:
                 data, self._parts = b"".join(self._parts), []

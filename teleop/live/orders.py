@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 from argparse import ArgumentParser
 from collections.abc import Callable
+from time import monotonic_ns
 from typing import Any
 
+from teleop.live.intake import intake
 from teleop.storage.strict_json import (
     Check,
     Misshapen,
@@ -27,7 +29,10 @@ from teleop.storage.strict_json import (
 )
 
 STDIN = 0
-LONGEST = 1 << 16  # bytes of a line
+LONGEST = 1 << 13  # bytes of a line: what is longer takes a millisecond and more to read
+PIECE = 1 << 12  # bytes that are read at once
+MOST = 16  # lines and pieces at one tick
+SHARE_NS = 100_000  # of a tick of 1 ms a tenth, and as much of a longer one
 _MOST_AXES = 16
 _place = optional(each(real, most=_MOST_AXES))
 _TURN = {"order": one_of("turn"), "knobs": named(text)}
@@ -49,38 +54,60 @@ def orders_option(parser: ArgumentParser) -> None:
 
 
 class Orders:
-    """The lines that come on `fd`, read without waiting. `over`: there will be no more."""
+    """The lines that come on `fd`, read without waiting, some of them at each call. `over`: there will be no more."""
 
     def __init__(self, shapes: dict[str, Check], take: Callable[[dict[str, Any]], None], fd: int = STDIN) -> None:
         self.fd, self.over = fd, False
         self._shapes, self._take = shapes, take
-        self._rest = b""
+        self._rest = bytearray()
+        self._ended = False
         os.set_blocking(fd, False)
 
-    def read(self) -> None:
-        """Hand over each order that has come since this was called last; what is none is refused, in a sentence."""
+    @property
+    def waiting(self) -> bool:
+        """True if there are lines that were read and not carried out yet."""
+        return b"\n" in self._rest or (self._ended and not self.over)
+
+    def read(self, clock: Callable[[], int] = monotonic_ns) -> None:
+        """Hand over orders that have come, as many as a tick has time for; what is none is refused, in a sentence."""
+        for _ in intake(SHARE_NS, most=MOST, clock=clock):
+            end = self._rest.find(b"\n")
+            if end >= 0:
+                line = bytes(self._rest[:end])
+                del self._rest[:end + 1]
+                self._obey(line)
+            elif self._ended or not self._more():
+                break
+        self.over = self._ended and b"\n" not in self._rest
+
+    def _more(self) -> bool:
+        """Read a piece, without lines that are empty; False if there is nothing now."""
         try:
-            data = os.read(self.fd, LONGEST)
+            data = os.read(self.fd, PIECE)
         except BlockingIOError:
-            return
+            return False
         except OSError:
             data = b""
-        self.over = not data
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > LONGEST:
-            self._rest = b""
+        self._ended = not data
+        self._rest += data
+        if self._rest[:1].isspace():
+            self._rest = self._rest.lstrip()
+        if len(self._rest) > LONGEST and b"\n" not in self._rest:
+            self._rest.clear()
             refuse(f"an order is a line of at most {LONGEST} bytes; this one is longer")
-        for line in lines:
-            try:
-                order = parse(line)
-                word = order.get("order") if isinstance(order, dict) else None
-                if word not in self._shapes:
-                    raise Misshapen(f"`order` must be one of {', '.join(self._shapes)}")
-                self._shapes[word](order, "it")
-            except Misshapen as error:
-                refuse(f"an order is a line of JSON such as {{\"order\": \"clutch\", \"open\": true}}: {error}")
-            else:
-                self._take(order)
+        return not self._ended
+
+    def _obey(self, line: bytes) -> None:
+        try:
+            order = parse(line)
+            word = order.get("order") if isinstance(order, dict) else None
+            if word not in self._shapes:
+                raise Misshapen(f"`order` must be one of {', '.join(self._shapes)}")
+            self._shapes[word](order, "it")
+        except Misshapen as error:
+            refuse(f"an order is a line of JSON such as {{\"order\": \"clutch\", \"open\": true}}: {error}")
+        else:
+            self._take(order)
 
 
 def refuse(sentence: str) -> None:

@@ -10,8 +10,9 @@ from teleop.errors import enumerated, number_of, plural
 from teleop.law.contract import not_finite
 from teleop.live import fault
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadline_of
+from teleop.live.intake import SHARE, intake
 from teleop.live.live_line import LiveLine, Say
-from teleop.live.net.wire import DRAIN, SHARE, Wire
+from teleop.live.net.wire import DRAIN, Wire
 from teleop.live.orders import Orders
 from teleop.live.outcome import Outcome
 from teleop.live.process.interrupt import Interrupt
@@ -119,9 +120,11 @@ class Shell:
 
     def drain(self) -> None:
         """Take in what has come: `DRAIN` datagrams at least, and more for `SHARE` of a tick."""
-        connection, wire, taken = self.connection, self.wire, 0
-        until = time.monotonic_ns() + self._share_ns
-        while (got := wire.receive()) is not None:
+        connection, wire = self.connection, self.wire
+        for _ in intake(self._share_ns, least=DRAIN):
+            got = wire.receive()
+            if got is None:
+                break
             data, address, came = got
             if data is not None:
                 replies = connection.receive(data, address, came)
@@ -129,9 +132,6 @@ class Shell:
                     wire.go_with(connection.peer)
                 for reply, to in replies:
                     wire.answer(reply, to)
-            taken += 1
-            if taken >= DRAIN and time.monotonic_ns() >= until:
-                break
 
     def say_again(self, now: int) -> None:
         """Send what was not answered."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from itertools import pairwise
+from contextlib import suppress
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -224,18 +225,23 @@ def test_a_master_whose_orders_end_leaves_in_order(story: Story) -> None:
     assert "gave it orders" in story.run.event("m", lambda event: event["event"] == "done")["summary"]["sentence"]
 
 
+def standing() -> int:
+    """A clock that stands still: orders are bounded by their number alone."""
+    return 0
+
+
 def _taken(lines: bytes, shapes: dict[str, Any] = SHAPES) -> list[dict[str, Any]]:
     reads, writes = os.pipe()
     got: list[dict[str, Any]] = []
     orders = Orders(shapes, got.append, reads)
     try:
-        orders.read()  # there is nothing yet
+        orders.read(standing)  # there is nothing yet
         for i in range(0, len(lines), 7):  # in pieces, as a pipe may give them
             os.write(writes, lines[i : i + 7])
-            orders.read()
+            orders.read(standing)
         assert not orders.over
         os.close(writes)
-        orders.read()
+        orders.read(standing)
         assert orders.over
     finally:
         os.close(reads)
@@ -248,7 +254,7 @@ def test_orders_come_whole_however_the_pipe_cuts_them() -> None:
 
 
 @pytest.mark.parametrize("line", [
-    b"", b"{", b"[]", b"null", b'{"order": 3}', b'{"order": "hand"}', b'{"order": "hand", "to": ["x"]}',
+    b"{", b"[]", b"null", b'{"order": 3}', b'{"order": "hand"}', b'{"order": "hand", "to": ["x"]}',
     b'{"order": "hand", "to": [NaN]}', b'{"order": "turn", "knobs": {}, "out": 7}', b'{"order": "clutch", "open": 1}',
     b"\xff\xfe", b"[" * 5000, b"x" * 200_000,
 ])
@@ -257,6 +263,35 @@ def test_a_line_that_is_no_order_is_refused_in_a_sentence(line: bytes, capsys: p
     said = capsys.readouterr().out.splitlines()
     assert said
     assert all('"refused"' in each for each in said)
+
+
+@pytest.mark.parametrize(("flood", "calls"), [
+    (b"\n" * 65_536, 2), (b'{"order": "clutch", "open": false}\n' * 1800, 120), (b"x\n" * 32_000, 2001),
+], ids=["64 kB of newlines", "1800 orders", "32,000 lines that are none"])
+def test_a_flood_of_lines_held_the_force_unrenewed(
+    flood: bytes, calls: int, capsys: pytest.CaptureFixture[str],
+) -> None:
+    """For 0.5 to 2.3 s. At a tick 16 lines or pieces are taken, or one where the time is up; none is lost."""
+    last = b'{"order": "clutch", "open": true}\n'
+    for clock, most in ((standing, 16), (count(0, 10**9).__next__, 1)):
+        reads, writes = os.pipe()
+        os.set_blocking(writes, False)
+        got: list[dict[str, Any]] = []
+        orders, sent, ticks = Orders(SHAPES, got.append, reads), flood + last, 0
+        while not orders.over:
+            if sent:
+                with suppress(BlockingIOError):
+                    sent = sent[os.write(writes, sent):]
+                if not sent:
+                    os.close(writes)
+            before = len(got)
+            orders.read(clock)
+            assert len(got) - before <= most
+            ticks += 1
+        os.close(reads)
+        assert got[-1] == {"order": "clutch", "open": True}
+        assert ticks >= calls * 16 // most // 2
+    assert all('"refused"' in line for line in capsys.readouterr().out.splitlines())
 
 
 def test_the_relay_takes_a_turn_without_a_folder() -> None:

@@ -236,7 +236,7 @@ def test_a_service_that_says_nothing_is_not_read(new: Bench) -> None:
 
 
 @pytest.mark.parametrize("said", [
-    "", "{", "[1, 2]", "null", '{"inverse3": 3}', b"\xff\xfe", "[" * 100_000, '{"inverse3": [{"device_id": "049D"}]}',
+    "", "{", "[1, 2]", "null", '{"inverse3": 3}', b"\xff\xfe", "[" * 5_000, '{"inverse3": [{"device_id": "049D"}]}',
     '{"inverse3": [{"device_id": "049D", "state": {"cursor_position": {"x": 1}, "cursor_velocity": {}}}]}',
     '{"inverse3": {"049D": {"state": {}}}}',
 ], ids=range(10))
@@ -378,3 +378,49 @@ def test_an_address_that_cannot_be_meant_is_refused(url: str, why: str) -> None:
 def test_a_scene_of_more_axes_than_it_has_is_refused(new: Bench) -> None:
     with pytest.raises(Refused, match="the scene has 3 axes that are places"):
         new.open("?axes=xy")
+
+
+class Flood:
+    """The socket of a service that sends without pause, of which never all is read; `unit` is repeated."""
+
+    def __init__(self, sock: Any, unit: bytes) -> None:
+        self.sock, self.unit, self.given, self.at = sock, unit, 0, 0
+
+    def recv(self, most: int) -> bytes:
+        self.given += most
+        assert self.given < 10_000_000, "it is read without end"
+        data = (self.unit * (most // len(self.unit) + 2))[self.at:self.at + most]
+        self.at = (self.at + most) % len(self.unit)
+        return data
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.sock, name)
+
+
+@pytest.mark.parametrize(("unit", "words"), [
+    (None, "sends more than can be read, so its newest state is not known"), (b"\x89\x00", "sends more than can"),
+    (b"\x01\x00", "in more than 100 parts"), (b"\x81\x00", "sends more than can be read"),
+], ids=["states", "pings", "parts without an end", "empty messages"])
+def test_one_read_of_a_service_that_sends_without_pause_did_not_come_back(
+    new: Bench, unit: bytes | None, words: str,
+) -> None:
+    """In 12 s. What comes is bounded at each tick, and after 50 ms of it the device reads as one that fails."""
+    device = new.open()
+    new.go(device, 20)
+    link = device._link
+    if unit is None:
+        text = json.dumps(new.service.state()).encode()
+        unit = b"\x81\x7e" + len(text).to_bytes(2, "big") + text
+    elif unit == b"\x01\x00":
+        unit = b"\x01\x00" + b"\x00\x00" * 1000  # a first part, and empty ones
+    flood = link._sock = Flood(link._sock, unit)  # type: ignore[assignment]
+    said: list[str] = []
+    for _ in range(100):
+        before = flood.given
+        try:
+            new.go(device, 1)
+        except DeviceError as error:
+            said.append(str(error))
+        assert flood.given - before <= 1 << 17, "at one tick"
+    assert any(words in each for each in said), said[:1]
+    assert new.well_again(device), "by another connection"

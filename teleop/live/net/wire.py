@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 # Read at ticks alone, a socket wakes no process in between, which saves a third of the processor time.
 DRAIN = 16  # datagrams taken at one tick or wake-up whatever they cost
-SHARE = 0.3  # of a tick that may go into more of them: beyond it a flood would starve the tick
 LONGEST = 8240  # bytes: more than any packet has, sealed or not, so that a longer datagram shows as such
 STAMP = 35  # SO_TIMESTAMPNS of Linux, which Python does not name: the kernel says when a datagram came
 MEMINFO, DROPS = 55, 8  # SO_MEMINFO of Linux, and the place of the count of datagrams dropped in it
