@@ -84,5 +84,5 @@ def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tupl
 def over_tolerance(reports: dict[str, Any], unit: str) -> list[str]:
     """The notes on the ends whose integration was not within the scene's tolerance (`unit`: m or rad) at every tick."""
     return [f"{number_of(over, 'tick')} of the {end} {plural(over, 'is', 'are')} not within {own['tolerance']:g} "
-            f"{unit}: the figures may be off by the estimate; a smaller dt may help"
+            f"{unit}: the figures may be off by the estimates and by what the loop makes of them; a smaller dt may help"
             for end, own in reports.get("integration", {}).items() if (over := own.get("ticks_over_tolerance"))]

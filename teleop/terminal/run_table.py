@@ -189,7 +189,7 @@ def _integration(result: Result) -> Iterator[str]:
     unit = result.labels.unit("m") or "m or rad"
     for end, own in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
         text = f"{end}: error estimated at {si(float(own['error_estimate_max']), unit)} a tick"
-        text += f" ({si(float(own['error_estimate_sum']), unit)} in all), "
+        text += f" ({si(float(own['error_estimate_sum']), unit)} added up), "
         text += f"up to {number_of(own['substeps_max'], 'sub-step')}"
         over = own["ticks_over_tolerance"]
         yield text + (f"; {number_of(over, 'tick')} above {si(own['tolerance'], unit)}" if over else "")

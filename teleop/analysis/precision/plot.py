@@ -100,9 +100,9 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
             x, y, e = own[0]
             axes.scatter([x], [y], marker="*", s=220, color=BLACK, zorder=5, label=e.contender.label)
             axes.axvline(x, color=BLACK, linewidth=0.6, alpha=0.5)
-            if got.truth.estimated and series == "x_s":
-                axes.scatter([x], [got.truth.estimated], marker="*", s=220, facecolors="none", edgecolors=BLACK,
-                             zorder=5, label="its own estimates, summed")
+            if got.truth.bound:
+                axes.scatter([x], [got.truth.bound[series]], marker="*", s=220, facecolors="none", edgecolors=BLACK,
+                             zorder=5, label="its own bound")
             continue
         look = LOOKS[method]
         axes.plot([x for x, _, _ in own], [y for _, y, _ in own], linestyle=look.line, color=look.colour, linewidth=1.1)

@@ -31,8 +31,9 @@ TRACKING = (
 def table(got: Precision) -> str:
     """The comparison as lines of text, the stack's own steps first, then method by method from coarse to fine."""
     rows = [HEAD, *(_row(e, got.truth.off) for e in sorted(got.entries, key=_order(got.entries)))]
-    if (estimated := got.truth.estimated) is not None:
-        rows[1] = (*rows[1][:-1], ", ".join([f"estimated {si(estimated, 'm')}", *filter(None, rows[1][-1:])]))
+    if got.truth.bound is not None:
+        mark = f"by itself at most {si(got.truth.bound['x_s'], 'm')}"
+        rows[1] = (*rows[1][:-1], ", ".join([mark, *filter(None, rows[1][-1:])]))
     axis = axis_of(got)
     told = [tuple([told_along(cell, axis) for cell in row]) for row in rows]
     lines = [(label, told_along(text, axis)) for label, text in _facts(got)]
@@ -112,7 +113,7 @@ def one_tick(got: Precision) -> str:
 
 
 def _estimated(got: Precision) -> list[tuple[str, str]]:
-    """The stack's own estimates of its integration error, beside the true error."""
+    """The stack's own estimates of its integration error, what they bound, and the true error."""
     errors, estimates = got.entries[0].errors, got.truth.estimates
     if not estimates:
         return []
@@ -125,10 +126,19 @@ def _estimated(got: Precision) -> list[tuple[str, str]]:
     effort = [f"{end}: at most {one['substeps_max']:.0f} sub-steps in a tick, {one['ticks_over_tolerance']:.0f} ticks "
               "over the tolerance" for end, one in estimates.items() if "substeps_max" in one]
     return [
-        ("default, estimated", f"at most {by_end('error_estimate_max')} in one tick; summed over the run "
-                               f"{by_end('error_estimate_sum')}; true at most {true}"),
+        ("default, estimated", f"at most {by_end('error_estimate_max')} in one tick; over the run they add up to "
+                               f"{by_end('error_estimate_sum')}, which is no bound: the loop carries errors on"),
+        ("default, bound", f"{_bound(got)}; true at most {true}"),
         *((("default, its effort", "; ".join(effort)),) if effort else ()),
     ]
+
+
+def _bound(got: Precision) -> str:
+    """The bound of the error that the stack can tell without a reference."""
+    if got.truth.bound is None:
+        return "none: a smaller tolerance does not halve the estimates, or nothing was integrated"
+    sizes = ", ".join(f"{si(size, SERIES[name])} in {name}" for name, size in got.truth.bound.items())
+    return f"at most {sizes}, twice the difference from the same run with a smaller tolerance"
 
 
 def _left_out(got: Precision) -> dict[str, list[str]]:
@@ -161,6 +171,7 @@ def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
             "step_ns": dict(got.step_ns),
         },
         "estimates": {end: dict(one) for end, one in got.truth.estimates.items()},
+        "bound": None if got.truth.bound is None else {name: finite(size) for name, size in got.truth.bound.items()},
         "tracking": {name: value for name, value in result.metrics.items() if name[:5] in ("x_err", "f_err")},
         "methods": [_entry(e, got.truth.off) for e in got.entries],
         "left_out": dict(got.left_out), "notes": list(result.notes),

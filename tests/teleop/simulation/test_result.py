@@ -155,4 +155,4 @@ class TestStored:
         own = {"error_estimate_max": float("inf"), "error_estimate_sum": float("nan"), "substeps_max": 3,
                "ticks_over_tolerance": 1, "tolerance": 1e-9}
         replace(wan, extra={"integration": {"slave": own}}).save(tmp_path / "run")
-        assert "error estimated at inf m a tick (nan m in all)" in table(load_result(tmp_path / "run"))
+        assert "error estimated at inf m a tick (nan m added up)" in table(load_result(tmp_path / "run"))

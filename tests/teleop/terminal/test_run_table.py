@@ -142,8 +142,8 @@ class TestTable:
                "ticks_over_tolerance": 0, "tolerance": 1e-9}
         over = {**own, "ticks_over_tolerance": 2}
         assert rows(replace(wave, extra={"integration": {"master": own, "slave": over}}))["integration"] == [
-            "master: error estimated at 4.94e-10 m a tick (12.0 nm in all), up to 3 sub-steps",
-            "slave: error estimated at 4.94e-10 m a tick (12.0 nm in all), up to 3 sub-steps; 2 ticks above 1.00 nm",
+            "master: error estimated at 4.94e-10 m a tick (12.0 nm added up), up to 3 sub-steps",
+            "slave: error estimated at 4.94e-10 m a tick (12.0 nm added up), up to 3 sub-steps; 2 ticks above 1.00 nm",
         ]
 
     def test_passes_on_the_notes(self, wave: Result) -> None:
