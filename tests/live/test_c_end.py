@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,8 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgpack import unpackb
 
 from teleop.__main__ import main
+from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
 from tests.live.conftest import summary
 from tests.programs import program
 from tests.scenarios.examples.compiled import compiled
@@ -190,6 +193,28 @@ def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ou
     played = [(log["rx_0"][i], waves[k]) for i, k in enumerate(log["newest"]) if k in waves and log["met"][i] == 1.0]
     assert len(played) > 0.5 * left["ticks"]
     assert all(one == other for one, other in played)
+
+
+def test_a_grid_that_begins_later_made_the_end_in_c_deaf_until_then(in_c: InC) -> None:
+    """Tick 0 may be three minutes ahead: it slept until then, and took neither datagram nor SIGTERM."""
+    slave = in_c.start("slave", 0, PP, "c.csv")
+    assert slave.stdout is not None
+    entries = unpackb((in_c.folder / "manifest").read_bytes())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as master:
+        master.settimeout(30.0)
+        master.connect(("127.0.0.1", int(slave.stdout.readline().split()[1])))
+
+        def asked(packet: Packet) -> Packet:
+            master.send(encode(packet, 1500))
+            answer = decode(master.recv(8192), 2)
+            assert isinstance(answer, Packet)
+            return answer
+
+        welcome = asked(Packet(Kind.HELLO, 7, 0, 1, None, entries, None))
+        start = Packet(Kind.START, 7, 0, 2, Echo(welcome.sent_ns, 0), welcome.sent_ns + 150_000_000_000, None)
+        assert asked(start).kind is Kind.START
+        assert asked(start).kind is Kind.START, "it listens on"
+    assert ended(slave)["met"] == 1
 
 
 def test_ends_of_two_scenes_refuse_each_other_whichever_is_in_c(command: Start, in_c: InC) -> None:

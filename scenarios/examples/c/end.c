@@ -21,8 +21,9 @@
 
 #define MS 1000000LL
 enum { MEETING, STARTING, RUNNING, OVER }; /* MEETING: a slave listens, a master asks */
-enum { PACKET = 100, SHORTEST = 1200, ROOM = 96, WELCOMES = 256, ROUNDS = 5, NEXT = 16 };
+enum { PACKET = 100, SHORTEST = 1200, ROOM = 96, WELCOMES = 256, ROUNDS = 5, NEXT = 16, MOST_EVERY = 1000 };
 static const int64_t DT = MS, AGAIN = 50 * MS, RENEW_AFTER = 1000 * MS, LEAD = 150 * MS, MOST_RTT = 60000 * MS;
+static const int64_t MOST_CLOCK = 1LL << 61; /* beyond that, either way, a clock is not believed */
 static const int64_t EARLY = 200 * MS; /* a message from further ahead than that is not believed */
 static const double TIMEOUT = 0.2, RAMP = 0.05, SETTLE = 0.1; /* s, of the watchdog */
 static const double F_MAX = 20.0, SLEW = 2000.0;             /* N, N/s */
@@ -48,6 +49,14 @@ static int64_t now_ns(void) {
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return t.tv_sec * 1000 * MS + t.tv_nsec;
+}
+
+static int is_clock(int64_t ns) { return ns >= -MOST_CLOCK && ns <= MOST_CLOCK; }
+
+static int64_t round_trip(const Packet *in, int64_t now) { /* of an echo that came at `now`; -1 if it is not believed */
+    if (!in->echoes || !is_clock(in->echo_sent_ns) || !is_clock(in->echo_held_ns)) return -1;
+    int64_t rtt = now - in->echo_sent_ns - in->echo_held_ns; /* of three clocks: it fits */
+    return rtt < 0 || rtt > MOST_RTT ? -1 : rtt;
 }
 
 /* The device: replace these two by your driver's. x in m, v in m/s, f in N. */
@@ -175,6 +184,11 @@ static int is_silent(int64_t now) {
 
 static int is_free(int64_t now) { return !met || (force == 0.0 && (state == OVER || is_silent(now))); }
 
+static int64_t rate(Text entries) { /* a peer ticks at every so many ticks of the grid */
+    int64_t n;
+    return told(entries, "@every", &n) && n >= 1 && n <= MOST_EVERY ? n : 1;
+}
+
 static void hello(const Packet *in, size_t size, const struct sockaddr_in *from, int64_t now) {
     if (!is_free(now)) {
         if (in->session - session - 1 < NEXT) end_session("the master asks for another");
@@ -200,14 +214,13 @@ static void hello(const Packet *in, size_t size, const struct sockaddr_in *from,
     if (reply.kind == WELCOME) {
         welcomed[welcomes % WELCOMES].session = in->session;
         welcomed[welcomes % WELCOMES].sent_ns = now;
-        welcomed[welcomes % WELCOMES].every = 1;
-        (void)told(in->text, "@every", &welcomed[welcomes++ % WELCOMES].every);
+        welcomed[welcomes++ % WELCOMES].every = rate(in->text);
     }
     if (manifest.size + 80 <= size) out(&reply, now, 0, from); /* never longer than what it answers */
 }
 
 static void start(const Packet *in, const struct sockaddr_in *from, int64_t now) {
-    if (in->tick_0_ns > now + LEAD + 3 * MOST_RTT || in->tick_0_ns < -(1LL << 61)) return;
+    if (in->tick_0_ns > now + LEAD + 3 * MOST_RTT || in->tick_0_ns < -MOST_CLOCK) return;
     if (in->session != session || !met) {
         size_t i = 0;
         while (i < WELCOMES && !(welcomed[i].sent_ns && welcomed[i].session == in->session &&
@@ -223,21 +236,20 @@ static void start(const Packet *in, const struct sockaddr_in *from, int64_t now)
 }
 
 static void welcome(const Packet *in, int64_t now) {
-    int64_t rtt = now - in->echo_sent_ns - in->echo_held_ns, theirs = 0;
+    int64_t rtt = round_trip(in, now), theirs = 0;
     if (!same_entries(in->text, manifest)) {
         fprintf(stderr, "the slave is set up for another run: compare what `teleop manifest` prints at both ends\n");
         stopped = 2;
         return;
     }
-    if (!in->echoes || rtt < 0 || rtt > MOST_RTT) return;
+    if (rtt < 0 || !is_clock(in->sent_ns)) return;
     if (!rounds || rtt < rtt_ns - MS) { rounds = 1; since_ns = now; }
     else if (in->echo_sent_ns >= since_ns) rounds++;
     if (rounds == 1 || rtt < rtt_ns) { rtt_ns = rtt; offset_ns = in->sent_ns - (now - rtt / 2); }
-    every = 1;
-    (void)told(in->text, "@every", &every);
+    every = rate(in->text);
     welcome_ns = in->sent_ns;
     int has = told(in->text, "@tick 0", &theirs);
-    if (has && theirs - offset_ns > now + LEAD + 3 * MOST_RTT) return;
+    if (has && (theirs - offset_ns > now + LEAD + 3 * MOST_RTT || theirs - offset_ns < -MOST_CLOCK)) return;
     if (rounds < ROUNDS) { say(HELLO, session, NULL, now); return; }
     int64_t tick_0 = has ? theirs - offset_ns : now + LEAD + 2 * rtt_ns;
     if (met && start_ns < tick_0) tick_0 = start_ns; /* the grid that is further on: ticks are never taken back */
@@ -273,7 +285,7 @@ static void data(const Packet *in, int64_t now) {
     newest.packet = *in;
     if (state == STARTING) state = RUNNING;
     if (!in->echoes) unheard_ns = start_ns + seq * DT - begun_ns;
-    else if (now - in->echo_sent_ns - in->echo_held_ns >= 0) {
+    else if (round_trip(in, now) >= 0) {
         answered = 1;
         unheard_ns = in->echo_held_ns;
         if (unheard_ns > RENEW_AFTER) end_session("nothing of this end arrives at the other");
@@ -317,11 +329,11 @@ static void due(int64_t now) { /* what has to be said again, and whether the ses
 static void follow(int64_t k) { /* the slave's grid goes with the master's clock, 500 ppm at the most */
     static int64_t from_k, best = INT64_MAX, theta, first_rtt, first_theta, shifted, wanted;
     static int of, windows;
-    int64_t rtt = newest.came_ns - newest.packet.echo_sent_ns - newest.packet.echo_held_ns;
+    int64_t rtt = newest.seq < 0 ? -1 : round_trip(&newest.packet, newest.came_ns);
     if (of != met) { of = met; windows = 0; from_k = k; best = INT64_MAX; shifted = wanted = 0; }
-    if (newest.seq >= 0 && newest.packet.echoes && rtt >= 0 && rtt < best) {
+    if (rtt >= 0 && rtt < best && is_clock(newest.sent_ns)) {
         best = rtt;
-        theta = (2 * newest.sent_ns - newest.packet.echo_held_ns - newest.packet.echo_sent_ns - newest.came_ns) / 2;
+        theta = newest.sent_ns - newest.came_ns + rtt / 2;
     }
     if (k - from_k >= 1000 && best < INT64_MAX) { /* a second: the fastest round trip of each says how the clocks go */
         if (!windows++) { first_rtt = best; first_theta = theta; }
@@ -370,7 +382,6 @@ static void tick(int64_t k, int64_t now) {
 
 static void stop(int number) { (void)number; stopped = 4; }
 
-#ifndef NO_MAIN
 int main(int words, char **word) {
     static uint8_t entries[MOST_CONTROL / 2], bytes[MOST_CONTROL + 1];
     struct sockaddr_in here = {.sin_family = AF_INET}, from;
@@ -427,7 +438,8 @@ int main(int words, char **word) {
         if (met) {
             int64_t k = now < start_ns ? -1 : (now - start_ns) / DT;
             if (k > last_k) tick(k, now_ns());
-            next = start_ns + (k + 1) * DT; /* ticks that this process was late for are left out, never made up for */
+            /* Ticks that this process was late for are left out, never made up for; before tick 0 it goes on listening. */
+            if (start_ns + (k + 1) * DT < next) next = start_ns + (k + 1) * DT;
         }
         if (stopped && force == 0.0) break;
         struct timespec t = {next / (1000 * MS), next % (1000 * MS)};
@@ -441,4 +453,3 @@ int main(int words, char **word) {
     if (log_file) fclose(log_file);
     return stopped == 1 || stopped == 4 ? 0 : stopped;
 }
-#endif

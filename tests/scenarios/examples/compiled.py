@@ -15,9 +15,13 @@ STRICT = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-g"]
 WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
-def compiled(name: str, folder: Path) -> Path:
-    """The program of `name`.c, below `folder`; the test is skipped where there is no compiler."""
-    built, sources = folder / name, [str(HERE / each) for each in ("wire.c", f"{name}.c")]
+def compiled(name: str, folder: Path, whole: Path | None = None) -> Path:
+    """The program of `name`.c, or of the file `whole` that includes those it is of, below `folder`.
+
+    The test is skipped where there is no compiler.
+    """
+    built = folder / name
+    sources = [str(HERE / each) for each in ("wire.c", f"{name}.c")] if whole is None else [f"-I{HERE}", str(whole)]
     why = ""
     for flags in (WATCHED, []):  # not every compiler comes with the libraries that watch
         done = subprocess.run([program(*COMPILERS), *STRICT, *flags, *sources, "-lm", "-o", str(built)],

@@ -1,0 +1,48 @@
+"""A million hostile datagrams at either role of the end in C, watched for what C lets pass: `c_end.c` fires them.
+
+The short form is a hundredth of it: `pytest -m fuzz tests/fuzz` is the whole.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from teleop.__main__ import main
+from tests.programs import program
+from tests.scenarios.examples.compiled import compiled
+
+SHORT, LONG = 10_000, 1_000_000
+FORMS = [pytest.param(SHORT, id="short"),
+         pytest.param(LONG, id="million", marks=[pytest.mark.fuzz, pytest.mark.timeout(3600)])]
+LAWS = {"pp": ["--set", "law=pp"], "wave": []}
+
+
+@pytest.fixture(scope="module")
+def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled("c_end", tmp_path_factory.mktemp("c"), Path(__file__).with_name("c_end.c"))
+
+
+@pytest.mark.parametrize("datagrams", FORMS)
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("role", ["slave", "master"])
+def test_clocks_and_echoes_of_a_datagram_overflowed(
+    fuzzer: Path, role: str, law: str, datagrams: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`sent_ns`, `@tick 0` and echo times of 64 bits were subtracted before they were looked at."""
+    manifest = tmp_path / "manifest"
+    assert main(["manifest", "hard_wall", *LAWS[law], "--write", str(manifest), "--json"]) == 0
+    capsys.readouterr()
+    words = [program(fuzzer), role, str(manifest), str(datagrams), "17"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr  # a sanitizer, or a force that was none
+    counts = json.loads(done.stdout)
+    print(f"\n{role}, {law}: {datagrams} datagrams, {counts}")
+    met, received, rejected = (counts[name] for name in ("met", "received", "rejected"))
+    assert met > datagrams / 4000, "sessions are begun"
+    assert received > datagrams / 100, "messages are taken"
+    assert rejected > datagrams / 100
+    assert counts["driven"] > 0, "and a force acts"
