@@ -20,7 +20,10 @@ from teleop.errors import Refused, nearest, number
 
 @dataclass(frozen=True, slots=True)
 class Knob:
-    """Declaration of a knob. `low` and `high` are included in the range, `above` is not."""
+    """Declaration of a knob. `low` and `high` are included in the range, `above` is not.
+
+    Bounds say what is allowed, `span` where a search for a law's parameters looks (`teleop.studies.tune.ranges`).
+    """
 
     unit: str = ""
     meaning: str = ""
@@ -30,6 +33,8 @@ class Knob:
     high: float | None = None
     choices: tuple[str, ...] = ()  # of a text; none: any text
     link: bool = False  # the knob sets the link of its scene and nothing else
+    span: tuple[float, float] | None = None  # of a search: by equal ratios if it begins above 0; none: by the default
+    stays: str = ""  # why no search turns it: what its value follows from
 
     def check(self, name: str, value: object) -> None:
         """Refuse a number, each number of a tuple, or a text that is not among the values of this knob."""

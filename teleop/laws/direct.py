@@ -36,9 +36,9 @@ class Back(NamedTuple):
 class Direct:
     """Position forth, measured force back, nothing in between."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    kf: Annotated[float, Knob("", "gain of the reflected force", low=0.0)] = 1.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    kf: Annotated[float, Knob("", "gain of the reflected force", low=0.0, span=(0.03, 3.0))] = 1.0
 
     claims: ClassVar[Mapping[str, str]] = {}
 

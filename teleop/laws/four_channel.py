@@ -57,11 +57,12 @@ class Coupling(NamedTuple):
 class FourChannel:
     """Motion and force both ways, with local force feedback."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 200.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 4.0
-    C5: Annotated[float, Knob("", "local force feedback at the slave", low=0.0)] = 0.0
-    C6: Annotated[float, Knob("", "local force feedback at the master", low=0.0)] = 0.0
-    rejoin: Annotated[float, Knob("1/s", "rate at which an end that was let go is drawn back", low=0.0)] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 200.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 4.0
+    C5: Annotated[float, Knob("", "local force feedback at the slave", low=0.0, span=(0.0, 1.0))] = 0.0
+    C6: Annotated[float, Knob("", "local force feedback at the master", low=0.0, span=(0.0, 1.0))] = 0.0
+    rejoin: Annotated[float, Knob(
+        "1/s", "rate at which an end that was let go is drawn back", low=0.0, span=(0.1, 50.0))] = 2.0
 
     claims: ClassVar[Mapping[str, str]] = {}
 

@@ -54,11 +54,12 @@ class Slave(NamedTuple):
 class ISS:
     """Lead on the reflected force and a spring in series with the coupling."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    tau: Annotated[float, Knob("s", "lead of the reflected force", low=0.0)] = 0.005
-    mu: Annotated[float, Knob("N/m", "stiffness in series with the coupling", above=0.0)] = 1000.0
-    rejoin: Annotated[float, Knob("1/s", "rate at which a slave that was let go is drawn back", low=0.0)] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    tau: Annotated[float, Knob("s", "lead of the reflected force", low=0.0, span=(1e-4, 0.2))] = 0.005
+    mu: Annotated[float, Knob("N/m", "stiffness in series with the coupling", above=0.0, span=(10.0, 3e4))] = 1000.0
+    rejoin: Annotated[float, Knob(
+        "1/s", "rate at which a slave that was let go is drawn back", low=0.0, span=(0.1, 50.0))] = 2.0
 
     claims: ClassVar[Mapping[str, str]] = {}
 

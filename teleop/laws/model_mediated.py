@@ -84,14 +84,17 @@ class Slave(NamedTuple):
 class ModelMediated:
     """Spring estimated at the slave and rendered at the master."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the slave's coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the slave's coupling", low=0.0)] = 20.0
-    B_m: Annotated[float, Knob("N s/m", "damping at the master, which fills the tank", low=0.0)] = 1.0
-    k_0: Annotated[float, Knob("N/m", "stiffness assumed at the first touch", low=0.0)] = 0.0
-    forget: Annotated[float, Knob("", "weight of the past at each sample, lambda", above=0.0, high=1.0)] = 0.998
-    touch: Annotated[float, Knob("N", "force above which the slave is in contact", low=0.0)] = 0.1
-    E_max: Annotated[float, Knob("J", "energy that the tank keeps", low=0.0)] = 0.1
-    rejoin: Annotated[float, Knob("1/s", "rate at which a slave that was let go is drawn back", low=0.0)] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the slave's coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the slave's coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    B_m: Annotated[float, Knob(
+        "N s/m", "damping at the master, which fills the tank", low=0.0, span=(0.03, 100.0))] = 1.0
+    k_0: Annotated[float, Knob("N/m", "stiffness assumed at the first touch", low=0.0, span=(0.0, 5e3))] = 0.0
+    forget: Annotated[float, Knob(
+        "", "weight of the past at each sample, lambda", above=0.0, high=1.0, span=(0.9, 1.0))] = 0.998
+    touch: Annotated[float, Knob("N", "force above which the slave is in contact", low=0.0, span=(3e-3, 3.0))] = 0.1
+    E_max: Annotated[float, Knob("J", "energy that the tank keeps", low=0.0, span=(1e-3, 3.0))] = 0.1
+    rejoin: Annotated[float, Knob(
+        "1/s", "rate at which a slave that was let go is drawn back", low=0.0, span=(0.1, 50.0))] = 2.0
 
     claims: ClassVar[Mapping[str, str]] = {}
     shows: ClassVar[tuple[str, ...]] = ("k", "stored")

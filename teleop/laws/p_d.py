@@ -49,9 +49,10 @@ class Coupling(NamedTuple):
 class PDamped:
     """Spring from each end to the other's delayed position, and a damper at each."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 100.0
-    B: Annotated[float, Knob("N s/m", "damping injected at each end", low=0.0)] = 5.0
-    rejoin: Annotated[float, Knob("1/s", "rate at which an end that was let go is drawn back", low=0.0)] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 1e4))] = 100.0
+    B: Annotated[float, Knob("N s/m", "damping injected at each end", low=0.0, span=(0.1, 500.0))] = 5.0
+    rejoin: Annotated[float, Knob(
+        "1/s", "rate at which an end that was let go is drawn back", low=0.0, span=(0.1, 50.0))] = 2.0
 
     claims: ClassVar[Mapping[str, str]] = {}
 

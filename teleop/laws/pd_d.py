@@ -53,10 +53,11 @@ class Coupling(NamedTuple):
 class PDDamped:
     """Spring-damper from each end to the other's delayed motion, and a damper at each."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 100.0
-    K_d: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 2.0
-    B: Annotated[float, Knob("N s/m", "damping injected at each end", low=0.0)] = 2.0
-    rejoin: Annotated[float, Knob("1/s", "rate at which an end that was let go is drawn back", low=0.0)] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 1e4))] = 100.0
+    K_d: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.05, 100.0))] = 2.0
+    B: Annotated[float, Knob("N s/m", "damping injected at each end", low=0.0, span=(0.1, 500.0))] = 2.0
+    rejoin: Annotated[float, Knob(
+        "1/s", "rate at which an end that was let go is drawn back", low=0.0, span=(0.1, 50.0))] = 2.0
 
     claims: ClassVar[Mapping[str, str]] = {}
 

@@ -85,14 +85,19 @@ class Sums(NamedTuple):
 class PFRA:
     """Force reflection projected on the force of the hand."""
 
-    alpha: Annotated[float, Knob("", "weight of the part that the hand does not resist", low=0.0, high=1.0)] = 0.0
-    kf: Annotated[float, Knob("", "gain of the reflected force", low=0.0)] = 1.0
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    push: Annotated[float, Knob("", "weight, beside alpha, of what exceeds the hand's force", low=0.0, high=1.0)] = 0.0
-    pull: Annotated[float, Knob("", "weight, beside alpha, of what pulls the hand on", low=0.0, high=1.0)] = 0.0
-    across: Annotated[float, Knob("", "weight, beside alpha, of what acts across the hand", low=0.0, high=1.0)] = 0.0
-    rest_gain: Annotated[float, Knob("N s/m", "gain from the master's speed to the rest that is felt", low=0.0)] = 0.0
+    alpha: Annotated[float, Knob(
+        "", "weight of the part that the hand does not resist", low=0.0, high=1.0, span=(0.0, 1.0))] = 0.0
+    kf: Annotated[float, Knob("", "gain of the reflected force", low=0.0, span=(0.03, 3.0))] = 1.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    push: Annotated[float, Knob(
+        "", "weight, beside alpha, of what exceeds the hand's force", low=0.0, high=1.0, span=(0.0, 1.0))] = 0.0
+    pull: Annotated[float, Knob(
+        "", "weight, beside alpha, of what pulls the hand on", low=0.0, high=1.0, span=(0.0, 1.0))] = 0.0
+    across: Annotated[float, Knob(
+        "", "weight, beside alpha, of what acts across the hand", low=0.0, high=1.0, span=(0.0, 1.0))] = 0.0
+    rest_gain: Annotated[float, Knob(
+        "N s/m", "gain from the master's speed to the rest that is felt", low=0.0, span=(0.0, 5.0))] = 0.0
 
     claims: ClassVar[Mapping[str, str]] = {}
     linear_at: ClassVar[Mapping[str, float]] = {"alpha": 1.0}

@@ -50,9 +50,10 @@ class Coupling(NamedTuple):
 class PositionPosition:
     """Spring-damper from each end to the other's delayed position and velocity."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 400.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 4.0
-    rejoin: Annotated[float, Knob("1/s", "rate at which an end that was let go is drawn back", low=0.0)] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 400.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 4.0
+    rejoin: Annotated[float, Knob(
+        "1/s", "rate at which an end that was let go is drawn back", low=0.0, span=(0.1, 50.0))] = 2.0
 
     claims: ClassVar[Mapping[str, str]] = {}
 

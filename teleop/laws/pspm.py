@@ -76,11 +76,12 @@ class Sums(NamedTuple):
 class PSPM:
     """A spring and a damper at each end, to a set point that energy moves."""
 
-    K: Annotated[float, Knob("N/m", "stiffness to the set point", above=0.0)] = 500.0
-    B_m: Annotated[float, Knob("N s/m", "damping of the master", low=0.0)] = 5.0
-    B_s: Annotated[float, Knob("N s/m", "damping of the slave", low=0.0)] = 20.0
+    K: Annotated[float, Knob("N/m", "stiffness to the set point", above=0.0, span=(10.0, 3e4))] = 500.0
+    B_m: Annotated[float, Knob("N s/m", "damping of the master", low=0.0, span=(0.1, 200.0))] = 5.0
+    B_s: Annotated[float, Knob("N s/m", "damping of the slave", low=0.0, span=(0.1, 1e3))] = 20.0
     E_0: Annotated[float, Knob("J", "energy of each end at the start", low=0.0)] = 0.01
-    E_max: Annotated[float, Knob("J", "most energy of an end, that of the spring aside", low=0.0)] = 0.005
+    E_max: Annotated[float, Knob(
+        "J", "most energy of an end, that of the spring aside", low=0.0, span=(1e-4, 1.0))] = 0.005
 
     claims: ClassVar[Mapping[str, str]] = {"E_law": "any link"}
     shows: ClassVar[tuple[str, ...]] = ("T",)

@@ -128,14 +128,19 @@ class SlaveSums(NamedTuple):
 class TDPA:
     """Position-force control with passivity observers and controllers at both ends, and drift compensation."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", above=0.0)] = 20.0
-    drift: Annotated[float, Knob("1/s", "rate at which the commanded point goes to the master", low=0.0)] = 10.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", above=0.0, span=(0.1, 1e3))] = 20.0
+    drift: Annotated[float, Knob(
+        "1/s", "rate at which the commanded point goes to the master", low=0.0, span=(0.1, 1e3))] = 10.0
     E0: Annotated[float, Knob("J", "energy of the slave at the start", low=0.0)] = 0.05
-    alpha_max: Annotated[float, Knob("N s/m", "most damping that takes back what was overspent", low=0.0)] = 50.0
-    v_min: Annotated[float, Knob("m/s", "speed below which that damping grows no more", above=0.0)] = 1e-3
-    debt: Annotated[float, Knob("J", "what the master owes at most and still resists with more", low=0.0)] = 2e-4
-    store: Annotated[float, Knob("J", "most energy that stays unspent (0: the power-based variant)", low=0.0)] = 1.0
+    alpha_max: Annotated[float, Knob(
+        "N s/m", "most damping that takes back what was overspent", low=0.0, span=(1.0, 500.0))] = 50.0
+    v_min: Annotated[float, Knob(
+        "m/s", "speed below which that damping grows no more", above=0.0, span=(1e-5, 0.1))] = 1e-3
+    debt: Annotated[float, Knob(
+        "J", "what the master owes at most and still resists with more", low=0.0, span=(1e-6, 0.01))] = 2e-4
+    store: Annotated[float, Knob(
+        "J", "most energy that stays unspent (0: the power-based variant)", low=0.0, span=(1e-3, 30.0))] = 1.0
 
     claims: ClassVar[Mapping[str, str]] = {"E_law": "any link"}
     shows: ClassVar[tuple[str, ...]] = ("G",)

@@ -80,16 +80,19 @@ class Sums(NamedTuple):
 class TwoLayer:
     """Position-force control above, an energy tank at each end below."""
 
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    beta: Annotated[float, Knob("", "share of its tank that an end sends in a tick", low=0.0, high=1.0)] = 0.01
-    H_d: Annotated[float, Knob("J", "energy below which the master's tank is filled from the hand", low=0.0)] = 0.05
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    beta: Annotated[float, Knob(
+        "", "share of its tank that an end sends in a tick", low=0.0, high=1.0, span=(1e-4, 1.0))] = 0.01
+    H_d: Annotated[float, Knob(
+        "J", "energy below which the master's tank is filled from the hand", low=0.0, span=(1e-3, 2.0))] = 0.05
     H_0: Annotated[float, Knob("J", "energy of each tank at the start", low=0.0)] = 0.0
-    alpha: Annotated[float, Knob("N s/(m J)", "damping for each joule that is missing of H_d", low=0.0)] = 500.0
-    d_max: Annotated[float, Knob("N s/m", "most of that damping", low=0.0)] = 20.0
-    k: Annotated[float, Knob("N/m", "stiffness of the bound sqrt(2 k H) on a force", low=0.0)] = 500.0
-    f_max: Annotated[float, Knob("N", "most force of the upper layer", low=0.0)] = 40.0
-    H_max: Annotated[float, Knob("J", "most energy of a tank", low=0.0)] = 1.0
+    alpha: Annotated[float, Knob(
+        "N s/(m J)", "damping for each joule that is missing of H_d", low=0.0, span=(10.0, 3e4))] = 500.0
+    d_max: Annotated[float, Knob("N s/m", "most of that damping", low=0.0, span=(0.5, 500.0))] = 20.0
+    k: Annotated[float, Knob("N/m", "stiffness of the bound sqrt(2 k H) on a force", low=0.0, span=(10.0, 3e4))] = 500.0
+    f_max: Annotated[float, Knob("N", "most force of the upper layer", low=0.0, span=(1.0, 100.0))] = 40.0
+    H_max: Annotated[float, Knob("J", "most energy of a tank", low=0.0, span=(0.01, 30.0))] = 1.0
 
     claims: ClassVar[Mapping[str, str]] = {"E_law": "any link"}
     shows: ClassVar[tuple[str, ...]] = ("H",)

@@ -67,9 +67,9 @@ class Slave(NamedTuple):
 class Wave:
     """Wave variables with a spring-damper slave solved in closed form."""
 
-    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0)] = 2.0
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
+    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0, span=(0.1, 300.0))] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
 
     claims: ClassVar[Mapping[str, str]] = {"E_link": "any link"}
 

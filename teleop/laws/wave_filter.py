@@ -64,10 +64,11 @@ class Slave(NamedTuple):
 class WaveFilter:
     """Wave variables, each received wave through a one-pole low-pass filter."""
 
-    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0)] = 2.0
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    f_c: Annotated[float, Knob("Hz", "cut-off of the filter on each received wave", above=0.0)] = 20.0
+    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0, span=(0.1, 300.0))] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    f_c: Annotated[float, Knob(
+        "Hz", "cut-off of the filter on each received wave", above=0.0, span=(1.0, 400.0))] = 20.0
 
     claims: ClassVar[Mapping[str, str]] = {"E_link": "any link"}
 

@@ -63,8 +63,9 @@ class Point(NamedTuple):
 class WaveMatched:
     """Wave variables with a coupling at either end, its damping the wave impedance."""
 
-    b: Annotated[float, Knob("N s/m", "wave impedance, and damping of both couplings", above=0.0)] = 2.0
-    K: Annotated[float, Knob("N/m", "stiffness of both couplings", low=0.0)] = 500.0
+    b: Annotated[float, Knob(
+        "N s/m", "wave impedance, and damping of both couplings", above=0.0, span=(0.1, 300.0))] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of both couplings", low=0.0, span=(10.0, 3e4))] = 500.0
 
     claims: ClassVar[Mapping[str, str]] = {"E_link": "any link"}
 

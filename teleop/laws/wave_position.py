@@ -74,11 +74,11 @@ class Slave(NamedTuple):
 class WavePosition:
     """Wave variables with a spring between the two positions and a damper at either end."""
 
-    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0)] = 2.0
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    K_p: Annotated[float, Knob("N/m", "stiffness between the two positions", low=0.0)] = 20.0
-    B_p: Annotated[float, Knob("N s/m", "damping to the ground at either end", low=0.0)] = 1.0
+    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0, span=(0.1, 300.0))] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    K_p: Annotated[float, Knob("N/m", "stiffness between the two positions", low=0.0, span=(0.5, 1e3))] = 20.0
+    B_p: Annotated[float, Knob("N s/m", "damping to the ground at either end", low=0.0, span=(0.03, 300.0))] = 1.0
 
     claims: ClassVar[Mapping[str, str]] = {}
 

@@ -84,13 +84,15 @@ class Slave(NamedTuple):
 class WavePrediction:
     """Wave variables with the returning wave predicted, within the energy that came."""
 
-    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0)] = 2.0
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    mass: Annotated[float, Knob("kg", "mass of the predicted slave", above=0.0)] = 0.5
-    damping: Annotated[float, Knob("N s/m", "its damping", low=0.0)] = 1.0
-    lead: Annotated[float, Knob("", "share of the prediction that is played; 0: none", low=0.0, high=1.0)] = 1.0
-    tau: Annotated[float, Knob("s", "time of the means, and of making up for what was held back", above=0.0)] = 0.05
+    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0, span=(0.1, 300.0))] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    mass: Annotated[float, Knob("kg", "mass of the predicted slave", above=0.0, stays="the slave's own")] = 0.5
+    damping: Annotated[float, Knob("N s/m", "its damping", low=0.0, stays="the slave's own")] = 1.0
+    lead: Annotated[float, Knob(
+        "", "share of the prediction that is played; 0: none", low=0.0, high=1.0, span=(0.0, 1.0))] = 1.0
+    tau: Annotated[float, Knob(
+        "s", "time of the means, and of making up for what was held back", above=0.0, span=(2e-3, 1.0))] = 0.05
 
     claims: ClassVar[Mapping[str, str]] = {"E_link": "any link"}
 

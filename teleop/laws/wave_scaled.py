@@ -74,10 +74,11 @@ class Slave(NamedTuple):
 class WaveScaled:
     """Wave variables, each wave held in gaps and scaled by the rate at which messages come."""
 
-    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0)] = 2.0
-    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 500.0
-    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0)] = 20.0
-    tau: Annotated[float, Knob("s", "time in which the scale follows arrivals; 0: null rule", low=0.0)] = 0.05
+    b: Annotated[float, Knob("N s/m", "wave impedance", above=0.0, span=(0.1, 300.0))] = 2.0
+    K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0, span=(10.0, 3e4))] = 500.0
+    B: Annotated[float, Knob("N s/m", "damping of the coupling", low=0.0, span=(0.1, 500.0))] = 20.0
+    tau: Annotated[float, Knob(
+        "s", "time in which the scale follows arrivals; 0: null rule", low=0.0, span=(2e-3, 1.0))] = 0.05
 
     claims: ClassVar[Mapping[str, str]] = {"E_link": "any link"}
 

@@ -140,7 +140,7 @@ def advise(scene: str, budget: int, *, fixed: Mapping[str, object], laws: Sequen
         each = _of_law(scene, law, budget, fixed, ways, objective, seed, show, workers, engine)
         rows += 0 if each.tuned is None else each.tuned.rows
         found.append(each)
-    found.sort(key=lambda one: one.tuned.score.order if one.tuned is not None else (float("inf"), 0.0))
+    found.sort(key=lambda one: one.tuned.score.order if one.tuned is not None else (float("inf"), 0.0, 0.0))
     able = [one for one in found if one.value < float("inf")]
     top = [one for one in able if not one.broken] or able
     for one in [*top[:MEASURED], *[each for each in able[:1] if each not in top[:MEASURED]]]:

@@ -83,11 +83,15 @@ class Score(NamedTuple):
     terms: Mapping[str, float]
     figures: Mapping[str, Mapping[str, float]]  # of each task the metrics, means over the seeds
     values: tuple[float, ...] = ()  # of the objective, seed by seed
+    unmet: int = 0  # conditions of the law that link and bodies break
 
     @property
-    def order(self) -> tuple[float, float]:
-        """What points are sorted by: feasible ones first, by value; the others by how much they break."""
-        return (self.amount, self.value)
+    def order(self) -> tuple[float, float, float]:
+        """What points are sorted by: feasible ones first, of these those that keep the law's conditions, by value.
+
+        The others by how much they break.
+        """
+        return (self.amount, float(self.unmet), self.value)
 
 
 def measures_of(law: Any) -> tuple[str, ...]:

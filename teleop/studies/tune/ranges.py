@@ -26,12 +26,15 @@ class Ranges(NamedTuple):
 def ranges_of(law: Any, fixed: Collection[str] = ()) -> Ranges:
     """The ranges of the numbers of `law`, except those in `fixed` ("law.K"), which somebody has set.
 
-    A knob whose value is above 0 goes by equal ratios, from 1/30 of its value, or its lower bound, to 30 times that, or
-    its upper bound. One with a lower bound of 0, or below, and an upper one goes evenly from one to the other, if its
-    value is a tenth of that range or more, or the lower bound itself. One whose value is 0 and that has no upper bound
-    goes evenly from 0 to the greatest value among the law's knobs of its unit, and stays if there is none. So does one
-    that the law's seed energy, E_law(0), depends on: what is given out unpaid is not for tuning. Raises
-    `Refused` for a law that has no number to turn, and for a name in `fixed` that it has not.
+    A knob that declares a span (`teleop.knob`) goes through that, by equal ratios if it begins above 0; one that
+    declares what its value follows from stays.
+
+    Of the others, a knob whose value is above 0 goes by equal ratios, from 1/30 of its value, or its lower bound, to 30
+    times that, or its upper bound. One with a lower bound of 0, or below, and an upper one goes evenly from one to the
+    other, if its value is a tenth of that range or more, or the lower bound itself. One whose value is 0 and that has
+    no upper bound goes evenly from 0 to the greatest value among the law's knobs of its unit, and stays if there is
+    none. So does any that the law's seed energy, E_law(0), depends on: what is given out unpaid is not for tuning.
+    Raises `Refused` for a law that has no number to turn, and for a name in `fixed` that it has not.
     """
     knobs = {name: each for name, each in knobs_of_fields(type(law)).items() if each.kind is float}
     values = {name: float(getattr(law, name)) for name in knobs}
@@ -44,6 +47,9 @@ def ranges_of(law: Any, fixed: Collection[str] = ()) -> Ranges:
     for name, each in knobs.items():
         if f"law.{name}" in fixed:
             stay[name] = "as set"
+            continue
+        if each.knob.stays:
+            stay[name] = f"{values[name]:g}: {each.knob.stays}"
             continue
         if _seeds_energy(law, name):
             stay[name] = f"{values[name]:g}: the energy that the law may give out unpaid depends on it"
@@ -73,6 +79,8 @@ def _seeds_energy(law: Any, name: str) -> bool:
 
 def _range(each: Declared, value: float, alike: list[float]) -> Range | None:
     knob = each.knob
+    if knob.span is not None:
+        return Range(*knob.span, log=knob.span[0] > 0.0)
     low = knob.low if knob.low is not None else knob.above
     if low is not None and low <= 0.0 and knob.high is not None and not low < value < low + 0.1 * (knob.high - low):
         return Range(low, knob.high) if knob.low is not None else Range(value / FACTOR, knob.high, log=True)

@@ -1,38 +1,42 @@
-"""The search for a law's parameters: a Latin hypercube, then a coordinate search, with a stated number of rows.
+"""The search for a law's parameters: a Latin hypercube, then evolution strategies, with a stated number of rows.
 
 1. The first points are the parameters that the law has in the scene, those that it fits to link and bodies where it
-   offers that, its defaults, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until half of the rows
-   are spent.
-2. From the best point a coordinate search (compass search: Kolda, Lewis & Torczon, SIAM Review 45, 2003): all points
-   one step up and down in each parameter, at once; the best of them is the next place if it is better, and one more
-   step is tried along the way that led there; if none is, the step is halved. Steps are parts of each parameter's
-   range, by equal ratios where the range goes by those. Below the least step it begins again at the next best point.
-3. The linear loop of the best point (`teleop.studies.margin`) has to be stable with as many times its gain as the
-   margin that is asked for, where it can be worked out; of a law that claims to keep energy with its own gain: waves
-   that resonate have no gain to spare, and need none. If it is not, the next best point is looked at that is more than
-   `APART` of a range away from all that were, twice that after every fourth, `LOOKS` at most.
-4. Where the link draws random numbers, the best few points are run with other seeds, and the one with the best mean is
-   the result, if each of its rows keeps the constraints.
+   offers that, its defaults, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until a part `LATIN` of the
+   rows is spent. A point that breaks a condition of the law is moved to where the law fits itself (`fitted`), as far as
+   that turns knobs of the search; of two points the one that keeps the conditions is better.
+2. From the best point of each playout an evolution strategy (`teleop.studies.tune.strategy`) over the parts of each
+   parameter's range, by equal ratios where the range goes by those, folded at its ends. Where it has come to rest it
+   begins again at the best point that is far from all that it began and ended at, until no rows are left.
+3. The linear loop of a result (`teleop.studies.margin`) has to be stable with as many times its gain as the margin that
+   is asked for, where it can be worked out; of a law that claims to keep energy with its own gain: waves that resonate
+   have no gain to spare, and need none. If it is not, the next best point is looked at that is more than `APART` of a
+   range away from all that were, twice that after every fourth, `LOOKS` at most.
+4. Where the link draws random numbers the search runs each point with up to `SEEDS` seeds, and the best few points run
+   with as many as `FRESH` that it has not seen: the one with the best mean over these is the result, if each of its
+   rows keeps the constraints. In a large search four times as many are first run with a third as many, unseen too.
+5. A parameter of the result that changes no bit of its rows has the law's own value again.
 
 All rows go through the sweep engine, and none depends on what else is run, on the engine or on the number of threads:
-the same arguments give the same result to the bit.
+the same arguments give the same result to the bit. Rows of a search that was stopped are taken as they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from math import inf
+from dataclasses import dataclass, replace
+from functools import cache
+from math import ceil, floor, inf, log10
 from typing import Any
 
 from teleop.errors import Refused, number
-from teleop.law.offers import claims_of
+from teleop.knob import knobs_of_fields
+from teleop.law.offers import Facts, broken, claims_of
 from teleop.scene.knobs import knobs_of, law_with_its_numbers
 from teleop.scene.library import scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import fitted
+from teleop.simulation.facts import facts_of, fitted
 from teleop.studies.margin import Margin, margin, stands
 from teleop.studies.tune.objective import (
     FREE,
@@ -47,18 +51,25 @@ from teleop.studies.tune.objective import (
 )
 from teleop.studies.tune.ranges import Ranges, at, part, ranges_of
 from teleop.studies.tune.rod import Rod, rod
+from teleop.studies.tune.strategy import Strategy, folded
 from teleop.sweeps.engine import choose
 from teleop.sweeps.grid import Grid, Range, grid, sampled
 from teleop.sweeps.runner import carry_out, plan_sweep
 
-LATIN = 0.5  # of the rows that points are searched with
+LATIN = 0.3  # of the points that are searched
+SEEDS, POINTS = 4, 250  # of the link in a search at most, and points that it has for each
+FEW, FRESH = 8, 24  # points that are run with other seeds, and how many, at most
+LEAST_FRESH = 4
 LOOKS, APART = 16, 0.05  # points whose loop is looked at, and the part of a range between them
-STEP, LEAST = 0.15, 0.01  # of a range: the first step and the least
-CHECKED, SEEDS = 4, 4  # points that are run again, and with how many other seeds
+STEP, LEAST = 0.15, 0.004  # of a range: the first standard deviation of a strategy and the least
+FAR = 0.1  # of a range, between the beginnings of strategies
+STALE = 12  # generations without a better point after which a strategy ends
 SOFT = {"k_e": 0.0, "d_e": 0.0}  # knobs of a scene that leave free space of its environment
 
 Point = tuple[Any, ...]  # a value for each name of the search
+Row = Mapping[str, Any]
 Tell = Callable[[int, str], None]  # rows done so far, and what is done
+Keep = Callable[[Sequence[Row]], None]  # rows in the order in which the search asks for them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +94,8 @@ class Tuned:
     engine: str
     measures: tuple[str, ...]  # the metrics of each row
     linear: Margin | None = None  # of the best point; None: nothing is feasible
+    seeds: range  # of the link, in the search
+    fresh: range  # those of `score`, which the search has not seen where the link draws random numbers
     tasks: Mapping[str, Mapping[str, Any]]  # the rows of a point, with the knobs that each sets
     rods: Mapping[str, Rod]
 
@@ -124,18 +137,19 @@ class Tuned:
 def tune_law(
     scene: str, law: str, budget: int, seed: int = 0, *, fixed: Mapping[str, object] | None = None,
     objective: str = "balanced", margin: float = 1.0, playouts: Sequence[str] = (), tell: Tell | None = None,
-    workers: int | None = None, engine: str | None = None,
+    workers: int | None = None, engine: str | None = None, keep: Keep | None = None, known: Sequence[Row] = (),
 ) -> Tuned:
     """Search the parameters of `law` (as `--set law=` takes it) in `scene`, in at most `budget` rows of a sweep.
 
     `fixed`: knobs of the scene that are set, the link among them; a knob of the law that is set is not turned.
     `margin`: by which factor the environment may be stiffer (knob k_e) with all constraints still kept; 1: none is
     asked for. `playouts`: texts that the playout may be, tried as a further parameter; left out, the scene's. `seed`:
-    keys the hypercube, and is the first seed of the link. `tell` is told of rows done. The search is by seed; the check
-    runs seed + 1, seed + 2, ... Raises `Refused`.
+    keys all draws of the search, and is the first seed of the link; seeds that follow those of the search are for the
+    check. `tell` is told of rows done. `keep` is handed the rows as they are run; a search with the same arguments that
+    is given them as `known` does not run them again. Raises `Refused`.
     """
     return _Search(scene, law, budget, seed, dict(fixed or {}), objective, margin, tuple(playouts), tell, workers,
-                   engine).run()
+                   engine, keep, known).run()
 
 
 def judged(tuned: Tuned, changes: Sequence[Mapping[str, Any]], *, tasks: Sequence[str] = (SCENE, FREE),
@@ -161,15 +175,15 @@ class _Search:
     """One search: what is turned, how points become rows, and the rows that are left."""
 
     def __init__(self, scene: str, law: str, budget: int, seed: int, fixed: dict[str, object], objective: str,
-                 wanted: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None
-                 ) -> None:
+                 wanted: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None,
+                 keep: Keep | None, known: Sequence[Row]) -> None:
         if "law" in fixed:
             raise Refused(f"law={fixed['law']} is set beside the law that is tuned, {law}; leave one of them out")
         self.name, self.law, self.budget, self.seed, self.tell = scene, law, budget, seed, tell
         self.goal = objective_named(objective)
         self.objective = objective
-        known = knobs_of(scene_function(scene))
-        if "energy" in known and "energy" not in fixed:
+        scene_knobs = knobs_of(scene_function(scene))
+        if "energy" in scene_knobs and "energy" not in fixed:
             fixed["energy"] = True
         if playouts and "playout" in fixed:
             raise Refused(f"playout={fixed['playout']} is set beside the playouts to choose from, "
@@ -182,11 +196,13 @@ class _Search:
         self.fixed = fixed
         self.rod = rod(self.scene)
         self.ranges = ranges_of(self.scene.law, [name for name in fixed if name.startswith("law.")])
+        self._follow()
         self.spans: dict[str, Range | tuple[str, ...]] = dict(self.ranges.turned)
-        if len(playouts) > 1:
-            self.spans["playout"] = playouts
+        self.playouts = playouts if len(playouts) > 1 else ()
+        if self.playouts:
+            self.spans["playout"] = self.playouts
         self.names = tuple(self.spans)
-        self.soft = {knob: value for knob, value in SOFT.items() if knob in known} if "k_e" in known else {}
+        self.soft = {knob: value for knob, value in SOFT.items() if knob in scene_knobs} if "k_e" in scene_knobs else {}
         if self.rod.pressed == 0.0:
             self.soft = {}
         self.margin = number("margin", wanted, low=1.0)
@@ -209,30 +225,58 @@ class _Search:
         self.engine = engine or choose(None, self.scene, max(budget, 16), self.measures)[0]
         self.engine = "scalar" if self.engine == "vector" and engine is None else self.engine
         self.workers = workers
+        self.keep, self.known = keep, known
         self.rows = 0
         self.scores: dict[Point, Score] = {}
+        self.varies = (self.scene.link is not None and varies(self.scene.link)) or any(
+            self.scene.leaves_out(e) is not None for e in ("m", "s"))
+        draws = min(max(budget // (len(self.tasks) * POINTS), 1), SEEDS) if self.varies else 1
+        self.seeds = range(seed, seed + draws)
+
+    def _follow(self) -> None:
+        """Set what follows from link and bodies and is not turned to what the law fits itself to."""
+        there = fitted(self.scene, self.seed).law
+        knobs = knobs_of_fields(type(self.scene.law))
+        for name in self.ranges.stay:
+            if knobs[name].knob.stays and f"law.{name}" not in self.fixed:
+                self.fixed[f"law.{name}"] = getattr(there, name)
+        self.scene = load_scene(self.name, **{**self.fixed, "law": self.law})
 
     def run(self) -> Tuned:
-        each = len(self.tasks)
-        random = (self.scene.link is not None and varies(self.scene.link)) or any(
-            self.scene.leaves_out(e) is not None for e in ("m", "s"))
-        checks = min(CHECKED * SEEDS * each, self.budget // 3 // each * each) if random else 0
-        self.left = (self.budget - checks) // each  # points
+        """Search."""
+        each, third = len(self.tasks), self.budget // 3
+        fresh = min(max(third // (LEAST_FRESH * each), LEAST_FRESH), FRESH)
+        few = min(third // (fresh * each), FEW) if self.varies else 0
+        screens = 4 * few if few == FEW else 0
+        checks = (few * fresh + screens * (fresh // 3)) * each
+        resets = (len(self.ranges.turned) + 2) * each * len(self.seeds)
+        resets = resets if 20 * resets <= self.budget else 0
+        self.left = (self.budget - checks - resets) // (each * len(self.seeds))  # points
         own, *others = dict.fromkeys(map(self._of_law, self._laws()))
-        self._try([own, *others, *self._drawn(max(1, int(LATIN * self.left)) - 1 - len(others))])
-        self._refine()
+        first = max(1, int(LATIN * self.left))
+        self._try([own, *others, *map(self._kept, self._drawn(first - 1 - len(others)))])
+        self._evolve()
         ranked = sorted(self.scores, key=lambda point: self.scores[point].order)
-        enough = self._with_margin([point for point in ranked if not self.scores[point].broken])
+        enough = self._with_margin([point for point in ranked if not self.scores[point].broken], screens or few or 1)
         best = enough[0] if enough else min(self.scores, key=lambda point: self.scores[point].order)
-        found = self.scores[best]
-        if checks >= each * SEEDS and enough:
-            best, found = self._checked(enough, checks)
+        found, seeds = self.scores[best], self.seeds
+        if few and enough:
+            if screens:
+                seeds = range(seeds.stop, seeds.stop + fresh // 3)
+                screened = self._scored(enough, seeds)
+                enough = [enough[i] for i in sorted(range(len(enough)), key=lambda i: screened[i].order)]
+            seeds = range(seeds.stop, seeds.stop + fresh)
+            checked = dict(zip(enough[:few], self._scored(enough[:few], seeds), strict=True))
+            best = min(checked, key=lambda point: checked[point].order)
+            found = checked[best]
+        if resets and not found.broken:
+            best, found = self._reset(best, own, found, seeds)
         return Tuned(law=self.law, scene=self.name, fixed=self.fixed, objective=self.objective, names=self.names,
                      ranges=self.ranges, best=self._values(best), score=found,
                      default=self.scores[own],
                      tried=tuple([(self._values(point), each) for point, each in self.scores.items()]), rod=self.rod,
                      margin=self.margin, budget=self.budget, rows=self.rows, seed=self.seed, engine=self.engine,
-                     measures=self.measures, tasks=self.tasks, rods=self.rods,
+                     measures=self.measures, tasks=self.tasks, rods=self.rods, seeds=self.seeds, fresh=seeds,
                      linear=None if found.broken else margin(self._scene(best), seed=self.seed))
 
     def _laws(self) -> list[Any]:
@@ -261,96 +305,137 @@ class _Search:
         return [tuple([at(span, values[name]) if isinstance(span, Range) else values[name]
                        for name, span in self.spans.items()]) for _, values, _ in drawn.rows(range(count))]
 
-    def _try(self, points: Sequence[Point]) -> list[Point]:
-        """Run those points that were not run yet, as far as rows are left; those of `points` that have a score."""
+    def _kept(self, point: Point) -> Point:
+        """The point, moved to where the law fits itself if a condition of it is broken there and it knows how."""
+        law, facts = self._law_of(point), self._facts(self._values(point).get("playout"))
+        if law is None or facts is None or not hasattr(law, "fitted") or not broken(law, facts):
+            return point
+        there = law.fitted(facts)
+        return tuple([_beyond(float(value), float(getattr(there, name.removeprefix("law."))))
+                      if isinstance(self.spans[name], Range) else value for name, value in self._values(point).items()])
+
+    def _law_of(self, point: Point) -> Any:
+        """The law with the numbers of a point; None where it refuses them."""
+        try:
+            return replace(self.scene.law, **{name.removeprefix("law."): value for name, value in zip(
+                self.names, point, strict=True) if name in self.ranges.turned})
+        except Refused:
+            return None
+
+    @cache  # noqa: B019 - a search lives no longer than its facts
+    def _facts(self, playout: str | None) -> Facts | None:
+        """The facts of link and bodies with this playout; None where the scene does not take it."""
+        try:
+            knobs = {} if playout is None else {"playout": playout}
+            return facts_of(load_scene(self.name, **{**self.fixed, "law": self.law, **knobs}), self.seed)
+        except Refused:
+            return None
+
+    def _unmet(self, point: Point) -> int:
+        """How many conditions of the law a point breaks."""
+        law, facts = self._law_of(point), self._facts(self._values(point).get("playout"))
+        return 0 if law is None or facts is None else len(broken(law, facts))
+
+    def _try(self, points: Sequence[Point]) -> int:
+        """Run those points that were not run yet, as far as rows are left; how many these were."""
         new = [point for point in dict.fromkeys(points) if point not in self.scores][:max(0, self.left)]
         self.left -= len(new)
-        for point, found in zip(new, self._scored(new, [self.seed]), strict=True):
+        for point, found in zip(new, self._scored(new, self.seeds), strict=True):
             self.scores[point] = found
-        return [point for point in points if point in self.scores]
+        return len(new)
 
     def _scored(self, points: Sequence[Point], seeds: Sequence[int]) -> list[Score]:
         """The scores of points, each over all tasks and seeds, in one sweep."""
         if not points:
             return []
         names = (*self.names, *self.soft)
-        rows = [(*point, *knobs.values()) for point in points for knobs in self.tasks.values()]
-        axes: Grid = grid({names: rows}, seeds)
-        fixed = {**{key: value for key, value in self.fixed.items() if key not in self.soft}, "law": self.law}
-        plan = plan_sweep(self.name, axes, metrics=list(self.measures), fixed=fixed, engine=self.engine)
-        before = self.rows
-        tell = self.tell
-        show = None if tell is None else lambda done, _: tell(before + done, self.law)
-        found = [*carry_out(plan, workers=self.workers, show=show)]
-        self.rows += len(found)
+        values = [(*point, *knobs.values()) for point in points for knobs in self.tasks.values()]
+        rows = self._known(names, values, seeds)
+        if rows is None:
+            rows = self._run(grid({names: values}, seeds))
+        self.rows += len(rows)
         tasks, per = [*self.tasks], len(self.tasks) * len(seeds)
         return [over_seeds(self.goal, self.rods, self.scene, [
-            (tasks[i // len(seeds)], row) for i, row in enumerate(found[n * per:(n + 1) * per])])
-            for n in range(len(points))]
+            (tasks[i // len(seeds)], row) for i, row in enumerate(rows[n * per:(n + 1) * per])])._replace(
+                unmet=self._unmet(point)) for n, point in enumerate(points)]
 
-    def _refine(self) -> None:
-        """Coordinate searches, each from the best point that none began at, until no rows are left."""
-        begun: set[Point] = set()
-        while self.left > 0:
-            starts = [point for point in sorted(self.scores, key=lambda p: self.scores[p].order) if point not in begun]
-            if not starts:
-                return
-            here, step, before = starts[0], STEP, None
-            while self.left > 0 and step >= LEAST:
-                begun.add(here)
-                tried = self._try(self._around(here, step))
-                best = min(tried, key=lambda point: self.scores[point].order, default=here)
-                if self.scores[best].order < self.scores[here].order:
-                    before, here = here, best
-                    on = self._on(before, here)
-                    if self._try([on]) and self.scores[on].order < self.scores[here].order:
-                        here = on
-                else:
-                    step /= 2.0
+    def _run(self, axes: Grid) -> Sequence[Row]:
+        """The rows of a grid, run; a figure that is not finite is left out of them."""
+        fixed = {**{key: value for key, value in self.fixed.items() if key not in self.soft}, "law": self.law}
+        plan = plan_sweep(self.name, axes, metrics=list(self.measures), fixed=fixed, engine=self.engine)
+        before, tell = self.rows, self.tell
+        show = None if tell is None else lambda done, _: tell(before + done, self.law)
+        rows = [{name: value for name, value in row.items() if name != "row" and not (
+            isinstance(value, float) and not -inf < value < inf)} for row in carry_out(
+                plan, workers=self.workers, show=show)]
+        if self.keep is not None:
+            self.keep(rows)
+        return rows
 
-    def _around(self, point: Point, step: float) -> list[Point]:
-        """The points one step up and down in each parameter, and with each other playout."""
-        told = []
-        for i, span in enumerate(self.spans.values()):
-            others: list[Any] = [text for text in span if text != point[i]] if not isinstance(span, Range) else [
-                at(span, min(max(part(span, point[i]) + way * step, 0.0), 1.0)) for way in (1, -1)]
-            told += [(*point[:i], other, *point[i + 1:]) for other in others if other != point[i]]
-        return told
+    def _known(self, names: Sequence[str], values: Sequence[Point], seeds: Sequence[int]) -> Sequence[Row] | None:
+        """The next rows, if they are known and are these."""
+        rows = self.known[self.rows:self.rows + len(values) * len(seeds)]
+        asked = [(seed, point) for point in values for seed in seeds]
+        if len(rows) < len(asked) or any(row["seed"] != seed or tuple([row.get(name) for name in names]) != point
+                                         for row, (seed, point) in zip(rows, asked, strict=True)):
+            return None
+        if self.tell is not None:
+            self.tell(self.rows + len(rows), self.law)
+        return rows
 
-    def _on(self, before: Point, here: Point) -> Point:
-        """The point as far again."""
-        values: list[Any] = []
-        for span, old, new in zip(self.spans.values(), before, here, strict=True):
-            if isinstance(span, Range) and old != new:
-                values.append(at(span, min(max(2.0 * part(span, new) - part(span, old), 0.0), 1.0)))
-            else:
-                values.append(new)
-        return tuple(values)
+    def _evolve(self) -> None:
+        """Strategies one after the other until no rows are left."""
+        spans = [span for span in self.spans.values() if isinstance(span, Range)]
+        ends: list[Point] = []
+        run = idle = 0
+        while self.left > 0 and idle < 4:  # a law may have fewer points than there are rows for
+            ranked = sorted(self.scores, key=lambda point: self.scores[point].order)
+            far = [point for point in ranked if not any(self._near(point, end, FAR) for end in ends)]
+            if run < len(self.playouts):  # each has its turn first
+                far = [point for point in far or ranked if point[-1] == self.playouts[run]] or far
+            start = far[0] if far else self._kept(self._drawn(run + 1)[-1])
+            strategy = Strategy([part(span, value) for span, value in zip(spans, start, strict=False)], STEP,
+                                key=(self.seed, run))
+            best, since, left = self.scores.get(start), 0, self.left
+            while self.left > 0 and since < STALE and strategy.spread > LEAST:
+                drawn = strategy.ask()
+                points = [self._kept((*[at(span, u) for span, u in zip(spans, folded(x), strict=True)],
+                                      *start[len(spans):])) for x in drawn]
+                self._try(points)
+                if any(point not in self.scores for point in points):  # the rows have run out
+                    break
+                strategy.tell(drawn, [self.scores[point].order for point in points])
+                here = min([self.scores[point] for point in points], key=lambda each: each.order)
+                since = 0 if best is None or here.order < best.order else since + 1
+                best = here if since == 0 else best
+            ends += [start, min(self.scores, key=lambda point: self.scores[point].order)]
+            idle = 0 if self.left < left else idle + 1
+            run += 1
 
-    def _with_margin(self, ranked: Sequence[Point]) -> list[Point]:
-        """The first of these points whose loop stands the margin, and those near it; the others are marked."""
+    def _with_margin(self, ranked: Sequence[Point], most: int) -> list[Point]:
+        """The best of these points, `most` at most, whose loop stands the margin; all are marked if none is found."""
         gain = 1.0 if claims_of(self.scene.law) else self.margin
+        stood: list[Point] = []
         looked: list[Point] = []
-        for i, point in enumerate(ranked):
-            if any(self._near(point, other, APART * 2 ** (len(looked) // 4)) for other in looked):
+        for point in ranked:
+            if any(self._near(point, other, APART * 2 ** (len(looked) // 4)) for other in looked) or any(
+                    self._near(point, other, 0.2 * APART) for other in stood):
                 continue
             told = stands(self._scene(point), gain, seed=self.seed)
             if told is None or told[0]:
-                return [point, *[other for other in ranked[i + 1:] if self._near(point, other, APART) and self._stands(
-                    other, gain)][:CHECKED - 1]]
+                stood.append(point)
+                if len(stood) == most:
+                    break
+                continue
             self.scores[point] = self.scores[point]._replace(broken=told[1], amount=0.5)
             looked.append(point)
             if len(looked) == LOOKS:
                 break
-        for point in ranked:  # none of them is known to stand it
+        for point in ranked if not stood else ():  # none of them is known to stand it
             if point not in looked:
                 why = "the linear loop of the points near it does not stand the margin"
                 self.scores[point] = self.scores[point]._replace(broken=why, amount=0.6)
-        return []
-
-    def _stands(self, point: Point, gain: float) -> bool:
-        told = stands(self._scene(point), gain, seed=self.seed)
-        return told is None or told[0]
+        return stood
 
     def _near(self, point: Point, other: Point, apart: float) -> bool:
         """True if no parameter of two points differs by more than `apart` of its range."""
@@ -360,13 +445,26 @@ class _Search:
     def _scene(self, point: Point) -> Scene:
         return load_scene(self.name, **{**self.fixed, "law": self.law, **self._values(point)})
 
-    def _checked(self, points: Sequence[Point], rows: int) -> tuple[Point, Score]:
-        """The best of these points over seeds that the search has not seen; and its score."""
-        points = points[:max(1, rows // (len(self.tasks) * SEEDS))]
-        seeds = range(self.seed + 1, self.seed + 1 + SEEDS)
-        found = dict(zip(points, self._scored(points, seeds), strict=True))
-        best = min(points, key=lambda point: found[point].order)
-        return best, found[best]
+    def _reset(self, best: Point, own: Point, found: Score, seeds: range) -> tuple[Point, Score]:
+        """The point with the law's own value of each parameter that changes no figure of it; and its score."""
+        turned = [i for i, name in enumerate(self.names) if name in self.ranges.turned and best[i] != own[i]]
+        tries = [(*best[:i], own[i], *best[i + 1:]) for i in turned]
+        (same, *scores) = self._scored([best, *tries], self.seeds)
+        reset = {i for i, each in zip(turned, scores, strict=True) if each == same}
+        if not reset:
+            return best, found
+        point = tuple([own[i] if i in reset else value for i, value in enumerate(best)])
+        again, = self._scored([point], seeds)
+        return (point, again) if again == found else (best, found)
+
+
+def _beyond(value: float, bound: float) -> float:
+    """The bound that a value was moved to, in four digits, rounded on beyond it."""
+    if bound in (value, 0.0):
+        return bound
+    grain = 10.0 ** (floor(log10(abs(bound))) - 3)
+    steps = bound / grain
+    return float(f"{(ceil(steps) if bound > value else floor(steps)) * grain:.4g}")
 
 
 def _typed(value: object) -> str:

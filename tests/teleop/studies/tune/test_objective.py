@@ -31,7 +31,7 @@ def test_each_term_is_relative_to_the_rod(scene: Scene) -> None:
     found = judged(scene, (SCENE, GOOD), (FREE, LIGHT))
     assert found.terms == pytest.approx({"tracking": 0.1, "drag": 0.2, "touch": 0.2, "feel": 0.4})
     assert found.value == pytest.approx(sqrt((0.01 + 0.04 + 0.04 + 0.16) / 4.0))
-    assert found.order == (0.0, found.value)
+    assert found.order == (0.0, 0.0, found.value)
 
 
 def test_the_rod_itself_is_worth_nothing_and_a_law_that_does_nothing_one(scene: Scene) -> None:
