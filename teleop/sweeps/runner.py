@@ -185,8 +185,11 @@ def _own_sources(name: str, laws: Iterable[Any], links: Iterable[str]) -> str:
 
 
 def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | None = None,
-              out: Path | str | None = None, show: Show | None = None, mended: Sequence[str] = ()) -> Table:
-    """Run what is not done yet of a sweep, see `sweep`. Raises `Refused`."""
+              out: Path | str | None = None, show: Show | None = None, mended: Sequence[str] = (),
+              chunk: int | None = None) -> Table:
+    """Run what is not done yet of a sweep, see `sweep`. `chunk`: rows of a job, for one whose rows are known to be
+    short; left out, as many as take about `CHUNK` seconds. Raises `Refused`.
+    """
     most = cores() if workers is None else counted("workers", workers)
     total, definition = len(plan.grid), plan.definition()
     _check_mended(mended, definition.get(METRIC_SOURCES, ()))
@@ -197,7 +200,7 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | N
         if show is not None:
             show(done, total)
         waiting = iter(range(total)) if store is None else chain.from_iterable(store.done.gaps(total))
-        for finished in _chunks(plan, waiting, total - done, executor, most):
+        for finished in _chunks(plan, waiting, total - done, executor, most, chunk):
             plan.ran.update(finished.ran)
             if store is not None:
                 store.append(finished.rows)
@@ -222,9 +225,9 @@ def _check_mended(mended: Sequence[str], own: Iterable[str]) -> None:
             raise Refused(f"mended names {name!r}, which is no function among the metrics; leave it out")
 
 
-def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None, most: int
-            ) -> Iterator[ChunkResult]:
-    """Jobs handed out as workers get free, each about as long as `CHUNK`, and what comes back.
+def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor | None, most: int,
+            chunk: int | None) -> Iterator[ChunkResult]:
+    """Jobs handed out as workers get free, of `chunk` rows or about as long as `CHUNK`, and what comes back.
 
     Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together. `most`: of
     these at a time, where the executor does not say how many it has.
@@ -232,13 +235,13 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
     pool, own, workers_of = _pool(executor, most)
     stop = Event()
     told = (stop.is_set,) if executor is None else ()  # others may be in other processes
-    each, size = 0.0, 1  # s a row, rows of the last chunk
+    each, size = 0.0, chunk or 1  # s a row, rows of the last chunk
     running: dict[Future[ChunkResult], None] = {}  # in the order in which they were handed out
     complete = False
     try:
         while True:
             while len(running) < 2 * (workers := workers_of()):
-                if each > 0.0:  # rows to come may cost more: grow step by step
+                if each > 0.0 and chunk is None:  # rows to come may cost more: grow step by step
                     size = max(1, min(LARGEST, int(CHUNK / each), 4 * size, left // (2 * workers)))
                     size -= size % 8 if size > 8 else 0  # as many as an engine may run side by side
                 job = _job(plan, list(islice(waiting, size)))

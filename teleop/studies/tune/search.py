@@ -54,12 +54,13 @@ from teleop.studies.tune.rod import Rod, rod
 from teleop.studies.tune.strategy import Strategy, folded
 from teleop.sweeps.engine import choose
 from teleop.sweeps.grid import Grid, Range, grid, sampled
-from teleop.sweeps.runner import carry_out, plan_sweep
+from teleop.sweeps.runner import LARGEST, carry_out, cores, plan_sweep
 
 LATIN = 0.3  # of the points that are searched
 SEEDS, POINTS = 4, 250  # of the link in a search at most, and points that it has for each
 FEW, FRESH = 8, 24  # points that are run with other seeds, and how many, at most
 LEAST_FRESH = 4
+SIDE_BY_SIDE = 4000  # rows from which compiling for eight at once, twice as long as for one, is made up for
 LOOKS, APART = 16, 0.05  # points whose loop is looked at, and the part of a range between them
 STEP, LEAST = 0.15, 0.004  # of a range: the first standard deviation of a strategy and the least
 FAR = 0.1  # of a range, between the beginnings of strategies
@@ -223,7 +224,7 @@ class _Search:
             raise Refused(f"a budget of {budget} is less than the {len(self.tasks)} rows that one point of the search "
                           f"takes ({', '.join(self.tasks)}); write for example --budget 200")
         self.engine = engine or choose(None, self.scene, max(budget, 16), self.measures)[0]
-        self.engine = "scalar" if self.engine == "vector" and engine is None else self.engine
+        self.engine = "scalar" if self.engine == "vector" and engine is None and budget < SIDE_BY_SIDE else self.engine
         self.workers = workers
         self.keep, self.known = keep, known
         self.rows = 0
@@ -249,7 +250,7 @@ class _Search:
         few = min(third // (fresh * each), FEW) if self.varies else 0
         screens = 4 * few if few == FEW else 0
         checks = (few * fresh + screens * (fresh // 3)) * each
-        resets = (len(self.ranges.turned) + 2) * each * len(self.seeds)
+        resets = ((len(self.ranges.turned) + 1) * len(self.seeds) + fresh) * each
         resets = resets if 20 * resets <= self.budget else 0
         self.left = (self.budget - checks - resets) // (each * len(self.seeds))  # points
         own, *others = dict.fromkeys(map(self._of_law, self._laws()))
@@ -339,6 +340,8 @@ class _Search:
     def _try(self, points: Sequence[Point]) -> int:
         """Run those points that were not run yet, as far as rows are left; how many these were."""
         new = [point for point in dict.fromkeys(points) if point not in self.scores][:max(0, self.left)]
+        if self.playouts:  # those of one kernel side by side
+            new.sort(key=lambda point: self.playouts.index(point[-1]))
         self.left -= len(new)
         for point, found in zip(new, self._scored(new, self.seeds), strict=True):
             self.scores[point] = found
@@ -367,10 +370,14 @@ class _Search:
         show = None if tell is None else lambda done, _: tell(before + done, self.law)
         rows = [{name: value for name, value in row.items() if name != "row" and not (
             isinstance(value, float) and not -inf < value < inf)} for row in carry_out(
-                plan, workers=self.workers, show=show)]
+                plan, workers=self.workers, show=show, chunk=self._chunk(len(axes)))]
         if self.keep is not None:
             self.keep(rows)
         return rows
+
+    def _chunk(self, rows: int) -> int | None:
+        """Rows of a job: what they have in common is worked out once for each. None of what is not compiled."""
+        return None if self.engine == "plain" else max(1, min(-(-rows // (self.workers or cores())), LARGEST))
 
     def _known(self, names: Sequence[str], values: Sequence[Point], seeds: Sequence[int]) -> Sequence[Row] | None:
         """The next rows, if they are known and are these."""
