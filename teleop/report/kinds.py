@@ -25,18 +25,22 @@ def read(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
         from teleop.report.of_page import page_told
 
         return page_told(folder, args, formats)
+    from teleop.report.of_study import is_study, study_told
+
     if (folder / "sweep.json").is_file():
         from teleop.sweeps.definition import read_definition
 
-        if read_definition(folder).get("scene") == "compare":
+        scene = read_definition(folder).get("scene")
+        if scene == "compare":
             from teleop.report.of_comparison import comparison_told
 
             return comparison_told(folder, args)
-        from teleop.report.of_sweep import sweep_told
+        if scene == "advise" and not is_study(folder):
+            raise Refused(f"{folder} holds an advice that was stopped; type its command again to go on with it")
+        if scene != "advise":
+            from teleop.report.of_sweep import sweep_told
 
-        return sweep_told(folder, args, formats)
-    from teleop.report.of_study import is_study, study_told
-
+            return sweep_told(folder, args, formats)
     if is_study(folder):
         return study_told(folder, args)
     check_run(folder, request)

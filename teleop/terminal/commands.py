@@ -192,13 +192,15 @@ def _advise(added: ArgumentParser) -> None:
                        "hard_wall, a reach into a wall that is pressed then")
     _set_and_link(added)
     added.add_argument("--budget", metavar="N", type=whole, help="most rows of the search, shared by the laws; left "
-                       "out: 300 for each law, 60 without the extra `batch`")
+                       "out: 12,000 for each law, 60 without the extra `batch`")
     added.add_argument("--laws", metavar="LIST", help="laws that are tried, joined by commas; left out: all with two "
                        "ends")
     added.add_argument("--objective", metavar="NAME", default="balanced", help="as `teleop tune` has it; left out: "
                        "balanced")
-    added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
-    _out(added, "advise")
+    added.add_argument("--workers", metavar="N", type=whole, help="search the laws in N processes; left out: one for "
+                       "each core")
+    added.add_argument("--out", metavar="DIR", help="the folder that keeps the points; the same command there goes on "
+                       "where it stopped; left out: runs/SCENE-advise")
     _json(added)
     _plot(added, "advise.png")
 
@@ -398,7 +400,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "tune": ("Search the parameters of a law for a scene: a Latin hypercube, then a coordinate search, in a stated "
              "number of rows.", _tune),
     "advise": ("Advise a law and its gains for a link and a wall: every law with two ends is tuned, and what speaks "
-               "against the others is said.", _advise),
+               "against the others is said; the same command goes on where it stopped.", _advise),
     "matrix": ("Run the delay-scenario test matrix: laws, scenes, delays and losses, each row against the status "
                "expected of it.", _matrix),
     "compare": ("Compare laws over links, environments and seeds: one table, and with --plot a figure a question; the "

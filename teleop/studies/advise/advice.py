@@ -13,70 +13,37 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from teleop.errors import Refused
-from teleop.knob import Declared, knobs_of_fields
+import numpy as np
+
 from teleop.law import find_law, known_laws
-from teleop.law.offers import claims_of, seed_energy
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.facts import unmet
-from teleop.studies.advise.links import OneWay, one_way, playouts_for
-from teleop.studies.tune.objective import SCENE, Score, objective_named
+from teleop.simulation.virtual import run
+from teleop.studies.advise.laws import LawAdvice, LawJob, Margins, searched
+from teleop.studies.advise.links import OneWay, one_way
+from teleop.studies.tune.objective import SCENE, YIELDS, Score, objective_named
 from teleop.studies.tune.rod import rod
-from teleop.studies.tune.search import Tuned, judged, tune_law
+from teleop.studies.tune.search import judged
 
-MARGIN = 2.0  # by which the wall may be stiffer in the search
 WALLS = (2.0, 5.0, 10.0, 20.0)  # times k_e
 DELAYS = (0.25, 0.5, 1.0, 2.0)  # further delay each way, of the median
 OTHERS = ("zero", "hold")  # playouts of waves that are shown beside the best
 MEASURED = 3  # laws whose margins are measured
-EARLY = 0.02  # of the rows: before, the time left would be that of compiling
+JUMPS = 8  # runs that jumps are looked for in
 CLOSE = 2.0  # standard deviations of the difference between two laws that are equally good
 
-Tell = Callable[[float, str], None]  # rows done so far, and what is done
 
+class Jumps(NamedTuple):
+    """The greatest jumps of the force against the hand over some runs, N."""
 
-class Margins(NamedTuple):
-    """The most of what was tried that the gains stand, in a row; what comes next breaks a constraint, or is none."""
-
-    wall: float  # N/m
-    delay: float  # s, further, each way
-    wall_end: str  # what the next stiffer wall breaks; empty: none stiffer was tried
-    delay_end: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class LawAdvice:
-    """What was found for one law."""
-
-    law: str
-    tuned: Tuned | None
-    refused: str = ""  # why it was not tuned
-    knobs: Mapping[str, Declared]  # of the law
-    claims: Mapping[str, str]
-    seed_energy: float = 0.0
-    broken: tuple[str, ...] = ()  # conditions of the law that link and bodies break, with the best gains
-    margins: Margins | None = None
-
-    @property
-    def value(self) -> float:
-        """Of the objective; inf of a law that keeps the constraints nowhere."""
-        return self.tuned.score.value if self.tuned is not None and self.tuned.feasible else float("inf")
-
-    @property
-    def deviation(self) -> float:
-        """Standard error of the value over the seeds; 0.0 where the link draws nothing."""
-        values = () if self.tuned is None else self.tuned.score.values
-        if len(values) < 2:
-            return 0.0
-        mean = sum(values) / len(values)
-        return sqrt(sum([(each - mean) ** 2 for each in values]) / (len(values) - 1) / len(values))
-
-    def keeps_energy(self) -> bool:
-        """True if it claims a ledger, and no condition of it is broken."""
-        return bool(self.claims) and not self.broken
+    tick: float  # from one tick to the next
+    message: float  # from before a message was played to before the next one was
+    within: float  # within `YIELDS`, in which a hand does not yield
+    runs: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,18 +58,21 @@ class Advice:
     budget: int  # rows of each law
     rows: int  # that were run
     playouts: tuple[tuple[str, Score, tuple[str, ...]], ...] = ()  # others, with the best gains, and what they break
+    jumps: Jumps | None = None  # of the best
+    told: float | None = None  # s that the searches would take in all, as it was told while they ran
 
     @property
     def best(self) -> LawAdvice | None:
         """The law that is advised; None if no law keeps the constraints."""
         able = [one for one in self.laws if one.value < float("inf")]
-        return next((one for one in able if not one.broken), able[0] if able else None)
+        return min([one for one in able if not one.broken] or able, key=lambda one: one.value, default=None)
 
     @property
     def bolder(self) -> LawAdvice | None:
         """The law that does better, while a condition of it is broken."""
         best = self.best
-        return None if best is None or best is self.laws[0] else self.laws[0]
+        able = [one for one in self.laws if best is not None and one.value < best.value]
+        return min(able, key=lambda one: one.value, default=None)
 
     def alike(self) -> list[LawAdvice]:
         """The laws whose value cannot be told from the best one's by the seeds that were run."""
@@ -119,55 +89,66 @@ def two_port_laws() -> list[str]:
 
 
 def advise(scene: str, budget: int, *, fixed: Mapping[str, object], laws: Sequence[str] | None = None,
-           objective: str = "balanced", seed: int = 0, tell: Tell | None = None, workers: int | None = None,
-           engine: str | None = None) -> Advice:
+           objective: str = "balanced", seed: int = 0, show: Callable[[float, str], None] = lambda *_: None,
+           clock: Callable[[], float] = lambda: 0.0, workers: int = 1, engine: str | None = None,
+           out: Path | None = None) -> Advice:
     """Tune each law in `budget` rows, and measure the margins of the best. Raises `Refused`.
 
-    `scene` with the knobs `fixed`, the link among them. `laws`: which; left out, all that have two ends.
+    `scene` with the knobs `fixed`, the link among them. `laws`: which; left out, all that have two ends. `workers`:
+    processes, with a law each. `out`: a folder that keeps what was run; the same advice there goes on where it
+    stopped. `show` is given the part that is done, by time, and what is done.
     """
     objective_named(objective)
     names = two_port_laws() if laws is None else [*laws]
     first = load_scene(scene, **fixed)
     rod(first)  # a scene in which no law can be tuned is refused at once, and not law by law
     ways = one_way(first, 0, seed), one_way(first, 1, seed)
-    found: list[LawAdvice] = []
-    rows = 0
-    for number, law in enumerate(names):
-        def show(done: int, text: str, before: int = number * budget) -> None:
-            if tell is not None and (done == 0 or before + done >= EARLY * budget * len(names)):
-                tell(before + done, text)
-        show(0, law)
-        each = _of_law(scene, law, budget, fixed, ways, objective, seed, show, workers, engine)
-        rows += 0 if each.tuned is None else each.tuned.rows
-        found.append(each)
-    found.sort(key=lambda one: one.tuned.score.order if one.tuned is not None else (float("inf"), 0.0, 0.0))
+    jobs = [LawJob(scene, law, budget, fixed, ways, objective, seed, engine, ()) for law in names]
+    ended = [*searched(jobs, out, workers, clock, show)]
+    found = [each for each, _ in ended]
+    found.sort(key=lambda one: (one.tuned.score.order if one.tuned is not None else (float("inf"), 0.0, 0.0),
+                                names.index(one.law)))
+    rows = sum(one.tuned.rows for one in found if one.tuned is not None)
     able = [one for one in found if one.value < float("inf")]
-    top = [one for one in able if not one.broken] or able
+    top = sorted([one for one in able if not one.broken] or able, key=lambda one: one.value)
+    show(1.0, "margins")
     for one in [*top[:MEASURED], *[each for each in able[:1] if each not in top[:MEASURED]]]:
-        margins, more = _margins(one, first, ways, workers)
+        margins, more = _margins(one, first, ways, 1)
         rows += more
         found[found.index(one)] = replace(one, margins=margins)
-    others, more = _other_playouts(top[0], workers) if top and "playout" not in fixed else ((), 0)
+    others, more = _other_playouts(top[0], 1) if top and "playout" not in fixed else ((), 0)
     return Advice(scene=first, fixed=fixed, ways=ways, objective=objective, laws=tuple(found), budget=budget,
-                  rows=rows + more, playouts=others)
+                  rows=rows + more, playouts=others, jumps=_jumps(top[0]) if top else None, told=ended[-1][1])
 
 
-def _of_law(scene: str, law: str, budget: int, fixed: Mapping[str, object], ways: tuple[OneWay, OneWay],
-            objective: str, seed: int, tell: Callable[[int, str], None], workers: int | None, engine: str | None
-            ) -> LawAdvice:
-    """One law tuned, with the conditions that its best gains break."""
-    try:
-        own = load_scene(scene, **{**fixed, "law": law})
-        playouts = () if "playout" in fixed else playouts_for(own, ways)
-        margin = MARGIN if "k_e" in own.knobs else 1.0
-        tuned = tune_law(scene, law, budget, seed, fixed=fixed, objective=objective, margin=margin, playouts=playouts,
-                         tell=tell, workers=workers, engine=engine)
-        best = load_scene(scene, **tuned.knobs)
-        told = tuple(unmet(best, seed))
-    except Refused as refused:
-        return LawAdvice(law=law, tuned=None, refused=str(refused), knobs={}, claims={})
-    return LawAdvice(law=law, tuned=tuned, knobs=knobs_of_fields(type(best.law)), claims=claims_of(best.law),
-                     seed_energy=seed_energy(best.law, best.dt), broken=told)
+def _jumps(one: LawAdvice) -> Jumps:
+    """The jumps of the force at the hand, in runs of the scene with the seeds that the law was judged by."""
+    tuned = one.tuned
+    assert tuned is not None
+    scene = load_scene(tuned.scene, **tuned.knobs)
+    window = max(1, round(YIELDS * 1e9 / scene.dt_ns))
+    tick = message = within = 0.0
+    for seed in [*tuned.fresh][:JUMPS]:
+        trace = run(scene, seed=seed).trace
+        force = np.asarray(trace["f_m"], dtype=float).reshape(len(trace["t"]), -1)
+        tick = max(tick, _greatest(force, 1))
+        within = max(within, _greatest(force, window))
+        played = _played(trace["seq_m"]) if "seq_m" in trace else None
+        if played is not None and len(played):
+            ends = np.append(played[1:], len(force)) - 1  # the tick before the next message is played
+            jumps = force[ends] - force[np.maximum(played - 1, 0)]
+            message = max(message, float(np.abs(jumps).max()))
+    return Jumps(tick, message, within, len([*tuned.fresh][:JUMPS]))
+
+
+def _played(newest: Any) -> Any:
+    """The ticks at which a message is played that is newer than all before."""
+    return np.flatnonzero(np.diff(np.maximum.accumulate(np.asarray(newest, dtype=np.int64)), prepend=-1) > 0)
+
+
+def _greatest(force: Any, ticks: int) -> float:
+    """The greatest change of a force (ticks, axes) over so many ticks, N."""
+    return float(np.abs(force[ticks:] - force[:-ticks]).max(initial=0.0))
 
 
 def _margins(one: LawAdvice, scene: Scene, ways: tuple[OneWay, OneWay], workers: int | None) -> tuple[Margins, int]:

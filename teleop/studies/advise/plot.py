@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from teleop.studies.advise.advice import Advice, LawAdvice
+    from teleop.studies.advise.advice import Advice
+    from teleop.studies.advise.laws import LawAdvice
     from teleop.studies.tune.search import Tuned
 
 TERMS = {  # name -> colour, label

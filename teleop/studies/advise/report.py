@@ -15,11 +15,13 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head, parameters
 from teleop.storage.files import replacing_text
-from teleop.studies.advise.advice import MARGIN, Advice, LawAdvice
+from teleop.studies.advise.advice import Advice
+from teleop.studies.advise.laws import MARGIN, LawAdvice
 from teleop.studies.advise.links import link_text
-from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score
+from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score
 from teleop.studies.tune.report import document as tuned_document
 from teleop.studies.tune.report import figure, linear_text
+from teleop.studies.tune.search import Tuned
 from teleop.terminal.answer import finite
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
@@ -27,6 +29,7 @@ from teleop.terminal.units import si
 WORSE = 1.5  # times the best law's term, and `MORE` above it: what is said against another law
 MORE = 0.1
 HALF = 0.5
+LIVE = "127.0.0.1:9001"  # of the slave, in the lines that start the answer live
 WIDTH = 108  # columns of text beside the labels
 
 
@@ -50,8 +53,14 @@ def text(found: Advice, seconds: float | None = None) -> str:
     if against:
         told += ["", facts(wrapped([("avoid" if i == 0 else "", f"- {line}") for i, line in enumerate(against)]))]
     if best is not None and best.tuned is not None:
-        told += ["", f"run it: {shlex.join(best.tuned.command())}"]
+        told += ["", f"run it: {shlex.join(best.tuned.command())}", *_live(best.tuned)]
     return "\n".join(told)
+
+
+def _live(tuned: Tuned) -> list[str]:
+    """The lines that start the answer live, and what to change in them for two machines."""
+    return ["live, on one machine; on two with the slave's address there and a key at each end (teleop keygen):",
+            *(f"  {shlex.join(words)}" for words in tuned.live(LIVE))]
 
 
 def wrapped(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -76,6 +85,16 @@ def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     assert best.tuned is not None
     score = best.tuned.score
     rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_expected(best)) + _means(best))]
+    if len(score.values) > 1:
+        rows.append(("objective", f"{score.value:.3f} over {len(score.values)} seeds that the search has not seen; "
+                                  f"of one seed {min(score.values):.3f} to {max(score.values):.3f}, standard "
+                                  f"deviation {best.spread:.3f}"))
+    if found.jumps is not None:
+        jumps = found.jumps
+        over = f", the largest of {number_of(jumps.runs, 'run')}" if jumps.runs > 1 else ""
+        rows.append(("jumps", f"the force at the hand jumps by up to {si(jumps.tick, 'N')} from one tick to the next, "
+                              f"{si(jumps.message, 'N')} from one message to the next, {si(jumps.within, 'N')} within "
+                              f"{si(YIELDS, 's')}{over}"))
     if best.margins is not None:
         rows.append(("margin", _margin(best)))
     if best.tuned.linear is not None and not best.tuned.linear.why:
@@ -85,8 +104,8 @@ def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     alike = found.alike()
     if alike:
         rows.append(("as good", f"{enumerated([one.law for one in alike])}: not told apart over the seeds"))
-    second = next((one for one in found.laws if one is not best and best.value <= one.value < float("inf")
-                   and one not in alike), None)
+    second = min([one for one in found.laws if one is not best and best.value <= one.value < float("inf")
+                  and one not in alike], key=lambda one: one.value, default=None)
     if second is not None:
         rows.append(("because", f"its objective is {score.value:.3f}, that of the next best ({second.law}) "
                                 f"{second.value:.3f}; 0 is the rigid rod"))
@@ -177,14 +196,14 @@ def promise(one: LawAdvice) -> str:
 
 
 def _table(found: Advice) -> str:
-    lines: list[Sequence[str]] = [("law", "objective", "tracking", "drag", "on the wall", "on the hand", "feels like",
-                                   "jerk", "keeps energy", "gains")]
+    lines: list[Sequence[str]] = [("law", "objective +- sd", "tracking", "drag", "on the wall", "on the hand",
+                                   "feels like", "jerk", "keeps energy", "gains")]
     for one in found.laws:
         if one.tuned is None:
             lines.append((one.law, "refused", *[""] * 8))
             continue
         score = one.tuned.score
-        value = f"{score.value:.3f}" + (f" +- {one.deviation:.3f}" if one.deviation >= 5e-4 else "")
+        value = f"{score.value:.3f}" + (f" +- {one.spread:.3f}" if one.spread >= 5e-4 else "")
         shown = [(SCENE, "x_err_rms"), (FREE, "f_m_max"), (SCENE, "f_env_end"), (SCENE, "f_m_end"),
                  (SCENE, "felt_stiffness"), (SCENE, "jerk_rms")]
         cells = [_si(score, task, name) for task, name in shown]
@@ -268,13 +287,16 @@ def document(found: Advice, typed: Sequence[str], seconds: float) -> dict[str, A
         "objective": found.objective, "budget": found.budget, "rows": found.rows, "seconds": seconds,
         "laws": [_document_of(one, typed) for one in found.laws], "avoid": avoid(found),
         "run": None if best is None or best.tuned is None else best.tuned.command(),
+        "live": None if best is None or best.tuned is None else dict(zip(
+            ("master", "slave"), best.tuned.live(LIVE), strict=True)),
+        "jumps": None if found.jumps is None else found.jumps._asdict(), "seconds_told": found.told,
     }
 
 
 def _document_of(one: LawAdvice, typed: Sequence[str]) -> dict[str, Any]:
     told: dict[str, Any] = {
         "law": one.law, "refused": one.refused, "claims": dict(one.claims), "seed_energy": one.seed_energy,
-        "conditions_broken": list(one.broken), "deviation": one.deviation,
+        "conditions_broken": list(one.broken), "deviation": one.deviation, "spread": one.spread,
         "margins": None if one.margins is None else one.margins._asdict(),
     }
     if one.tuned is not None:
@@ -291,15 +313,16 @@ def write_laws(path: Path, found: Advice) -> None:
         ("felt_stiffness", SCENE), ("jerk_rms", SCENE)) if each[0] in UNITS]
     with replacing_text(path) as file:
         lines = writer(file)
-        lines.writerow(["law", "objective", "deviation", "broken", *(f"{name}:{task}" for name, task in metrics),
-                        "keeps_energy", "settings"])
+        lines.writerow(["law", "objective", "deviation", "spread", "broken",
+                        *(f"{name}:{task}" for name, task in metrics), "keeps_energy", "settings"])
         for one in found.laws:
             if one.tuned is None:
-                lines.writerow([one.law, "", "", one.refused, *[""] * len(metrics), "", ""])
+                lines.writerow([one.law, "", "", "", one.refused, *[""] * len(metrics), "", ""])
                 continue
             figures = [figure(one.tuned.score, task, name) for name, task in metrics]
-            lines.writerow([one.law, _cell(one.tuned.score.value), one.deviation, one.tuned.score.broken,
-                            *map(_cell, figures), one.keeps_energy(), _settings(one.tuned.settings)])
+            lines.writerow([one.law, _cell(one.tuned.score.value), one.deviation, one.spread,
+                            one.tuned.score.broken, *map(_cell, figures), one.keeps_energy(),
+                            _settings(one.tuned.settings)])
 
 
 def _cell(value: float | None) -> Any:

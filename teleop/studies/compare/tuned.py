@@ -13,7 +13,7 @@ from teleop.errors import Refused
 from teleop.scene.knobs import law_with_its_numbers
 from teleop.scene.library import scene_function
 from teleop.studies.compare.file import Comparison
-from teleop.studies.compare.parallel import in_parallel
+from teleop.studies.parallel import in_parallel
 
 NOTHING = "has nothing to tune"  # in the refusal of a law without a number to turn
 

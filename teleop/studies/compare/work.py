@@ -21,9 +21,9 @@ from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.studies.compare.cases import Case
 from teleop.studies.compare.judge import UNSETTLED
-from teleop.studies.compare.parallel import in_parallel
 from teleop.studies.compare.touch import Touch, touch_of, touch_of_rod
 from teleop.studies.margin import margin
+from teleop.studies.parallel import in_parallel
 from teleop.sweeps.grid import plain
 from teleop.sweeps.store import Store
 

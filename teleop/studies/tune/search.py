@@ -17,7 +17,7 @@
 5. A parameter of the result that changes no bit of its rows has the law's own value again.
 
 All rows go through the sweep engine, and none depends on what else is run, on the engine or on the number of threads:
-the same arguments give the same result to the bit. Rows of a search that was stopped are taken as they are.
+the same arguments give the same result to the bit. Points of a search that was stopped are taken as they are.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import repeat
 from math import ceil, floor, inf, log10
-from typing import Any
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, number
 from teleop.knob import knobs_of_fields
@@ -68,9 +69,19 @@ STALE = 12  # generations without a better point after which a strategy ends
 SOFT = {"k_e": 0.0, "d_e": 0.0}  # knobs of a scene that leave free space of its environment
 
 Point = tuple[Any, ...]  # a value for each name of the search
-Row = Mapping[str, Any]
 Tell = Callable[[int, str], None]  # rows done so far, and what is done
-Keep = Callable[[Sequence[Row]], None]  # rows in the order in which the search asks for them
+
+
+class Scored(NamedTuple):
+    """A point that was run with some seeds, `first` to before `stop`, and its score."""
+
+    point: Point
+    first: int
+    stop: int
+    score: Score
+
+
+Keep = Callable[[Sequence[Scored]], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +129,16 @@ class Tuned:
 
     def command(self, verb: str = "run") -> list[str]:
         """The command that runs the best point."""
-        sets = [word for name, value in self.settings.items() for word in ("--set", f"{name}={value}")]
         link = ["--link", _typed(self.fixed["link"])] if "link" in self.fixed else []
-        return ["teleop", verb, self.scene, *sets, *link]
+        return ["teleop", verb, self.scene, *self._sets(), *link]
+
+    def live(self, address: str) -> tuple[list[str], list[str]]:
+        """The commands that start the best point live, master and slave, which is at this address: HOST:PORT."""
+        return tuple([["python", "-m", end, self.scene, *self._sets(), option, address]  # type: ignore[return-value]
+                      for end, option in (("master", "--peer"), ("slave", "--listen"))])
+
+    def _sets(self) -> list[str]:
+        return [word for name, value in self.settings.items() for word in ("--set", f"{name}={value}")]
 
     def front(self) -> list[tuple[Mapping[str, Any], Score]]:
         """The feasible points of which no other has both less tracking error and less drag, by the tracking error."""
@@ -138,7 +156,7 @@ class Tuned:
 def tune_law(
     scene: str, law: str, budget: int, seed: int = 0, *, fixed: Mapping[str, object] | None = None,
     objective: str = "balanced", margin: float = 1.0, playouts: Sequence[str] = (), tell: Tell | None = None,
-    workers: int | None = None, engine: str | None = None, keep: Keep | None = None, known: Sequence[Row] = (),
+    workers: int | None = None, engine: str | None = None, keep: Keep | None = None, known: Sequence[Scored] = (),
 ) -> Tuned:
     """Search the parameters of `law` (as `--set law=` takes it) in `scene`, in at most `budget` rows of a sweep.
 
@@ -146,8 +164,8 @@ def tune_law(
     `margin`: by which factor the environment may be stiffer (knob k_e) with all constraints still kept; 1: none is
     asked for. `playouts`: texts that the playout may be, tried as a further parameter; left out, the scene's. `seed`:
     keys all draws of the search, and is the first seed of the link; seeds that follow those of the search are for the
-    check. `tell` is told of rows done. `keep` is handed the rows as they are run; a search with the same arguments that
-    is given them as `known` does not run them again. Raises `Refused`.
+    check. `tell` is told of rows done. `keep` is handed points as they are run; a search with the same arguments that
+    is given them as `known`, in that order, does not run them again. Raises `Refused`.
     """
     return _Search(scene, law, budget, seed, dict(fixed or {}), objective, margin, tuple(playouts), tell, workers,
                    engine, keep, known).run()
@@ -177,7 +195,7 @@ class _Search:
 
     def __init__(self, scene: str, law: str, budget: int, seed: int, fixed: dict[str, object], objective: str,
                  wanted: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None,
-                 keep: Keep | None, known: Sequence[Row]) -> None:
+                 keep: Keep | None, known: Sequence[Scored]) -> None:
         if "law" in fixed:
             raise Refused(f"law={fixed['law']} is set beside the law that is tuned, {law}; leave one of them out")
         self.name, self.law, self.budget, self.seed, self.tell = scene, law, budget, seed, tell
@@ -227,7 +245,7 @@ class _Search:
         self.engine = "scalar" if self.engine == "vector" and engine is None and budget < SIDE_BY_SIDE else self.engine
         self.workers = workers
         self.keep, self.known = keep, known
-        self.rows = 0
+        self.rows = self.asked = 0
         self.scores: dict[Point, Score] = {}
         self.varies = (self.scene.link is not None and varies(self.scene.link)) or any(
             self.scene.leaves_out(e) is not None for e in ("m", "s"))
@@ -343,52 +361,44 @@ class _Search:
         if self.playouts:  # those of one kernel side by side
             new.sort(key=lambda point: self.playouts.index(point[-1]))
         self.left -= len(new)
-        for point, found in zip(new, self._scored(new, self.seeds), strict=True):
+        for point, found in zip(new, self._scored(new, self.seeds) if new else (), strict=True):
             self.scores[point] = found
         return len(new)
 
-    def _scored(self, points: Sequence[Point], seeds: Sequence[int]) -> list[Score]:
+    def _scored(self, points: Sequence[Point], seeds: range) -> list[Score]:
         """The scores of points, each over all tasks and seeds, in one sweep."""
-        if not points:
-            return []
-        names = (*self.names, *self.soft)
-        values = [(*point, *knobs.values()) for point in points for knobs in self.tasks.values()]
-        rows = self._known(names, values, seeds)
-        if rows is None:
-            rows = self._run(grid({names: values}, seeds))
-        self.rows += len(rows)
-        tasks, per = [*self.tasks], len(self.tasks) * len(seeds)
-        return [over_seeds(self.goal, self.rods, self.scene, [
-            (tasks[i // len(seeds)], row) for i, row in enumerate(rows[n * per:(n + 1) * per])])._replace(
-                unmet=self._unmet(point)) for n, point in enumerate(points)]
+        there = self.known[self.asked:self.asked + len(points)]
+        self.asked += len(points)
+        if [each[:3] for each in there] == [(point, seeds.start, seeds.stop) for point in points]:
+            found = [each.score for each in there]
+            self.rows += len(points) * len(self.tasks) * len(seeds)
+        else:
+            found = self._run(points, seeds)
+            if self.keep is not None:
+                self.keep([Scored(*each) for each in zip(
+                    points, repeat(seeds.start), repeat(seeds.stop), found, strict=False)])
+        if self.tell is not None:
+            self.tell(self.rows, self.law)
+        return found
 
-    def _run(self, axes: Grid) -> Sequence[Row]:
-        """The rows of a grid, run; a figure that is not finite is left out of them."""
+    def _run(self, points: Sequence[Point], seeds: range) -> list[Score]:
+        names = (*self.names, *self.soft)
+        rows = [(*point, *knobs.values()) for point in points for knobs in self.tasks.values()]
+        axes: Grid = grid({names: rows}, seeds)
         fixed = {**{key: value for key, value in self.fixed.items() if key not in self.soft}, "law": self.law}
         plan = plan_sweep(self.name, axes, metrics=list(self.measures), fixed=fixed, engine=self.engine)
         before, tell = self.rows, self.tell
         show = None if tell is None else lambda done, _: tell(before + done, self.law)
-        rows = [{name: value for name, value in row.items() if name != "row" and not (
-            isinstance(value, float) and not -inf < value < inf)} for row in carry_out(
-                plan, workers=self.workers, show=show, chunk=self._chunk(len(axes)))]
-        if self.keep is not None:
-            self.keep(rows)
-        return rows
+        found = [*carry_out(plan, workers=self.workers, show=show, chunk=self._chunk(len(axes)))]
+        self.rows += len(found)
+        tasks, per = [*self.tasks], len(self.tasks) * len(seeds)
+        return [over_seeds(self.goal, self.rods, self.scene, [
+            (tasks[i // len(seeds)], row) for i, row in enumerate(found[n * per:(n + 1) * per])])._replace(
+                unmet=self._unmet(point)) for n, point in enumerate(points)]
 
     def _chunk(self, rows: int) -> int | None:
         """Rows of a job: what they have in common is worked out once for each. None of what is not compiled."""
         return None if self.engine == "plain" else max(1, min(-(-rows // (self.workers or cores())), LARGEST))
-
-    def _known(self, names: Sequence[str], values: Sequence[Point], seeds: Sequence[int]) -> Sequence[Row] | None:
-        """The next rows, if they are known and are these."""
-        rows = self.known[self.rows:self.rows + len(values) * len(seeds)]
-        asked = [(seed, point) for point in values for seed in seeds]
-        if len(rows) < len(asked) or any(row["seed"] != seed or tuple([row.get(name) for name in names]) != point
-                                         for row, (seed, point) in zip(rows, asked, strict=True)):
-            return None
-        if self.tell is not None:
-            self.tell(self.rows + len(rows), self.law)
-        return rows
 
     def _evolve(self) -> None:
         """Strategies one after the other until no rows are left."""

@@ -35,7 +35,7 @@ def test_it_leaves_its_points_its_front_and_the_command_that_runs_the_best(
 
 def test_a_best_point_that_breaks_a_condition_of_its_law_says_so_before_it_is_run(
         tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    typed = [word if word != "wave" else "p_d" for word in TYPED]
+    typed = [{"wave": "p_d", "12": "40"}.get(word, word) for word in TYPED]
     assert main([*typed, "--set", "delay=0.2", "--set", "law.B=0.5", "--out", str(tmp_path / "t")]) == 0
     told = " ".join(capsys.readouterr().out.split())
     document = json.loads((tmp_path / "t/summary.json").read_text())
