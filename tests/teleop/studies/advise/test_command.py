@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
+import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from teleop.__main__ import main
+from tests.live.killing import free_port
+from tests.waiting import until
 
 LINK = ["--link", "delay(0.03) | bernoulli(0.03)"]
 QUICK = ["--set", "duration=3", "--laws", "wave,direct", "--budget", "24", "--workers", "1"]
@@ -45,6 +50,74 @@ def test_a_delivery_trace_and_a_law_of_ones_own_are_taken_as_well(
     assert "forward " in told
     assert "; backward 30.0 ms" in told
     assert json.loads((tmp_path / "a/summary.json").read_text())["laws"][0]["value"] is not None
+
+
+def rows(folder: Path) -> list[str]:
+    path = folder / "rows.jsonl"
+    return path.read_text().splitlines() if path.is_file() else []
+
+
+def answer(folder: Path) -> dict[str, Any]:
+    """What is answered, but for times and the command."""
+    document: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return {key: value for key, value in document.items() if key not in ("command", "seconds", "seconds_told")}
+
+
+def test_the_same_command_again_runs_nothing_and_another_question_is_refused(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    typed = ["advise", *LINK, "--wall", "2000", *QUICK, "--out", str(tmp_path / "a")]
+    assert main(typed) == 0
+    there, first = rows(tmp_path / "a"), answer(tmp_path / "a")
+    assert main(typed) == 0
+    assert rows(tmp_path / "a") == there
+    assert answer(tmp_path / "a") == first
+    assert main(["report", str(tmp_path / "a")]) == 0
+    capsys.readouterr()
+    typed[typed.index("2000")] = "900"
+    assert main(typed) == 2
+    assert "k_e is 2000.0 there and 900.0 here" in capsys.readouterr().err
+    assert answer(tmp_path / "a") == first
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_an_advice_that_was_stopped_by_a_signal_began_anew(
+        signal_: signal.Signals, process: Any, ended: Any, tmp_path: Path) -> None:
+    typed = ["advise", *LINK, "--wall", "2000", "--set", "duration=3", "--laws", "wave,direct,pp", "--budget", "240",
+             "--workers", "2"]
+    running = process("-m", "teleop", *typed, "--out", "a")
+    until(lambda: rows(tmp_path / "a") or running.poll() is not None)
+    running.send_signal(signal_)
+    stopped = ended(running)
+    assert stopped.code in (130, -signal_)
+    assert ("the same command goes on from here" in stopped.out) == (signal_ is signal.SIGINT)
+    before = [line for line in rows(tmp_path / "a") if line.endswith("}")]
+    assert before
+    assert ended(process("-m", "teleop", *typed, "--out", "a")).code == 0
+    assert rows(tmp_path / "a")[:len(before)] == before
+    assert ended(process("-m", "teleop", *typed, "--out", "b", "--workers", "1")).code == 0
+    assert answer(tmp_path / "a") == answer(tmp_path / "b")
+    assert sorted(rows(tmp_path / "a")) == sorted(rows(tmp_path / "b"))
+
+
+@pytest.mark.live
+def test_the_lines_that_are_printed_start_the_answer_live(process: Any, ended: Any, tmp_path: Path) -> None:
+    typed = ["advise", "--link", "delay(0.01) | uniform(0.004) | bernoulli(0.02)", "--wall", "1000", "--set",
+             "duration=0.6", "--laws", "wave,two_layer", "--budget", "60", "--workers", "1", "--out", "a"]
+    told = ended(process("-m", "teleop", *typed))
+    assert told.code == 0, told.err
+    starts = [shlex.split(line) for line in told.out.splitlines() if line.startswith("  python -m ")]
+    lines = {words[2]: words[1:] for words in starts}
+    assert [*lines] == ["master", "slave"]
+    assert all("law.K=" in " ".join(words) for words in lines.values())
+    port = str(free_port())
+    ends = {name: process(*[word.replace("9001", port) for word in lines[name]], "--out", name)
+            for name in ("slave", "master")}
+    for name, running in ends.items():
+        done = ended(running)
+        assert done.code == 0, done.err
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        assert summary["status"] == "ok", summary["sentence"]
 
 
 @pytest.mark.parametrize(("typed", "why"), [
