@@ -184,9 +184,9 @@ def test_the_margin_is_the_last_wall_that_the_gains_stand(found: Advice) -> None
 
 
 def test_the_page_has_law_gains_figures_and_what_to_type(found: Advice) -> None:
-    page = text(found)
+    page = " ".join(text(found).split())
     assert found.best is not None
-    for part in (f"take       {found.best.law} with ", "rms of tracking", "margin", "promises",
+    for part in (f"take {found.best.law} with ", "rms of tracking", "margin", "promises",
                  "run it: teleop run hard_wall --set law="):
         assert part in page
     assert any("playout hold" in line and "active" in line for line in avoid(found)) == (found.best.law == "wave")

@@ -103,7 +103,7 @@ def test_an_advice_that_was_stopped_by_a_signal_began_anew(
 @pytest.mark.live
 def test_the_lines_that_are_printed_start_the_answer_live(process: Any, ended: Any, tmp_path: Path) -> None:
     typed = ["advise", "--link", "delay(0.01) | uniform(0.004) | bernoulli(0.02)", "--wall", "1000", "--set",
-             "duration=0.6", "--laws", "wave,two_layer", "--budget", "60", "--workers", "1", "--out", "a"]
+             "duration=3", "--laws", "wave,two_layer", "--budget", "60", "--workers", "1", "--out", "a"]
     told = ended(process("-m", "teleop", *typed))
     assert told.code == 0, told.err
     starts = [shlex.split(line) for line in told.out.splitlines() if line.startswith("  python -m ")]
