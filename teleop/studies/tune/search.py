@@ -1,9 +1,9 @@
 """The search for a law's parameters: a Latin hypercube, then evolution strategies, with a stated number of rows.
 
 1. The first points are the parameters that the law has in the scene, those that it fits to link and bodies where it
-   offers that, its defaults, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until a part `LATIN` of the
-   rows is spent. A point that breaks a condition of the law is moved to where the law fits itself (`fitted`), as far as
-   that turns knobs of the search; of two points the one that keeps the conditions is better.
+   offers that, its defaults, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until the part `LATIN` of
+   the rows is spent. A point that breaks a condition of the law is moved to where the law fits itself (`fitted`), as
+   far as that turns knobs of the search; of two points the one that keeps the conditions is better.
 2. From the best point of each playout an evolution strategy (`teleop.studies.tune.strategy`) over the parts of each
    parameter's range, by equal ratios where the range goes by those, folded at its ends. Where it has come to rest it
    begins again at the best point that is far from all that it began and ended at, until no rows are left.
