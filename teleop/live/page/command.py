@@ -54,6 +54,11 @@ def command(args: Namespace) -> Answer:
         way = Path(mkstemp(suffix=".html")[1]) if args.open else None
         try:
             asyncio.run(page.run(requests, args.port or 0, partial(_listening, token, way)))
+        except OSError as error:
+            if not parts.ran:
+                raise
+            _say(f"the page has ended, for the system refused something ({error.strerror or error}); see to that and "
+                 "start it again")
         finally:
             if way is not None:
                 way.unlink(missing_ok=True)

@@ -62,10 +62,12 @@ class Page:
         self._began: float | None = None  # the time of tick 0, on the page's own clock
         self._since = now()
         self._told = float("-inf")  # when the status was told
+        self._refused: dict[str, float] = {}  # when the system refused something last, by its reason
         self.clients: Clients | None = None
 
     async def run(self, requests: Requests, port: int, listening: Callable[[int], None]) -> None:
         """Serve until a signal comes; `listening` is told the port. Raises `Refused`."""
+        asyncio.get_running_loop().set_exception_handler(self._raised)
         self.clients = Clients(requests, self, self._now)
         listening(await self.clients.serve(port))
         try:
@@ -74,11 +76,28 @@ class Page:
             while self._interrupt.name is None:
                 if begin.done():
                     begin.result()
-                self._step(self._now())
+                try:
+                    self._step(self._now())
+                except OSError as error:
+                    self._short(error)
                 due = max(due + PERIOD, self._now())
                 await asyncio.sleep(due - self._now())
         finally:
             await self._leave()
+
+    def _short(self, error: OSError) -> None:
+        """Say once what the system does not give now, as files; the next step asks again."""
+        what, now = error.strerror or str(error), self._now()
+        last, self._refused[what] = self._refused.get(what, float("-inf")), now
+        if now - last > SOON:
+            self._tell("warn", f"the system refused something to the page ({what}); it goes on, and tries again")
+
+    def _raised(self, loop: asyncio.AbstractEventLoop, about: dict[str, Any]) -> None:
+        """Take what was raised where nobody waits for it, as by a connection that cannot be accepted."""
+        if isinstance(error := about.get("exception"), OSError):
+            self._short(error)
+        else:
+            loop.default_exception_handler(about)
 
     async def _leave(self) -> None:
         """Everything in order: the pages are told, the three leave."""
@@ -176,10 +195,12 @@ class Page:
                     self._follow_hand()
                 return rows
             return self._followers[e].read() if e in self._followers else []
-        except (OSError, Misshapen) as error:
+        except OSError as error:
+            self._short(error)
+        except Misshapen as error:
             self._unreadable.add(e)
             self._tell("error", f"the record of the {NAMES[e]} cannot be shown: {error}")
-            return []
+        return []
 
     def _follow_hand(self) -> None:
         if self._hand is not None:
@@ -208,7 +229,7 @@ class Page:
     def _begin_turn(self, turn: Turn) -> None:
         try:  # what cannot be made is refused before any end is told
             knobs, scene = self._controls.knobs(turn.choice), self._controls.scene(turn.choice)
-        except Refused as refused:
+        except (Refused, OSError) as refused:
             self._turns.give_up()
             self._tell("error", str(refused))
             return

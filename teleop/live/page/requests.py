@@ -16,6 +16,7 @@ from http import HTTPStatus
 from typing import NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
+METHODS = ("GET", "HEAD")
 HOST = "127.0.0.1"  # where the page listens
 _HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IGNORECASE)
 _INLINE = {"script-src": re.compile(rb"<script[^>]*>(.*?)</script>", re.DOTALL),
@@ -39,7 +40,7 @@ class Requests:
                                   for kind, form in _INLINE.items())
 
     def answer(self, target: str, headers: Mapping[str, str]) -> Answer | None:
-        """The answer to a GET of `target`; None: the socket may be opened. A name in `headers` has one value."""
+        """The answer to a GET of `target`; None: the socket may be opened. Each name in `headers` has one value."""
         host = headers.get("Host", "")
         if not _HOST.fullmatch(host):
             return _sentence(HTTPStatus.FORBIDDEN, "this page is for this machine alone; open the address that "
@@ -61,6 +62,12 @@ class Requests:
         if headers.get("Upgrade", "").lower() != "websocket":
             return _sentence(HTTPStatus.UPGRADE_REQUIRED, "this is the page's socket, for a browser that has WebSocket")
         return None
+
+    @staticmethod
+    def of_method() -> Answer:
+        """The answer to a request of another method."""
+        answer = _sentence(HTTPStatus.METHOD_NOT_ALLOWED, "the page is there to be read; take GET or HEAD")
+        return answer._replace(headers={**answer.headers, "Allow": ", ".join(METHODS)})
 
     def _headers(self, host: str) -> dict[str, str]:
         socket = "'self'" if host.startswith("[") else f"'self' ws://{host}"  # a policy has no word for [::1]

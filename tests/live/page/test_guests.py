@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import subprocess
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from teleop.live.page.clients import STRANGERS
 from teleop.live.page.requests import Requests
 from teleop.scene.library import ROOT
 from tests.live.page.conftest import HTML, TOKEN, Browser, Served
@@ -111,6 +113,93 @@ def test_over_a_socket_too_strangers_get_a_sentence_and_the_page_goes_on(served:
             await browser.until("rows")
 
     served(scenario)
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "OPTIONS", "DELETE", "BREW"])
+def test_another_method_than_get_and_head_was_closed_without_an_answer(method: str, served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        answer = await get(page, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\n"
+                           "Content-Length: 3\r\n\r\nabc")
+        head, _, body = answer.partition("\r\n\r\n")
+        assert head.startswith("HTTP/1.1 405 ")
+        assert "Allow: GET, HEAD" in head.split("\r\n")
+        assert "take GET or HEAD" in body
+
+    served(scenario)
+
+
+def test_a_head_is_answered_as_a_get_without_its_body_and_opens_no_socket(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        whole = await get(page, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\n\r\n")
+        head = await get(page, f"HEAD /?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\n\r\n")
+        assert f"{head}{HTML.decode()}" == whole
+        assert (await get(page, f"HEAD /ws?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\nUpgrade: websocket\r\n"
+                          f"Origin: http://{page.host}\r\n\r\n")).startswith("HTTP/1.1 426")
+
+    served(scenario)
+
+
+def test_320_connections_without_a_token_took_all_files_of_the_page(served: Serve) -> None:
+    """Of those that have shown none 32 are kept, for 5 s; who has the token comes in beside them."""
+    async def scenario(page: Served) -> None:
+        assert page.page.clients is not None
+        async with page.open() as browser:
+            await browser.until("rows")
+            strangers = [await asyncio.open_connection("127.0.0.1", page.port) for _ in range(320)]
+            for _, writer in strangers[::2]:
+                writer.write(b"GET /ws HTT")
+            async with page.open() as another:
+                await another.until("rows")
+            await page.until(lambda: sum(reader.at_eof() for reader, _ in strangers) >= 320 - STRANGERS)
+            await page.until(lambda: all(reader.at_eof() for reader, _ in strangers), "they were never dropped")
+            await browser.until("rows")
+            for _, writer in strangers:
+                writer.close()
+
+    served(scenario)
+
+
+@pytest.mark.parametrize("frame", [b"\x00\x80\x00\x00\x00\x00", b"\x89\x80\x00\x00\x00\x00"], ids=["parts", "pings"])
+def test_empty_parts_without_an_end_were_no_messages(frame: bytes, served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser, page.open() as flood:
+            await browser.until("rows")
+            transport = flood.socket.transport
+            transport.write(b"\x01\x80\x00\x00\x00\x00")  # a text begins
+            await asyncio.sleep(0)
+            for _ in range(50):
+                transport.write(frame * 10_000)
+            assert await closed(flood) == 1008
+            await browser.until("rows")
+
+    served(scenario)
+
+
+def test_what_the_system_refuses_in_a_step_ended_the_page(
+    served: Serve, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
+) -> None:
+    """With tracebacks, and without its parts put together. It is said once, and the next step goes on."""
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            step, refused = page.page._step, []
+
+            def refuses(now: float) -> None:
+                if len(refused) < 20:
+                    refused.append(now)
+                    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+                step(now)
+
+            monkeypatch.setattr(page.page, "_step", refuses)
+            await browser.told("Too many open files")
+            asyncio.get_running_loop().call_exception_handler({
+                "message": "socket.accept() out of system resource", "exception": OSError(errno.EMFILE, "Too many")})
+            await browser.until("rows")
+            assert len(refused) == 20
+            assert len([text for text in said(browser) if "Too many open files" in text]) == 1
+
+    served(scenario)
+    assert "Traceback" not in capfd.readouterr().err
 
 
 async def closed(browser: Browser) -> int:
