@@ -88,7 +88,8 @@ class Inverse3:
         self._pushes = self._commanded = False
         self._asked = 0  # ns, when a command went out last
         if self._settings.deadline is None:
-            self.watchdog = DeviceWatchdog(open="master.haply:zeroing", arguments=(url,))
+            self.watchdog = DeviceWatchdog(open="master.haply:zeroing", arguments=(url,), device=(
+                f"haply {self._uri} {self._settings.device or ''}".strip()))
         else:
             self.watchdog, self.deadline = None, self._settings.deadline
         if not self._link.wait(clock, OPEN_NS):

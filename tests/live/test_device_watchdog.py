@@ -449,7 +449,8 @@ def test_an_end_that_is_started_again_is_never_zeroed_by_the_watchdog_of_the_one
 def test_two_ends_do_not_drive_one_device(site: Callable[..., Site]) -> None:
     one = site()
     until(one.pushes, "no force came about")
-    one.start("second").refused("another end drives this device already", "teleop.bench.motor:zeroing")
+    one.start("second").refused("another end drives this device already", "teleop.bench.motor:zeroing",
+                                f"for example by kill {one.slave.process.pid}")
     assert not (one.folder / "second").exists()
 
 

@@ -28,6 +28,7 @@ from teleop.protocol.packet import DATA, Kind, peek
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
 from teleop.stages.watchdog import Watchdog
+from tests.live.conftest import make_shell
 
 pytestmark = pytest.mark.live
 Make = Callable[..., Any]
@@ -469,3 +470,20 @@ def test_two_ends_that_never_met_are_not_put_together(pair: Make) -> None:
     (slave / EVENTS).write_text(events.replace("session 0000000000000063", "session 00000000000000aa"))
     with pytest.raises(Refused, match="never met"):
         merge(SCENE, master, slave)
+
+
+def test_datagrams_without_an_end_are_taken_in_up_to_a_number_and_a_time(tmp_path: Path) -> None:
+    class Endless(Wire):
+        taken = 0
+
+        def receive(self) -> Any:
+            self.taken += 1
+            return b"none of ours", ("127.0.0.1", 9), time.monotonic_ns()
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        wire = Endless(sock, None)
+        shell = make_shell(SCENE, "s", wire, tmp_path / "s")
+        for share_ns, most in ((0, 16), (10**15, 1024)):
+            shell._share_ns, wire.taken = share_ns, 0
+            shell.drain()
+            assert wire.taken == most

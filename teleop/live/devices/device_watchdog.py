@@ -11,12 +11,10 @@ import json
 import os
 import select
 import signal
-import socket
 import sys
 import time
 from collections.abc import Callable
 from contextlib import redirect_stderr, suppress
-from hashlib import sha256
 from importlib import import_module
 from io import StringIO
 from mmap import mmap
@@ -24,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
+from teleop.live.devices.device_lock import taken
 from teleop.live.devices.heartbeat import ACKED, BEAT, DONE, FIRED, GOODBYE, SEEN, SIZE, TEXT, K
 from teleop.live.process.output import live
 from teleop.live.process.realtime import run_first
@@ -32,7 +31,6 @@ from teleop.protocol.deadline import Silence
 from teleop.protocol.guard import Event
 
 RETRY_S = 5.0  # for a device that cannot be set to zero, once the end is gone
-LOCK_S = 3.0  # for the watchdog of an end that was there before
 HEEDED = {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGCHLD}  # its own
 
 
@@ -98,7 +96,7 @@ def main(argv: list[str]) -> int:
     about = json.loads(argv[0])
     with live(), mmap(about["page"], SIZE) as page, memoryview(page) as plain, plain.cast("q") as words:
         try:
-            lock = _alone(about)
+            lock = taken(about["device"], about["end"])
             zero = opened(about["open"], about["arguments"])
         except Refused as refused:
             sentence = str(refused).encode()[: SIZE - TEXT - 1]
@@ -108,7 +106,7 @@ def main(argv: list[str]) -> int:
         watching = Watching(words, zero, about["deadline"], lambda what: _tell(what, words[K], Path(about["folder"])))
         code = _watch(watching, about["pipe"])
         if lock is not None:
-            lock.close()
+            os.close(lock)
     return code
 
 
@@ -147,26 +145,6 @@ def opened(target: str, arguments: list[str]) -> Callable[[], object]:
         raise Refused(f"{target} returned {zero!r}; let it return the function that sets the force to zero")
     opened_zero: Callable[[], object] = zero
     return opened_zero
-
-
-def _alone(about: dict[str, Any]) -> socket.socket | None:
-    """A name in this machine that only one process has; the system takes it back whatever that one dies of."""
-    device = json.dumps([about["open"], about["arguments"]])
-    name = f"\0bilateral-teleop device {sha256(device.encode()).hexdigest()}"
-    until = time.monotonic() + LOCK_S
-    while sys.platform == "linux":
-        lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            lock.bind(name)
-        except OSError as error:
-            lock.close()
-            if time.monotonic() > until:
-                target = " ".join([about["open"], *about["arguments"]])
-                raise Refused(f"another end drives this device already ({target}); end that one first") from error
-            time.sleep(0.02)
-        else:
-            return lock
-    return None
 
 
 def _first(priority: int | None) -> None:

@@ -49,6 +49,7 @@ class DeviceWatchdog:
     `open`: "module:function", importable where the end runs, without running the end. The function is called once, at
     the start, with `arguments` (texts), opens the device by itself and returns a function without arguments that sets
     its force to zero. That one is called while the end is silent for `deadline` seconds with a force held, or gone.
+    `device`: the name by which one end at a time drives it; left out: `open` with its `arguments`.
 
     >>> DeviceWatchdog(open="my_arm:zeroing", arguments=("/dev/ttyACM0",)).deadline
     0.15
@@ -57,6 +58,7 @@ class DeviceWatchdog:
     open: str
     arguments: tuple[str, ...] = ()
     deadline: float = DEADLINE
+    device: str = ""
 
     def __post_init__(self) -> None:
         module, _, function = self.open.partition(":")
@@ -168,6 +170,7 @@ def _start(
     """The process and the end of the pipe on which it is said goodbye to."""
     theirs, ours = os.pipe()
     about = {"open": watchdog.open, "arguments": watchdog.arguments, "deadline": watchdog.deadline, "page": page,
+             "end": os.getpid(), "device": watchdog.device or " ".join([watchdog.open, *watchdog.arguments]),
              "pipe": theirs, "folder": str(folder.absolute()), "priority": priority}
     path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in (*sys.path, *scene_folders()))])
     try:

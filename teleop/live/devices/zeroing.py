@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 from teleop.live.devices.heartbeat import DeviceWatchdog
 from teleop.live.devices.named import named
+from teleop.scene.device_names import KINDS
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import both_ends
 
@@ -22,7 +24,10 @@ def watchdog_of(e: str, text: str, scene: str, knobs: Mapping[str, str]) -> Devi
     >>> watchdog_of("s", "my_arm:/dev/ttyACM0", "hard_wall", {}).open
     'teleop.live.devices.zeroing:zeroing'
     """
-    return DeviceWatchdog(open=f"{__name__}:{zeroing.__name__}", arguments=(e, text, scene, json.dumps(dict(knobs))))
+    file, colon, rest = text.partition(":")
+    name = f"{Path(file).absolute()}{colon}{rest}" if file.endswith(".py") else text
+    return DeviceWatchdog(open=f"{__name__}:{zeroing.__name__}", arguments=(e, text, scene, json.dumps(dict(knobs))),
+                          device=f"{KINDS[e].word} {name}")
 
 
 def zeroing(e: str, text: str, scene: str, knobs: str) -> Callable[[], None]:
