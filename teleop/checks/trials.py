@@ -6,7 +6,7 @@ The hands, walls and links are written out here, on `teleop.physics` alone: `tel
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf, sin
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -46,23 +46,28 @@ def try_claims(law: Law) -> None:
                  if admitted(condition, scene) and (i < LOOPS or ledger == "E_law")]
         if not asked:
             continue
-        trace = run(scene).trace
-        through = max(float(abs(trace[column]).max()) for column in trace if column.startswith("E_"))
-        for ledger in asked:
-            if ledger == "E_law":
-                _try_books(law, scene, trace)
-                continue
-            least = float(trace[ledger].min())
-            if not least >= -max(LOW, 1e-12 * through):
-                raise Refused(f"{name} claims {ledger}, which fell to {least:.3g} J {_where(scene)}; mend the law, or "
-                              f"leave {ledger} out of its claims")
+        refuse_broken(law, scene, run(scene).trace, asked)
+
+
+def refuse_broken(law: Any, scene: Scene, trace: Mapping[str, Any], claimed: Iterable[str]) -> None:
+    """Refuse a law in whose run of `scene` one of the `claimed` ledgers is not kept."""
+    name = type(law).__name__
+    through = max(float(abs(trace[column]).max()) for column in trace if column.startswith("E_"))
+    for ledger in claimed:
+        if ledger == "E_law":
+            _try_books(law, scene, trace)
+            continue
+        least = float(trace[ledger].min())
+        if not least >= -max(LOW, 1e-12 * through):
+            raise Refused(f"{name} claims {ledger}, which fell to {least:.3g} J {_where(scene)}; mend the law, or "
+                          f"leave {ledger} out of its claims")
 
 
 def admitted(condition: str, scene: Scene) -> bool:
     """True if a claim with this condition holds for a trial."""
     link, gaps = scene.link, gaps_of(scene.played_as)
     if condition == "constant delay":
-        return isinstance(link, RandomLink) and not (link.loss or link.jitter or link.copies)
+        return isinstance(link, RandomLink) and not (link.loss or link.jitter or link.copies or link.blackout)
     return condition == "any link" or isinstance(gaps, Zero)
 
 
@@ -71,27 +76,49 @@ def _try_books(law: Any, scene: Scene, trace: Mapping[str, Any]) -> None:
     import numpy as np
 
     name, kept = type(law).__name__, trace["E_law"]
-    works = [np.abs(np.diff(trace[f"E_port_{e}"], prepend=0.0)) for e in ("m", "s")]
-    rounding = LOW + 1e-12 * np.cumsum(works[0] + works[1])
-    took = {"master": trace["E_port_m"] - trace["E_law_m"], "slave": -trace["E_port_s"] - trace["E_law_s"]}
-    for (end, books), given in zip(took.items(), seeds(law, scene.dt, scene.axes), strict=True):
-        if not (wrong := books + given >= -rounding).all():
+    works = works_of(trace)
+    rounding = LOW + 1e-12 * np.cumsum(sum(works))
+    for end, books in honest(law, scene, trace).items():
+        if not (wrong := books >= -rounding).all():
             k = int(np.argmin(wrong))
-            raise Refused(f"{name} claims E_law, but at tick {k} its {end} keeps {-books[k] - given:.3g} J more than "
+            raise Refused(f"{name} claims E_law, but at tick {k} its {end} keeps {-books[k]:.3g} J more than "
                           f"came in by its port {_where(scene)}; count the work of the force that was held, "
                           f"at.f_held*at.dx, and count it once")
-    owed = kept + np.maximum.accumulate(works[0]) + np.maximum.accumulate(works[1])
+    owed = kept + surprise(works)
     if not (wrong := owed >= -rounding).all():
         k = int(np.argmin(wrong))
         raise Refused(f"{name} claims E_law, which fell to {kept[k]:.3g} J at tick {k}, below zero by more than the "
                       f"work of one tick {_where(scene)}; mend the law, or leave E_law out of its claims")
 
 
+def works_of(trace: Mapping[str, Any]) -> list[NDArray[np.float64]]:
+    """The size of the work at the port of each end in each tick, J: master, and slave if there is one."""
+    import numpy as np
+
+    return [np.abs(np.diff(trace[f"E_port_{e}"], prepend=0.0)) for e in ("m", "s") if f"E_port_{e}" in trace]
+
+
+def surprise(works: list[NDArray[np.float64]]) -> Any:
+    """What E_law may be below zero by each tick, J: the greatest work of one tick so far, of both ends."""
+    import numpy as np
+
+    return sum(np.maximum.accumulate(work) for work in works)
+
+
+def honest(law: Any, scene: Scene, trace: Mapping[str, Any]) -> dict[str, Any]:
+    """By end: its seed energy and what came in by its port less what it keeps, J at each tick; below zero is made."""
+    took = {"master": trace["E_port_m"] - trace["E_law_m"], "slave": -trace["E_port_s"] - trace["E_law_s"]}
+    return {end: books + given for (end, books), given in
+            zip(took.items(), seeds(law, scene.dt, scene.axes), strict=True)}
+
+
 def _where(scene: Scene) -> str:
     """A trial, as the end of a clause."""
-    parts = [scene.hand, scene.slave, scene.environment, scene.watchdog, scene.cap, scene.left_out_s]
-    *others, last = [str(part) for part in parts if part is not None]
-    return f"over {scene.link} with {scene.played_as}, {', '.join(others)} and {last}"
+    link = [f"over {scene.link} with {scene.played_as}"] if scene.slave is not None else []
+    parts = [scene.hand, scene.master, scene.slave, scene.environment, scene.watchdog, scene.cap, scene.scaling,
+             scene.left_out_m, scene.left_out_s, scene.law]
+    *others, last = [*link, *[str(part) for part in parts if part is not None]]
+    return f"{', '.join(others)} and {last}" if link else f"with {', '.join(others)} and {last}"
 
 
 def _waves_balance(law: Any, name: str) -> None:
@@ -230,13 +257,13 @@ def events(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
 
 
 def capped(law: Law) -> Scene:
-    """Three axes with walls in two of them and a force cap, which turns the force that is held to another direction."""
+    """Three axes with a wall in one of them and a force cap, which turns the held force to another direction."""
     return Scene(
-        law=law, playout=Zero(), energy=True, duration=DURATION, x_limit=1e3, axes=3, cap=Cap(f_max=1.0),
-        master=MassDamper(mass=1.0, damping=0.5), slave=MassDamper(mass=1.0, damping=0.5),
-        hand=Swing(mass=0.0, k=1000.0, d=1.0, reference=Tones(amplitude=0.05, rate=40.0)),
-        environment=(Block(k=2000.0, d=1.0, at=0.005), Block(k=3e5, d=1.0, at=-0.02), None),
-        link=RandomLink(ticks=20, loss=0.0, jitter=0, copies=0.0, key=0.3))
+        law=law, playout=Zero(), energy=True, duration=DURATION, x_limit=1e3, axes=3, cap=Cap(f_max=3.0),
+        master=MassDamper(mass=0.3, damping=1.5), slave=MassDamper(mass=3.3, damping=2.0),
+        hand=Swing(mass=0.0, k=8000.0, d=16.0, reference=Tones(amplitude=0.16, rate=26.0)),
+        environment=Block(k=1400.0, d=0.0, at=-0.044), observer=None,
+        link=RandomLink(ticks=31, loss=0.0, jitter=0, copies=0.0, key=0.3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,6 +338,7 @@ class RandomLink:
     jitter: int
     copies: float
     key: float
+    blackout: int = 0  # ticks of silence after as many in which packets come; 0: none
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> RandomArrivals:
         """See `teleop.scene.Link`. The seed and the size make no difference: a trial is one fixed case."""
@@ -320,7 +348,8 @@ class RandomLink:
 
         packets = np.arange(count)
         drawn = [_hash(packets, self.key + direction + place / 7.0) for place in range(4)]
-        kept, copied = drawn[0] >= self.loss, (drawn[0] >= self.loss) & (drawn[1] < self.copies)
+        kept = (drawn[0] >= self.loss) & (packets // max(self.blackout, 1) % 2 * min(self.blackout, 1) == 0)
+        copied = kept & (drawn[1] < self.copies)
         packet = np.concatenate([packets[kept], packets[copied]])
         late = np.concatenate([drawn[2][kept], drawn[3][copied]]) * self.jitter
         time_ns = ((packet + self.ticks + late) * dt_ns).astype(np.int64)

@@ -23,6 +23,7 @@ from teleop.checks.probing import (
     value,
     without,
 )
+from teleop.checks.search import try_worst
 from teleop.checks.trials import spread, try_claims
 from teleop.errors import Refused
 from teleop.knob import knobs_of_fields
@@ -42,7 +43,8 @@ def check_law(law: Any, *, compiled: bool = True) -> None:
     that an end reads no field of `At` but those that `reads` sees; signs, starts, messages and what its conditions
     tell to type (`teleop.checks.conformance`); the claims (`teleop.checks.trials`): that an end draws no more from
     the waves than they brought, that in closed loops with random masses, walls and links no ledger that the law claims
-    goes below zero, and that the energy that it keeps came in by its ports; and that every engine of a sweep gives the
+    goes below zero, and that the energy that it keeps came in by its ports; the same where an adversary chooses gains,
+    bodies, hand, walls and link (`teleop.checks.search`); and that every engine of a sweep gives the
     figures of a single run to the bit (`teleop.checks.engines`). `compiled=False` leaves out the compiled engines,
     which take some seconds. A one-port law (`start`, `force`) is tried in the same spirit, see
     `teleop.checks.one_port`.
@@ -54,6 +56,7 @@ def check_law(law: Any, *, compiled: bool = True) -> None:
         check_contract(law)
         probe(law)
         try_port(law)
+        try_worst(law)
         return
     _check_class(law, TWO_PORT)
     check_contract(law)
@@ -61,6 +64,7 @@ def check_law(law: Any, *, compiled: bool = True) -> None:
         _probe(LawEnd.of(law, name))
     try_conformance(law)
     try_claims(law)
+    try_worst(law)
     try_engines(law, compiled=compiled)
 
 

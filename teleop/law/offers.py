@@ -25,8 +25,13 @@ leaves its own `*_stored` as it is, so the books are honest at each end by itsel
 What the claim "E_law" does not cover. The law is told the force that was held and the motion that was read, and the
 force that it sets is there at once. A slew limit of the force cap holds a force that the law has given up: up to
 f^2/(2 slew) |v| goes out each time, tens of mJ at 100 N/s, and joules where it is so slow that the loop swings. The
-work over an encoder's readings differs from the true one by up to a step times each change of the force. And a bound on
-a damper, 2 m/dt, is one on the time that a force is held: over n ticks that are left out it is 2 m/((n + 1) dt).
+work over an encoder's readings differs from the true one by up to a step times each change of the force. Under a force
+cap the force that would pay is not held, and what several ticks took may add up. So it may where a device turns round
+within each tick, as with a grip or a wall of k dt^2/m above 1/4: no reading says what a force will do then.
+
+A damper B that is held over T against a body m on which h acts besides takes B v dx, dx = v T + (h - B v) T^2/(2 m),
+which is at least -B h^2 T^3/(16 m^2 (1 - B T/(2 m))). Without h that is nothing for B <= 2 m/T; with it there is no
+bound as B comes near, so conditions have B <= m/T, where it is -h^2 T^2/(8 m). T is (n + 1) dt over n ticks left out.
 """
 
 from __future__ import annotations

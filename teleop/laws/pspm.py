@@ -91,10 +91,10 @@ class PSPM:
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
         ends = (("B_m", self.B_m, facts.mass_m), ("B_s", self.B_s, facts.mass_s))
-        return tuple([f"a damper that is held from tick to tick takes energy where B <= 2 m/T, T the longest tick, "
+        return tuple([f"a damper that is held from tick to tick takes energy where B <= m/T, T the longest tick, "
                       f"which {name} = {B:g} N s/m is not; --set law.{name}="
-                      f"{enough(2.0 * mass / facts.held, least=False)} is the most"
-                      for name, B, mass in ends if B * facts.held > 2.0 * mass])
+                      f"{enough(mass / facts.held, least=False)} is the most"
+                      for name, B, mass in ends if B * facts.held > mass])
 
     def master_start(self, at: At) -> tuple[End, Back]:
         return End(at.x, self.E_0, 0.0, 0.0), Back(at.x, 0.0)  # until the first message: stay

@@ -42,7 +42,7 @@ and has not come out of it, G pays what is missing, and (P - C - least h)+ of G 
 
 Books. Each G + E - seen grows by the work w, less what `store` drops. Summed, with under way the E not yet seen,
 
-    E_law = G_m + G_s + under way        E_port = E_law - E0 + dropped + C >= E_law - E0
+    E_law = G_m + debt + G_s + under way        E_port = E_law - E_law(0) + dropped + C >= E_law - E_law(0)
 
 whatever K, B, dt and the bodies are.
 
@@ -54,13 +54,15 @@ f_s = f_0/2, and with the storage Q = P/2
     -f_s dx - dQ = dt ((B + 3 K dt/4) m^2 - (B - K dt) m v/2 + (B - K dt/2) v^2/2)
 
 is never below zero for B >= 0.5224 K dt (with b = B/(K dt) the root of 7 b^2 + 4 b = 4), so the debt does not grow;
-what B holds against a slave takes energy for B <= 2 m/T, m its mass and T the longest tick.
+what B holds against a slave takes energy for B <= m/T, m its mass and T the longest tick (`teleop.law.offers`).
 A cap turns what is held of a force of several axes to another direction, in which it may push: where it did more than
 was asked for and G_s < 0, v_d = m, in which each axis takes energy, capped or not.
 The master spends f v dt and pays -f d, for the motion d that follows: from G_m >= -debt one tick leaves G_m >= -debt -
-|f| |d - v dt|, and below that it only damps, which takes energy for alpha_max <= m/T, T the longest tick.
+|f| |d - v dt|, and below that it only damps, with 2 alpha_max at most, which takes energy for 2 alpha_max <= m/T. So
+`debt` is energy that the ports may get, and in the books it is given to the master to begin with.
 
-Claims: E_law >= 0 less `debt` and one tick's surprise, over any link; E_port >= -E0 with it. E_law(0) = E0, the seed.
+Claims: E_law >= 0 less one tick's surprise, over any link; E_port >= -E0 - debt with it. E_law(0) = E0 + debt, the
+seed.
 """
 
 from __future__ import annotations
@@ -149,17 +151,17 @@ class TDPA:
         check_knobs(self)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
-        least, most = PAYS * self.K * facts.dt, facts.mass_m / facts.held
+        least, most = PAYS * self.K * facts.dt, 0.5 * facts.mass_m / facts.held
         coupling = (f"the coupling of a slave that owes energy takes it back where B >= {PAYS:.4f} K dt, which "
                     f"B = {self.B:g} N s/m is not; --set law.B={enough(least, least=True)} is the least")
-        damper = (f"the master's damper takes energy where alpha_max <= m/T, T the longest tick, which "
+        damper = (f"the master's damper takes energy where 2 alpha_max <= m/T, T the longest tick, which "
                   f"alpha_max = {self.alpha_max:g} N s/m is not; --set law.alpha_max={enough(most, least=False)} "
                   "is the most")
-        held = (f"the coupling takes energy while it is held from tick to tick where B <= 2 m/T of the slave, which "
-                f"B = {self.B:g} N s/m is not; --set law.B={enough(2.0 * facts.mass_s / facts.held, least=False)} is "
+        held = (f"the coupling takes energy while it is held from tick to tick where B <= m/T of the slave, which "
+                f"B = {self.B:g} N s/m is not; --set law.B={enough(facts.mass_s / facts.held, least=False)} is "
                 f"the most")
         return (*([coupling] if least > self.B else []), *([damper] if self.alpha_max > most else []),
-                *([held] if self.B * facts.held > 2.0 * facts.mass_s else []))
+                *([held] if self.B * facts.held > facts.mass_s else []))
 
     def master_start(self, at: At) -> tuple[Master, Back]:
         return Master(0.0, 0.0, 0.0), Back(0.0, 0.0)
@@ -168,7 +170,7 @@ class TDPA:
         return Slave(self.E0, 0.0, 0.0, at.x, 0.0, 0.0, 0.0), Forth(at.x, 0.0, 0.0)  # until the first message: stay
 
     def master_stored(self, s: Master) -> float:
-        return s.G + (s.E - s.seen)
+        return s.G + self.debt + (s.E - s.seen)
 
     def slave_stored(self, s: Slave) -> float:
         return s.G + (s.E - s.seen)

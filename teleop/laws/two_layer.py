@@ -101,10 +101,10 @@ class TwoLayer:
         check_knobs(self)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
-        even, most = even_share(facts), 2.0 * facts.mass_m / facts.held
+        even, most = even_share(facts), facts.mass_m / facts.held
         share = (f"at most a third of the energy is under way where beta <= dt/(T1 + T2), which beta = {self.beta:g} "
                  f"is not; --set law.beta={enough(even, least=False)} is the most")
-        damper = (f"the master's damper takes energy where d_max <= 2 m/T, T the longest tick, which "
+        damper = (f"the master's damper takes energy where d_max <= m/T, T the longest tick, which "
                   f"d_max = {self.d_max:g} N s/m is not; "
                   f"--set law.d_max={enough(most, least=False)} is the most")
         return (*([share] if self.beta > even * (1.0 + 1e-9) else []), *([damper] if self.d_max > most else []))

@@ -22,7 +22,7 @@ guard itself pays what the end owes. Of the force that the law commands, g the p
 
 and where H < 0, by what a tick took that was not foreseen, a damper min(-H/(dt max(v^2, v_min^2)), alpha) takes that
 back. A floor under |v| or a cap on alpha over the whole force would push for ever at low speed; here they are over the
-damper alone; held from tick to tick it takes energy of a body m for alpha <= 2 m/T, T the longest tick. A law that
+damper alone; held from tick to tick it takes energy of a body m for alpha <= m/T, T the longest tick. A law that
 drives its slave by energy that the hand never gave (position forward, contact force back) would leave the slave without
 any: so the slave sends H too, and as far as it has less than E_0 the master has a damper more, drag (1 - H_slave/E_0).
 How old that number is makes no difference to passivity, for a damper only takes.
@@ -111,11 +111,11 @@ class Guard:
     @classmethod
     def conditions_of(cls, law: Any, said: tuple[str, ...], facts: Facts) -> tuple[str, ...]:
         """Those of the law, and for each end whether its body is heavy enough for the guard's damper."""
-        told = [f"the damper of the guard takes energy at the {end} where alpha <= 2 m/T, T the longest tick, which "
+        told = [f"the damper of the guard takes energy at the {end} where alpha <= m/T, T the longest tick, which "
                 f"alpha = {law.guard_alpha:g} N s/m is not; --set law.guard_alpha="
-                f"{enough(2.0 * mass / facts.held, least=False)} is the most"
+                f"{enough(mass / facts.held, least=False)} is the most"
                 for end, mass in (("master", facts.mass_m), ("slave", facts.mass_s))
-                if law.guard_alpha * facts.held > 2.0 * mass]
+                if law.guard_alpha * facts.held > mass]
         return (*said, *told)
 
     @classmethod

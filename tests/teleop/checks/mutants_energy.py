@@ -206,11 +206,14 @@ def _booked(which: str) -> Any:
         own = TDPA.slave_sums(self, s, at, rx)
         if which == "asked":
             return own._replace(held=own.asked, out=s.f_d * at.dx)
-        if which == "but for the hold":
-            return own._replace(out=-tdpa.FREE, vv=0.0)
         return own._replace(asked=-own.held, held=-own.asked, out=-own.out)
 
     return sums
+
+
+def hold_unbooked(self: TDPA, s: Any, at: At, rx: Any) -> Any:
+    """What the coupling gives out beyond what its commanded point put in is not counted, as TDPA was at first."""
+    return TDPA.slave_sums(self, s, at, rx)._replace(out=-tdpa.FREE, vv=0.0)
 
 
 def _asked_start(self: TDPA, at: At) -> Any:

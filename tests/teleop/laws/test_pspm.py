@@ -113,7 +113,7 @@ def test_what_the_books_lack_is_what_did_not_fit() -> None:
 def test_a_damper_that_takes_more_than_all_motion_in_a_tick_is_told_of() -> None:
     facts = facts_of(load_scene("canonical", law=PSPM(B_m=250.0)))
     told, = PSPM(B_m=250.0).conditions(facts)
-    assert "B <= 2 m/T, T the longest tick, which B_m = 250 N s/m is not; --set law.B_m=200 is the most" in told
+    assert "B <= m/T, T the longest tick, which B_m = 250 N s/m is not; --set law.B_m=100 is the most" in told
 
 
 @pytest.mark.parametrize(("knob", "value"), [("K", 0.0), ("E_0", -0.1), ("B_m", -1.0), ("E_max", float("nan"))])

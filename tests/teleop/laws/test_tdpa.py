@@ -193,24 +193,24 @@ def test_least_energy_that_a_slave_can_ask_for() -> None:
 
 def test_a_cap_in_three_axes_gives_no_energy_out() -> None:
     """The cap turns the held force out of the direction of the asked one: -1.5 J in 1 s, when G < 0 asked for no more
-    than what was owed, of a force that was not held."""
+    than what was owed, of a force that was not held, and with the coupling booked twice the work of a tick."""
     trace = run(replace(capped(TDPA()), duration=1.0)).trace
     one_tick = sum(abs(np.diff(trace[f"E_port_{e}"])).max() for e in "ms")
     assert trace["E_law"].min() >= -one_tick
-    assert one_tick < 0.05
+    assert one_tick < 0.1
 
 
 def test_conditions_name_what_is_enough() -> None:
     facts = facts_of(load_scene("canonical", law=TDPA(K=1500.0, B=0.5, alpha_max=300.0)))
     coupling, damper = TDPA(K=1500.0, B=0.5, alpha_max=300.0).conditions(facts)
     assert "B >= 0.5224 K dt, which B = 0.5 N s/m is not; --set law.B=0.7837 is the least" in coupling
-    assert "alpha_max = 300 N s/m is not; --set law.alpha_max=100 is the most" in damper
+    assert "alpha_max = 300 N s/m is not; --set law.alpha_max=50 is the most" in damper
     assert TDPA().conditions(facts) == ()
 
 
 def test_a_coupling_that_is_too_stiff_a_damper_for_its_slave_is_told() -> None:
     facts = facts_of(load_scene("canonical", law=TDPA()))
-    most = 2.0 * facts.mass_s / facts.dt
+    most = facts.mass_s / facts.dt
     (held,) = TDPA(B=1.01 * most).conditions(facts)
     assert f"--set law.B={most:.4g} is the most" in held
     assert TDPA(B=0.99 * most).conditions(facts) == ()
@@ -253,8 +253,8 @@ def test_a_slave_that_owes_takes_energy_whatever_it_is_moved_by(b: float) -> Non
     assert least(b) > 0.0 > least(0.99 * PAYS)
 
 
-def test_the_seed_is_the_slaves() -> None:
-    assert seed_energy(TDPA(E0=0.03), axes=3) == 0.03
+def test_the_seed_is_the_slaves_and_what_the_master_may_owe() -> None:
+    assert seed_energy(TDPA(E0=0.03, debt=1e-4), axes=3) == pytest.approx(0.0301)
 
 
 @pytest.mark.parametrize(("knob", "value"), [("B", 0.0), ("E0", -0.1), ("v_min", 0.0), ("store", float("nan"))])

@@ -1,0 +1,252 @@
+"""Adversarial search for `check_law`: an evolution of scenes and of a law's own knobs towards a claim that breaks.
+
+A point is a number in [0, 1] for each number of a scene (`_scene`) and for each knob of the law. The law is fitted to
+the link, and knobs that break one of its conditions become what the condition says to type: a claim holds where the
+conditions do, and is closest to breaking where they barely do. Each goal judges a point by a fraction, which evolution
+makes greater:
+
+    books    energy that an end keeps beyond what came in by its port, over the work at that port
+    E_law    what it keeps below zero, over the greatest work of one tick so far: more than 1 breaks the claim. No
+             force cap, and no grip or wall of k dt^2/m above 1/4, see `teleop.law.offers`
+    E_port   what the ports got, over all the work at them
+
+Trials at random find what is wrong at ordinary gains; this finds what needs gains, hand, bodies and link at once. The
+points are the same at every search. They are run in plain Python: no compiled kernel has the ledgers of each end at
+each tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+from teleop import kind
+from teleop.checks.conformance import CURE
+from teleop.checks.trials import (
+    LOW,
+    Block,
+    LostTicks,
+    RandomLink,
+    Swing,
+    Tones,
+    admitted,
+    honest,
+    refuse_broken,
+    spread,
+    surprise,
+    works_of,
+)
+from teleop.errors import Refused
+from teleop.knob import Knob, knobs_of_fields
+from teleop.law import messages
+from teleop.law.offers import claims_of, seed_energy
+from teleop.physics.plant import MassDamper
+from teleop.scene.parts import Reference
+from teleop.scene.playout import Fixed, Hold, Integral, Playout, Zero
+from teleop.scene.scene import Scene
+from teleop.simulation.facts import facts_of
+from teleop.simulation.virtual import run
+from teleop.stages.force_cap import Cap
+from teleop.stages.scaling import Scaling
+from teleop.stages.watchdog import Watchdog
+
+GOALS = {"E_law": ("books", "E_law"), "E_port": ("E_port",)}  # of the ledgers that are searched
+RUNS = 40  # of each goal
+DURATION = 0.4  # s
+RANDOM = 0.3  # of the runs are drawn at random, the rest bred
+PARENTS = 6
+CHANGED, STEP = 0.3, 0.4  # the share of a point's numbers that are not its parent's, and how far they go
+DECADES = 2.0  # either way that a knob goes from its value
+CURES = 4  # rounds of typing what the conditions say
+RESOLVED = 0.25  # k dt^2/m of a grip: one that is stiffer turns its master round within a tick
+
+
+class Worst(NamedTuple):
+    """What a search has found: nothing that breaks the claim, or it would have raised."""
+
+    runs: int
+    fractions: dict[str, float]  # the greatest by goal: of the bound for E_law, of the work for the others
+    port: float  # the least E_port over its bound, the seed and one tick's work: -1 is all that may be given out
+    scenes: dict[str, Scene]  # those of the fractions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shaken:
+    """An environment that is carried along a path."""
+
+    inner: ClassVar[bool] = True  # its plants keep the tick
+
+    environment: Block
+    path: Reference
+
+
+class Point:
+    """Numbers in [0, 1] by name, each made when it is asked for: drawn, or that of a parent with changes."""
+
+    def __init__(self, dice: Iterator[float], parents: tuple[Point, ...] = ()) -> None:
+        self._dice, self._parents = dice, parents
+        self._numbers: dict[str, float] = {}
+
+    def at(self, name: str) -> float:
+        """The number of this name."""
+        if name not in self._numbers:
+            self._numbers[name] = self._bred(name) if self._parents else next(self._dice)
+        return self._numbers[name]
+
+    def _bred(self, name: str) -> float:
+        parent = self._parents[int(next(self._dice) * len(self._parents))].at(name)
+        change = next(self._dice)
+        if change < CHANGED / 3.0:
+            return next(self._dice)
+        step = STEP * (next(self._dice) + next(self._dice) + next(self._dice) - 1.5)
+        return min(max(parent + step, 0.0), 1.0) if change < CHANGED else parent
+
+    def between(self, name: str, low: float, high: float) -> float:
+        """A number between these, both above zero, evenly in the logarithm."""
+        return float(low * (high / low) ** self.at(name))
+
+    def beyond(self, name: str, most: float, threshold: float = 0.5) -> float:
+        """0.0 up to a threshold, and from there on up to `most`."""
+        return most * max(self.at(name) - threshold, 0.0) / (1.0 - threshold)
+
+
+def try_worst(law: Any, *, runs: int = RUNS, key: str = "", duration: float = DURATION) -> Worst:
+    """Search with so many runs for each goal; `key` is another search. `Refused` if a claim breaks, with the scene."""
+    found = Worst(0, {}, 0.0, {})
+    for ledger, goals in GOALS.items():
+        if ledger in claims_of(law):
+            for goal in goals:
+                found = _evolved(law, ledger, goal, found, runs, spread(f"{type(law).__name__}{goal}{key}"), duration)
+    return found
+
+
+def _evolved(law: Any, ledger: str, goal: str, found: Worst, runs: int, dice: Iterator[float], duration: float
+             ) -> Worst:
+    """The search of one goal, with what the ones before it found."""
+    best: list[tuple[float, int, Point, Scene]] = []
+    port, ran = found.port, 0
+    for number in range(4 * runs):  # of points whose law cannot be had there is no run
+        parents = tuple([point for _, _, point, _ in best[:PARENTS]])
+        point = Point(dice, parents if ran >= RANDOM * runs else ())
+        scene = _scene(law, point, duration, cap=None if goal == "E_law" else _cap(point))
+        if scene is None or not admitted(claims_of(law)[ledger], scene):
+            continue
+        trace = run(scene).trace
+        refuse_broken(scene.law, scene, trace, [ledger])
+        best.append((_fraction(goal, scene, trace), -number, point, scene))
+        best.sort(key=lambda each: each[:2], reverse=True)
+        del best[PARENTS:]
+        port = min(port, _of_bound(scene, trace))
+        ran += 1
+        if ran == runs:
+            break
+    if not best:
+        return found
+    return Worst(found.runs + ran, {**found.fractions, goal: best[0][0]}, port, {**found.scenes, goal: best[0][3]})
+
+
+def _fraction(goal: str, scene: Scene, trace: Any) -> float:
+    """How far a run went towards breaking a goal."""
+    works = works_of(trace)
+    if goal == "E_law":
+        return float((-trace["E_law"] / (surprise(works) + LOW)).max())
+    late = len(works[0]) // 2  # what goes in as a run begins hides what comes out later
+    if goal == "books":
+        return max(float(-books[late:].min() / (work.sum() + LOW)) for books, work in
+                   zip(honest(scene.law, scene, trace).values(), works, strict=True))
+    return float(-trace[goal][late:].min() / (sum(work.sum() for work in works) + LOW))
+
+
+def _of_bound(scene: Scene, trace: Any) -> float:
+    """The least E_port over what may be given out: the seed energy and, of a law with books, one tick's work."""
+    bound = seed_energy(scene.law, scene.dt, scene.axes) + surprise(works_of(trace))
+    return min(float((trace["E_port"] / (bound + LOW)).min()), 0.0)
+
+
+def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | None:
+    """The scene of a point, with the law that its conditions allow there; None if there is none."""
+    tuned = _tuned(law, point)
+    if tuned is None:
+        return None
+    size, dt = point.between("amplitude", 0.005, 0.5), 1e-3
+    master, slave = point.between("m_m", 0.02, 2.0), point.between("m_s", 0.05, 5.0)
+    one_end: dict[str, Any] = {
+        "law": tuned, "energy": True, "duration": duration, "x_limit": 1e3, "cap": cap,
+        "axes": 3 if point.at("axes") > 0.7 else 1, "observer": None if point.at("observer") < 0.5 else 200.0,
+        "master": MassDamper(mass=master, damping=point.beyond("b_m", 2.0)),
+        "hand": Swing(mass=point.beyond("m_h", 1.0), k=point.between("k_h", 10.0, RESOLVED * master / (dt * dt)),
+                      d=point.between("d_h", 0.1, master / dt),
+                      reference=Tones(amplitude=size, rate=point.between("rate", 3.0, 130.0))),
+        "left_out_m": _lost(point, "lost_m")}
+    if not hasattr(law, "slave"):
+        return Scene(**one_end)
+    block: Any = Block(k=point.between("k_e", 10.0, RESOLVED * slave / (dt * dt)), d=point.beyond("d_e", 20.0),
+                       at=size * (point.at("at") - 0.3))
+    if point.at("shaken") > 0.7:
+        path = Tones(amplitude=point.between("shaken_by", 0.001, 0.2), rate=point.between("shaken_at", 3.0, 300.0))
+        block = Shaken(environment=block, path=path)
+    scaling = None
+    if point.at("scaling") > 0.7:
+        scaling = Scaling(scale_x=point.between("scale_x", 0.01, 1.0), scale_f=point.between("scale_f", 0.01, 1.0))
+    return _allowed(Scene(
+        **one_end, slave=MassDamper(mass=slave, damping=point.beyond("b_s", 2.0)),
+        environment=block if point.at("wall") > 0.4 else None, scaling=scaling, start_s=point.beyond("apart", 0.02),
+        link=RandomLink(ticks=int(point.between("delay", 1.0, 150.0)) - 1, loss=point.beyond("loss", 0.5),
+                        jitter=int(point.beyond("jitter", 20.0)), copies=point.beyond("copies", 0.3),
+                        key=point.at("key"), blackout=int(point.beyond("blackout", 150.0))),
+        playout=_playout(law, point), left_out_s=_lost(point, "lost_s"),
+        watchdog=Watchdog(timeout=0.03, ramp=0.02) if point.at("watchdog") > 0.8 else None))
+
+
+def _playout(law: Any, point: Point) -> Playout:
+    """One of those that a claim over any link admits; a law without waves may have a message played again."""
+    held: Playout = Integral() if any(map(kind.waves, messages(law))) else Hold()
+    return (Zero(), held, Fixed(0.02))[int(point.at("playout") * 2.999)]
+
+
+def _lost(point: Point, name: str) -> LostTicks | None:
+    share = point.beyond(name, 0.3, 0.7)
+    return LostTicks(share=share, key=point.at("key")) if share > 0.0 else None
+
+
+def _cap(point: Point) -> Cap | None:
+    return Cap(f_max=point.between("f_max", 0.1, 100.0)) if point.at("cap") > 0.7 else None
+
+
+def _tuned(law: Any, point: Point) -> Any:
+    """The law with the knobs of a point, within two decades of its own; None if it refuses them."""
+    knobs = {name: _number(getattr(law, name), each.knob, point.at(f"law.{name}"))
+             for name, each in knobs_of_fields(type(law)).items()}
+    try:
+        return replace(law, **knobs)
+    except Refused:
+        return None
+
+
+def _number(own: float, knob: Knob, at: float) -> float:
+    """The value of a knob at a point: its own by a third, and its lower bound by a twentieth."""
+    if at < 0.05 and knob.low is not None:
+        return knob.low
+    if at < 0.4:
+        return own
+    value = own * 10.0 ** (DECADES * (at - 0.7) / 0.3) if own else (at - 0.4) / 0.6
+    value = value if knob.low is None else max(value, knob.low)
+    return value if knob.high is None else min(value, knob.high)
+
+
+def _allowed(scene: Scene) -> Scene | None:
+    """The scene with its law fitted to the link, and knobs as its conditions say to type; None if one stays broken."""
+    facts, law = facts_of(scene), scene.law
+    if hasattr(law, "fitted"):
+        law = law.fitted(facts)
+    for _ in range(CURES):
+        sentences = law.conditions(facts) if hasattr(law, "conditions") else ()
+        if not sentences:
+            return scene if law is scene.law else replace(scene, law=law)
+        named = {knob: float(text) for sentence in sentences for knob, text in CURE.findall(sentence)}
+        try:
+            law = replace(law, **named)
+        except (Refused, TypeError):
+            return None
+    return None
