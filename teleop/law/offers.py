@@ -4,7 +4,8 @@
     master_stored(s), slave_stored(s)      J, what the state of an end keeps of energy
     shows = ("H",)                         fields of its state that are recorded
     conditions(facts) -> sentences         those of its conditions that these facts break
-    fitted(facts) -> law                   itself, with the parameters that follow from link and bodies
+    fitted(facts) -> law                   itself, with the parameters that follow from link and bodies, and those that
+                                           break a condition at the bound where it can tell one
 
 and to the analyses, its linear form and its coupling: `teleop.law.analysis_offers`.
 

@@ -52,8 +52,8 @@ and a master of damping b by at most this over b, however large f_env is.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import sqrt
+from dataclasses import dataclass, replace
+from math import isnan, sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop import kind
@@ -104,6 +104,10 @@ class PFRA:
 
     def __post_init__(self) -> None:
         check_knobs(self)
+
+    def fitted(self, facts: Facts) -> PFRA:
+        """The law with no more of the rest that is lent than the master's own damping, where that is known."""
+        return self if isnan(facts.damping_m) else replace(self, rest_gain=min(self.rest_gain, facts.damping_m))
 
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)

@@ -37,7 +37,7 @@ Claims: E_law >= 0 less one tick's surprise, over any link; E_port >= -2 E_0 wit
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
@@ -95,6 +95,11 @@ class PSPM:
                       f"which {name} = {B:g} N s/m is not; --set law.{name}="
                       f"{enough(mass / facts.held, least=False)} is the most"
                       for name, B, mass in ends if B * facts.held > mass])
+
+    def fitted(self, facts: Facts) -> PSPM:
+        """The law with both dampers no more than 2 m/T."""
+        return replace(self, B_m=min(self.B_m, 2.0 * facts.mass_m / facts.held),
+                       B_s=min(self.B_s, 2.0 * facts.mass_s / facts.held))
 
     def master_start(self, at: At) -> tuple[End, Back]:
         return End(at.x, self.E_0, 0.0, 0.0), Back(at.x, 0.0)  # until the first message: stay

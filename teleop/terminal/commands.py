@@ -397,7 +397,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "run": ("Run a scene in virtual time: the same seed gives the same bits.", _run),
     "demo": ("Run a scene live, slave, channel and master as three processes.", _demo),
     "sweep": ("Run a scene over a grid of knobs and seeds; the same command goes on where it stopped.", _sweep),
-    "tune": ("Search the parameters of a law for a scene: a Latin hypercube, then a coordinate search, in a stated "
+    "tune": ("Search the parameters of a law for a scene: a Latin hypercube, then an evolution strategy, in a stated "
              "number of rows.", _tune),
     "advise": ("Advise a law and its gains for a link and a wall: every law with two ends is tuned, and what speaks "
                "against the others is said; the same command goes on where it stopped.", _advise),

@@ -268,7 +268,7 @@ class _Search:
         few = min(third // (fresh * each), FEW) if self.varies else 0
         screens = 4 * few if few == FEW else 0
         checks = (few * fresh + screens * (fresh // 3)) * each
-        resets = ((len(self.ranges.turned) + 1) * len(self.seeds) + fresh) * each
+        resets = ((len(self.ranges.turned) + 1) * len(self.seeds) + (fresh if few else 1)) * each
         resets = resets if 20 * resets <= self.budget else 0
         self.left = (self.budget - checks - resets) // (each * len(self.seeds))  # points
         own, *others = dict.fromkeys(map(self._of_law, self._laws()))

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from teleop import Knob
 from teleop.errors import Refused
+from teleop.knob import knobs_of_fields
 from teleop.law import find_law
+from teleop.studies.advise.advice import two_port_laws
 from teleop.studies.tune.ranges import at, part, ranges_of
 from teleop.sweeps.grid import Range
 
@@ -36,6 +38,23 @@ def test_a_range_follows_from_bounds_and_default() -> None:
         "law.beta": Range(0.01 / 30.0, 1.0, log=True), "law.g": Range(1.0 / 30.0, 2.0, log=True),
     }
     assert "neither its value nor its bounds" in found.stay["off"]
+
+
+@pytest.mark.parametrize("name", two_port_laws())
+def test_the_spans_of_a_law_lie_within_its_bounds_and_about_its_own_values(name: str) -> None:
+    law = find_law(name)()
+    for knob, span in ranges_of(law).turned.items():
+        field = knob.removeprefix("law.")
+        declared, own = knobs_of_fields(type(law))[field].knob, getattr(law, field)
+        assert declared.span is not None, knob
+        declared.check(knob, (span.low, span.high))
+        assert span.low <= own <= span.high or own == 0.0
+
+
+def test_a_knob_that_follows_from_the_slave_is_not_turned() -> None:
+    """The mass of the predicted slave was searched from 1/30 to 30 times its own."""
+    stay = ranges_of(find_law("wave_prediction")()).stay
+    assert stay == {"mass": "0.5: the slave's own", "damping": "1: the slave's own"}
 
 
 def test_a_knob_that_is_set_is_not_turned() -> None:

@@ -6,10 +6,12 @@ from typing import Any
 
 import pytest
 
+import teleop.studies.tune.search
 from teleop import load_scene, run
 from teleop.errors import Refused
+from teleop.simulation.facts import unmet
 from teleop.studies.margin import margin
-from teleop.studies.tune.search import Tuned, tune_law
+from teleop.studies.tune.search import Scored, Tuned, tune_law
 
 SHORT: dict[str, Any] = {"k_e": 2000.0, "duration": 2.5}
 
@@ -64,6 +66,33 @@ def test_a_link_that_draws_is_checked_with_other_seeds() -> None:
     assert got.rows <= 36
     assert got.best["playout"] in ("integral", "zero")
     assert got.rows > 2 * len(got.tried)  # the seeds of the check come on top
+
+
+def test_a_point_that_breaks_a_condition_is_moved_to_where_the_law_fits_itself() -> None:
+    """Half of the points of p_d were run with too little damping for its claim."""
+    got = tuned("p_d", budget=40, fixed={**SHORT, "delay": 0.02})
+    fitting = [each.unmet for values, each in got.tried[2:]]
+    assert set(fitting) == {0}
+    assert len({values["law.B"] for values, _ in got.tried}) > len(got.tried) // 2
+    assert not unmet(load_scene("hard_wall", **got.knobs))
+
+
+def test_a_search_that_is_given_its_points_runs_none_and_ends_with_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Scored] = []
+    first = tuned(budget=30, keep=kept.extend)
+    assert sum(each.stop - each.first for each in kept) * 2 == first.rows
+    monkeypatch.setattr(teleop.studies.tune.search, "carry_out", None)
+    assert tuned(budget=30, known=kept) == first
+    with pytest.raises(TypeError):  # the last point is missing
+        tuned(budget=30, known=kept[:-1])
+
+
+def test_a_parameter_that_changes_nothing_keeps_the_laws_own_value() -> None:
+    """How fast an end is drawn back that was let go was tuned where none ever was."""
+    got = tuned("p_d", budget=300, fixed={**SHORT, "delay": 0.02})
+    assert got.best["law.rejoin"] == 2.0
+    assert len({values["law.rejoin"] for values, _ in got.tried}) > 10
+    assert got.best["law.K"] != 100.0
 
 
 def test_a_law_without_claims_has_the_margin_that_is_asked_for_in_its_linear_loop_too() -> None:
