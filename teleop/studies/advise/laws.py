@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from math import sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from teleop.studies.advise.links import OneWay, playouts_for
 from teleop.studies.parallel import streamed
 from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import Scored, Tuned, tune_law
+from teleop.sweeps.engine import PLAIN
 from teleop.sweeps.grid import plain
 from teleop.sweeps.kernels.digest import digest
 from teleop.sweeps.runner import plan_sweep
@@ -29,6 +31,8 @@ from teleop.sweeps.store import Store
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
 SETTLED = 20.0  # s after which the time that is left is told
+COMPILES = 12.0  # s that a law's kernels take to compile, on the machine of `teleop/studies/README.md`
+FASTER = 60.0  # times, compiled
 
 
 class Margins(NamedTuple):
@@ -95,11 +99,12 @@ class Outlook:
     """The time that searches of so many rows each will still take, by several workers. Times in s, of any clock.
 
     A law's time is one to begin with, in which its kernels are compiled, and one for each row. Both are the means of
-    the laws so far; rows that were there before take none.
+    the laws so far; rows that were there before take none. Until rows have come they are `start` and `each`.
     """
 
-    def __init__(self, laws: int, rows: int, workers: int) -> None:
+    def __init__(self, laws: int, rows: int, workers: int, start: float, each: float) -> None:
         self._waiting, self._rows, self._workers = laws, rows, workers
+        self._start, self._each = start, each
         self._begun: dict[int, tuple[float, int]] = {}  # by the number of a law, when it began, and with which rows
         self._first: dict[int, tuple[float, int]] = {}  # when its first rows came, and how many were there then
         self._last: dict[int, tuple[float, int]] = {}
@@ -120,16 +125,15 @@ class Outlook:
         """A law is searched."""
         self._done.add(law)
 
-    def left(self, now: float) -> float | None:
-        """The time that is left, s; None before any law's rows have come twice."""
+    def left(self, now: float) -> float:
+        """The time that is left, s."""
         spent = sum(self._last[law][0] - at for law, (at, _) in self._first.items())
         came = sum(self._last[law][1] - rows for law, (_, rows) in self._first.items())
-        if came == 0:
-            return None
-        each = spent / came
+        each = spent / came if came else self._each
         starts = [max(0.0, at - self._begun[law][0] - each * (rows - self._begun[law][1]))
                   for law, (at, rows) in self._first.items()]
-        start = sum(starts) / len(starts)
+        start = sum(starts) / len(starts) if starts else max(
+            [self._start, *(now - at for law, (at, _) in self._begun.items() if law not in self._done)])
         work = [start + each * self._rows] * self._waiting
         for law, (at, known) in self._begun.items():
             if law not in self._done:
@@ -159,7 +163,11 @@ class _Searches:
     def __init__(self, jobs: Sequence[LawJob], store: Store | None, workers: int, clock: Callable[[], float],
                  show: Callable[[float, str], None]) -> None:
         self.jobs, self.store, self.workers, self.clock, self.show = jobs, store, workers, clock, show
-        self.outlook = Outlook(len(jobs), jobs[0].budget, min(workers, len(jobs)))
+        first = jobs[0]
+        each = PLAIN * load_scene(first.scene, **first.fixed).ticks
+        compiled = find_spec("numba") is not None and first.engine != "plain"
+        self.outlook = Outlook(len(jobs), first.budget, min(workers, len(jobs)), COMPILES if compiled else 0.0,
+                               each / FASTER if compiled else each)
         self.points = [len(job.known) for job in jobs]
         self.current, self.ended = "", 0
         self.told: float | None = None
@@ -190,11 +198,10 @@ class _Searches:
     def poll(self) -> None:
         """Show how far the searches have come."""
         now = self.clock()
-        left = self.outlook.left(now)
-        spent = now - self.began
-        if left is not None and spent >= SETTLED and self.told is None:
+        left, spent = self.outlook.left(now), now - self.began
+        if spent >= SETTLED and self.told is None:
             self.told = spent + left
-        part = 0.0 if left is None or spent < SETTLED else spent / (spent + left)
+        part = spent / (spent + left) if spent >= SETTLED else 0.0
         self.show(part, f"{self.ended} of {len(self.jobs)} laws, {self.current}")
 
 

@@ -10,7 +10,7 @@
 3. The linear loop of a result (`teleop.studies.margin`) has to be stable with as many times its gain as the margin that
    is asked for, where it can be worked out; of a law that claims to keep energy with its own gain: waves that resonate
    have no gain to spare, and need none. If it is not, the next best point is looked at that is more than `APART` of a
-   range away from all that were, twice that after every fourth, `LOOKS` at most.
+   range away from all that were, twice that after every quarter of `LOOKS`, the most that are.
 4. Where the link draws random numbers the search runs each point with up to `SEEDS` seeds, and the best few points run
    with as many as `FRESH` that it has not seen: the one with the best mean over these is the result, if each of its
    rows keeps the constraints. In a large search four times as many are first run with a third as many, unseen too.
@@ -62,7 +62,7 @@ SEEDS, POINTS = 4, 250  # of the link in a search at most, and points that it ha
 FEW, FRESH = 8, 24  # points that are run with other seeds, and how many, at most
 LEAST_FRESH = 4
 SIDE_BY_SIDE = 4000  # rows from which compiling for eight at once, twice as long as for one, is made up for
-LOOKS, APART = 16, 0.05  # points whose loop is looked at, and the part of a range between them
+LOOKS, APART = 64, 0.05  # points whose loop is looked at, and the part of a range between them
 STEP, LEAST = 0.15, 0.004  # of a range: the first standard deviation of a strategy and the least
 FAR = 0.1  # of a range, between the beginnings of strategies
 STALE = 12  # generations without a better point after which a strategy ends
@@ -435,7 +435,7 @@ class _Search:
         stood: list[Point] = []
         looked: list[Point] = []
         for point in ranked:
-            if any(self._near(point, other, APART * 2 ** (len(looked) // 4)) for other in looked) or any(
+            if any(self._near(point, other, APART * 2 ** (4 * len(looked) // LOOKS)) for other in looked) or any(
                     self._near(point, other, 0.2 * APART) for other in stood):
                 continue
             told = stands(self._scene(point), gain, seed=self.seed)
