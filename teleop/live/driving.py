@@ -124,7 +124,7 @@ class ClockDriver:
         shell.endpoint.join(shell.counts.first)
 
     def _ring(self) -> None:
-        """Do what is due, and with the force renewed carry out orders; without whoever gives them, leave."""
+        """Run the tick, and with the force renewed carry out orders; without whoever gives them, leave."""
         self.wake()
         orders = self.shell.orders
         if orders is not None and not self.shell.outcome.over.is_set():

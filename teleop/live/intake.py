@@ -1,4 +1,4 @@
-"""How much is taken in at one tick of what comes from outside: so many pieces, and no longer than a share of the tick.
+"""Bound on what one tick takes in from outside: so many pieces, and no longer than a share of the tick.
 
 One rule for datagrams, for orders and for what the service of a device says. What is left over waits for the next tick:
 whoever sends without pause is slowed down or loses packets, and the force is renewed all the same.

@@ -12,7 +12,7 @@ import pytest
 
 from teleop.errors import Refused
 from teleop.live.devices import device_lock
-from teleop.live.devices.device_lock import folder, taken
+from teleop.live.devices.device_lock import folder, take_lock
 from teleop.scene.library import ROOT
 from tests.live.namespaces import machine
 
@@ -22,7 +22,7 @@ from teleop.errors import Refused
 from teleop.live.devices import device_lock
 device_lock.WAIT_S = 0.1
 try:
-    device_lock.taken(sys.argv[1], os.getpid())
+    device_lock.take_lock(sys.argv[1], os.getpid())
 except Refused as refused:
     print(refused, flush=True)
 else:
@@ -96,7 +96,7 @@ def test_two_network_namespaces_did_not_exclude_each_other(process: Start) -> No
 
 
 def test_the_file_is_in_a_folder_of_the_users_own_and_of_the_devices_name(runtime: Path) -> None:
-    held = taken("arm:/dev/../x y", 4711)
+    held = take_lock("arm:/dev/../x y", 4711)
     assert held is not None
     (path,) = (runtime / "bilateral-teleop").iterdir()
     assert path.name.startswith("arm_dev_.._x_y-")
@@ -113,18 +113,18 @@ def test_the_file_is_in_a_folder_of_the_users_own_and_of_the_devices_name(runtim
 def test_a_name_that_another_may_have_taken_first_is_refused(make: Callable[[Path], object], runtime: Path) -> None:
     make(runtime)
     with pytest.raises(Refused, match=r"is a link, of another user, or open to others; remove it .* XDG_RUNTIME_DIR"):
-        taken("arm", 1)
+        take_lock("arm", 1)
 
 
 def test_a_link_in_the_place_of_the_file_is_not_followed(runtime: Path, tmp_path: Path) -> None:
-    held = taken("arm", 1)
+    held = take_lock("arm", 1)
     assert held is not None
     os.close(held)
     (path,) = (runtime / "bilateral-teleop").iterdir()
     path.unlink()
     path.symlink_to(tmp_path / "victim")
     with pytest.raises(Refused, match="cannot be opened"):
-        taken("arm", 1)
+        take_lock("arm", 1)
     assert not (tmp_path / "victim").exists()
 
 

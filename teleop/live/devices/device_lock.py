@@ -25,7 +25,7 @@ _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _CURE = f"set {RUNTIME} to a folder that is yours alone (mode 700)"
 
 
-def taken(device: str, end: int) -> int | None:
+def take_lock(device: str, end: int) -> int | None:
     """The locked file of the device of this name, open as a descriptor; None where a system has no such locks.
 
     `end`: the process that drives the device, which another one is told. Raises `Refused` if another process has it

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.live.devices.device_lock import taken
+from teleop.live.devices.device_lock import take_lock
 from teleop.live.devices.heartbeat import ACKED, BEAT, DONE, FIRED, GOODBYE, SEEN, SIZE, TEXT, K
 from teleop.live.process.output import live
 from teleop.live.process.realtime import run_first
@@ -96,7 +96,7 @@ def main(argv: list[str]) -> int:
     about = json.loads(argv[0])
     with live(), mmap(about["page"], SIZE) as page, memoryview(page) as plain, plain.cast("q") as words:
         try:
-            lock = taken(about["device"], about["end"])
+            lock = take_lock(about["device"], about["end"])
             zero = opened(about["open"], about["arguments"])
         except Refused as refused:
             sentence = str(refused).encode()[: SIZE - TEXT - 1]

@@ -53,7 +53,7 @@ class Host(Protocol):
         ...
 
 
-class Connection(ServerConnection):
+class PageConnection(ServerConnection):
     """A connection, from its first byte on: a method that is answered, and frames that a page may send."""
 
     clients: Clients  # set by the class that `Clients` makes
@@ -68,13 +68,13 @@ class Connection(ServerConnection):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
-        self.clients.left(self)
+        self.clients.forget(self)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """Take bytes, some at a time, for of many frames the first ones may end it."""
         if self._method is not None:
-            data = self._known(data)
+            data = self._after_method(data)
         for start in range(0, len(data), PIECE):
             if self._deaf:
                 return
@@ -93,7 +93,7 @@ class Connection(ServerConnection):
             return
         super().process_event(event)
 
-    def _known(self, data: bytes) -> bytes:
+    def _after_method(self, data: bytes) -> bytes:
         """The bytes of a request that is a GET; those of another method are answered here, and none are left."""
         assert self._method is not None
         self._method += data
@@ -116,8 +116,8 @@ class Clients:
     def __init__(self, requests: Requests, host: Host, now: Callable[[], float]) -> None:
         self._requests, self._host, self.now = requests, host, now
         self._server: Server | None = None
-        self._pages: set[Connection] = set()
-        self._strangers: dict[Connection, None] = {}  # oldest first
+        self._pages: set[PageConnection] = set()
+        self._strangers: dict[PageConnection, None] = {}  # oldest first
 
     def __len__(self) -> int:
         return len(self._pages)
@@ -127,16 +127,16 @@ class Clients:
         """The most bytes that wait for a page."""
         return max(map(_waiting, self._pages), default=0)
 
-    def arrived(self, connection: Connection) -> None:
-        """Take note of a stranger; the oldest of too many is dropped."""
+    def arrived(self, connection: PageConnection) -> None:
+        """Count a stranger; the oldest of too many is dropped."""
         self._strangers[connection] = None
         if len(self._strangers) > STRANGERS:
             oldest = next(iter(self._strangers))
             del self._strangers[oldest]
             oldest.transport.abort()
 
-    def left(self, connection: Connection) -> None:
-        """A connection is a stranger no more: it is a page, or over."""
+    def forget(self, connection: PageConnection) -> None:
+        """Count a connection as a stranger no more: it is a page, or over."""
         self._strangers.pop(connection, None)
 
     async def serve(self, port: int) -> int:
@@ -144,7 +144,7 @@ class Clients:
         quiet = logging.getLogger("teleop.page")
         quiet.addHandler(logging.NullHandler())
         quiet.propagate = False  # whatever a stranger sends is no line on this terminal
-        connection = type("Connection", (Connection,), {"clients": self})
+        connection = type("PageConnection", (PageConnection,), {"clients": self})
         try:
             self._server = await serve(
                 self._open, HOST, port, process_request=self._request, compression=None, max_size=LONGEST,
@@ -173,14 +173,14 @@ class Clients:
         for page in list(self._pages):
             self._tell(page, text)
 
-    def _tell(self, page: Connection, text: str) -> None:
+    def _tell(self, page: PageConnection, text: str) -> None:
         if _waiting(page) > LOST:
             page.transport.abort()
         else:
             broadcast([page], text)
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        assert isinstance(connection, Connection)
+        assert isinstance(connection, PageConnection)
         names = ("Host", "Origin") if connection.heads else ("Host", "Origin", "Upgrade")
         headers = {name: request.headers.get_all(name)[-1] if len(request.headers.get_all(name)) == 1 else ""
                    for name in names if name in request.headers}
@@ -188,8 +188,8 @@ class Clients:
         return None if answer is None else _response(*answer, without_body=connection.heads)
 
     async def _open(self, page: ServerConnection) -> None:
-        assert isinstance(page, Connection)
-        self.left(page)
+        assert isinstance(page, PageConnection)
+        self.forget(page)
         if len(self._pages) >= PAGES:
             await page.close(FULL, f"{PAGES} pages are open already; close one of them")
             return
@@ -204,7 +204,7 @@ class Clients:
             self._pages.discard(page)
             self._host.gone(page)
 
-    async def _hear(self, page: Connection) -> None:
+    async def _hear(self, page: PageConnection) -> None:
         allowed = page.allowed
         async for data in page:
             if not allowed.takes(self.now()):
