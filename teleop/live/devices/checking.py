@@ -24,7 +24,7 @@ from teleop.live.devices.heartbeat import watched
 from teleop.live.devices.judging import (
     DeviceFault,
     Mistake,
-    Motion,
+    PushedMotion,
     check_deadline,
     check_growth,
     check_lag,
@@ -75,7 +75,7 @@ class DeviceCheck:
     notes: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
-        """All of it for a machine."""
+        """Return all fields for a machine."""
         return asdict(self)
 
 
@@ -194,7 +194,7 @@ class _Trial:
         return reading
 
     def _left_limit(self, first: Reading) -> None:
-        """What is read at tick 0 is the same before and after a force is set there."""
+        """Raise `DeviceFault` if a force that is set at tick 0 changes what is read there."""
         self._hold((SIMULATED_N,) * self.scene.axes)
         after = self._read(0)
         self._hold((-SIMULATED_N,) * self.scene.axes)
@@ -205,11 +205,11 @@ class _Trial:
                 f"{'nothing' if after is None else f'x = {after.x}, v = {after.v}'}; a reading is the left limit: let "
                 "read(k) move it by the force held since the tick before, and hold move nothing"))
 
-    def _motions(self) -> list[Motion]:
-        return [Motion(name, unit) for name, unit in zip(self.scene.axis_names, self.scene.axis_units, strict=True)]
+    def _motions(self) -> list[PushedMotion]:
+        return [*map(PushedMotion, self.scene.axis_names, self.scene.axis_units)]
 
-    def _tick(self, force: Axes, motions: list[Motion] | None = None) -> Reading | None:
-        """One tick: a reading, which the motion of each axis gets, and `force` from then on.
+    def _tick(self, force: Axes, motions: list[PushedMotion] | None = None) -> Reading | None:
+        """Run a tick: a reading, which the motion of each axis gets, and `force` from then on.
 
         By the clock, where there is a machine.
         """
@@ -260,7 +260,7 @@ class _Trial:
             raise DeviceFault(Mistake.UNREAD, f"{some}: {self.trouble}; an end lets go at each of them: see to its "
                               "cable, its driver, and what read hands over")
 
-    def _check_slopes(self, motions: list[Motion], least: float = 0.0) -> None:
+    def _check_slopes(self, motions: list[PushedMotion], least: float = 0.0) -> None:
         for motion in motions:
             check_velocity(motion, max(least, 0.0 if self.simulated else HAND))
 
@@ -334,7 +334,7 @@ class _Trial:
         moved = _farthest(motion)
         return most, moved if abs(moved) > least else 0.0
 
-    def _judge(self, axis: int, motion: Motion, least: float, noise: float, tolerance: float,
+    def _judge(self, axis: int, motion: PushedMotion, least: float, noise: float, tolerance: float,
                whole: list[float] | None = None) -> None:
         """Raise `DeviceFault` for what a push has shown. `least`: m or rad that it moves without one."""
         self._check_readings()
@@ -351,14 +351,14 @@ class _Trial:
         check_reach(motion, whole or ())
         check_sensor(motion, least, tolerance + noise)
 
-    def _check_adding(self, axis: int, motion: Motion, least: float, size: float) -> None:
+    def _check_adding(self, axis: int, motion: PushedMotion, least: float, size: float) -> None:
         try:
             check_growth(motion, least)
         except DeviceFault:
             self.adds_up = abs(size)
             raise
 
-    def _step(self, axis: int, force: float, motion: Motion, twin: _Twin | None = None) -> float:
+    def _step(self, axis: int, force: float, motion: PushedMotion, twin: _Twin | None = None) -> float:
         """The position along an axis at the next tick, where `force` is held along it from then on.
 
         It counts from that of the twin, or of the first reading of the motion.
@@ -399,7 +399,7 @@ class _Twin:
         self.at(k)
 
     def at(self, k: int) -> Reading:
-        """What it reads at tick k."""
+        """Read it at tick k."""
         for each in range(self._k, k + 1):
             with suppress(DeviceError, OSError), self._watch.calling("read"):
                 self._reading = self.device.read(each)
@@ -408,8 +408,8 @@ class _Twin:
         return self._reading
 
 
-def _farthest(motion: Motion) -> float:
-    """How far it came from where it would be without the push, until the force was zero again, m or rad."""
+def _farthest(motion: PushedMotion) -> float:
+    """Greatest way (m or rad) from where it would be without the push, until the force was zero again."""
     return max(motion.by[:motion.pushed()], key=abs, default=0.0)
 
 
@@ -424,7 +424,7 @@ def _raises(method: str, error: Exception) -> DeviceFault:
 
 
 def report(result: DeviceCheck, e: str) -> str:
-    """What was measured, for a person."""
+    """Write what was measured for a person."""
     lets_go = [] if result.deadline is None else [f"by itself after {result.deadline:g} s"]
     lets_go += ["by its watchdog process"] * result.watchdog
     lines = [

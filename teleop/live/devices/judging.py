@@ -25,7 +25,7 @@ COASTS = 4.5  # times as far as it was pushed: in as long again a free mass come
 
 
 class Mistake(Enum):
-    """What `check_device` finds wrong with a device."""
+    """Mistakes of a device that `check_device` names."""
 
     UNREAD = "a reading is missing"
     NOT_LEFT_LIMIT = "a reading is no left limit"
@@ -45,7 +45,7 @@ class Mistake(Enum):
 
 
 class DeviceFault(Refused):
-    """What a device does wrong: the `mistake`, and the sentence that says what to do."""
+    """Refusal of a device: its `mistake`, and the sentence that says what to do."""
 
     def __init__(self, mistake: Mistake, sentence: str) -> None:
         super().__init__(sentence)
@@ -53,7 +53,7 @@ class DeviceFault(Refused):
 
 
 @dataclass
-class Motion:
+class PushedMotion:
     """Motion along one axis, in order of time: a number in each list for each reading.
 
     `by` and `f` count from where the device would be without the push, and from what it would sense there; `f` is empty
@@ -104,7 +104,7 @@ def check_deadline(deadline: float | None) -> None:
             "if its hardware takes longer, leave deadline out and take --watchdog"))
 
 
-def check_velocity(motion: Motion, least: float) -> None:
+def check_velocity(motion: PushedMotion, least: float) -> None:
     """Raise `DeviceFault` if the integral of v is not the way of x. Ways of up to `least` (m or rad) are not judged."""
     way, integral, along = motion.x, 0.0, [0.0]
     for (t0, v0), (t1, v1) in pairwise(zip(motion.t, motion.v, strict=True)):
@@ -133,7 +133,7 @@ def check_velocity(motion: Motion, least: float) -> None:
         raise DeviceFault(Mistake.VELOCITY_SIZE, f"v and x differ in size {compared}; {units}")
 
 
-def check_growth(motion: Motion, least: float) -> None:
+def check_growth(motion: PushedMotion, least: float) -> None:
     """Raise `DeviceFault` if the force goes on growing: zero was asked for, and what was pushed goes on accelerating.
 
     It was pushed with one force for as long as it was held at zero after that. A passive device from rest comes at most
@@ -156,14 +156,14 @@ def check_growth(motion: Motion, least: float) -> None:
             "replaces the force that was held before: do not add to it"))
 
 
-def check_reach(motion: Motion, whole: Sequence[float] = ()) -> None:
+def check_reach(motion: PushedMotion, whole: Sequence[float] = ()) -> None:
     """Raise `DeviceFault` if the push moved it farther than so gentle a push moves a machine.
 
     `whole`: the force (N or N m) at each tick of a push that was cut short. It is judged by how far it would have taken
     a free mass, whose way grows with the double integral of the force, and let come `LIGHTEST` times as far.
     """
     force, n, unit = abs(_greatest(motion.held)), motion.pushed(), motion.unit
-    moved, done = abs(_greatest(motion.by[:n])), _twice_summed(motion.held)
+    moved, done = abs(_greatest(motion.by[:n])), _twice_summed(motion.held[:n])
     reach = moved * max(1.0, _twice_summed(whole) / done) if done else moved
     if moved <= FARTHEST and reach <= FARTHEST * (LIGHTEST if whole else 1.0):
         return
@@ -175,7 +175,7 @@ def check_reach(motion: Motion, whole: Sequence[float] = ()) -> None:
         f"so light, push it less: --force {force * FARTHEST / reach / 2.0:.1g}"))
 
 
-def check_lag(motion: Motion, dt: float) -> None:
+def check_lag(motion: PushedMotion, dt: float) -> None:
     """Raise `DeviceFault` if the first reading after a sudden force does not know of it yet, and a later one does."""
     first = next((i for i, moved in enumerate(zip(motion.by, motion.v_by, strict=True)) if any(moved)), 0)
     began = next((i for i, force in enumerate(motion.held) if force), 0)
@@ -186,7 +186,7 @@ def check_lag(motion: Motion, dt: float) -> None:
             "it; hand over in read(k) the state at tick k, not what the call before has fetched"))
 
 
-def check_sensor(motion: Motion, least: float, tolerance: float) -> None:
+def check_sensor(motion: PushedMotion, least: float, tolerance: float) -> None:
     """Raise `DeviceFault` if the sensed force is the commanded one, of either sign, while the device moves.
 
     What moves it is then no force of what it touches. `tolerance`: N or N m.
