@@ -6,7 +6,8 @@
    far as that turns knobs of the search; of two points the one that keeps the conditions is better.
 2. From the best point of each playout an evolution strategy (`teleop.studies.tune.strategy`) over the parts of each
    parameter's range, by equal ratios where the range goes by those, folded at its ends. Where it has come to rest it
-   begins again at the best point that is far from all that it began and ended at, until no rows are left.
+   begins again at the best point that is far from all that it began and ended at, until no rows are left. The loops of
+   the best few of a generation are looked at as in 3, so that it turns from those that do not stand.
 3. The linear loop of a result (`teleop.studies.margin`) has to be stable with as many times its gain as the margin that
    is asked for, where it can be worked out; of a law that claims to keep energy with its own gain: waves that resonate
    have no gain to spare, and need none. If it is not, the next best point is looked at that is more than `APART` of a
@@ -62,7 +63,7 @@ SEEDS, POINTS = 4, 250  # of the link in a search at most, and points that it ha
 FEW, FRESH = 8, 24  # points that are run with other seeds, and how many, at most
 LEAST_FRESH = 4
 SIDE_BY_SIDE = 4000  # rows from which compiling for eight at once, twice as long as for one, is made up for
-LOOKS, APART = 64, 0.05  # points whose loop is looked at, and the part of a range between them
+LOOKS, LOOKS_EACH, APART = 64, 3, 0.05  # points whose loop is looked at, of a generation too; part of a range between
 STEP, LEAST = 0.15, 0.004  # of a range: the first standard deviation of a strategy and the least
 FAR = 0.1  # of a range, between the beginnings of strategies
 STALE = 12  # generations without a better point after which a strategy ends
@@ -244,9 +245,9 @@ class _Search:
         self.engine = engine or choose(None, self.scene, max(budget, 16), self.measures)[0]
         self.engine = "scalar" if self.engine == "vector" and engine is None and budget < SIDE_BY_SIDE else self.engine
         self.workers = workers
-        self.keep, self.known = keep, known
-        self.rows = self.asked = 0
+        self.keep, self.known, self.rows, self.asked = keep, known, 0, 0
         self.scores: dict[Point, Score] = {}
+        self.stood: dict[Point, bool] = {}  # points whose linear loop was looked at
         self.varies = (self.scene.link is not None and varies(self.scene.link)) or any(
             self.scene.leaves_out(e) is not None for e in ("m", "s"))
         draws = min(max(budget // (len(self.tasks) * POINTS), 1), SEEDS) if self.varies else 1
@@ -421,6 +422,7 @@ class _Search:
                 self._try(points)
                 if any(point not in self.scores for point in points):  # the rows have run out
                     break
+                self._check_loops(points)
                 strategy.tell(drawn, [self.scores[point].order for point in points])
                 here = min([self.scores[point] for point in points], key=lambda each: each.order)
                 since = 0 if best is None or here.order < best.order else since + 1
@@ -431,20 +433,17 @@ class _Search:
 
     def _with_margin(self, ranked: Sequence[Point], most: int) -> list[Point]:
         """The best of these points, `most` at most, whose loop stands the margin; all are marked if none is found."""
-        gain = 1.0 if claims_of(self.scene.law) else self.margin
         stood: list[Point] = []
         looked: list[Point] = []
         for point in ranked:
             if any(self._near(point, other, APART * 2 ** (4 * len(looked) // LOOKS)) for other in looked) or any(
                     self._near(point, other, 0.2 * APART) for other in stood):
                 continue
-            told = stands(self._scene(point), gain, seed=self.seed)
-            if told is None or told[0]:
+            if self._stands(point):
                 stood.append(point)
                 if len(stood) == most:
                     break
                 continue
-            self.scores[point] = self.scores[point]._replace(broken=told[1], amount=0.5)
             looked.append(point)
             if len(looked) == LOOKS:
                 break
@@ -453,6 +452,22 @@ class _Search:
                 why = "the linear loop of the points near it does not stand the margin"
                 self.scores[point] = self.scores[point]._replace(broken=why, amount=0.6)
         return stood
+
+    def _check_loops(self, points: Sequence[Point]) -> None:
+        """Look at the loops of the best points of a generation, until one stands, so that strategies turn from others.
+        """
+        for point in sorted(points, key=lambda point: self.scores[point].order)[:LOOKS_EACH]:
+            if self.scores[point].broken or self._stands(point):
+                return
+
+    def _stands(self, point: Point) -> bool:
+        """True if the linear loop of a point stands the margin, or has none; the point is marked if it does not."""
+        if point not in self.stood:
+            told = stands(self._scene(point), 1.0 if claims_of(self.scene.law) else self.margin, seed=self.seed)
+            self.stood[point] = told is None or told[0]
+            if told is not None and not told[0]:
+                self.scores[point] = self.scores[point]._replace(broken=told[1], amount=0.5)
+        return self.stood[point]
 
     def _near(self, point: Point, other: Point, apart: float) -> bool:
         """True if no parameter of two points differs by more than `apart` of its range."""
