@@ -7,7 +7,7 @@ makes greater:
 
     books    energy that an end keeps beyond what came in by its port, over the work at that port
     E_law    what it keeps below zero, over the greatest work of one tick so far: more than 1 breaks the claim. No
-             force cap, and no grip or wall of k dt^2/m above 1/4, see `teleop.law.offers`
+             force cap, and no grip or wall of k T^2/m or d T/m above 1/4, see `teleop.law.offers`
     E_port   what the ports got, over all the work at them
 
 Trials at random find what is wrong at ordinary gains; this finds what needs gains, hand, bodies and link at once. The
@@ -45,7 +45,7 @@ from teleop.physics.plant import MassDamper
 from teleop.scene.parts import Reference
 from teleop.scene.playout import Fixed, Hold, Integral, Playout, Zero
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import facts_of
+from teleop.simulation.facts import facts_of, longest
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap
 from teleop.stages.scaling import Scaling
@@ -59,7 +59,8 @@ PARENTS = 6
 CHANGED, STEP = 0.3, 0.4  # the share of a point's numbers that are not its parent's, and how far they go
 DECADES = 2.0  # either way that a knob goes from its value
 CURES = 4  # rounds of typing what the conditions say
-RESOLVED = 0.25  # k dt^2/m of a grip: one that is stiffer turns its master round within a tick
+RESOLVED = 0.25  # k T^2/m and d T/m of a grip or a wall; above, it may turn its body round while a force is held
+DT = 1e-3  # s
 
 
 class Worst(NamedTuple):
@@ -169,19 +170,22 @@ def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | 
     tuned = _tuned(law, point)
     if tuned is None:
         return None
-    size, dt = point.between("amplitude", 0.005, 0.5), 1e-3
+    size, ticks = point.between("amplitude", 0.005, 0.5), round(duration / DT)
+    lost_m, lost_s = _lost(point, "lost_m"), _lost(point, "lost_s")
+    held_m, held_s = _held(lost_m, 0, ticks), _held(lost_s, 1, ticks)
     master, slave = point.between("m_m", 0.02, 2.0), point.between("m_s", 0.05, 5.0)
     one_end: dict[str, Any] = {
         "law": tuned, "energy": True, "duration": duration, "x_limit": 1e3, "cap": cap,
         "axes": 3 if point.at("axes") > 0.7 else 1, "observer": None if point.at("observer") < 0.5 else 200.0,
         "master": MassDamper(mass=master, damping=point.beyond("b_m", 2.0)),
-        "hand": Swing(mass=point.beyond("m_h", 1.0), k=point.between("k_h", 10.0, RESOLVED * master / (dt * dt)),
-                      d=point.between("d_h", 0.1, master / dt),
+        "hand": Swing(mass=point.beyond("m_h", 1.0), k=point.between("k_h", 10.0, RESOLVED * master / held_m**2),
+                      d=point.between("d_h", 0.1, RESOLVED * master / held_m),
                       reference=Tones(amplitude=size, rate=point.between("rate", 3.0, 130.0))),
-        "left_out_m": _lost(point, "lost_m")}
+        "left_out_m": lost_m}
     if not hasattr(law, "slave"):
         return Scene(**one_end)
-    block: Any = Block(k=point.between("k_e", 10.0, RESOLVED * slave / (dt * dt)), d=point.beyond("d_e", 20.0),
+    block: Any = Block(k=point.between("k_e", 10.0, RESOLVED * slave / held_s**2),
+                       d=point.beyond("d_e", min(20.0, RESOLVED * slave / held_s)),
                        at=size * (point.at("at") - 0.3))
     if point.at("shaken") > 0.7:
         path = Tones(amplitude=point.between("shaken_by", 0.001, 0.2), rate=point.between("shaken_at", 3.0, 300.0))
@@ -195,7 +199,7 @@ def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | 
         link=RandomLink(ticks=int(point.between("delay", 1.0, 150.0)) - 1, loss=point.beyond("loss", 0.5),
                         jitter=int(point.beyond("jitter", 20.0)), copies=point.beyond("copies", 0.3),
                         key=point.at("key"), blackout=int(point.beyond("blackout", 150.0))),
-        playout=_playout(law, point), left_out_s=_lost(point, "lost_s"),
+        playout=_playout(law, point), left_out_s=lost_s,
         watchdog=Watchdog(timeout=0.03, ramp=0.02) if point.at("watchdog") > 0.8 else None))
 
 
@@ -208,6 +212,13 @@ def _playout(law: Any, point: Point) -> Playout:
 def _lost(point: Point, name: str) -> LostTicks | None:
     share = point.beyond(name, 0.3, 0.7)
     return LostTicks(share=share, key=point.at("key")) if share > 0.0 else None
+
+
+def _held(lost: LostTicks | None, end: int, ticks: int) -> float:
+    """The longest time that an end which leaves out these ticks holds a force, s."""
+    import numpy as np
+
+    return DT if lost is None else DT * longest(np.flatnonzero(~lost.left_out(end, ticks, 0)), ticks)
 
 
 def _cap(point: Point) -> Cap | None:

@@ -26,7 +26,8 @@ energy: with E_0 = 0 the slave would stay until the master's damper has saved mo
 
 What is below zero is one tick's surprise. y' has P' <= T+, so E = T - P' >= 0 where T >= 0. The force is held over a
 motion d that is not yet known, and takes from T at most (sqrt(2 K T+) + B |v|) |d|, which leaves T >= -K d^2/2 - B |v
-d|. With T < 0 the set point is x and nothing is left but the damper, which fills T while v keeps its sign over a tick.
+d|. A body m at rest goes by d = f dt^2/(2 m) and gets no more than there is for K <= m/dt^2. With T < 0 the set point
+is x and nothing is left but the damper, which fills T while v keeps its sign over a tick.
 Neither B v^2 dt nor the paper's D_min = B d^2/dt is a lower bound of what the held damper took, B v d: both make energy
 where v changes in a tick. A watchdog or a cap that lets the device have less than f is in w, so what it keeps back is
 not spent. With R a force ends without a jump where the energy runs out.
@@ -91,10 +92,14 @@ class PSPM:
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
         ends = (("B_m", self.B_m, facts.mass_m), ("B_s", self.B_s, facts.mass_s))
-        return tuple([f"a damper that is held from tick to tick takes energy where B <= m/T, T the longest tick, "
-                      f"which {name} = {B:g} N s/m is not; --set law.{name}="
-                      f"{enough(mass / facts.held, least=False)} is the most"
-                      for name, B, mass in ends if B * facts.held > mass])
+        most = min(facts.mass_m, facts.mass_s) / (facts.held * facts.held)
+        spring = (f"a held spring gives a body at rest no more energy than its end has where K <= m/T^2, T the longest "
+                  f"tick, which K = {self.K:g} N/m is not; --set law.K={enough(most, least=False)} is the most")
+        dampers = [f"a damper that is held from tick to tick takes energy where B <= m/T, T the longest tick, "
+                   f"which {name} = {B:g} N s/m is not; --set law.{name}="
+                   f"{enough(mass / facts.held, least=False)} is the most"
+                   for name, B, mass in ends if B * facts.held > mass]
+        return (*([spring] if most < self.K else []), *dampers)
 
     def fitted(self, facts: Facts) -> PSPM:
         """The law with both dampers no more than 2 m/T."""

@@ -110,6 +110,14 @@ def test_what_the_books_lack_is_what_did_not_fit() -> None:
     assert seed_energy(PSPM()) == 0.02
 
 
+def test_a_spring_that_throws_a_body_further_than_its_energy_is_told_of() -> None:
+    facts = facts_of(load_scene("canonical", law=PSPM()))
+    most = min(facts.mass_m, facts.mass_s) / facts.dt**2
+    told, = PSPM(K=1.01 * most).conditions(facts)
+    assert f"--set law.K={most:.6g} is the most" in told
+    assert PSPM(K=0.99 * most).conditions(facts) == ()
+
+
 def test_a_damper_that_takes_more_than_all_motion_in_a_tick_is_told_of() -> None:
     facts = facts_of(load_scene("canonical", law=PSPM(B_m=250.0)))
     told, = PSPM(B_m=250.0).conditions(facts)
