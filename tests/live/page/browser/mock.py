@@ -154,7 +154,8 @@ class Mock:
                   "walls": [WALL, *[None] * (n - 1)], "caps": [F_MAX] * n,
                   "spans": [0.12, *[0.4] * (n - 1)]} if n > 3 else {}
         return {**joints, "type": "hello", "scene": "hard_wall", "axes": n, "dt": DT, "law": self.knobs["law"],
-                "laws": [{"name": name, "says": says} for name, says in LAWS.items()], "wall": WALL, "f_max": F_MAX,
+                "laws": [{"name": name, "says": says} for name, says in LAWS.items()], "gains": "", "notes": [],
+                "wall": WALL, "f_max": F_MAX,
                 "sliders": [{**one, "value": self.knobs[one["name"]]} for one in SLIDERS], "span": 0.12,
                 "link": f"delay({self.knobs['delay']:g})", "energy": self.energy}
 
