@@ -28,7 +28,7 @@ force that it sets is there at once. A slew limit of the force cap holds a force
 f^2/(2 slew) |v| goes out each time, tens of mJ at 100 N/s, and joules where it is so slow that the loop swings. The
 work over an encoder's readings differs from the true one by up to a step times each change of the force. Under a force
 cap the force that would pay is not held, and what several ticks took may add up. So it may where a device turns round
-while a force is held, as with a grip or a wall of k T^2/m or d T/m above 1/4: no reading says what a force will do then.
+while a force is held, as with a grip or wall of k T^2/m or d T/m above 1/4: no reading says what a force will do then.
 
 A damper B that is held over T against a body m on which h acts besides takes B v dx, dx = v T + (h - B v) T^2/(2 m),
 which is at least -B h^2 T^3/(16 m^2 (1 - B T/(2 m))). Without h that is nothing for B <= 2 m/T; with it there is no
