@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from math import sqrt
+from os import getloadavg
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from teleop.studies.tune.search import Scored, Tuned, tune_law
 from teleop.sweeps.engine import PLAIN
 from teleop.sweeps.grid import plain
 from teleop.sweeps.kernels.digest import digest
-from teleop.sweeps.runner import plan_sweep
+from teleop.sweeps.runner import cores, plan_sweep
 from teleop.sweeps.store import Store
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
@@ -125,15 +126,15 @@ class Outlook:
         """A law is searched."""
         self._done.add(law)
 
-    def left(self, now: float) -> float:
-        """The time that is left, s."""
+    def left(self, now: float, busy: float = 1.0) -> float:
+        """The time that is left, s; `busy`: processes that want to run for each core, until rows have come."""
         spent = sum(self._last[law][0] - at for law, (at, _) in self._first.items())
         came = sum(self._last[law][1] - rows for law, (_, rows) in self._first.items())
-        each = spent / came if came else self._each
+        each = spent / came if came else self._each * busy
         starts = [max(0.0, at - self._begun[law][0] - each * (rows - self._begun[law][1]))
                   for law, (at, rows) in self._first.items()]
         start = sum(starts) / len(starts) if starts else max(
-            [self._start, *(now - at for law, (at, _) in self._begun.items() if law not in self._done)])
+            [self._start * busy, *(now - at for law, (at, _) in self._begun.items() if law not in self._done)])
         work = [start + each * self._rows] * self._waiting
         for law, (at, known) in self._begun.items():
             if law not in self._done:
@@ -198,7 +199,8 @@ class _Searches:
     def poll(self) -> None:
         """Show how far the searches have come."""
         now = self.clock()
-        left, spent = self.outlook.left(now), now - self.began
+        busy = max(1.0, getloadavg()[0] / cores())
+        left, spent = self.outlook.left(now, busy), now - self.began
         if spent >= SETTLED and self.told is None:
             self.told = spent + left
         part = spent / (spent + left) if spent >= SETTLED else 0.0

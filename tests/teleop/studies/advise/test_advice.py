@@ -92,9 +92,10 @@ def test_rows_that_were_there_are_no_measure_of_the_time_that_is_left() -> None:
     outlook.rows(0, 400, 0.001)
     outlook.rows(0, 500, 0.002)
     assert outlook.left(1.0) == pytest.approx(7.0 - 1.0 + 500 * 0.01)
+    assert outlook.left(1.0, busy=3.0) == pytest.approx(21.0 - 1.0 + 3.0 * 500 * 0.01)
     outlook.rows(0, 600, 10.0)
     outlook.rows(0, 700, 20.0)
-    assert outlook.left(20.0) == pytest.approx(30.0)
+    assert outlook.left(20.0, busy=3.0) == pytest.approx(30.0)
 
 
 def searching(law: str, link: str) -> tuple[dict[str, Any], _Search]:
