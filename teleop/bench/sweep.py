@@ -1,8 +1,8 @@
 """What a row of a sweep costs a tick: the compiled kernels of the canonical scene beside a C program of the same scene.
 
 The C program steps the bodies by semi-implicit Euler, one step a tick, and works out the same tracking error; it is
-compiled here with -O3 and called in this process, in turn with ours, on the same packets. It plays zero in gaps; over
-jitter and loss ours are timed so too, which is the comparison, and by their integral, as the scene plays them by itself.
+compiled here with -O3 and called in this process, in turn with ours, on the same packets. It plays zero in gaps;
+over jitter and loss ours are timed so too, which is the comparison, and by the integral, the scene's own playout.
 """
 
 from __future__ import annotations
