@@ -83,9 +83,9 @@ def settle(
     left = known.keys() - given.keys()
     for key, value in given.items():
         if key == "law" and of_law and isinstance(value, str):
-            own = _own_as_named(value, known[key].default)
-            values[key] = (_by_axis(partial(_named_law, value), of_law) if own is None else
-                           _tuned_by_axis(own, of_law))
+            scenes = _own_as_named(value, known[key].default)
+            values[key] = (_by_axis(partial(_named_law, value), of_law) if scenes is None else
+                           _tuned_by_axis(scenes, of_law))
         elif key in known:
             values[key] = read_knob(key, value, known[key])
         elif key in PARTS:
@@ -221,8 +221,8 @@ def read_law(text: str, default: object = None) -> Any:
     `default`: the law that a scene has by itself. A text that names this law keeps the scene's gains, unless brackets
     say that they are written out: `wave()` has the law's own numbers everywhere.
     """
-    own = _own_as_named(text, default)
-    return _named_law(text, {}) if own is None else own
+    law = _own_as_named(text, default)
+    return _named_law(text, {}) if law is None else law
 
 
 def law_with_its_numbers(text: str, scene: Callable[..., Any]) -> str:
@@ -231,8 +231,8 @@ def law_with_its_numbers(text: str, scene: Callable[..., Any]) -> str:
     Raises `Refused` for a text that names no law.
     """
     default = knobs_of(scene)["law"].default if "law" in knobs_of(scene) else None
-    own = _own_as_named(text, default)
-    return text if own is None or own == _named_law(text, {}) else f"{text}()"
+    law = _own_as_named(text, default)
+    return text if law is None or law == _named_law(text, {}) else f"{text}()"
 
 
 def _own_as_named(text: str, default: Any) -> Any | None:
@@ -244,12 +244,12 @@ def _own_as_named(text: str, default: Any) -> Any | None:
     kind = innermost(type(laws[0]))
     if _law_class(parts.law) is not kind:
         return None
-    found = [kind(**{each.name: getattr(law, each.name) for each in fields(kind) if each.init}) for law in laws]
+    named = [kind(**{each.name: getattr(law, each.name) for each in fields(kind) if each.init}) for law in laws]
     if parts.stages:
-        found = [around(" | ".join(parts.stages), law) for law in found]
-        if type(found[0]) is type(laws[0]) and not any("(" in stage for stage in parts.stages):
-            found = [*laws]  # the scene's own stages too
-    return tuple(found) if isinstance(default, tuple) else found[0]
+        named = [around(" | ".join(parts.stages), law) for law in named]
+        if type(named[0]) is type(laws[0]) and not any("(" in stage for stage in parts.stages):
+            named = [*laws]  # the scene's own stages too
+    return tuple(named) if isinstance(default, tuple) else named[0]
 
 
 def _by_axis(make: Callable[[Mapping[str, object]], Any], changes: Mapping[str, object]) -> Any:

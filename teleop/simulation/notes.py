@@ -20,8 +20,8 @@ MARGIN = 0.01  # s, live: what the machine adds to the link
 
 def untuned(scene: Scene) -> list[str]:
     """The note on a law that is not the scene's own and has its defaults, which nobody chose for this scene."""
-    law, own = scene.laws[0], scene.own_law[0] if isinstance(scene.own_law, tuple) else scene.own_law
-    if own is None or innermost(type(law)) is innermost(type(own)) or not all(map(_has_defaults, scene.laws)):
+    law, usual = scene.laws[0], scene.own_law[0] if isinstance(scene.own_law, tuple) else scene.own_law
+    if usual is None or innermost(type(law)) is innermost(type(usual)) or not all(map(_has_defaults, scene.laws)):
         return []
     return [f"law {law_name(law)} runs with its defaults, which are not tuned for scene {scene.name}; set its gains "
             "with --set law.NAME=VALUE, or search them with teleop tune"]
@@ -30,8 +30,8 @@ def untuned(scene: Scene) -> list[str]:
 def _has_defaults(law: Any) -> bool:
     """True if every number of a law, stages around it left out, is the law's default; False of one without numbers."""
     kind = innermost(type(law))
-    own = [each for each in fields(kind) if each.init] if is_dataclass(kind) else []
-    return bool(own) and all(getattr(law, each.name) == each.default for each in own)
+    numbers = [each for each in fields(kind) if each.init] if is_dataclass(kind) else []
+    return bool(numbers) and all(getattr(law, each.name) == each.default for each in numbers)
 
 
 def unplayed(scene: Scene, trace: Mapping[str, Any], packets: Mapping[str, Packets], *, seed: int, live: bool = False

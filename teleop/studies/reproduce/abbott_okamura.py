@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from teleop.analysis.passivity.one_port import one_port
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 from teleop.studies.reproduce.rendered import wall
 
 DEVICES = ((0.8, 0.02, 5e-5), (0.8, 0.02, 1e-5), (0.1, 0.04, 3e-5))  # N s/m, N, m
@@ -26,7 +26,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="abbott_okamura",
-    kind=Kind.FORMULA,
+    kind=NumberSource.FORMULA,
     source="J. J. Abbott and A. M. Okamura, Effects of position quantization and sampling rate on virtual-wall "
            "passivity, IEEE Trans. Robotics 21(5), 2005",
     about="a sampled spring behind an encoder of step D is passive if K <= min(2 b/T, 2 f_c/D)",

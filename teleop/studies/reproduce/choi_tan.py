@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 
 SLOW, FAST = "0.325", "0.904"  # N/mm, at 250 Hz and at 40 kHz
 LACKS = ("judged by people at a textured wall; what they call clean, the device's resonance and its friction are "
@@ -21,7 +21,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="choi_tan",
-    kind=Kind.PRINTED,
+    kind=NumberSource.PRINTED,
     source="S. Choi and H. Z. Tan, Effect of update rate on perceived instability of virtual haptic texture, Proc. "
            "IEEE/RSJ IROS, 2004",
     about="textures can be rendered stiffer, and feel clean, at higher update rates",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from teleop.analysis.passivity.one_port import one_port
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 from teleop.studies.reproduce.rendered import wall
 
 WALLS = ((1600.0, 0.0), (800.0, 0.4), (1000.0, 0.25))  # N/m, N s/m
@@ -28,7 +28,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="colgate_schenkel",
-    kind=Kind.FORMULA,
+    kind=NumberSource.FORMULA,
     source="J. E. Colgate and G. G. Schenkel, Passivity of a class of sampled-data systems: application to haptic "
            "interfaces, J. Robotic Systems 14(1), 1997",
     about="a device with a sampled wall is passive iff b >= K T/2 + |B|",

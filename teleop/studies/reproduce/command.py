@@ -12,7 +12,15 @@ from teleop.simulation.result import head
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import write_document
 from teleop.studies.reproduce import PUBLICATIONS, find_publication
-from teleop.studies.reproduce.publication import DIFFERS, FITTED, PUBLISHED, REPRODUCED, Finding, Kind, Publication
+from teleop.studies.reproduce.publication import (
+    DIFFERS,
+    FITTED,
+    PUBLISHED,
+    REPRODUCED,
+    Finding,
+    NumberSource,
+    Publication,
+)
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import columns
 
@@ -51,14 +59,14 @@ def _answer(came: Came, typed: Sequence[str]) -> Answer:
     return Answer(table(came), document)
 
 
-def verdict(came: Came) -> list[str]:
-    """How many of the numbers came out as printed: a sentence for each kind of number, for they weigh unlike."""
+def verdict(reruns: Came) -> list[str]:
+    """A sentence for each source of numbers, with how many came out as printed: the sources weigh unlike."""
     sentences = []
-    for kind in Kind:
-        labels = [finding.label for one, findings in came.values() if one.kind is kind for finding in findings]
+    for source in NumberSource:
+        labels = [finding.label for one, findings in reruns.values() if one.kind is source for finding in findings]
         counts = [f"{labels.count(label)} {words}" for label, words in WORDS.items() if label in labels]
         if labels:
-            sentences.append(f"{number_of(len(labels), 'number')} {kind.value}: {', '.join(counts)}")
+            sentences.append(f"{number_of(len(labels), 'number')} {source.value}: {', '.join(counts)}")
     return sentences
 
 

@@ -9,7 +9,7 @@ from teleop.law import find_law
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 
 K, DELAY, MASS = 400.0, 0.05, 5.0  # N/m, s each way, kg
 
@@ -35,7 +35,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="damping_injection",
-    kind=Kind.FORMULA,
+    kind=NumberSource.FORMULA,
     source="E. Nuno, R. Ortega, N. Barabanov and L. Basanez, A globally stable PD controller for bilateral "
            "teleoperators, IEEE Trans. Robotics 24(3), 2008, and the form with a sum of squares in circulation since",
     about="two ends drawn to where the other was stay bounded if they are damped by B >= K T",

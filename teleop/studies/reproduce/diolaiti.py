@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from teleop.analysis.passivity.one_port import one_port
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 from teleop.studies.reproduce.rendered import wall
 
 WALLS = ((1000.0, 1), (1000.0, 5), (200.0, 20))  # N/m, ticks
@@ -18,7 +18,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="diolaiti",
-    kind=Kind.FORMULA,
+    kind=NumberSource.FORMULA,
     source="N. Diolaiti, G. Niemeyer, F. Barbagli and J. K. Salisbury, Stability of haptic rendering: discretization, "
            "quantization, time delay, and Coulomb effects, IEEE Trans. Robotics 22(2), 2006",
     about="a spring whose force is late by t_d needs the device damping K (T/2 + t_d)",

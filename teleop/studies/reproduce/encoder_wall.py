@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 
 # knobs of the scene; peak and peak-to-peak in the last 0.5 s (mm), observed energy (mJ), as printed
 RUNS = {
@@ -35,7 +35,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="encoder_wall",
-    kind=Kind.TEXTBOOK,
+    kind=NumberSource.TEXTBOOK,
     source="laboratory of a study wiki on haptic interfaces, after B. Hannaford and J.-H. Ryu, Time-domain passivity "
            "control of haptic interfaces, IEEE Trans. Robotics and Automation 18(1), 2002",
     about="limit cycles of a wall behind an encoder and a slow force, and the passivity controller that ends them",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from teleop.scene.loading import load_scene
 from teleop.simulation.facts import fitted
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 
 STIFFNESS, DELAY = 1500.0, 1.0  # N/m, s each way
 AT_REST = 1e-4  # m, peak-to-peak in the last five seconds
@@ -33,7 +33,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="franken",
-    kind=Kind.PRINTED,
+    kind=NumberSource.PRINTED,
     source="M. Franken, S. Stramigioli, S. Misra, C. Secchi and A. Macchelli, Bilateral telemanipulation with time "
            "delays: a two-layer approach combining passivity and transparency, IEEE Trans. Robotics 27(4), 2011",
     about="a position-force law with an energy tank below it is stable over 1 s of delay",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from teleop.analysis.stability.assess import critical
 from teleop.scene.scene import Scene
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 from teleop.studies.reproduce.rendered import wall
 
 WALLS = ((0.0, 0), (0.0, 1), (0.0, 5), (0.0, 10), (0.0, 100), (0.8, 5))  # N s/m, ticks
@@ -31,7 +31,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="gil",
-    kind=Kind.FORMULA,
+    kind=NumberSource.FORMULA,
     source="J. J. Gil, E. Sanchez, T. Hulin, C. Preusche and G. Hirzinger, Stability boundary for haptic rendering: "
            "influence of damping and delay, J. Computing and Information Science in Engineering 9(1), 2009",
     about="a late virtual wall is stable for K < (b + B)/(T/2 + t_d)",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 from teleop.studies.reproduce.rendered import held, wall
 
 HANDLE, FINGER, SPRING, FLOOR, TICK = 0.35, 0.006, 500.0, 5000.0, 0.01  # kg, kg, N/m, N/m, s
@@ -32,7 +32,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="gillespie_cutkosky",
-    kind=Kind.PRINTED,
+    kind=NumberSource.PRINTED,
     source="R. B. Gillespie and M. R. Cutkosky, Stable user-specific haptic rendering of the virtual wall, Proc. ASME "
            "IMECE, DSC-Vol. 58, 1996",
     about="a sampled floor gives out energy at every strike, for its force comes and goes late",

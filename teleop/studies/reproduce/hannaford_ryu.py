@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 from teleop.studies.reproduce.rendered import held, wall
 
 MASS, DAMPING, HAND = 2.0, 1.0, 40.0  # kg, N s/m, N s/m; not known, see `setting`
@@ -64,7 +64,7 @@ def _rest(came: Contact) -> str:
 
 PUBLICATION = Publication(
     name="hannaford_ryu",
-    kind=Kind.PRINTED,
+    kind=NumberSource.PRINTED,
     source="B. Hannaford and J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and "
            "Automation 18(1), 2002",
     about="a hard wall met at 200 mm/s bounces on, and comes to rest with the passivity controller",

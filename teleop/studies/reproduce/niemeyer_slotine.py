@@ -9,7 +9,7 @@ from typing import Any
 from teleop.law import At, find_law
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 
 b, T = 0.8, 0.05  # N s/m, s each way
 HANDLE = MassDamper(mass=0.04, damping=0.8)
@@ -59,7 +59,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="niemeyer_slotine",
-    kind=Kind.FORMULA,
+    kind=NumberSource.FORMULA,
     source="G. Niemeyer and J.-J. E. Slotine, Stable adaptive teleoperation, IEEE J. Oceanic Engineering 16(1), 1991",
     about="a delayed wave channel is a mass where its far end is free, a spring where it is clamped, and in between a "
           "transmission line, Z = b (1 - G e^-2sT)/(1 + G e^-2sT)",

@@ -8,7 +8,7 @@ from typing import Any
 from teleop.law import At, find_law
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 
 FORCES = ((5.0, 3.0), (1.0, 3.0), (-2.0, 3.0), (-5.0, -3.0))  # N: f_env, f_h
 SURFACE = 0.03  # m, of the scene beating_heart in the mean
@@ -24,7 +24,7 @@ def reflected(f_env: float, f_h: float) -> float:
 
 
 def let_go(law: str) -> tuple[float, float]:
-    """How far (m) a master that nobody holds moves, and the greatest force (N) on the slave.
+    """Motion (m) of a master that nobody holds, and the greatest force (N) on the slave.
 
     Both ends begin at the mean surface of a beating wall, 30 mm from the origin: it pushes the slave from there.
     """
@@ -56,7 +56,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="polushin",
-    kind=Kind.FORMULA,
+    kind=NumberSource.FORMULA,
     source="I. G. Polushin, P. X. Liu and C.-H. Lung, A force-reflection algorithm for improved transparency in "
            "bilateral teleoperation with communication delay, IEEE/ASME Trans. Mechatronics 12(3), 2007",
     about="the reflected force is felt as far as the hand resists it, and never moves the master by itself",

@@ -9,8 +9,8 @@ A number is labelled by what came of it:
 
 The tolerance of a printed number is half of its last digit, unless the finding names one that was chosen here.
 
-Publications are counted apart by what their numbers are (`Kind`): only a number that a paper prints is a measurement or
-a result of others; a formula at numbers of our own says that its derivation holds here.
+Publications are counted apart by the source of their numbers (`NumberSource`): only a number that a paper prints is a
+measurement or a result of others; a formula at numbers of our own says that its derivation holds here.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ REPRODUCED, DIFFERS, FITTED, PUBLISHED = "reproduced", "differs", "fitted", "pub
 ROUNDING = 1e-9  # of the tolerance: 0.5 of the last digit is within half of it
 
 
-class Kind(Enum):
-    """Where the numbers of a publication are from."""
+class NumberSource(Enum):
+    """Source of the numbers of a publication."""
 
     PRINTED = "printed in a paper"
     FORMULA = "of a paper's formula at numbers chosen here"
@@ -78,7 +78,7 @@ class Publication:
     """A publication and the rerun of its numbers."""
 
     name: str
-    kind: Kind
+    kind: NumberSource
     source: str  # authors, title, where and when
     about: str  # what is compared, in a sentence
     setting: str  # the scene that is run here, and what of it is printed and what assumed

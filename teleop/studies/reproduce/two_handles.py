@@ -8,7 +8,7 @@ from teleop.analysis.passivity.judge import Judged, two_ports
 from teleop.law import find_law
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
-from teleop.studies.reproduce.publication import Finding, Kind, Publication
+from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)
 
@@ -44,7 +44,7 @@ def rerun() -> list[Finding]:
 
 PUBLICATION = Publication(
     name="two_handles",
-    kind=Kind.TEXTBOOK,
+    kind=NumberSource.TEXTBOOK,
     source="laboratory of a study wiki on teleoperation, with the criterion of F. B. Llewellyn, Some fundamental "
            "properties of transmission systems, Proc. IRE 40(3), 1952",
     about="what delay does to two coupled handles: what is felt of a wall stays, free motion gets heavy, and the "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from teleop.bench.__main__ import BENCHES
-from teleop.bench.table import LINES, MISSED, Elsewhere, Line, labelled, measured, table
+from teleop.bench.table import LINES, MISSED, Elsewhere, Item, labelled, measured, table
 from teleop.scene.library import ROOT
 
 ROWS = [("constant delay: C", "19.3 ns a tick", ""), ("constant delay: scalar", "23.5 ns a tick", ""),
@@ -19,7 +19,7 @@ def test_the_readme_had_other_lines_than_its_command_prints() -> None:
     lines = (ROOT / "teleop" / "bench" / "README.md").read_text().splitlines()
     shown = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines if line.startswith("| ")]
     assert [(what, aimed, by.strip("`")) for what, _, aimed, by in shown[1:]] == [
-        (line.what, line.aimed, line.bench if isinstance(line, Line) else line.command) for line in LINES]
+        (line.what, line.aimed, line.bench if isinstance(line, Item) else line.command) for line in LINES]
     assert all(cell for _, cell, *_ in shown[1:])
 
 
@@ -29,7 +29,7 @@ def test_the_readme_had_other_lines_than_its_command_prints() -> None:
     (("late",), "30 us, 0.93 times C"), (("both",), f"81 / 80 us {MISSED}"), (("nothing", "gain"), "no row; 1.9 times"),
 ])
 def test_a_cell_has_a_value_for_each_part_and_says_what_is_missed(patterns: tuple[str, ...], cell: str) -> None:
-    assert measured(Line("", "", "", patterns), labelled(ROWS)) == cell
+    assert measured(Item("", "", "", patterns), labelled(ROWS)) == cell
 
 
 def test_each_bench_is_run_once_and_a_line_of_another_command_keeps_its_figure() -> None:
@@ -39,9 +39,9 @@ def test_each_bench_is_run_once_and_a_line_of_another_command_keeps_its_figure()
         asked.append(name)
         return ROWS
 
-    lines = [Line("one", "1.8", "sweep", ("gain",)), Line("two", "", "sweep", ("late",)),
+    lines = [Item("one", "1.8", "sweep", ("gain",)), Item("two", "", "sweep", ("late",)),
              Elsewhere("x", "1", "y", "2 s")]
     assert table(run, lines).splitlines()[2:] == [
         "| one | 1.9 times | 1.8 | `sweep` |", "| two | 30 us, 0.93 times C |  | `sweep` |", "| x | 2 s | 1 | `y` |"]
     assert asked == ["sweep"]
-    assert {line.bench for line in LINES if isinstance(line, Line)} <= {*BENCHES}
+    assert {line.bench for line in LINES if isinstance(line, Item)} <= {*BENCHES}

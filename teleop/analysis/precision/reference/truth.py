@@ -74,21 +74,21 @@ def truth_of(scene: Scene, seed: int, clock: Callable[[], int], *, patient: bool
                  bound=None if exact else bound_of(scene, own), took=took)
 
 
-def bound_of(scene: Scene, own: Result) -> dict[str, float] | None:
-    """A bound of the error of the stack's own run of `scene`, by column; None where it cannot be told.
+def bound_of(scene: Scene, result: Result) -> dict[str, float] | None:
+    """A bound of the error of `result`, the stack's own run of `scene`, by column; None where it cannot be told.
 
     The estimates of single ticks bound it not: an error of speed goes on in free flight, and a loop may enlarge it. So
-    the same run is made with a smaller tolerance, whose error E' is taken to be at most half of the error E of `own`,
-    as the sums of both runs' estimates are. Then the difference D of the two is at least E - E', and E at most 2 D.
-    Where the estimates are not halved at either of two tolerances, all that is left is rounding, and nothing is told.
+    the same run is made with a smaller tolerance, whose error E' is taken to be at most half of the error E of
+    `result`, as the sums of both runs' estimates are. Then the difference D of the two is at least E - E', and E at
+    most 2 D. Where the estimates are not halved at either of two tolerances, all that is left is rounding: None.
     """
-    whole = _summed(own)
+    whole = _summed(result)
     if not whole > 0.0:
         return None
     for factor in (FINER, TIGHTER):
-        finer = run(replace(scene, tolerance=factor * scene.tolerance), seed=own.seed)
+        finer = run(replace(scene, tolerance=factor * scene.tolerance), seed=result.seed)
         if _summed(finer) <= 0.5 * whole:
-            return {name: 2.0 * error.max for name, error in errors(own.trace, finer.trace).items()}
+            return {name: 2.0 * error.max for name, error in errors(result.trace, finer.trace).items()}
     return None
 
 

@@ -8,6 +8,9 @@ import pytest
 
 from teleop.errors import Refused
 from teleop.law import find_law, known_laws
+from teleop.laws.direct import Direct
+from teleop.laws.wave import Wave
+from teleop.scene.loading import load_scene
 from teleop.studies.compare.cases import cases_of
 from teleop.studies.compare.file import BUILT_IN, read_comparison
 
@@ -56,6 +59,15 @@ def test_the_built_in_file_has_every_law_with_two_ends_and_makes_scenes_of_all()
         name for name in known_laws() if hasattr(find_law(name), "slave"))
     one = read_comparison(BUILT_IN, ["direct"])
     assert len(cases_of(one, "compare.toml")) == len(one.links) * len(one.environments) == 72
+
+
+def test_a_law_has_the_same_numbers_in_the_scene_whose_own_law_it_is(tmp_path: Path) -> None:
+    """Its name alone keeps the gains of the scene `hard_wall`, and the others' are defaults."""
+    text = GOOD.replace('scene = "free_motion"', 'scene = "hard_wall"')
+    cases = cases_of(read_comparison(written(tmp_path, text)), "mine.toml")
+    laws = [load_scene(case.scene, **case.knobs).law for case in cases[::2]]
+    assert laws == [Direct(), Wave()]
+    assert "--set 'law=wave()'" in cases[-1].command(0)
 
 
 def test_a_law_of_its_own_knobs_stands_beside_the_named_ones(tmp_path: Path) -> None:
