@@ -64,7 +64,7 @@ DT = 1e-3  # s
 
 
 class Worst(NamedTuple):
-    """What a search has found: nothing that breaks the claim, or it would have raised."""
+    """Figures of a search that broke no claim: of those runs that came closest."""
 
     runs: int
     fractions: dict[str, float]  # the greatest by goal: of the bound for E_law, of the work for the others
@@ -114,19 +114,19 @@ class Point:
 
 def try_worst(law: Any, *, runs: int = RUNS, key: str = "", duration: float = DURATION) -> Worst:
     """Search with so many runs for each goal; `key` is another search. `Refused` if a claim breaks, with the scene."""
-    found = Worst(0, {}, 0.0, {})
+    worst = Worst(0, {}, 0.0, {})
     for ledger, goals in GOALS.items():
         if ledger in claims_of(law):
             for goal in goals:
-                found = _evolved(law, ledger, goal, found, runs, spread(f"{type(law).__name__}{goal}{key}"), duration)
-    return found
+                worst = _evolved(law, ledger, goal, worst, runs, spread(f"{type(law).__name__}{goal}{key}"), duration)
+    return worst
 
 
-def _evolved(law: Any, ledger: str, goal: str, found: Worst, runs: int, dice: Iterator[float], duration: float
+def _evolved(law: Any, ledger: str, goal: str, worst: Worst, runs: int, dice: Iterator[float], duration: float
              ) -> Worst:
-    """The search of one goal, with what the ones before it found."""
+    """The search of one goal, with what the goals before it had."""
     best: list[tuple[float, int, Point, Scene]] = []
-    port, ran = found.port, 0
+    port, ran = worst.port, 0
     for number in range(4 * runs):  # of points whose law cannot be had there is no run
         parents = tuple([point for _, _, point, _ in best[:PARENTS]])
         point = Point(dice, parents if ran >= RANDOM * runs else ())
@@ -143,12 +143,12 @@ def _evolved(law: Any, ledger: str, goal: str, found: Worst, runs: int, dice: It
         if ran == runs:
             break
     if not best:
-        return found
-    return Worst(found.runs + ran, {**found.fractions, goal: best[0][0]}, port, {**found.scenes, goal: best[0][3]})
+        return worst
+    return Worst(worst.runs + ran, {**worst.fractions, goal: best[0][0]}, port, {**worst.scenes, goal: best[0][3]})
 
 
 def _fraction(goal: str, scene: Scene, trace: Any) -> float:
-    """How far a run went towards breaking a goal."""
+    """Progress of a run towards breaking a goal."""
     works = works_of(trace)
     if goal == "E_law":
         return float((-trace["E_law"] / (surprise(works) + LOW)).max())
@@ -172,7 +172,7 @@ def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | 
         return None
     size, ticks = point.between("amplitude", 0.005, 0.5), round(duration / DT)
     lost_m, lost_s = _lost(point, "lost_m"), _lost(point, "lost_s")
-    held_m, held_s = _held(lost_m, 0, ticks), _held(lost_s, 1, ticks)
+    held_m, held_s = _longest_held(lost_m, 0, ticks), _longest_held(lost_s, 1, ticks)
     master, slave = point.between("m_m", 0.02, 2.0), point.between("m_s", 0.05, 5.0)
     one_end: dict[str, Any] = {
         "law": tuned, "energy": True, "duration": duration, "x_limit": 1e3, "cap": cap,
@@ -204,9 +204,9 @@ def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | 
 
 
 def _playout(law: Any, point: Point) -> Playout:
-    """One of those that a claim over any link admits; a law without waves may have a message played again."""
-    held: Playout = Integral() if any(map(kind.waves, messages(law))) else Hold()
-    return (Zero(), held, Fixed(0.02))[int(point.at("playout") * 2.999)]
+    """A playout that a claim over any link admits; a law without waves may have a message played again."""
+    again: Playout = Integral() if any(map(kind.waves, messages(law))) else Hold()
+    return (Zero(), again, Fixed(0.02))[int(point.at("playout") * 2.999)]
 
 
 def _lost(point: Point, name: str) -> LostTicks | None:
@@ -214,7 +214,7 @@ def _lost(point: Point, name: str) -> LostTicks | None:
     return LostTicks(share=share, key=point.at("key")) if share > 0.0 else None
 
 
-def _held(lost: LostTicks | None, end: int, ticks: int) -> float:
+def _longest_held(lost: LostTicks | None, end: int, ticks: int) -> float:
     """The longest time that an end which leaves out these ticks holds a force, s."""
     import numpy as np
 
@@ -235,13 +235,13 @@ def _tuned(law: Any, point: Point) -> Any:
         return None
 
 
-def _number(own: float, knob: Knob, at: float) -> float:
+def _number(default: float, knob: Knob, at: float) -> float:
     """The value of a knob at a point: its own by a third, and its lower bound by a twentieth."""
     if at < 0.05 and knob.low is not None:
         return knob.low
     if at < 0.4:
-        return own
-    value = own * 10.0 ** (DECADES * (at - 0.7) / 0.3) if own else (at - 0.4) / 0.6
+        return default
+    value = default * 10.0 ** (DECADES * (at - 0.7) / 0.3) if default else (at - 0.4) / 0.6
     value = value if knob.low is None else max(value, knob.low)
     return value if knob.high is None else min(value, knob.high)
 

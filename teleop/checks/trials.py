@@ -99,7 +99,7 @@ def works_of(trace: Mapping[str, Any]) -> list[NDArray[np.float64]]:
 
 
 def surprise(works: list[NDArray[np.float64]]) -> Any:
-    """What E_law may be below zero by each tick, J: the greatest work of one tick so far, of both ends."""
+    """Depth below zero that E_law may have by each tick, J: the greatest work of one tick so far, of both ends."""
     import numpy as np
 
     return sum(np.maximum.accumulate(work) for work in works)
