@@ -19,8 +19,8 @@ Answer = TypeVar("Answer")
 POLL = 1.0  # s
 
 
-class Sent(Enum):
-    """What a process sends."""
+class Kind(Enum):
+    """Kind of what a process sends."""
 
     PART, ANSWER, RAISED = range(3)
 
@@ -104,9 +104,9 @@ def streamed(function: Callable[[Job, Callable[[Any], None]], Answer], jobs: Seq
                 except (EOFError, ConnectionResetError):
                     raise Refused("a process of the search ended before its work did, for want of memory or by a "
                                   "signal; type the same command again to go on") from None
-                if kind is Sent.RAISED:
+                if kind is Kind.RAISED:
                     raise part
-                if kind is Sent.PART:
+                if kind is Kind.PART:
                     take(running[pipe], part)
                     continue
                 number = running.pop(pipe)
@@ -122,18 +122,18 @@ def streamed(function: Callable[[Job, Callable[[Any], None]], Answer], jobs: Seq
 
 
 def _serve(function: Callable[[Any, Callable[[Any], None]], Any], pipe: Connection[Any, Any]) -> None:
-    """Do one job after the other for as long as the process lives that hands them out."""
+    """Run one job after the other for as long as the process lives that hands them out."""
     _begin()
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             job = pipe.recv()
-            answer: tuple[Sent, Any]
+            answer: tuple[Kind, Any]
             try:
-                answer = Sent.ANSWER, function(job, lambda part: pipe.send((Sent.PART, part)))
+                answer = Kind.ANSWER, function(job, lambda part: pipe.send((Kind.PART, part)))
             except (BrokenPipeError, ConnectionResetError):
                 raise
             except Exception as error:
-                answer = Sent.RAISED, error
+                answer = Kind.RAISED, error
             pipe.send(answer)
 
 

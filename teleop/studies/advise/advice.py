@@ -23,7 +23,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.facts import unmet
 from teleop.simulation.virtual import run
-from teleop.studies.advise.laws import LawAdvice, LawJob, Margins, searched
+from teleop.studies.advise.laws import LawAdvice, LawJob, LawMargins, searched
 from teleop.studies.advise.links import OneWay, one_way
 from teleop.studies.tune.objective import SCENE, YIELDS, Score, objective_named
 from teleop.studies.tune.rod import rod
@@ -151,7 +151,7 @@ def _greatest(force: Any, ticks: int) -> float:
     return float(np.abs(force[ticks:] - force[:-ticks]).max(initial=0.0))
 
 
-def _margins(one: LawAdvice, scene: Scene, ways: tuple[OneWay, OneWay], workers: int | None) -> tuple[Margins, int]:
+def _margins(one: LawAdvice, scene: Scene, ways: tuple[OneWay, OneWay], workers: int | None) -> tuple[LawMargins, int]:
     """Stiffer walls and longer delays with the best gains, each once; and how many rows that took."""
     tuned = one.tuned
     assert tuned is not None
@@ -173,7 +173,7 @@ def _margins(one: LawAdvice, scene: Scene, ways: tuple[OneWay, OneWay], workers:
                 told[what] = (told[what][0], found.broken)
                 break
             told[what] = (amount, "")
-    return Margins(told["wall"][0], told["delay"][0], told["wall"][1], told["delay"][1]), rows
+    return LawMargins(told["wall"][0], told["delay"][0], told["wall"][1], told["delay"][1]), rows
 
 
 def _other_playouts(one: LawAdvice, workers: int | None

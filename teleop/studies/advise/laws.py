@@ -36,7 +36,7 @@ COMPILES = 12.0  # s that a law's kernels take to compile, on the machine of `te
 FASTER = 60.0  # times, compiled
 
 
-class Margins(NamedTuple):
+class LawMargins(NamedTuple):
     """The most of what was tried that the gains stand, in a row; what comes next breaks a constraint, or is none."""
 
     wall: float  # N/m
@@ -47,7 +47,7 @@ class Margins(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class LawAdvice:
-    """What was found for one law."""
+    """Result for one law."""
 
     law: str
     tuned: Tuned | None
@@ -56,11 +56,11 @@ class LawAdvice:
     claims: Mapping[str, str]
     seed_energy: float = 0.0
     broken: tuple[str, ...] = ()  # conditions of the law that link and bodies break, with the best gains
-    margins: Margins | None = None
+    margins: LawMargins | None = None
 
     @property
     def value(self) -> float:
-        """Of the objective; inf of a law that keeps the constraints nowhere."""
+        """Value of the objective; inf of a law that keeps the constraints nowhere."""
         return self.tuned.score.value if self.tuned is not None and self.tuned.feasible else float("inf")
 
     @property
@@ -126,11 +126,11 @@ class Outlook:
         """A law is searched."""
         self._done.add(law)
 
-    def left(self, now: float, busy: float = 1.0) -> float:
+    def time_left(self, now: float, busy: float = 1.0) -> float:
         """The time that is left, s; `busy`: processes that want to run for each core, until rows have come."""
         spent = sum(self._last[law][0] - at for law, (at, _) in self._first.items())
-        came = sum(self._last[law][1] - rows for law, (_, rows) in self._first.items())
-        each = spent / came if came else self._each * busy
+        rows_run = sum(self._last[law][1] - rows for law, (_, rows) in self._first.items())
+        each = spent / rows_run if rows_run else self._each * busy
         starts = [max(0.0, at - self._begun[law][0] - each * (rows - self._begun[law][1]))
                   for law, (at, rows) in self._first.items()]
         start = sum(starts) / len(starts) if starts else max(
@@ -146,7 +146,7 @@ class Outlook:
 
 def searched(jobs: Sequence[LawJob], out: Path | None, workers: int, clock: Callable[[], float],
              show: Callable[[float, str], None]) -> Iterator[tuple[LawAdvice, float | None]]:
-    """What is found for each law, as it comes, and the time (s) in all as it was told after `SETTLED`.
+    """Search each law; yield its result as it comes, with the time in all (s) that was told after `SETTLED`.
 
     `out`: the folder, made or gone on with; None: none. Raises `Refused`.
     """
@@ -175,11 +175,11 @@ class _Searches:
 
     def run(self) -> Iterator[tuple[LawAdvice, float | None]]:
         self.began = self.clock()
-        for number, found in streamed(search_law, self.jobs, self.workers, self.begin, self.take, self.poll):
+        for number, advice in streamed(search_law, self.jobs, self.workers, self.begin, self.take, self.poll):
             self.outlook.end(number)
             self.ended += 1
             self.poll()
-            yield found, self.told
+            yield advice, self.told
 
     def begin(self, number: int) -> None:
         self.current = self.jobs[number].law
@@ -200,7 +200,7 @@ class _Searches:
         """Show how far the searches have come."""
         now = self.clock()
         busy = max(1.0, getloadavg()[0] / cores())
-        left, spent = self.outlook.left(now, busy), now - self.began
+        left, spent = self.outlook.time_left(now, busy), now - self.began
         if spent >= SETTLED and self.told is None:
             self.told = spent + left
         part = spent / (spent + left) if spent >= SETTLED else 0.0
@@ -211,51 +211,51 @@ def search_law(job: LawJob, send: Callable[[int | list[Scored]], None]) -> LawAd
     """Tune one law, with the conditions that its best gains break; rows and points are sent as they come."""
     fixed = dict(job.fixed)
     try:
-        own = load_scene(job.scene, **{**fixed, "law": job.law})
-        playouts = () if "playout" in fixed else playouts_for(own, job.ways)
-        margin = MARGIN if "k_e" in own.knobs else 1.0
+        scene = load_scene(job.scene, **{**fixed, "law": job.law})
+        playouts = () if "playout" in fixed else playouts_for(scene, job.ways)
+        margin = MARGIN if "k_e" in scene.knobs else 1.0
         tuned = tune_law(job.scene, job.law, job.budget, job.seed, fixed=fixed, objective=job.objective, margin=margin,
                          playouts=playouts, tell=lambda rows, _: send(rows), workers=1, engine=job.engine,
                          keep=lambda points: send([*points]), known=job.known)
         best = load_scene(job.scene, **tuned.knobs)
-        told = tuple(unmet(best, job.seed))
+        conditions = tuple(unmet(best, job.seed))
     except Refused as refused:
         return LawAdvice(law=job.law, tuned=None, refused=str(refused), knobs={}, claims={})
     return LawAdvice(law=job.law, tuned=tuned, knobs=knobs_of_fields(type(best.law)), claims=claims_of(best.law),
-                     seed_energy=seed_energy(best.law, best.dt), broken=told)
+                     seed_energy=seed_energy(best.law, best.dt), broken=conditions)
 
 
 def definition(jobs: Sequence[LawJob]) -> dict[str, Any]:
-    """What the folder of an advice is held to."""
+    """Definition that the folder of an advice is held to."""
     from teleop.version import __version__
 
-    first, own = jobs[0], []
+    first, sources = jobs[0], []
     for job in jobs:
         try:
-            own.append(plan_sweep(job.scene, fixed={**job.fixed, "law": job.law}).sources)
+            sources.append(plan_sweep(job.scene, fixed={**job.fixed, "law": job.law}).sources)
         except Refused as refused:  # as its search will be
-            own.append(str(refused))
+            sources.append(str(refused))
     axes = [{"knobs": ["law"], "values": [job.law for job in jobs]},
             {"knobs": ["point"], "values": {"count": first.budget}}]
     return {"scene": "advise", "of": first.scene, "fixed": {key: plain(each) for key, each in first.fixed.items()},
             "objective": first.objective, "budget": first.budget, "grid": {"axes": axes, "seeds": [first.seed]},
-            "metrics": [], "sources": digest(own), "version": __version__}
+            "metrics": [], "sources": digest(sources), "version": __version__}
 
 
 def _points(store: Store, jobs: Sequence[LawJob]) -> list[list[Scored]]:
     """The points of each law that are there, in the order in which its search asked for them."""
-    found: list[dict[int, Scored]] = [{} for _ in jobs]
+    by_law: list[dict[int, Scored]] = [{} for _ in jobs]
     for row in store.rows():
         law, number = divmod(row["row"], jobs[0].budget)
-        found[law][number] = Scored(tuple(row["point"]), row["seed"], row["seed"] + row["seeds"], _score(row["score"]))
-    return [[points[i] for i in range(len(points)) if i in points] for points in found]
+        by_law[law][number] = Scored(tuple(row["point"]), row["seed"], row["seed"] + row["seeds"], _score(row["score"]))
+    return [[points[i] for i in range(len(points)) if i in points] for points in by_law]
 
 
 def _cells(number: int, law: str, one: Scored) -> dict[str, Any]:
     """A point as a row of the store."""
-    found = one.score
-    score = [found.value, found.broken, found.amount, _pairs(found.terms),
-             [[task, _pairs(figures)] for task, figures in found.figures.items()], [*found.values], found.unmet]
+    own = one.score
+    score = [own.value, own.broken, own.amount, _pairs(own.terms),
+             [[task, _pairs(figures)] for task, figures in own.figures.items()], [*own.values], own.unmet]
     return {"row": number, "law": law, "seed": one.first, "seeds": one.stop - one.first, "point": [*one.point],
             "score": score}
 

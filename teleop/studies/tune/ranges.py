@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from math import log
+from math import ceil, floor, log, log10
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, enumerated, nearest
@@ -96,6 +96,19 @@ def at(span: Range, u: float) -> float:
     """The value at the part `u` of a range, 0 to 1, to four digits: what a person types and a table shows."""
     value = float(f"{span.at(u):.4g}")
     return min(max(value, min(span.low, span.high)), max(span.low, span.high))
+
+
+def beyond(value: float, bound: float) -> float:
+    """The bound that a value is moved to, in four digits, rounded on beyond it.
+
+    >>> beyond(3.0, 40.239), beyond(50.0, 40.239), beyond(40.239, 40.239)
+    (40.24, 40.23, 40.239)
+    """
+    if bound in (value, 0.0):
+        return bound
+    grain = 10.0 ** (floor(log10(abs(bound))) - 3)
+    steps = bound / grain
+    return float(f"{(ceil(steps) if bound > value else floor(steps)) * grain:.4g}")
 
 
 def part(span: Range, value: float) -> float:

@@ -27,7 +27,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import repeat
-from math import ceil, floor, inf, log10
+from math import inf
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, number
@@ -51,7 +51,7 @@ from teleop.studies.tune.objective import (
     over_seeds,
     score,
 )
-from teleop.studies.tune.ranges import Ranges, at, part, ranges_of
+from teleop.studies.tune.ranges import Ranges, at, beyond, part, ranges_of
 from teleop.studies.tune.rod import Rod, rod
 from teleop.studies.tune.strategy import Strategy, folded
 from teleop.sweeps.engine import choose
@@ -255,11 +255,11 @@ class _Search:
 
     def _follow(self) -> None:
         """Set what follows from link and bodies and is not turned to what the law fits itself to."""
-        there = fitted(self.scene, self.seed).law
+        fitting = fitted(self.scene, self.seed).law
         knobs = knobs_of_fields(type(self.scene.law))
         for name in self.ranges.stay:
             if knobs[name].knob.stays and f"law.{name}" not in self.fixed:
-                self.fixed[f"law.{name}"] = getattr(there, name)
+                self.fixed[f"law.{name}"] = getattr(fitting, name)
         self.scene = load_scene(self.name, **{**self.fixed, "law": self.law})
 
     def run(self) -> Tuned:
@@ -274,7 +274,7 @@ class _Search:
         self.left = (self.budget - checks - resets) // (each * len(self.seeds))  # points
         own, *others = dict.fromkeys(map(self._of_law, self._laws()))
         first = max(1, int(LATIN * self.left))
-        self._try([own, *others, *map(self._kept, self._drawn(first - 1 - len(others)))])
+        self._try([own, *others, *map(self._repair, self._draw(first - 1 - len(others)))])
         self._evolve()
         ranked = sorted(self.scores, key=lambda point: self.scores[point].order)
         enough = self._with_margin([point for point in ranked if not self.scores[point].broken], screens or few or 1)
@@ -316,7 +316,7 @@ class _Search:
         return tuple([values[name] if name in values else span[0]  # type: ignore[index]  # a list of texts
                       for name, span in self.spans.items()])
 
-    def _drawn(self, count: int) -> list[Point]:
+    def _draw(self, count: int) -> list[Point]:
         """So many points of the hypercube, rounded as they are typed."""
         if count < 1:
             return []
@@ -325,13 +325,13 @@ class _Search:
         return [tuple([at(span, values[name]) if isinstance(span, Range) else values[name]
                        for name, span in self.spans.items()]) for _, values, _ in drawn.rows(range(count))]
 
-    def _kept(self, point: Point) -> Point:
-        """The point, moved to where the law fits itself if a condition of it is broken there and it knows how."""
+    def _repair(self, point: Point) -> Point:
+        """Move a point that breaks a condition of the law to where the law fits itself, if it does."""
         law, facts = self._law_of(point), self._facts(self._values(point).get("playout"))
         if law is None or facts is None or not hasattr(law, "fitted") or not broken(law, facts):
             return point
-        there = law.fitted(facts)
-        return tuple([_beyond(float(value), float(getattr(there, name.removeprefix("law."))))
+        fitting = law.fitted(facts)
+        return tuple([beyond(float(value), float(getattr(fitting, name.removeprefix("law."))))
                       if isinstance(self.spans[name], Range) else value for name, value in self._values(point).items()])
 
     def _law_of(self, point: Point) -> Any:
@@ -352,7 +352,7 @@ class _Search:
             return None
 
     def _unmet(self, point: Point) -> int:
-        """How many conditions of the law a point breaks."""
+        """Number of conditions of the law that a point breaks."""
         law, facts = self._law_of(point), self._facts(self._values(point).get("playout"))
         return 0 if law is None or facts is None else len(broken(law, facts))
 
@@ -362,25 +362,25 @@ class _Search:
         if self.playouts:  # those of one kernel side by side
             new.sort(key=lambda point: self.playouts.index(point[-1]))
         self.left -= len(new)
-        for point, found in zip(new, self._scored(new, self.seeds) if new else (), strict=True):
-            self.scores[point] = found
+        for point, each in zip(new, self._scored(new, self.seeds) if new else (), strict=True):
+            self.scores[point] = each
         return len(new)
 
     def _scored(self, points: Sequence[Point], seeds: range) -> list[Score]:
         """The scores of points, each over all tasks and seeds, in one sweep."""
-        there = self.known[self.asked:self.asked + len(points)]
+        known = self.known[self.asked:self.asked + len(points)]
         self.asked += len(points)
-        if [each[:3] for each in there] == [(point, seeds.start, seeds.stop) for point in points]:
-            found = [each.score for each in there]
+        if [each[:3] for each in known] == [(point, seeds.start, seeds.stop) for point in points]:
+            scores = [each.score for each in known]
             self.rows += len(points) * len(self.tasks) * len(seeds)
         else:
-            found = self._run(points, seeds)
+            scores = self._run(points, seeds)
             if self.keep is not None:
                 self.keep([Scored(*each) for each in zip(
-                    points, repeat(seeds.start), repeat(seeds.stop), found, strict=False)])
+                    points, repeat(seeds.start), repeat(seeds.stop), scores, strict=False)])
         if self.tell is not None:
             self.tell(self.rows, self.law)
-        return found
+        return scores
 
     def _run(self, points: Sequence[Point], seeds: range) -> list[Score]:
         names = (*self.names, *self.soft)
@@ -390,11 +390,11 @@ class _Search:
         plan = plan_sweep(self.name, axes, metrics=list(self.measures), fixed=fixed, engine=self.engine)
         before, tell = self.rows, self.tell
         show = None if tell is None else lambda done, _: tell(before + done, self.law)
-        found = [*carry_out(plan, workers=self.workers, show=show, chunk=self._chunk(len(axes)))]
-        self.rows += len(found)
+        table = [*carry_out(plan, workers=self.workers, show=show, chunk=self._chunk(len(axes)))]
+        self.rows += len(table)
         tasks, per = [*self.tasks], len(self.tasks) * len(seeds)
         return [over_seeds(self.goal, self.rods, self.scene, [
-            (tasks[i // len(seeds)], row) for i, row in enumerate(found[n * per:(n + 1) * per])])._replace(
+            (tasks[i // len(seeds)], row) for i, row in enumerate(table[n * per:(n + 1) * per])])._replace(
                 unmet=self._unmet(point)) for n, point in enumerate(points)]
 
     def _chunk(self, rows: int) -> int | None:
@@ -411,13 +411,13 @@ class _Search:
             far = [point for point in ranked if not any(self._near(point, end, FAR) for end in ends)]
             if run < len(self.playouts):  # each has its turn first
                 far = [point for point in far or ranked if point[-1] == self.playouts[run]] or far
-            start = far[0] if far else self._kept(self._drawn(run + 1)[-1])
+            start = far[0] if far else self._repair(self._draw(run + 1)[-1])
             strategy = Strategy([part(span, value) for span, value in zip(spans, start, strict=False)], STEP,
                                 key=(self.seed, run))
             best, since, left = self.scores.get(start), 0, self.left
             while self.left > 0 and since < STALE and strategy.spread > LEAST:
                 drawn = strategy.ask()
-                points = [self._kept((*[at(span, u) for span, u in zip(spans, folded(x), strict=True)],
+                points = [self._repair((*[at(span, u) for span, u in zip(spans, folded(x), strict=True)],
                                       *start[len(spans):])) for x in drawn]
                 self._try(points)
                 if any(point not in self.scores for point in points):  # the rows have run out
@@ -463,10 +463,10 @@ class _Search:
     def _stands(self, point: Point) -> bool:
         """True if the linear loop of a point stands the margin, or has none; the point is marked if it does not."""
         if point not in self.stood:
-            told = stands(self._scene(point), 1.0 if claims_of(self.scene.law) else self.margin, seed=self.seed)
-            self.stood[point] = told is None or told[0]
-            if told is not None and not told[0]:
-                self.scores[point] = self.scores[point]._replace(broken=told[1], amount=0.5)
+            verdict = stands(self._scene(point), 1.0 if claims_of(self.scene.law) else self.margin, seed=self.seed)
+            self.stood[point] = verdict is None or verdict[0]
+            if verdict is not None and not verdict[0]:
+                self.scores[point] = self.scores[point]._replace(broken=verdict[1], amount=0.5)
         return self.stood[point]
 
     def _near(self, point: Point, other: Point, apart: float) -> bool:
@@ -488,15 +488,6 @@ class _Search:
         point = tuple([own[i] if i in reset else value for i, value in enumerate(best)])
         again, = self._scored([point], seeds)
         return (point, again) if again == found else (best, found)
-
-
-def _beyond(value: float, bound: float) -> float:
-    """The bound that a value was moved to, in four digits, rounded on beyond it."""
-    if bound in (value, 0.0):
-        return bound
-    grain = 10.0 ** (floor(log10(abs(bound))) - 3)
-    steps = bound / grain
-    return float(f"{(ceil(steps) if bound > value else floor(steps)) * grain:.4g}")
 
 
 def _typed(value: object) -> str:

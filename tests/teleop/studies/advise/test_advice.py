@@ -80,10 +80,10 @@ def test_the_time_that_is_left_is_told_within_a_factor_of_two(start: float, each
         else:
             outlook.end(law)
         if now >= 20.0:
-            told[now] = outlook.left(now)
+            told[now] = outlook.time_left(now)
     assert bool(told) == (max(ends) > 20.0)
     assert all(0.5 <= (now + left) / max(ends) <= 2.0 for now, left in told.items())
-    assert outlook.left(now) == 0.0
+    assert outlook.time_left(now) == 0.0
 
 
 def test_rows_that_were_there_are_no_measure_of_the_time_that_is_left() -> None:
@@ -91,11 +91,11 @@ def test_rows_that_were_there_are_no_measure_of_the_time_that_is_left() -> None:
     outlook.begin(0, 0.0, known=500)
     outlook.rows(0, 400, 0.001)
     outlook.rows(0, 500, 0.002)
-    assert outlook.left(1.0) == pytest.approx(7.0 - 1.0 + 500 * 0.01)
-    assert outlook.left(1.0, busy=3.0) == pytest.approx(21.0 - 1.0 + 3.0 * 500 * 0.01)
+    assert outlook.time_left(1.0) == pytest.approx(7.0 - 1.0 + 500 * 0.01)
+    assert outlook.time_left(1.0, busy=3.0) == pytest.approx(21.0 - 1.0 + 3.0 * 500 * 0.01)
     outlook.rows(0, 600, 10.0)
     outlook.rows(0, 700, 20.0)
-    assert outlook.left(20.0, busy=3.0) == pytest.approx(30.0)
+    assert outlook.time_left(20.0, busy=3.0) == pytest.approx(30.0)
 
 
 def searching(law: str, link: str) -> tuple[dict[str, Any], _Search]:
@@ -112,7 +112,7 @@ def best_of_random(search: _Search, count: int) -> tuple[Any, ...]:
     search.seeds, search.left = range(4000, 4001), count
     spans = {name: Range(0.0, 1.0) if isinstance(span, Range) else span for name, span in search.spans.items()}
     drawn = sampled(spans, count, key=77, latin=False).rows(range(count))
-    search._try([search._kept(tuple([at(span, values[name]) if isinstance(span, Range) else values[name]
+    search._try([search._repair(tuple([at(span, values[name]) if isinstance(span, Range) else values[name]
                                      for name, span in search.spans.items()])) for _, values, _ in drawn])
     ranked = sorted(search.scores, key=lambda point: search.scores[point].order)
     points = search._with_margin([point for point in ranked if not search.scores[point].broken], 60)
