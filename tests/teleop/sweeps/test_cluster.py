@@ -314,10 +314,11 @@ class TestAWorker:
         def broken(result: Result) -> float:
             raise ZeroDivisionError(f"of {result.ticks} ticks")
 
-        words = r"metric broken \(.*\.py:\d+\) raised ZeroDivisionError: of 300 ticks, in row 0"
+        # The line is known there; the name of the file only to cloudpickle before 3.1.3.
+        words = r"metric broken \(.*(\.py|dynamic-code>):\d+\) raised ZeroDivisionError: of 300 ticks, in row 0"
         with pytest.raises(Refused, match=words) as refused:
             sweep("soft_tissue", fixed=FIXED, metrics=[broken], executor=rig.client.get_executor())
-        assert 'raise ZeroDivisionError(f"of {result.ticks} ticks")' in str(refused.value.__cause__)
+        assert "ZeroDivisionError: of 300 ticks" in str(refused.value.__cause__)
 
     def test_is_not_sent_what_cannot_be(self, rig: Rig) -> None:
         mine = socket.socket()

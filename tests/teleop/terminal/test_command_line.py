@@ -115,7 +115,7 @@ class TestShow:
         out = typed("show", "tick", "hard_wall").out
         compile(out, "shown", "exec")
         assert out.startswith("def loop(given, law, dt, count")
-        assert "f_cmd_m0 = cap(c_cap_m[0], f_cmd_m0, f_m0)" in out
+        assert "f_cmd_m0 = cap(c_cap_m[0], f_cmd_m0, f_held_m)" in out
 
     def test_or_one_live_end_with_a_knob_turned(self, typed: Typed) -> None:
         out = typed("show", "tick", "hard_wall", "--set", "law=pfra", "--end", "m").out
