@@ -84,7 +84,7 @@ def test_pressed_for_good_it_has_the_margins_that_the_page_says() -> None:
         assert [bonded(**{gain: value}).verdict for value in (below, above)] == ["stable", "unstable"]
 
 
-def test_one_gain_is_changed_by_itself_and_other_laws_and_scenes_keep_theirs() -> None:
+def test_one_gain_is_changed_by_itself_and_its_own_law_by_name_keeps_all_of_them() -> None:
     assert load_scene("hard_wall", **{"law.b": "2"}).law == Wave(b=2.0, K=1000.0, B=20.0)
     assert load_scene("hard_wall", **{"law.b": 2.0, "law.K": 500.0}).law == load_scene("canonical").law == Wave()
     assert load_scene("hard_wall", law="wave").law == load_scene("hard_wall").law == Wave(b=20.0, K=1000.0, B=20.0)
