@@ -92,7 +92,7 @@ def _rows(link: str, runs: dict[str, list[FloodRun]]) -> list[Row]:
         rows.append((f"{link}, {f'{rate:,} a second from {what}' if rate else 'no flood'}: p99 late",
                      " / ".join(f"{p99:.0f}" for p99 in late) + " us",
                      f"asked: at most {bounds[0]:.0f} / {bounds[1]:.0f}" if bounds else ""))
-        notes = ["asked of the slave: at least 99 %, gain 1"] if rates.other_slave == FAST else []
+        notes = ["asked: at least 0 / 99 / 1"] if rates.other_slave == FAST else []
         notes += [f"thrown were {thrown:,.0f} a second"] if thrown < 0.9 * sum(rates) else []
         rows.append((f"  good packets used; least gain of a watchdog{', '.join(['', *sorted(ended)])}",
                      " / ".join(f"{share:.2f}" for share in used) + f" %; {gain:g}", "; ".join(notes)))

@@ -114,7 +114,7 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
     return [
         _plain(f"C relay, {RATE} packets a second each way: error of the delay", [one.error for one in other]),
         *_beside("python -m channel: error of the delay", [one.error for one in own], [one.error for one in other]),
-        (f"  lost at {FULL_RATE} a second each way, of {2 * FULL_COUNT}", lost[0], f"{lost[1]} by C; asked: none"),
+        (f"  lost at {FULL_RATE} a second each way, of {2 * FULL_COUNT}", lost[0], f"{lost[1]} by C; asked: at most 0"),
     ]
 
 

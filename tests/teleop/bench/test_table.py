@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from teleop.bench.__main__ import BENCHES
@@ -12,7 +14,7 @@ ROWS = [("constant delay: C", "19.3 ns a tick", ""), ("constant delay: scalar", 
         ("  over C", "2.21 times", "asked: at most 1.8"), ("pp: live tick", "2.4 / 2.3 us", "asked: at most 10"),
         ("wave: live tick", "12.2 / 2.7 us", "asked: at most 10"),
         ("late", "30 us", "0.93 times C; asked: at most 1.5"), ("both", "81 / 80 us", "asked: at most 90 / 70"),
-        ("gain", "1.9 times", "asked: at least 1.8")]
+        ("used", "99.9 / 97.4 %; 1", "asked: at least 0 / 99 / 1"), ("gain", "1.9 times", "asked: at least 1.8")]
 
 
 def test_the_readme_had_other_lines_than_its_command_prints() -> None:
@@ -26,10 +28,18 @@ def test_the_readme_had_other_lines_than_its_command_prints() -> None:
 @pytest.mark.parametrize(("patterns", "cell"), [
     (("constant delay: scalar: over C",), f"2.21 times {MISSED}"),
     ((".*: live tick",), f"2.3 to 12.2 us {MISSED}"), (("pp: live tick", "gain"), "2.4 / 2.3 us; 1.9 times"),
+    (("used",), f"99.9 / 97.4 %; 1 {MISSED}"),
     (("late",), "30 us, 0.93 times C"), (("both",), f"81 / 80 us {MISSED}"), (("nothing", "gain"), "no row; 1.9 times"),
 ])
 def test_a_cell_has_a_value_for_each_part_and_says_what_is_missed(patterns: tuple[str, ...], cell: str) -> None:
     assert measured(Item("", "", "", patterns), labelled(ROWS)) == cell
+
+
+def test_a_bound_in_other_words_was_never_marked_as_missed() -> None:
+    sources = [path for path in (ROOT / "teleop" / "bench").glob("*.py") if path.name != "table.py"]
+    bounds = [bound for path in sources for bound in re.findall(r'(?:f?"|; )asked: ([^"]*)"', path.read_text())]
+    assert len(bounds) > 20
+    assert all(re.match(r"at (most|least) [{\d]", bound) for bound in bounds), bounds
 
 
 def test_each_bench_is_run_once_and_a_line_of_another_command_keeps_its_figure() -> None:
