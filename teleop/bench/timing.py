@@ -92,7 +92,7 @@ def round_trips(c: str, rounds: int, count: int = TRIPS) -> list[Row]:
         _beside("round trip, a Wire in asyncio at both ends", both, in_c, most)[0],
         _beside("round trip, C and an echo through a Wire", alone, in_c, most)[0],
         _plain("round trip, C, both ends on one core", next(one_core)),
-        _beside("round trip, Wires, both ends on one core", next(one_core), [trip[0] for trip in together], "")[0],
+        _beside("round trip, Wires, both ends on one core", next(one_core), [trip[0] for trip in together], most)[0],
     ]
 
 
