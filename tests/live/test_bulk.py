@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from teleop.live.net import wire as reading
 from teleop.live.net.address import bound
 from teleop.live.net.bulk import MOST, Bulk
 from teleop.live.net.wire import LONGEST, STAMP, Wire
@@ -125,3 +126,16 @@ def test_a_closed_port_raises_nothing(pair: Pair) -> None:
         one.send([b"anybody?", b"there?"])
         time.sleep(0.005)
         assert one.receive() == []
+
+
+def test_a_datagram_came_before_it_was_sent_where_the_process_stood_still_between_two_clocks(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = 10**18
+    now = iter([1_000_000, 1_000_100 + 3_000_000, 5_000_000, 5_000_100])  # 3 ms between the two of the first reading
+
+    class Clocks:
+        monotonic_ns = staticmethod(lambda: next(now))
+        time_ns = staticmethod(iter([wall + 4_000_050, wall + 5_000_000]).__next__)
+
+    monkeypatch.setattr(reading, "time", Clocks)
+    assert reading.clocks() == (5_000_000, wall + 5_000_000)

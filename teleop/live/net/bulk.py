@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from struct import Struct
 
 from teleop.live.net.address import Address
-from teleop.live.net.wire import LONGEST, STAMP, Wire, arrival
+from teleop.live.net.wire import LONGEST, STAMP, Wire, arrival, clocks
 
 MOST = 32  # datagrams in one call
 _KNOWN = 64  # senders whose address is remembered as text
@@ -82,11 +82,11 @@ class Bulk:
             count = self._recvmmsg(self._fd, box.at, MOST, socket.MSG_DONTWAIT, None)
             if count >= 0 or ctypes.get_errno() != errno.ECONNREFUSED:  # said once for what was sent there
                 break
-        now = time.monotonic_ns()
+        now, wall = clocks()
         if count <= 0:
             self._emptied_ns = now
             return []
-        wall, emptied = time.time_ns(), self._emptied_ns
+        emptied = self._emptied_ns
         if count < MOST:
             self._emptied_ns = now
         out = []

@@ -23,6 +23,7 @@ LONGEST = 8240  # bytes: more than any packet has, sealed or not, so that a long
 STAMP = 35  # SO_TIMESTAMPNS of Linux, which Python does not name: the kernel says when a datagram came
 MEMINFO, DROPS = 55, 8  # SO_MEMINFO of Linux, and the place of the count of datagrams dropped in it
 OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells of a wall clock that was set
+APART_NS = 200_000  # between two readings of clocks: the process did not run meanwhile
 SKEW_NS = 5_000_000  # between what two clocks say, and for what comes while it is looked
 ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
 MTU_DISCOVER, WHEREVER = 10, 0  # IP_MTU_DISCOVER and IP_PMTUDISC_DONT of Linux: routers may cut what is too long
@@ -40,6 +41,15 @@ def arrival(stamp: int, now: int, wall: int, emptied_ns: int) -> int:
     # What was not there when it was empty cannot have come before: the wall clock was set in between.
     believed = 0 <= age < OLDEST_NS and age < now - emptied_ns + SKEW_NS
     return now - age if believed else now
+
+
+def clocks() -> tuple[int, int]:
+    """The monotonic and the wall clock at one moment, ns; read anew where the process stood still between the two."""
+    for _ in range(3):
+        now, wall = time.monotonic_ns(), time.time_ns()
+        if time.monotonic_ns() - now < APART_NS:
+            break
+    return now, wall
 
 
 class Wire:
@@ -178,11 +188,11 @@ class Wire:
             except OSError:  # nothing there
                 self._emptied_ns = time.monotonic_ns()
                 return None
-        now = time.monotonic_ns()
+        now, wall = clocks()
         for level, kind, note in notes:
             if level == socket.SOL_SOCKET and kind == STAMP and len(note) == _TIMESPEC.size:
                 seconds, nanoseconds = _TIMESPEC.unpack(note)
-                now = arrival(seconds * 1_000_000_000 + nanoseconds, now, time.time_ns(), self._emptied_ns)
+                now = arrival(seconds * 1_000_000_000 + nanoseconds, now, wall, self._emptied_ns)
         at: Address = address[:2]
         if self.secure_link is None:
             return data, at, now

@@ -47,5 +47,5 @@ def test_rows_say_what_was_asked_beside_what_was_measured() -> None:
     text = "\n".join("|".join(row) for row in rows)
     assert len(rows) == 2 * (1 + len(flood.FLOODS))
     assert text.count("asked: at most 250 / 600") == 2
-    assert "50.00 / 25.00 %; 0.5|asked of the slave: at least 99 %, gain 1; thrown were 10 a second" in text
+    assert "50.00 / 25.00 %; 0.5|asked: at least 0 / 99 / 1; thrown were 10 a second" in text
     assert "watchdog, stopped" in text

@@ -67,7 +67,7 @@ def test_ticks_and_round_trips_are_told_beside_c(c: str) -> None:
     assert len(rows) == 10
     assert all(" us" in measured for _, measured, _ in rows)
     assert [asked.split("; ")[-1] for _, _, asked in rows if "times C" in asked and "asked" in asked] == [
-        "asked: at most 1.5"] * 2 + ["asked: at most 2.2"] * 2
+        "asked: at most 1.5"] * 2 + ["asked: at most 2.2"] * 3
 
 
 @pytest.mark.parametrize("ours", [True, False])
