@@ -14,10 +14,9 @@ from socket import gethostname
 from tempfile import mkstemp
 
 from teleop.errors import Refused, number_of
-from teleop.live.page.children import Start
 from teleop.live.page.controls import Controls
-from teleop.live.page.parts import Parts
-from teleop.live.page.requests import HOST, Requests
+from teleop.live.page.server import HOST, Requests
+from teleop.live.page.session import Parts, Start
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.rate import ticks_of

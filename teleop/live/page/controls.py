@@ -1,16 +1,15 @@
-"""What can be turned on the page: the law, the link by three numbers, the stiffness of what the slave touches.
-
-A turn is a choice in place of what the scene was started with; what was not touched stays as it was typed.
-"""
+"""Controls of the page: the scene's law, link and stiffness, the switches between them, the drag and the clutch."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, nearest, number
 from teleop.law import known_laws, law_name
+from teleop.live.page.rows import Follower
+from teleop.scene.axes import scales
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import import_bundled, scene_function
 from teleop.scene.loading import live_knobs, load_scene
@@ -196,3 +195,177 @@ def _wall(scene: Scene, i: int = 0) -> float | None:
     environment: Any = scene.environments[i] if scene.environments else None
     still = getattr(environment, "environment", environment)
     return float(still.at) if hasattr(still, "side") else None
+
+
+REST = 0.2  # s between two turns
+PATIENCE = 8.0  # s for all to answer: a hand that is aligned takes its time
+NAMES = frozenset({"channel", "slave", "master"})
+
+
+class Turn(NamedTuple):
+    """What the three are told. `again`: from the scene's start."""
+
+    choice: Choice
+    again: bool
+
+
+class Turns:
+    """Queue of switches: one at a time, and of those asked for meanwhile the newest. Times are in s.
+
+    Both ends answer a switch with `turned`, the channel too; 0.2 s after all have, the next may go. Without an answer,
+    or with a refusal, the three can no longer be known to agree, and are started anew. `choice`: the settings that the
+    three run with, or will when they have answered.
+    """
+
+    def __init__(self, choice: Choice) -> None:
+        self.choice = choice
+        self.under_way: Turn | None = None
+        self._before = choice  # what they ran with before the turn that is under way
+        self._waiting: Turn | None = None
+        self._answers: set[str] = set()
+        self._since = float("-inf")  # when the turn began, or was over
+
+    @property
+    def wanted(self) -> Choice:
+        """What has been asked for last."""
+        return self.choice if self._waiting is None else self._waiting.choice
+
+    def ask(self, choice: Choice, *, again: bool = False, align: bool = False) -> None:
+        """Ask for a turn; that it is to begin again is not forgotten over a later one.
+
+        `align`: turn though nothing is another, for the master to be brought to the slave.
+        """
+        again = again or (self._waiting is not None and self._waiting.again)
+        self._waiting = Turn(choice, again) if again or align or choice != self.choice else None
+
+    def next(self, now: float) -> Turn | None:
+        """The turn that is to be told now, if there is one; it is under way from then on."""
+        if self.under_way is not None or self._waiting is None or now - self._since < REST:
+            return None
+        self.under_way, self._waiting = self._waiting, None
+        self._before, self.choice = self.choice, self.under_way.choice
+        self._answers, self._since = set(), now
+        return self.under_way
+
+    def answered(self, name: str, now: float) -> Turn | None:
+        """One of the three has turned; the turn, if it was the last of them."""
+        self._answers.add(name)
+        if self.under_way is None or not self._answers >= NAMES:
+            return None
+        done, self.under_way, self._since = self.under_way, None, now
+        return done
+
+    def late(self, now: float) -> bool:
+        """True if a turn has been under way for too long."""
+        return self.under_way is not None and now - self._since > PATIENCE
+
+    def give_up(self) -> None:
+        """The turn that is under way has failed; the choice is that of before."""
+        self.under_way, self.choice = None, self._before
+
+    def begin(self, now: float) -> None:
+        """All three were started anew, with what has been asked for last."""
+        self.choice, self._waiting, self.under_way, self._since = self.wanted, None, None, now
+
+
+HOLDS = 1.0  # s
+
+Place = tuple[float, ...]  # m, per axis
+
+
+class _Pointer(NamedTuple):
+    to: Place
+    moved: float  # when it came to another place, s
+    heard: float  # when its page said so last, s
+
+
+class Drag:
+    """Pointers of all pages that drag, by their page: the hand follows the one that moved last.
+
+    A page that drags repeats its pointer every quarter of a second, though it is still. A page that is silent for
+    `HOLDS`, having vanished or been put behind other windows, has let go: until then the hand stays where it was.
+    """
+
+    def __init__(self) -> None:
+        self._pointers: dict[Hashable, _Pointer] = {}
+
+    def move(self, page: Hashable, to: Place, now: float) -> None:
+        """The pointer of `page` is at `to`, at the time `now` (s)."""
+        before = self._pointers.get(page)
+        same = before is not None and before.to == to
+        self._pointers[page] = _Pointer(to, before.moved if before is not None and same else now, now)
+
+    def let_go(self, page: Hashable) -> None:
+        """The pointer of `page` is up."""
+        self._pointers.pop(page, None)
+
+    def target(self, now: float) -> Place | None:
+        """Where the hand is to go; None: nobody drags."""
+        for page, pointer in list(self._pointers.items()):
+            if now - pointer.heard > HOLDS:
+                del self._pointers[page]
+        newest = max(self._pointers.values(), key=lambda pointer: pointer.moved, default=None)
+        return None if newest is None else newest.to
+
+
+class Clutch:
+    """Clutch of all pages, and the distance between master and slave that it leaves.
+
+    While it is open the two ends have no session, and the hand moves the master alone. When it closes, a new session
+    counts the positions from where each end is: from then on the master is by an offset beside the slave. A switch
+    keeps that offset: the master is brought beside the slave before the next session. `is_open`: as last ordered.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.is_open = False
+        self._scales = tuple([scale_x for scale_x, _ in scales(scene)])
+        self._axes = scene.axes
+        self._held: set[Hashable] = set()
+        self._offset = (0.0,) * scene.axes  # m, of the master
+        self._turning = False  # the next session is that of a turn, which keeps the offset
+        self._met: float | None = None  # the tick at which a session began whose offset is not known yet
+
+    def hold(self, page: Hashable, *, held: bool) -> None:
+        """A page holds it, or lets it go; it is open while any does."""
+        if held:
+            self._held.add(page)
+        else:
+            self._held.discard(page)
+
+    def changes(self) -> bool:
+        """True if the ends have to be told that it `is_open`, or no longer is."""
+        changed = self.is_open != bool(self._held)
+        self.is_open = bool(self._held)
+        return changed
+
+    def turned(self, *, again: bool) -> None:
+        """The ends are told to turn; `again`: and to go back to the scene's start."""
+        self._turning = not again
+
+    def met(self, k: float) -> None:
+        """The master has begun a session at tick k."""
+        self._met, self._turning = None if self._turning else k, False
+
+    def measure(self, followers: Mapping[str, Follower]) -> None:
+        """Take the offset as soon as the records have come to the session's begin."""
+        if self._met is None or any(not each.newest or each.newest[-1][0] < self._met for each in followers.values()):
+            return
+        places = self._places(followers, self._met)
+        self._met = None
+        if places is not None:
+            self._offset = tuple(a - b for a, b in zip(*places, strict=True))
+
+    def aligned(self, followers: Mapping[str, Follower]) -> list[float] | None:
+        """Where the master (m, per axis) is to be for the hand to feel what the slave touches; None: not known."""
+        places = self._places(followers, float("inf"))
+        return None if places is None else [x + offset for x, offset in zip(places[1], self._offset, strict=True)]
+
+    def _places(self, followers: Mapping[str, Follower], k: float) -> tuple[Place, Place] | None:
+        """Of master and slave at tick k, in the master's metres."""
+        found = []
+        for e, own in (("m", (1.0,) * self._axes), ("s", self._scales)):
+            row = followers[e].at(k) if e in followers else None
+            if row is None:
+                return None
+            found.append(tuple(x / scale for x, scale in zip(row[followers[e].places[f"x_{e}"]], own, strict=True)))
+        return found[0], found[1]

@@ -9,18 +9,10 @@ from contextlib import suppress
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.live.page.children import Children, Start
-from teleop.live.page.clients import Clients
-from teleop.live.page.clutch import Clutch
-from teleop.live.page.controls import Choice, Controls, most_forces
-from teleop.live.page.drag import Drag
-from teleop.live.page.following import Follower, Hand
-from teleop.live.page.messages import place, said
-from teleop.live.page.parts import Parts
-from teleop.live.page.requests import Requests
-from teleop.live.page.rows import Rows
-from teleop.live.page.shaking import Shaking
-from teleop.live.page.turns import Turn, Turns
+from teleop.live.page.controls import Choice, Clutch, Controls, Drag, Turn, Turns, most_forces
+from teleop.live.page.rows import Follower, Hand, Rows, Shaking
+from teleop.live.page.server import Clients, Requests, place, said
+from teleop.live.page.session import Children, Parts, Start
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.following import Row
@@ -142,7 +134,7 @@ class Page:
             self._mend()
 
     def gone(self, page: Hashable) -> None:
-        """A page has been closed; of its pointer the rest is silence, see `teleop.live.page.drag`."""
+        """A page has been closed; of its pointer the rest is silence, see `teleop.live.page.controls`."""
         self._clutch.hold(page, held=False)
 
     # sixty times a second

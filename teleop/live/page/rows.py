@@ -1,14 +1,90 @@
-"""What the page is shown of the two records: one message for all who look, at most sixty times a second."""
+"""Rows of the two records as they grow: the messages that show them, and the shaking that they tell of."""
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from math import isfinite
-from typing import NamedTuple
+from pathlib import Path
+from struct import Struct
+from struct import error as StructError
+from typing import BinaryIO, NamedTuple
 
-from teleop.live.page.following import Follower
-from teleop.live.records.following import Row
+from teleop.live.records.following import GrowingRecord, Row
+from teleop.storage.files import open_regular
+from teleop.storage.strict_json import parse
+
+KEPT = 512  # rows, the newest ones
+HAND = "hand.bin"
+LONGEST_LINE = 1 << 10  # bytes of its header
+
+
+class Hand:
+    """Where the hand's reference is, m per axis: the last whole row of the master's `hand.bin`, see its package."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / HAND
+        self._file: BinaryIO | None = None
+        self._offset = 0
+        self._row = Struct("")
+
+    def newest(self) -> Row | None:
+        """That place; None where the master records none, or has not begun to."""
+        try:
+            if self._file is None and not self._begin():
+                return None
+            assert self._file is not None
+            count = (os.fstat(self._file.fileno()).st_size - self._offset) // self._row.size
+            if count < 1:
+                return None
+            data = os.pread(self._file.fileno(), self._row.size, self._offset + (count - 1) * self._row.size)
+            row: Row = self._row.unpack(data)
+        except (OSError, StructError, ValueError, KeyError, TypeError):  # it is a help to the eye, and may be missing
+            return None
+        return row[1:]
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._file is not None:
+            self._file.close()
+        self._file = None
+
+    def _begin(self) -> bool:
+        file = open_regular(self._path, links=False)
+        line = file.readline(LONGEST_LINE)
+        if not line.endswith(b"\n"):
+            file.close()
+            return False
+        self._offset, self._file = len(line), file
+        self._row = Struct(f"<{1 + int(parse(line)['axes'])}d")
+        return True
+
+
+class Follower(GrowingRecord):
+    """The record in `folder` as it grows, where each column stands in a row of it, and its newest rows."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.places: dict[str, slice] = {}  # of each column in a row, once there is a header
+        self.axes = 0
+        self.newest: deque[Row] = deque(maxlen=KEPT)  # oldest first; of one tick each
+
+    def read(self) -> list[Row]:
+        """The rows that have come, oldest first. Raises `OSError` or `Misshapen` for what is no record of a run."""
+        rows = super().read()
+        if self.header is not None and not self.places:
+            columns, self.axes = self.header["columns"], self.header["axes"]
+            self.places = {name: slice(columns.index(name), columns.index(name) + columns.count(name))
+                           for name in columns}
+        self.newest.extend(rows)
+        return rows
+
+    def at(self, k: float) -> Row | None:
+        """The newest row of a tick up to k, if it is still known."""
+        return next((row for row in reversed(self.newest) if row[0] <= k), None)
+
 
 PAST = 600  # messages that are kept: 10 s of them
 _LAST = {"m": ("x_m", "f_m", "f_h"), "s": ("x_s", "f_s", "f_env")}
@@ -117,3 +193,99 @@ def _list(values: Iterable[float | None] | None) -> str:
 def _number(value: float | None) -> str:
     """As JSON has it, with the digits that a picture has room for."""
     return f"{value:.5g}" if value is not None and isfinite(value) else "null"
+
+
+AT_CAP, OF_CAP = 0.98, 0.5  # of the cap: what counts as being there; the swing
+LEAST = 1.0  # N of swing
+GROWS = 1.1  # from one second to the next
+SECONDS = 4  # that are compared
+SPANS = (1, 2, 4)  # s: two of each are compared
+CALM = 2  # s
+
+Swings = dict[tuple[str, int], tuple[float, float]]  # by end and axis: the least and the greatest force, N
+
+
+class Shaking:
+    """Judgement whether a loop shakes, by a rule on its forces alone, second by second. Times are in s.
+
+    It is judged only where nobody has moved the hand for those seconds. It shakes when the force of an end came to its
+    cap in each of two spans of 1, 2 or 4 s, one after the other, and in each swung by half of the cap and more: a loop
+    over half a second each way takes some seconds for one swing. Or when its swing was greater in each of four seconds
+    than in the one before, by a tenth and more, and is above `LEAST` by then. It is over when the swing of such a span
+    was below half of its first value for two seconds, whoever moves the hand. `f_max`: the cap of each axis, N (N m of
+    one that turns); None: there is none.
+    """
+
+    def __init__(self, f_max: Sequence[float | None]) -> None:
+        self.shakes = False
+        self._f_max = [*f_max]
+        self._seconds: deque[Swings] = deque(maxlen=2 * SPANS[-1])
+        self._span = 1  # s of the span in which it was seen to shake
+        self._now: Swings = {}  # of the second that goes on
+        self._since: float | None = None  # when it began
+        self._still = 0  # whole seconds in which nobody moved the hand
+        self._moved = False  # somebody did in this one
+        self._was = 0.0  # N of swing when it began to shake
+        self._calm = 0  # s
+
+    def moved(self) -> None:
+        """Somebody moves the hand now, or the law begins anew."""
+        self._moved = True
+
+    def sentence(self, now: float, forces: dict[str, Extremes]) -> str | None:
+        """What there is to say after these forces (N) of the ends have come."""
+        if self._since is None:
+            self._since = now
+        said = None
+        if now - self._since >= 1.0:
+            said = self._second()
+            self._since, self._now, self._moved = now, {}, False
+        for e, (lows, highs) in forces.items():
+            for axis, (low, high) in enumerate(zip(lows, highs, strict=True)):
+                least, most = self._now.get((e, axis), (low, high))
+                self._now[e, axis] = min(least, low), max(most, high)
+        return said
+
+    def _second(self) -> str | None:
+        """Judge by the seconds that are over."""
+        self._seconds.append(self._now)
+        self._still = 0 if self._moved else self._still + 1
+        if self.shakes:
+            swing = max((high - low for low, high in (self._over(which, self._span) for which in self._now)),
+                        default=0.0)
+            self._calm = self._calm + 1 if swing < self._was / 2.0 else 0
+            self.shakes = self._calm < CALM
+            if self.shakes:
+                return None
+            self._seconds.clear()
+            self._still = 0
+            return "stable again"
+        for which in self._now:
+            capped = next((span for span in SPANS if self._still >= 2 * span and all(
+                self._comes_to_cap(which[1], self._over(which, span, before)) for before in (0, span))), None)
+            swings = [high - low for low, high in (self._over(which, 1, before) for before in range(SECONDS))][::-1]
+            if capped is not None or (self._still >= SECONDS and _grow(swings)):
+                self.shakes, self._calm, self._span = True, 0, capped or 1
+                low, high = self._over(which, self._span)
+                self._was = high - low
+                how = ("comes to its cap again and again, and the cap holds it" if capped
+                       else f"swings by {self._was:.1f} N, more each second")
+                return (f"unstable: while nobody moves the hand the force {how}; another law, less delay or a "
+                        "softer environment ends it")
+        return None
+
+    def _over(self, which: tuple[str, int], span: int, before: int = 0) -> tuple[float, float]:
+        """The least and the greatest force (N) of `span` seconds that ended `before` seconds ago; 0 of none."""
+        ends = len(self._seconds) - before
+        seconds = [self._seconds[i][which] for i in range(max(0, ends - span), ends) if which in self._seconds[i]]
+        return min((low for low, _ in seconds), default=0.0), max((high for _, high in seconds), default=0.0)
+
+    def _comes_to_cap(self, axis: int, second: tuple[float, float]) -> bool:
+        low, high = second
+        cap = self._f_max[axis] if axis < len(self._f_max) else None
+        return cap is not None and max(high, -low) >= AT_CAP * cap and high - low >= OF_CAP * cap
+
+
+def _grow(swings: list[float]) -> bool:
+    return len(swings) == SECONDS and swings[-1] > LEAST and all(
+        after > GROWS * before for before, after in pairwise(swings))

@@ -16,11 +16,10 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from teleop.live.page.children import Start
 from teleop.live.page.controls import Controls
 from teleop.live.page.page import Page
-from teleop.live.page.parts import Parts
-from teleop.live.page.requests import Requests
+from teleop.live.page.server import Requests
+from teleop.live.page.session import Parts, Start
 from teleop.live.process.interrupt import Interrupt
 from tests.waiting import PATIENCE
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from teleop.live.page.clutch import Clutch
-from teleop.live.page.following import Follower
+from teleop.live.page.controls import Clutch
+from teleop.live.page.rows import Follower
 from teleop.scene.loading import load_scene
 
 Ends = dict[str, Follower]

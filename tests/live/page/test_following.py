@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.live.page.following import KEPT, Follower, Hand
+from teleop.live.page.rows import KEPT, Follower, Hand
 from teleop.storage.strict_json import Misshapen
 
 HEADER = json.dumps({"end": "m", "dt_ns": 1_000_000, "axes": 2, "scene": "hard_wall", "knobs": {}, "seed": 0,

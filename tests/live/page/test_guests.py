@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from teleop.live.page.clients import STRANGERS
-from teleop.live.page.requests import Requests
+from teleop.live.page.server import STRANGERS, Requests
 from teleop.scene.library import ROOT
 from tests.live.page.conftest import HTML, TOKEN, Browser, Served
 from tests.waiting import PATIENCE

@@ -132,7 +132,7 @@ def test_a_turn_on_a_full_disk_is_refused_and_the_page_goes_on(served: Serve, mo
         async with page.open() as browser:
             await browser.until("rows")
             with monkeypatch.context() as disk:
-                disk.setattr("teleop.live.page.parts.write_document", full)
+                disk.setattr("teleop.live.page.session.write_document", full)
                 await browser.say("turn", law="direct")
                 assert "No space left" in (await browser.told("not turned"))["text"]
                 assert (await browser.until("hello"))["law"] == "wave"
@@ -197,7 +197,7 @@ def test_a_turn_that_one_of_the_three_refuses_leaves_them_as_they_were(
 
 def test_a_turn_that_nobody_answers_is_given_up(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_SLAVE", "deaf")
-    monkeypatch.setattr("teleop.live.page.turns.PATIENCE", 0.3)
+    monkeypatch.setattr("teleop.live.page.controls.PATIENCE", 0.3)
 
     async def scenario(page: Served) -> None:
         async with page.open() as browser:

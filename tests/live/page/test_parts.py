@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from teleop import load_result
-from teleop.live.page.parts import Parts
+from teleop.live.page.session import Parts
 from tests.live.conftest import LOSSY
 
 pytestmark = pytest.mark.live

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from teleop.live.page.following import Follower
-from teleop.live.page.rows import PAST, Rows, Shown
+from teleop.live.page.rows import PAST, Follower, Rows, Shown
 
 OWN = ["k", "late_ns", "seq"]
 WAVES = {"m": [*OWN, "x_m", "f_h", "f_m", "queue_m", "g_m", "E_in_fwd", "E_out_bwd", "E_port_m"],

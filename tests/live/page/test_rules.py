@@ -7,13 +7,9 @@ from pathlib import Path
 import pytest
 
 from teleop.live.page import command
-from teleop.live.page.allowance import GARBAGE, MOST, SECONDS, Allowance
-from teleop.live.page.controls import Choice, Controls, Link
-from teleop.live.page.drag import HOLDS, Drag
-from teleop.live.page.messages import LONGEST, Garbage, place, read
-from teleop.live.page.rows import Extremes
-from teleop.live.page.shaking import Shaking
-from teleop.live.page.turns import NAMES, PATIENCE, REST, Turns
+from teleop.live.page.controls import HOLDS, NAMES, PATIENCE, REST, Choice, Controls, Drag, Link, Turns
+from teleop.live.page.rows import Extremes, Shaking
+from teleop.live.page.server import GARBAGE, LONGEST, MOST, SECONDS, Allowance, Garbage, place, read
 
 FAST = Choice(law="pfra")
 

@@ -1,17 +1,18 @@
-"""The pages that are open: a socket each. What is told all of them is made once.
-
-A page that takes its messages too slowly loses pictures, never the others; what waits for it is bounded. One that says
-too much, or nonsense, is told so, and then closed. Who has not shown the token is one of at most `STRANGERS`, and for
-`STRANGE` seconds.
-"""
+"""Server of the page and its socket, on this machine alone: who may connect, what a page may send, and how much."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
-from collections.abc import Callable
+import re
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from hashlib import sha256
+from hmac import compare_digest
 from http import HTTPStatus
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
+from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
 from websockets.datastructures import Headers
@@ -19,10 +20,192 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request, Response
 
-from teleop.errors import Refused
-from teleop.live.page.allowance import GARBAGE, MOST, SECONDS, Allowance
-from teleop.live.page.messages import LONGEST, Garbage, read, said
-from teleop.live.page.requests import HOST, METHODS, Requests
+from teleop.errors import Refused, number_of
+from teleop.scene.axes import MOST_AXES
+from teleop.storage.strict_json import Check, Misshapen, each, optional, parse, real, record, text, truth
+
+METHODS = ("GET", "HEAD")
+HOST = "127.0.0.1"  # where the page listens
+_HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IGNORECASE)
+_INLINE = {"script-src": re.compile(rb"<script[^>]*>(.*?)</script>", re.DOTALL),
+           "style-src": re.compile(rb"<style[^>]*>(.*?)</style>", re.DOTALL)}
+
+
+class Answer(NamedTuple):
+    """An answer over HTTP."""
+
+    status: HTTPStatus
+    headers: dict[str, str]
+    body: bytes
+
+
+class Requests:
+    """Rules for requests: the page is at `/`, its socket at `/ws`, both with the token of the printed address.
+
+    Only a browser on this machine may ask, or one behind `ssh -L`, whose port may differ. So the host must be a name of
+    this machine, which a page of another site cannot have (DNS rebinding), and a socket must be opened by a page of the
+    same host and port. `page`: the only file served. `token`: a part of its address.
+    """
+
+    def __init__(self, page: bytes, token: str) -> None:
+        self._page, self._token = page, token.encode()
+        self._sources = "; ".join(f"{kind} {' '.join(map(_hash, form.findall(page))) or chr(39) + 'none' + chr(39)}"
+                                  for kind, form in _INLINE.items())
+
+    def answer(self, target: str, headers: Mapping[str, str]) -> Answer | None:
+        """The answer to a GET of `target`; None: the socket may be opened. Each name in `headers` has one value."""
+        host = headers.get("Host", "")
+        if not _HOST.fullmatch(host):
+            return _sentence(HTTPStatus.FORBIDDEN, "this page is for this machine alone; open the address that "
+                                                   "`teleop demo --page` printed, from elsewhere through ssh -L")
+        try:
+            asked = urlsplit(target)
+            given = parse_qs(asked.query, max_num_fields=10).get("token", [""])[-1]
+        except ValueError:
+            return _sentence(HTTPStatus.BAD_REQUEST, "this is no address; open the one that was printed")
+        if asked.path not in ("/", "/ws"):
+            return _sentence(HTTPStatus.NOT_FOUND, "there is nothing here but the page; open the address printed")
+        if not compare_digest(given.encode(errors="surrogatepass"), self._token):
+            return _sentence(HTTPStatus.FORBIDDEN, "the token is missing, or of another run; open the whole address "
+                                                   "that `teleop demo --page` printed")
+        if asked.path == "/":
+            return Answer(HTTPStatus.OK, self._headers(host), self._page)
+        if headers.get("Origin") != f"http://{host}":
+            return _sentence(HTTPStatus.FORBIDDEN, "the socket is for the page that is served here alone")
+        if headers.get("Upgrade", "").lower() != "websocket":
+            return _sentence(HTTPStatus.UPGRADE_REQUIRED, "this is the page's socket, for a browser that has WebSocket")
+        return None
+
+    @staticmethod
+    def of_method() -> Answer:
+        """The answer to a request of another method."""
+        answer = _sentence(HTTPStatus.METHOD_NOT_ALLOWED, "the page is there to be read; take GET or HEAD")
+        return answer._replace(headers={**answer.headers, "Allow": ", ".join(METHODS)})
+
+    def _headers(self, host: str) -> dict[str, str]:
+        socket = "'self'" if host.startswith("[") else f"'self' ws://{host}"  # a policy has no word for [::1]
+        policy = (f"default-src 'none'; {self._sources}; connect-src {socket}; img-src data:; base-uri 'none'; "
+                  "form-action 'none'; frame-ancestors 'none'")
+        return {"Content-Type": "text/html; charset=utf-8", "Content-Security-Policy": policy, **_ALWAYS}
+
+
+_ALWAYS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Cache-Control": "no-store",
+           "Cross-Origin-Resource-Policy": "same-origin"}
+
+
+def _sentence(status: HTTPStatus, sentence: str) -> Answer:
+    return Answer(status, {"Content-Type": "text/plain; charset=utf-8", **_ALWAYS}, f"{sentence}\n".encode())
+
+
+def _hash(inline: bytes) -> str:
+    return f"'sha256-{b64encode(sha256(inline).digest()).decode()}'"
+
+
+LONGEST = 4096  # bytes of a message
+REACH = 10.0  # m from 0, in each axis: `master.steered` goes no further
+SLIDERS = ("delay", "jitter", "loss", "k_e")
+
+_SHAPES: dict[str, dict[str, Check]] = {
+    "hand": {"to": optional(each(real, most=MOST_AXES))},
+    "turn": {"law": text, **dict.fromkeys(SLIDERS, real)},
+    "clutch": {"open": truth},
+    "again": {},
+}
+_NEEDED = {"hand": ("to",), "turn": (), "clutch": ("open",), "again": ()}
+
+
+class Garbage(Misshapen):
+    """No message of a page. `kind`: what is wrong with it, in a word, so that each is told of once."""
+
+    def __init__(self, kind: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.kind = kind
+
+
+def read(data: str | bytes) -> dict[str, Any]:
+    """The message in `data`. Raises `Garbage`."""
+    if isinstance(data, bytes):
+        raise Garbage("binary", "a message is a text in JSON, not bytes")
+    try:
+        got = parse(data)
+    except Misshapen as error:
+        raise Garbage("json", f"a message is an object in JSON: {error}") from None
+    kind = got.get("type") if isinstance(got, dict) else None
+    if not isinstance(kind, str) or kind not in _SHAPES:
+        raise Garbage("type", f"a message has a type, one of {', '.join(_SHAPES)}")
+    shape = _SHAPES[kind]
+    other = next((key for key in got if key != "type" and key not in shape), None)
+    if other is not None:
+        raise Garbage(kind, f"a message {kind!r} has no {other[:40]!r}; it may have: {', '.join(shape) or 'nothing'}")
+    try:
+        record({key: shape[key] for key in _NEEDED[kind]}, shape)(got, "the message")
+    except Misshapen as error:
+        raise Garbage(kind, str(error)) from None
+    return got  # type: ignore[no-any-return]  # an object, as its shape says
+
+
+def place(to: Sequence[float], axes: int) -> tuple[float, ...]:
+    """A place (m, per axis) that the hand may go to. Raises `Garbage`."""
+    if len(to) != axes or not all(abs(x) <= REACH for x in to):
+        raise Garbage("place", f"the hand goes to {number_of(axes, 'number')} in m, each at most {REACH:g} from 0")
+    return tuple(map(float, to))
+
+
+def said(level: str, sentence: str) -> str:
+    """A sentence for people; `level`: info, warn or error."""
+    return json.dumps({"type": "said", "level": level, "text": sentence})
+
+
+MOST = 200  # messages a second
+SECONDS = 5  # that a page may go on beyond it, one after the other
+GARBAGE = 20  # messages that are none, and the page is closed
+
+
+class Allowance:
+    """Allowance of one page: 200 messages a second, and few that no page would send. Times are in s."""
+
+    def __init__(self) -> None:
+        self.dropped = 0  # messages beyond `MOST`
+        self._since: float | None = None  # when this second began
+        self._count = 0  # in this second
+        self._beyond = 0  # seconds, one after the other, in which there were too many
+        self._kinds: set[str] = set()  # of garbage
+        self._garbage = 0
+
+    def takes(self, now: float) -> bool:
+        """Is there room for one more message?"""
+        if self._since is None or now - self._since >= 1.0:
+            follows = self._since is not None and now - self._since < 2.0
+            self._beyond = self._beyond + 1 if follows and self._count > MOST else 0
+            self._since, self._count = now, 0
+        self._count += 1
+        if self._count > MOST:
+            self.dropped += 1
+            return False
+        return True
+
+    @property
+    def begins(self) -> bool:
+        """True of the first message of a second that there is no room for, where the second before had room for all."""
+        return self._count == MOST + 1 and self._beyond == 0
+
+    @property
+    def floods(self) -> bool:
+        """True of a page that has gone on for `SECONDS`."""
+        return self._beyond >= SECONDS
+
+    def garbage(self, kind: str) -> bool:
+        """Count a message that is none; True if it is the first of its kind."""
+        self._garbage += 1
+        first = kind not in self._kinds
+        self._kinds.add(kind)
+        return first
+
+    @property
+    def talks_nonsense(self) -> bool:
+        """True of a page that has sent too much garbage."""
+        return self._garbage >= GARBAGE
+
 
 PAGES = 8  # at most
 STRANGERS = 32  # connections that are no page, or not yet; of more the oldest is dropped
@@ -111,7 +294,12 @@ class PageConnection(ServerConnection):
 
 
 class Clients:
-    """Serves the page and its socket. `now`: the clock, s."""
+    """Server of the page, with a socket for each page that is open. `now`: the clock, s.
+
+    A message to all pages is made once. A page that reads too slowly loses pictures, never the others; its backlog is
+    bounded. One that sends too much, or nonsense, is warned, and then closed. A connection without the token is one of
+    at most `STRANGERS`, and for `STRANGE` seconds.
+    """
 
     def __init__(self, requests: Requests, host: Host, now: Callable[[], float]) -> None:
         self._requests, self._host, self.now = requests, host, now
