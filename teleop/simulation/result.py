@@ -116,9 +116,14 @@ class Result:
     def write(self, folder: Path, command: Sequence[str] = ()) -> None:
         """Write the files of the run into a folder that is there, each in the place of one that it may hold."""
         summary = self.summary(command)
-        with replacing(folder / "trace.npz") as file:
-            write_arrays(file, self.trace)
+        write_npz(folder / "trace.npz", self.trace)
         write_document(folder / "summary.json", summary)
+
+
+def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write arrays as the file `path`, whole or not at all."""
+    with replacing(path) as file:
+        write_arrays(file, arrays)
 
 
 def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:

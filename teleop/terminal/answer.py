@@ -7,13 +7,14 @@ no bound, is null in it.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isfinite
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.storage.strict_json import written
-from teleop.terminal.options import DONE
+from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.printable import printable
 from teleop.terminal.screen import shown
 
@@ -22,13 +23,17 @@ if TYPE_CHECKING:
 
     from teleop.scene.scene import Scene
 
+_NONE: Mapping[str, Any] = MappingProxyType({})
+
 
 class Answer(NamedTuple):
-    """What a command found out: a text, a document, an exit code."""
+    """The result of a command: a text, a document, an exit code, and what it has to write and to draw."""
 
     text: str  # for a person; several lines
     document: Mapping[str, Any]  # the same for a program, as JSON can hold it
     code: int = DONE  # with which the process ends
+    files: Mapping[str, Callable[[Path], object]] = _NONE  # of its folder, and how each is written
+    plots: Mapping[str, Callable[[Path, Sequence[str]], list[Path]]] = _NONE  # likewise, in each of some formats
 
     def kept_in(self, folder: Path | str | None) -> Answer:
         """The same answer, which says that its files are in `folder`."""
@@ -41,6 +46,13 @@ class Answer(NamedTuple):
             return self
         text = "\n".join([self.text, *(f"plot: {plot}" for plot in plots)])
         return self._replace(text=text, document={**self.document, "plots": plots})
+
+    def interrupted(self, missing: Sequence[str]) -> Answer:
+        """The same answer after Ctrl-C, which names the plots that are `missing`."""
+        notes = [f"interrupted before it was drawn: {', '.join(missing)}"] if missing else []
+        changed = {"status": "interrupted", "notes": [*self.document.get("notes", ()), *notes]}
+        return self._replace(text="\n".join([self.text, *notes]), document={**self.document, **changed},
+                             code=INTERRUPTED)
 
     def without_plot(self, why: object) -> Answer:
         """The same answer, which says why no plot was drawn."""

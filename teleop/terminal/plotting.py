@@ -44,7 +44,7 @@ def asked_formats(args: Namespace, *, asked: bool = False) -> tuple[str, ...]:
 
     `asked`: another of its options asks for a plot. Raises `Refused` without the extra, before anything is computed.
     """
-    if not (args.plot or args.format or asked):
+    if not (asked or any(vars(args).get(name) for name in ("plot", "format"))):
         return ()
     need_plot()
     return args.format or PNG

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import TextIO
 
 from teleop.errors import plural
@@ -68,6 +70,11 @@ def shown_on(stream: TextIO | None, clock: Callable[[], float], total: float = 1
         yield lambda done, text: line.show(done, clock(), text)
     finally:
         line.end()
+
+
+def shown_for(args: Namespace, total: float = 1.0) -> AbstractContextManager[Show]:
+    """The same for a command: on standard error, by its clock; nothing with --json."""
+    return shown_on(None if args.json else sys.stderr, args.seconds, total)
 
 
 class RowsProgress:
