@@ -14,8 +14,7 @@ from channel.link import describe
 from channel.shell import RelayShell
 from teleop.errors import Refused
 from teleop.live import security
-from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Address, Wire, address, bound, peer_address, shown, towards
 from teleop.live.orders import OF_THE_RELAY, Orders, orders_option, refuse, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt

@@ -9,7 +9,7 @@ from __future__ import annotations
 from hashlib import sha256
 from hmac import compare_digest, digest
 
-from teleop.live.net.address import Address
+from teleop.live.net.wire import Address
 from teleop.protocol.secure.dtls_record import DtlsRecord
 
 SLOT_NS = 30_000_000_000  # a cookie is good for one to two of these

@@ -11,9 +11,8 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
 from channel.relay import Counts, Relay
-from teleop.live.net.address import Address
 from teleop.live.net.bulk import Bulk
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Address, Wire
 from teleop.protocol.liveness import RENEW_NS
 
 QUIET_NS = RENEW_NS  # a flow in which the master, or the slave, has been silent for so long gives way to others

@@ -7,7 +7,7 @@ slave, which has to answer each.
 
 from __future__ import annotations
 
-from teleop.live.net.address import Address
+from teleop.live.net.wire import Address
 from teleop.protocol.liveness import RENEW_NS
 
 MOST_ASKED = 4096  # sessions

@@ -21,9 +21,8 @@ from channel.flow import Flow, Flows
 from channel.introduction import Introductions
 from channel.relay import Counts, Relay
 from teleop.errors import Refused
-from teleop.live.net.address import Address, shown
 from teleop.live.net.bulk import Bulk
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Address, Wire, shown
 from teleop.protocol.manifest import INSECURE, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, decode, encode, peek
 from teleop.protocol.secure.dtls_record import DATA, HANDSHAKE, MTU, OVERHEAD, DtlsRecord, records

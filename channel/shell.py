@@ -12,8 +12,7 @@ from os import urandom
 from selectors import EVENT_READ, DefaultSelector, SelectorKey
 
 from channel.router import Router
-from teleop.live.net.address import Address, towards
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Address, Wire, towards
 from teleop.live.orders import Orders
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.ticker import Timer

@@ -29,7 +29,7 @@ except ModuleNotFoundError as error:
     raise ImportError("an Inverse3 is reached by websockets, which is not installed; type pip install "
                       "'bilateral-teleop[haply]', or pip install websockets") from error
 from teleop.errors import DeviceError, Refused
-from teleop.live.devices.heartbeat import DeviceWatchdog
+from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.live.intake import SHARE, intake
 from teleop.physics.rotation_axes import RotationAxes
 from teleop.protocol.endpoint import Axes, Reading

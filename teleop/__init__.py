@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from teleop.laws.wave_prediction import WavePrediction
     from teleop.laws.wave_scaled import WaveScaled
     from teleop.live.devices.checking import check_device
-    from teleop.live.devices.heartbeat import DeviceWatchdog
+    from teleop.live.devices.device_watchdog import DeviceWatchdog
     from teleop.live.end import end_main
     from teleop.live.records.merge import load_result
     from teleop.physics.implicit import Resistance
@@ -115,7 +115,7 @@ _HOMES = {  # the module of each name, under this package
     "laws.wave_scaled": ("WaveScaled",),
     "laws.wave_prediction": ("WavePrediction",),
     "live.devices.checking": ("check_device",),
-    "live.devices.heartbeat": ("DeviceWatchdog",),
+    "live.devices.device_watchdog": ("DeviceWatchdog",),
     "live.end": ("end_main",),
     "physics.implicit": ("Resistance",),
     "physics.plant": ("MassDamper", "Plant"),

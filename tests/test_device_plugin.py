@@ -14,7 +14,7 @@ import pytest
 
 from teleop import Refused, check_device, load_scene
 from teleop.__main__ import main
-from teleop.live.devices.named import named
+from teleop.live.devices.opening import find_device
 from teleop.scene.library import ROOT
 
 PLUGIN = Path(__file__).parent / "device_plugin"
@@ -67,11 +67,11 @@ def test_both_pass_the_check_by_name_and_take_what_stands_behind_it(capsys: pyte
 @pytest.mark.usefixtures("installed")
 def test_a_wrong_name_finds_the_nearest_of_a_package_and_a_wrong_scene_is_told_of_its_axes() -> None:
     with pytest.raises(Refused, match="did you mean rail_handle"):
-        named("m", "rail_handel")
+        find_device("m", "rail_handel")
     with pytest.raises(Refused, match="the rail has one axis, and the scene 3"):
-        named("s", "rail").open(load_scene("recorded_reach"))
+        find_device("s", "rail").open(load_scene("recorded_reach"))
     with pytest.raises(Refused, match=r"which makes the device, raised ValueError: could not convert .*'near'"):
-        named("s", "rail:near").open(load_scene("hard_wall"))
+        find_device("s", "rail:near").open(load_scene("hard_wall"))
 
 
 @pytest.mark.live

@@ -21,8 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from teleop.live.driving import ClockDriver
-from teleop.live.net.address import bound
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Wire, bound
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.record import RecordWriter
 from teleop.live.shell import Shell
@@ -56,7 +55,7 @@ PARTS = {
                           "live.records.inputs:InputWriter.arrived"),
     "driver and shell": ("live.driving:ClockDriver.wake", "live.shell:Shell.tick", "live.shell:Shell.take_events",
                          "live.shell:Shell.say_again", "live.listening:Listening.update",
-                         "live.process.suspension:Suspension.passed"),
+                         "live.process.ticker:Suspension.passed"),
 }
 OVERHEAD_NS = 130  # of a timed call, to the part that calls it
 

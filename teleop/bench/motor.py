@@ -14,7 +14,7 @@ from mmap import mmap
 from pathlib import Path
 from struct import Struct
 
-from teleop.live.devices.heartbeat import DeviceWatchdog
+from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.live.end import end_main
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene

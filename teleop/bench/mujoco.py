@@ -11,7 +11,7 @@ from collections.abc import Callable
 from statistics import median
 from typing import Any
 
-from teleop.live.devices.named import named
+from teleop.live.devices.opening import find_device
 from teleop.live.in_process import run_stepped
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -42,7 +42,7 @@ def mujoco(rounds: int) -> list[Row]:
         for name, (measure, _) in parts.items():
             took[name].append(measure())
         began = time.process_time()
-        robot: Any = named("s", "mujoco").open(three)
+        robot: Any = find_device("s", "mujoco").open(three)
         opened.append(time.process_time() - began)
     base = took["`teleop run`, one axis"]
     over = {name: median(each / one for each, one in zip(took[name], base, strict=True)) for name in parts}
@@ -53,7 +53,7 @@ def mujoco(rounds: int) -> list[Row]:
 
 
 def _stepped(scene: Scene, robot: str) -> Any:
-    make = {"m": named("m", "simulated").open, "s": named("s", robot).open}
+    make = {"m": find_device("m", "simulated").open, "s": find_device("s", robot).open}
     return run_stepped(scene, make, clock=time.process_time_ns)
 
 
@@ -63,7 +63,7 @@ def _loop(result: Any) -> float:
 
 def _robot(scene: Scene, force: tuple[float, ...]) -> float:
     """The time (us) of a read and a hold."""
-    robot = named("s", "mujoco").open(scene)
+    robot = find_device("s", "mujoco").open(scene)
     for k in range(TICKS):  # until it has come to rest where it presses
         robot.hold(force)
         robot.read(k)
@@ -78,7 +78,7 @@ def _steps(scene: Scene) -> float:
     """The time (us) of the sub-steps of a tick alone."""
     from mujoco import mj_step  # type: ignore[import-not-found,import-untyped,unused-ignore]  # an extra without types
 
-    robot: Any = named("s", "mujoco").open(scene)
+    robot: Any = find_device("s", "mujoco").open(scene)
     model, data = robot._model.model, robot._body.data
     began = time.process_time()
     for _ in range(TICKS):

@@ -10,8 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from teleop.live.net.address import bound
-from teleop.live.net.wire import DRAIN, Wire
+from teleop.live.net.wire import DRAIN, Wire, bound
 from teleop.live.process.ticker import Alarm
 
 TICK_NS = 1_000_000

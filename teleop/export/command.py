@@ -62,7 +62,7 @@ def stream(args: Namespace) -> Answer:
     """Send the rows of a live run to PlotJuggler as they come, until it is over or a signal. Raises `Refused`."""
     from teleop.export.growing import GrowingRun
     from teleop.export.stream import stream as send
-    from teleop.live.net.address import address, shown
+    from teleop.live.net.wire import address, shown
     from teleop.live.process.interrupt import Interrupt
 
     to = address(args.plotjuggler, "--plotjuggler")

@@ -16,7 +16,7 @@ from teleop.errors import Refused
 from teleop.export.columns import paths_of
 from teleop.export.growing import GrowingEnd, GrowingRun, Some
 from teleop.export.objects import Objects, Path
-from teleop.live.net.address import Address, shown
+from teleop.live.net.wire import Address, shown
 
 ROWS = 16  # a datagram
 LARGEST = 60_000  # bytes of a datagram; UDP takes 65,507

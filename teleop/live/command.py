@@ -42,7 +42,7 @@ def demo(args: Namespace) -> Answer:
 
 def run(args: Namespace) -> Answer:
     """Run the scene in virtual time with a device or a robot by name, and leave its folder. Raises `Refused`."""
-    from teleop.live.devices.named import named
+    from teleop.live.devices.opening import find_device
     from teleop.live.in_process import run_stepped
     from teleop.terminal.run import command
 
@@ -50,7 +50,7 @@ def run(args: Namespace) -> Answer:
         raise Refused("--bodies moves the scene's own bodies, and a device or robot by name moves by itself; leave one "
                       "of them out")
     texts = {"m": args.device or "simulated", "s": args.robot or "simulated"}
-    make = {e: named(e, text).open for e, text in texts.items()}
+    make = {e: find_device(e, text).open for e, text in texts.items()}
     other = {word: texts[e] for word, e in (("device", "m"), ("robot", "s")) if texts[e] != "simulated"}
 
     def stepped(scene: Scene, *, seed: int, clock: Callable[[], int], **_bodies: None) -> Result:

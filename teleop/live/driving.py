@@ -12,9 +12,7 @@ from teleop.live.leaving import leave, leave_without_loop, let_go
 from teleop.live.listening import Listening
 from teleop.live.lockstep import by_packets
 from teleop.live.meeting import first_reading, meet
-from teleop.live.process.suspension import Suspension, boottime
-from teleop.live.process.tick_loop import in_tick_loop
-from teleop.live.process.ticker import Alarm
+from teleop.live.process.ticker import Alarm, Suspension, boottime, in_tick_loop
 from teleop.live.shell import Shell
 from teleop.protocol.endpoint import Stepped
 from teleop.protocol.session import FINISHED

@@ -15,15 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number
 from teleop.live import fault, security
+from teleop.live.devices.device_watchdog import DeviceWatchdog, watchdog_of, with_watchdog
 from teleop.live.devices.guarded_device import LiveDevice, is_simulated
-from teleop.live.devices.heartbeat import DeviceWatchdog, watched
-from teleop.live.devices.named import named
-from teleop.live.devices.opening import close, opened
+from teleop.live.devices.opening import close, find_device, open_device
 from teleop.live.driving import run_in_loop
 from teleop.live.lastresort import LastResort
 from teleop.live.live_line import live_text
-from teleop.live.net.address import Address, address, bound, peer_address, shown, towards
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Address, Wire, address, bound, peer_address, shown, towards
 from teleop.live.orders import SHAPES, Orders, orders_option, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
@@ -95,19 +93,19 @@ def _run_with(
     e: str, device: Callable[[Scene], LiveDevice], args: Namespace, argv: list[str], there: list[LiveDevice]
 ) -> int:
     """The run, of the device that was typed or that `device` makes, which is put `there` as soon as it is open."""
-    given = named(e, args.named) if args.named else None
+    given = find_device(e, args.named) if args.named else None
     knobs = knobs_from(args) if args.lockstep else live_knobs(args.scene, knobs_from(args))
     endpoint = _endpoint(scene := both_ends(load_scene(args.scene, **knobs)), e, args)
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = security.secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
-        there.append(made := opened(device, scene) if given is None else given.open(scene))
+        there.append(made := open_device(device, scene) if given is None else given.open(scene))
         interrupt.retake()
         _check_stepped(args, made)
         stem = f"{scene.name}-{NAMES[e]}"
         with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
-              nullcontext(made) if args.lockstep else watched(
+              nullcontext(made) if args.lockstep else with_watchdog(
                   made, folder.path, scheduling.above, _watchdog(e, args, knobs)) as watched_device):
             progress = _Progress(scene)
             say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
@@ -183,8 +181,6 @@ def _watchdog(e: str, args: Namespace, knobs: dict[str, str]) -> DeviceWatchdog 
     """The watchdog that was asked for, None if none was."""
     if not args.watchdog:
         return None
-    from teleop.live.devices.zeroing import watchdog_of  # for an end without one it need not be there
-
     return watchdog_of(e, args.named, args.scene, knobs)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice
-from teleop.live.devices.opening import opened
+from teleop.live.devices.opening import open_device
 from teleop.live.records.end_result import NAMES, UNSENSED
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.manifest import manifest_of
@@ -47,7 +47,7 @@ def run_stepped(scene: Scene, make: Mapping[str, Make], *, seed: int = 0, clock:
     with ExitStack() as stack:
         devices = {}
         for e in "ms":
-            devices[e] = opened(make[e], scene)
+            devices[e] = open_device(make[e], scene)
             stack.callback(getattr(devices[e], "close", _nothing))
         return _run(scene, devices, seed, clock, dict(named or {}))
 

@@ -7,7 +7,7 @@ import time
 
 from teleop.errors import Refused
 from teleop.live import fault
-from teleop.live.net.address import shown
+from teleop.live.net.wire import shown
 from teleop.live.shell import Shell
 from teleop.protocol.packet import VERSION, Rejection
 from teleop.protocol.session import FINISHED

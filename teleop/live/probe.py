@@ -15,8 +15,7 @@ from typing import Any
 
 from teleop.live.net.wire import ROOM, STAMP, Wire
 from teleop.live.process.realtime import ask
-from teleop.live.process.tick_loop import in_tick_loop
-from teleop.live.process.ticker import Alarm
+from teleop.live.process.ticker import Alarm, in_tick_loop
 from teleop.live.records.end_result import lateness, spread_us
 
 DT_NS = 1_000_000  # the tick of every scene that comes with the package

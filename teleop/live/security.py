@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
 from teleop.errors import Refused
-from teleop.live.net.address import Address, shown
+from teleop.live.net.wire import Address, shown
 
 if TYPE_CHECKING:
     from teleop.protocol.secure.secure_link import SecureLink

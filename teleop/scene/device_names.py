@@ -2,7 +2,7 @@
 
 A package of yours offers a master's device by `[project.entry-points."teleop.devices"]`, `mine = "my_package:MyArm"`,
 and a slave's robot by the group `teleop.robots`. They are listed without being imported. What opens one by its name is
-`teleop.live.devices.named`.
+`teleop.live.devices.opening`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from teleop.scene.library import ROOT
 
 DEVICES = {  # of the master's end
     "csv": "teleop.live.devices.csv_replay:replayed_device",
-    "gamepad": "teleop.live.devices.of_the_page:gamepad",
+    "gamepad": "teleop.live.devices.opening:gamepad",
     "haply": "master.haply:Inverse3",
-    "pointer": "teleop.live.devices.of_the_page:pointer",
+    "pointer": "teleop.live.devices.opening:pointer",
     "simulated": "master.device:SimulatedMaster",
 }
 ROBOTS = {  # of the slave's end

@@ -21,8 +21,7 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.live.driving import run
-from teleop.live.net.address import bound
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Wire, bound
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import WAYS
 from teleop.live.records.record import RecordWriter

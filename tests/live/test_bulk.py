@@ -10,9 +10,8 @@ from collections.abc import Iterator
 import pytest
 
 from teleop.live.net import wire as reading
-from teleop.live.net.address import bound
 from teleop.live.net.bulk import MOST, Bulk
-from teleop.live.net.wire import LONGEST, STAMP, Wire
+from teleop.live.net.wire import LONGEST, STAMP, Wire, bound
 
 pytestmark = pytest.mark.live
 

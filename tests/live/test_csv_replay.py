@@ -8,7 +8,7 @@ import pytest
 
 from teleop import Reading, Refused, load_scene, run
 from teleop.__main__ import main
-from teleop.live.devices.named import named
+from teleop.live.devices.opening import find_device
 
 ONE = load_scene("hard_wall", duration=1.0, delay=0.01)
 THREE = load_scene("recorded_reach", duration=1.0, delay=0.01)
@@ -22,7 +22,7 @@ def test_what_was_exported_is_read_again_to_the_bit_at_every_tick(
     (tmp_path / "run").mkdir()
     result.write(tmp_path / "run", [])
     assert main(["export", str(tmp_path / "run"), "--csv", str(tmp_path / "run.csv")]) == 0, capsys.readouterr().err
-    device = named(e, f"csv:{tmp_path / 'run.csv'}").open(scene)  # type: ignore[arg-type]
+    device = find_device(e, f"csv:{tmp_path / 'run.csv'}").open(scene)  # type: ignore[arg-type]
     x, v, f = (result.trace[name].reshape(len(result.trace["t"]), -1) for name in (f"x_{e}", f"v_{e}", force))
     device.hold((5.0,) * x.shape[1])
     assert x.any()
@@ -32,7 +32,7 @@ def test_what_was_exported_is_read_again_to_the_bit_at_every_tick(
 
 def test_a_recorded_reach_has_the_slope_behind_each_row_for_its_velocity_and_rests_at_its_ends(tmp_path: Path) -> None:
     (tmp_path / "reach.csv").write_text("# by hand\nt, x\n0.010, 1\n0.020, 2\n0.040, 3\n")
-    device = named("m", f"csv:{tmp_path / 'reach.csv'}").open(ONE)
+    device = find_device("m", f"csv:{tmp_path / 'reach.csv'}").open(ONE)
     got = [(k, device.read(k).x[0], device.read(k).v[0]) for k in (0, 10, 15, 20, 30, 40, 41)]
     assert got == [(0, 1.0, 0.0), (10, 1.0, 0.0), (15, pytest.approx(1.5), pytest.approx(100.0)),
                    (20, 2.0, pytest.approx(100.0)), (30, pytest.approx(2.5), pytest.approx(50.0)),
@@ -58,7 +58,7 @@ def test_a_recorded_reach_has_the_slope_behind_each_row_for_its_velocity_and_res
 def test_a_file_that_is_no_such_motion_is_refused(text: str, scene: object, words: str, tmp_path: Path) -> None:
     (tmp_path / "it.csv").write_text(text)
     with pytest.raises(Refused) as refused:
-        named("m", f"csv:{tmp_path / 'it.csv'}").open(scene)  # type: ignore[arg-type]
+        find_device("m", f"csv:{tmp_path / 'it.csv'}").open(scene)  # type: ignore[arg-type]
     assert words in str(refused.value)
 
 
@@ -70,8 +70,8 @@ def test_a_motion_in_rad_is_not_played_along_an_axis_in_m(tmp_path: Path) -> Non
     result.write(tmp_path / "run", [])
     assert main(["export", str(tmp_path / "run"), "--csv", str(tmp_path / "run.csv")]) == 0
     text = f"csv:{tmp_path / 'run.csv'}"
-    assert named("m", text).open(joints).read(0).x == (0.0,) * 6
+    assert find_device("m", text).open(joints).read(0).x == (0.0,) * 6
     with pytest.raises(Refused, match="has x_m_base in rad, and that axis of the scene is in m; take the scene"):
-        named("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
+        find_device("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
     (tmp_path / "run.csv-metadata.json").write_text("[1")
-    named("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
+    find_device("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))

@@ -11,18 +11,18 @@ from pathlib import Path
 import pytest
 
 from teleop.errors import Refused
-from teleop.live.devices import device_lock
-from teleop.live.devices.device_lock import folder, take_lock
+from teleop.live.devices import device_watchdog
+from teleop.live.devices.device_watchdog import lock_folder, take_lock
 from teleop.scene.library import ROOT
 from tests.live.namespaces import machine
 
 TAKES = """
 import os, sys
 from teleop.errors import Refused
-from teleop.live.devices import device_lock
-device_lock.WAIT_S = 0.1
+from teleop.live.devices import device_watchdog
+device_watchdog.WAIT_S = 0.1
 try:
-    device_lock.take_lock(sys.argv[1], os.getpid())
+    device_watchdog.take_lock(sys.argv[1], os.getpid())
 except Refused as refused:
     print(refused, flush=True)
 else:
@@ -38,7 +38,7 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "runtime"
     path.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(path))
-    monkeypatch.setattr(device_lock, "WAIT_S", 0.1)
+    monkeypatch.setattr(device_watchdog, "WAIT_S", 0.1)
     return path
 
 
@@ -143,5 +143,5 @@ def test_without_a_runtime_folder_of_ones_own_it_is_below_the_home_folder(
         monkeypatch.delenv("XDG_RUNTIME_DIR")
     else:
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime) if value == "OPEN" else value)
-    assert folder() == tmp_path / "home" / ".cache" / "bilateral-teleop"
-    assert folder().stat().st_mode & 0o777 == 0o700
+    assert lock_folder() == tmp_path / "home" / ".cache" / "bilateral-teleop"
+    assert lock_folder().stat().st_mode & 0o777 == 0o700

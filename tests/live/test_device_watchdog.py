@@ -20,9 +20,7 @@ from teleop import load_result
 from teleop.bench.motor import HANG, Motor
 from teleop.bench.watchdog import BLOWS, FORCE, SCENE, trial
 from teleop.errors import DeviceError, Refused
-from teleop.live.devices.device_watchdog import Watching, opened
-from teleop.live.devices.guarded_device import GuardedDevice
-from teleop.live.devices.heartbeat import (
+from teleop.live.devices.device_watchdog import (
     ACKED,
     BEAT,
     DONE,
@@ -33,7 +31,10 @@ from teleop.live.devices.heartbeat import (
     DeviceWatchdog,
     K,
     WatchedDevice,
+    Watching,
+    open_zero,
 )
+from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.records.record import read_events
 from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Reading
@@ -74,7 +75,7 @@ class Bench:
         self.watched._words = self.words
         self.watching = Watching(self.words, self.zero, DEADLINE, self.told.append)
         if monkeypatch is not None:
-            monkeypatch.setattr("teleop.live.devices.heartbeat.time.monotonic_ns", self.now)
+            monkeypatch.setattr("teleop.live.devices.device_watchdog.time.monotonic_ns", self.now)
         self.words[SEEN] = self.now()
 
     def now(self) -> int:
@@ -207,11 +208,11 @@ def test_a_device_that_cannot_be_set_to_zero_is_tried_at_every_look_and_told_onc
     bench.look(250.0)
     assert len(bench.told) == 1
     assert f"could not be set to zero: {type(error).__name__}" in bench.told[0]
-    assert not bench.watching.gone()
+    assert not bench.watching.take_over()
     bench.broken = None
     bench.look(10.0)
     assert "was set to zero" in bench.told[-1]
-    assert bench.watching.gone()
+    assert bench.watching.take_over()
     assert bench.arm.force == ZERO
 
 
@@ -276,7 +277,7 @@ def test_whatever_stands_still_for_however_long_no_force_outlives_its_deadline_a
 ])
 def test_a_watchdog_that_cannot_open_its_device_says_why(target: str, words: str) -> None:
     with pytest.raises(Refused, match=words):
-        opened(target, [])
+        open_zero(target, [])
 
 
 @pytest.mark.parametrize("wrong", [{"open": "my_arm"}, {"open": ":zero"}, {"open": "a:b", "deadline": 0.0}])
@@ -457,7 +458,7 @@ def test_two_ends_do_not_drive_one_device(site: Callable[..., Site]) -> None:
 PROGRAM = """
 import sys
 from teleop.live.end import end_main
-from teleop.live.devices.heartbeat import DeviceWatchdog
+from teleop.live.devices.device_watchdog import DeviceWatchdog
 from slave.robot import SimulatedSlave
 
 

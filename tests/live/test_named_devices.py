@@ -10,7 +10,7 @@ from slave.__main__ import main as slave_main
 from slave.robot import SimulatedSlave
 from teleop import Reading, Refused, load_scene
 from teleop.__main__ import main
-from teleop.live.devices.named import named
+from teleop.live.devices.opening import find_device
 from teleop.scene.device_names import KINDS, device_line
 
 SCENE = load_scene("hard_wall", duration=0.1)
@@ -33,7 +33,7 @@ class {name}:
 
 
 def test_a_built_in_robot_is_made_from_the_scene() -> None:
-    assert isinstance(named("s", "simulated").open(SCENE), SimulatedSlave)
+    assert isinstance(find_device("s", "simulated").open(SCENE), SimulatedSlave)
 
 
 @pytest.mark.parametrize("e", ["m", "s"])
@@ -69,9 +69,9 @@ def test_an_end_that_cannot_be_driven_by_its_device_is_refused_before_it_listens
 def test_a_file_of_ones_own_needs_no_class_where_it_has_one_and_takes_an_argument(tmp_path: Path) -> None:
     file = tmp_path / "arm.py"
     file.write_text(OWN.format(name="Arm"))
-    assert named("m", str(file)).open(SCENE).read(0) == Reading((0.5,), (0.0,))
-    assert named("m", f"{file}:Arm:/dev/ttyACM0").open(SCENE).port == "/dev/ttyACM0"  # type: ignore[attr-defined]
-    assert named("s", f"{file}:Arm").open(SCENE).port == "none"  # type: ignore[attr-defined]
+    assert find_device("m", str(file)).open(SCENE).read(0) == Reading((0.5,), (0.0,))
+    assert find_device("m", f"{file}:Arm:/dev/ttyACM0").open(SCENE).port == "/dev/ttyACM0"  # type: ignore[attr-defined]
+    assert find_device("s", f"{file}:Arm").open(SCENE).port == "none"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("e", "text", "words"), [
@@ -85,7 +85,7 @@ def test_a_file_of_ones_own_needs_no_class_where_it_has_one_and_takes_an_argumen
 ])
 def test_a_wrong_name_is_answered_with_what_to_type(e: str, text: str, words: str) -> None:
     with pytest.raises(Refused) as refused:
-        named(e, text).open(SCENE)
+        find_device(e, text).open(SCENE)
     assert words in str(refused.value)
 
 
@@ -93,9 +93,9 @@ def test_a_file_with_two_devices_asks_which_one_and_one_with_none_says_what_a_de
     file = tmp_path / "two.py"
     file.write_text(OWN.format(name="Left") + OWN.format(name="Right"))
     with pytest.raises(Refused, match=r"has 2 devices; name one of them, .*two.py:Left or .*two.py:Right"):
-        named("s", str(file))
+        find_device("s", str(file))
     with pytest.raises(Refused, match="has no 'Lefft'; did you mean Left"):
-        named("s", f"{file}:Lefft")
+        find_device("s", f"{file}:Lefft")
     file.write_text("x = 1")
     with pytest.raises(Refused, match=r"has no robot: a class with read\(k\) and hold\(force\)"):
-        named("s", str(file))
+        find_device("s", str(file))

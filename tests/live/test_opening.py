@@ -13,7 +13,7 @@ import pytest
 
 from slave.robot import SimulatedSlave
 from teleop import DeviceError, DeviceWatchdog, Reading, Refused, end_main, load_scene
-from teleop.live.devices.opening import opened
+from teleop.live.devices.opening import open_device
 from teleop.scene.library import ROOT
 
 SCENE = load_scene("hard_wall", duration=0.1)
@@ -96,7 +96,7 @@ def raises(error: BaseException) -> Callable[[Any], Any]:
 ], ids=lambda each: each[0] if isinstance(each, list) else "")
 def test_what_is_no_device_was_a_traceback_or_ended_a_session_that_had_begun(make: Any, words: list[str]) -> None:
     with pytest.raises(Refused) as refused:
-        opened(make, SCENE)
+        open_device(make, SCENE)
     for each in words:
         assert each in str(refused.value)
 
@@ -113,7 +113,7 @@ class Wrapped(Robot):
 @pytest.mark.parametrize("make", [Robot, Wrapped, SimulatedSlave, lambda scene, port="/dev/arm": Robot((scene, port))],
                          ids=["a class", "a class around another", "a class of the package", "a function"])
 def test_what_can_be_called_is_taken_as_it_is(make: Any) -> None:
-    assert opened(make, SCENE) is not None
+    assert open_device(make, SCENE) is not None
 
 
 def test_an_end_that_is_neither_the_masters_nor_the_slaves_is_one_sentence(

@@ -17,8 +17,7 @@ from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import Refused
 from teleop.live.driving import run
-from teleop.live.net.address import bound
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Wire, bound
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.rate import ticks_of
 from teleop.live.records.merge import merge

@@ -16,8 +16,7 @@ from typing import Any
 import pytest
 
 from teleop.errors import Refused
-from teleop.live.net.address import address, bound, peer_address, shown
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Wire, address, bound, peer_address, shown
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.ticker import Alarm
 from tests.waiting import PATIENCE

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from teleop.live.driving import ClockDriver
-from teleop.live.process.suspension import LEAST_NS, Suspension, boottime
+from teleop.live.process.ticker import LEAST_NS, Suspension, boottime
 from teleop.scene.loading import load_scene
 from teleop.stages.watchdog import Watchdog
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from teleop.live.process.tick_loop import TickLoop
-from teleop.live.process.ticker import Alarm
+from teleop.live.process.ticker import Alarm, TickLoop
 from tests.waiting import PATIENCE
 
 MS = 1_000_000

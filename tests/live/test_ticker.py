@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from teleop.live.process.tick_loop import TickLoop
-from teleop.live.process.ticker import Alarm, Timer
+from teleop.live.process.ticker import Alarm, TickLoop, Timer
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.live, pytest.mark.skipif(Timer().fd < 0, reason="there is no timerfd here")]

@@ -216,7 +216,7 @@ def test_what_is_too_long_for_a_router_is_cut_there_though_nobody_says_so(machin
     hears.stdout.readline()
     try:
         near.run(
-            sys.executable, "-c", "from teleop.live.net.address import towards\nfrom teleop.live.net.wire import Wire\n"
+            sys.executable, "-c", "from teleop.live.net.wire import towards\nfrom teleop.live.net.wire import Wire\n"
             "peer = ('10.0.2.2', 9)\nwire = Wire(towards(peer), peer)\nwire.keep_to_peer()\n"
             "for size in (1200, 100):\n    wire.send(bytes(size))",
             env={**os.environ, "PYTHONPATH": str(ROOT)}).check_returncode()

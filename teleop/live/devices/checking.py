@@ -1,4 +1,4 @@
-"""The check of a device against what a live end asks of it: `check_device(MyArm, e="s")`, `teleop check robot NAME`.
+"""Check of a device against the needs of a live end: `check_device(MyArm, e="s")`, `teleop check robot NAME`.
 
 How long `read` and `hold` take is measured and told, never judged: another machine has other times. All else is right
 or is a `DeviceFault` with one sentence. A device is pushed only if it says that it is simulated, by an attribute
@@ -7,20 +7,22 @@ or is a `DeviceFault` with one sentence. A device is pushed only if it says that
 
 from __future__ import annotations
 
+import faulthandler
+import os
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from math import ceil
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
+from threading import Event, Thread
 from typing import Any
 
 from teleop.errors import DeviceError, Refused, number, number_of, whole_number
-from teleop.live.devices.call_watch import CallWatch
+from teleop.live.devices.device_watchdog import with_watchdog
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, is_simulated
-from teleop.live.devices.heartbeat import watched
 from teleop.live.devices.judging import (
     DeviceFault,
     Mistake,
@@ -32,13 +34,80 @@ from teleop.live.devices.judging import (
     check_sensor,
     check_velocity,
 )
-from teleop.live.devices.named import NamedDevice, named
-from teleop.live.devices.opening import close
+from teleop.live.devices.opening import NamedDevice, close, find_device
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.axes import FORCE_UNIT
-from teleop.scene.device_names import KINDS
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
+from teleop.terminal.options import FAULT, FORCED, complain
+
+BLOCKED_S, LOOK_S, LET_GO_S = 1.2, 0.1, 0.3  # a call that takes so long does not return; between looks; to set zero
+STUCK_S = 1.8  # without a look, where compiled code keeps Python's lock
+
+
+class CallWatch:
+    """A thread that ends the process where a call of the device does not return."""
+
+    def __init__(self, device: str) -> None:
+        self.guarded: GuardedDevice | None = None  # whose force is to be zero then
+        self._device = device
+        self._call, self._calls = "", 0
+        self._done = Event()
+
+    def __enter__(self) -> CallWatch:
+        self._arm()
+        self._thread = Thread(target=self._look, name="call watch", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    @contextmanager
+    def calling(self, method: str) -> Iterator[None]:
+        """Look after one call."""
+        self._calls += 1
+        self._call = method
+        try:
+            yield
+        finally:
+            self._call = ""
+
+    def _look(self) -> None:
+        """Count the looks that find the same call; time that this thread stood still itself does not count."""
+        seen, looks = 0, 0
+        try:
+            while not self._done.wait(LOOK_S):
+                self._arm()
+                looks = looks + 1 if self._call and self._calls == seen else 0
+                seen = self._calls
+                if looks * LOOK_S >= BLOCKED_S:
+                    self._end()
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+    @staticmethod
+    def _arm() -> None:
+        """Have the process end with a traceback if no look is taken: this needs no lock of Python's."""
+        faulthandler.dump_traceback_later(STUCK_S, exit=True, file=2)
+
+    def _end(self) -> None:
+        faulthandler.cancel_dump_traceback_later()
+        method, guarded, took = self._call or "call", self.guarded, list[bool]()
+        forced = guarded is not None and guarded.forced
+        if guarded is not None:
+            worker = Thread(target=lambda: took.append(guarded.let_go()), daemon=True)
+            worker.start()
+            worker.join(LET_GO_S)
+        zero = took == [True]
+        force = ("its force was set to zero" if zero else "it did not take zero force either, and the force may still "
+                 "be on: switch it off" if forced else "no force was on")
+        complain(f"{self._device}: its {method} did not return for {BLOCKED_S:g} s, and a live end stands still for as "
+                 f"long; let a thread of the device do the waiting, or have {method} raise DeviceError after a short "
+                 f"timeout of its driver ({force})", FAULT)
+        os._exit(FORCED if forced and not zero else FAULT)
+
 
 GENTLE = 0.2  # m/s^2 or rad/s^2, to which what is simulated is pushed, were it the scene's own body
 SIMULATED_N, MACHINE_N = 1.0, 0.1  # N or N m: of what is simulated, if less does not move it, and of a machine
@@ -87,7 +156,7 @@ def check_device(make: str | Callable[..., LiveDevice], scene: Scene | None = No
     the end at which it stands, "m" or "s". It is read and held at `ticks` ticks: a machine by the clock. Raises
     `Refused` for a request that cannot be carried out: an unknown name, a device that does not open, other axes.
 
-    Tried are: what `opened` asks for; numbers, one for each axis and finite, with a force always or never, at every
+    Tried are: the needs of `open_device`; numbers, one for each axis and finite, with a force always or never, at every
     tick; its deadline; that a reading is a left limit, so the same before and after a force is set at its tick
     (simulated: at tick 0); ticks that are left out; that v is the slope of x; the sign of the force, along +x at the
     slave and along -x at the master, by a push of `force` (N or N m; left out, 0.1 on a machine, and in simulation what
@@ -103,13 +172,13 @@ def check_device(make: str | Callable[..., LiveDevice], scene: Scene | None = No
     """
     whole_number("ticks", ticks, low=1)
     scene = both_ends(load_scene("hard_wall") if scene is None else scene)
-    known = named(e, make) if isinstance(make, str) else NamedDevice("", make)
+    known = find_device(e, make) if isinstance(make, str) else NamedDevice("", make)
     called = known.text or getattr(make, "__name__", type(make).__name__)
     device = known.open(scene)
     raised: BaseException | None = None
     try:
         check_deadline(getattr(device, "deadline", None))
-        with TemporaryDirectory() as folder, watched(device, Path(folder)) as beside, CallWatch(called) as watch:
+        with TemporaryDirectory() as folder, with_watchdog(device, Path(folder)) as beside, CallWatch(called) as watch:
             trial = _Trial(known, beside, device, scene, e, watch)
             try:
                 result = trial.run(called, ticks)
@@ -421,28 +490,3 @@ def _raises(method: str, error: Exception) -> DeviceFault:
     return DeviceFault(Mistake.RAISES, (
         f"its {method} raised {type(error).__name__}: {error}; what may come right again raises DeviceError of teleop "
         "or an OSError, on which an end is safe and asks again, and all else ends the run"))
-
-
-def report(result: DeviceCheck, e: str) -> str:
-    """Write what was measured for a person."""
-    lets_go = [] if result.deadline is None else [f"by itself after {result.deadline:g} s"]
-    lets_go += ["by its watchdog process"] * result.watchdog
-    lines = [
-        f"{KINDS[e].word} {result.device}: {number_of(result.axes, 'axis', 'axes')}, "
-        f"{'with a' if result.senses else 'without a'} force sensor{', simulated' * result.simulated}",
-        f"  read    {_time(result.read_median)} median, {_time(result.read_most)} at most, of "
-        f"{number_of(result.reads, 'call')}",
-        f"  hold    {_time(result.hold_median)} median, {_time(result.hold_most)} at most",
-        f"  rate    {result.rate:,.0f} a second, 1 / (read + hold) by the medians, measured now on this machine",
-        f"  force   lets go {' and '.join(lets_go) or 'not at all if this process dies'}",
-    ]
-    if any(result.moved):
-        pushes = zip(result.pushed, result.moved, result.axis_names, result.axis_units, strict=True)
-        moved = ", ".join(f"{by:.3g} {unit} along {name} ({force:.3g} {FORCE_UNIT[unit]})"
-                          for force, by, name, unit in pushes)
-        lines.append(f"  push    moved it by {moved}: the right way")
-    return "\n".join([*lines, *[f"  note    {note}" for note in result.notes]])
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds * 1e6:.1f} us" if seconds < 1e-3 else f"{seconds * 1e3:.2f} ms"

@@ -6,8 +6,11 @@ import signal
 from argparse import Namespace
 from typing import Any
 
-from teleop.live.devices.checking import check_device, report
+from teleop.errors import number_of
+from teleop.live.devices.checking import DeviceCheck, check_device
 from teleop.live.devices.judging import DeviceFault, Mistake
+from teleop.scene.axes import FORCE_UNIT
+from teleop.scene.device_names import KINDS
 from teleop.scene.loading import load_scene
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import FAULT, FORCED, knobs_from
@@ -30,8 +33,33 @@ def command(args: Namespace) -> Answer:
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
-    return Answer(report(result, e), result.document())
+    return Answer(_report(result, e), result.document())
 
 
 def _interrupted(*_: Any) -> None:
     raise KeyboardInterrupt
+
+
+def _report(result: DeviceCheck, e: str) -> str:
+    """Write what was measured for a person."""
+    lets_go = [] if result.deadline is None else [f"by itself after {result.deadline:g} s"]
+    lets_go += ["by its watchdog process"] * result.watchdog
+    lines = [
+        f"{KINDS[e].word} {result.device}: {number_of(result.axes, 'axis', 'axes')}, "
+        f"{'with a' if result.senses else 'without a'} force sensor{', simulated' * result.simulated}",
+        f"  read    {_time(result.read_median)} median, {_time(result.read_most)} at most, of "
+        f"{number_of(result.reads, 'call')}",
+        f"  hold    {_time(result.hold_median)} median, {_time(result.hold_most)} at most",
+        f"  rate    {result.rate:,.0f} a second, 1 / (read + hold) by the medians, measured now on this machine",
+        f"  force   lets go {' and '.join(lets_go) or 'not at all if this process dies'}",
+    ]
+    if any(result.moved):
+        pushes = zip(result.pushed, result.moved, result.axis_names, result.axis_units, strict=True)
+        moved = ", ".join(f"{by:.3g} {unit} along {name} ({force:.3g} {FORCE_UNIT[unit]})"
+                          for force, by, name, unit in pushes)
+        lines.append(f"  push    moved it by {moved}: the right way")
+    return "\n".join([*lines, *[f"  note    {note}" for note in result.notes]])
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds * 1e6:.1f} us" if seconds < 1e-3 else f"{seconds * 1e3:.2f} ms"

@@ -23,9 +23,8 @@ class LiveDevice(Protocol):
     Of a process that is killed or stopped, or that hangs in a driver, no line runs any more that could let go; it would
     push the hand for ever. A device whose hardware lapses has an attribute `deadline`, that time in s (0.15, say: a
     machine may stall for 0.07); the end renews at every tick and takes a longer stall of its own for a force that was
-    let go. A device whose hardware cannot has an attribute `watchdog`, a
-    `teleop.live.devices.heartbeat.DeviceWatchdog`: a process beside the end that does it. Of a device that has neither
-    the end says so at its start and in its summary.
+    let go. A device whose hardware cannot has an attribute `watchdog`, a `teleop.DeviceWatchdog`: a process beside the
+    end that does it. Of a device that has neither the end says so at its start and in its summary.
 
     What cannot be read or held raises `DeviceError`, or an OSError: the end is safe until it can again. Both functions
     are called from one thread, but for one case: where one of them does not return, a second signal has `hold` called

@@ -1,22 +1,31 @@
-"""How a live end gets its device from what its author wrote, and what it says of a first mistake in that."""
+"""Devices and robots as they are typed, `NAME`, `NAME:ARGUMENT` or `FILE.py:CLASS`, and how a live end opens them.
+
+A name is one of `teleop.scene.device_names`. A file with one device needs no class. The device is made by
+`make(scene)`, or with an argument by `make(scene, argument)`. Its author's first mistake is refused with a sentence.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from inspect import Signature, isclass, iscoroutinefunction, signature
+from pathlib import Path
 from traceback import extract_tb
-from typing import Any
+from typing import Any, NoReturn
 
-from teleop.errors import DeviceError, Refused, number
+from teleop.errors import DeviceError, Refused, enumerated, nearest, number
+from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.live.devices.guarded_device import LiveDevice
-from teleop.live.devices.heartbeat import DeviceWatchdog
+from teleop.naming import find
+from teleop.scene.device_names import KINDS, known_devices
+from teleop.scene.library import own_module, prefer_bundled
 from teleop.scene.scene import Scene
 
 METHODS = {"read": "k", "hold": "force"}  # and what each is called with
 PAGE = "teleop/live/devices/README.md"
 
 
-def opened(make: Callable[..., LiveDevice], scene: Scene, *argument: str, name: str = "") -> LiveDevice:
+def open_device(make: Callable[..., LiveDevice], scene: Scene, *argument: str, name: str = "") -> LiveDevice:
     """The device that `make(scene)` gives, or `make(scene, argument)`, if one was typed behind a name.
 
     `name`: under which it was typed; left out: that of `make`. Raises `Refused` if there is no device, or a live end
@@ -24,7 +33,7 @@ def opened(make: Callable[..., LiveDevice], scene: Scene, *argument: str, name: 
     """
     if not callable(make):
         raise Refused(f"end_main is given what makes the device of a scene, a class or a function, and was given "
-                      f"{_shown(make)} itself; write for example end_main(\"s\", {type(make).__name__}); see "
+                      f"{_describe(make)} itself; write for example end_main(\"s\", {type(make).__name__}); see "
                       f"{PAGE}")
     if name:
         _check_argument(make, name, *argument)
@@ -40,18 +49,19 @@ def opened(make: Callable[..., LiveDevice], scene: Scene, *argument: str, name: 
         at = extract_tb(error.__traceback__)[-1]
         raise Refused(f"{name}(scene), which makes the device, raised {type(error).__name__}: {error} "
                       f"({at.filename}:{at.lineno})") from error
-    for method, given in METHODS.items():
+    for method, parameter in METHODS.items():
         function = getattr(device, method, None)
         if not callable(function) or isclass(device):
-            raise Refused(f"{name}(scene) gave {_shown(device)}, which has no {method}({given}); a device is an "
+            raise Refused(f"{name}(scene) gave {_describe(device)}, which has no {method}({parameter}); a device is an "
                           f"object with read(k) and hold(force): see {PAGE}")
+        called = f"{type(device).__name__}.{method}"
         if iscoroutinefunction(function):
-            raise Refused(f"{_called(device, method)} is a coroutine, which nobody awaits; write def {method}(self, "
-                          f"{given}), without async, that returns at once: see {PAGE}")
-        _check_call(function, _called(device, method), given)
+            raise Refused(f"{called} is a coroutine, which nobody awaits; write def {method}(self, {parameter}), "
+                          f"without async, that returns at once: see {PAGE}")
+        _check_call(function, called, parameter)
     watchdog = getattr(device, "watchdog", None)
     if watchdog is not None and not isinstance(watchdog, DeviceWatchdog):
-        raise Refused(f"a device's watchdog is a DeviceWatchdog, not {_shown(watchdog)}; write for example "
+        raise Refused(f"a device's watchdog is a DeviceWatchdog, not {_describe(watchdog)}; write for example "
                       f"watchdog = DeviceWatchdog(open=\"my_arm:zeroing\"), and see {PAGE}")
     if (deadline := getattr(device, "deadline", None)) is not None:
         number("a device's deadline", deadline, above=0.0, unit="s")
@@ -106,9 +116,80 @@ def _check_call(function: Any, name: str, *arguments: str) -> None:
                       f"{short}{takes}")
 
 
-def _called(device: object, method: str) -> str:
-    return f"{type(device).__name__}.{method}"
-
-
-def _shown(thing: object) -> str:
+def _describe(thing: object) -> str:
     return f"the class {thing.__name__}" if isclass(thing) else repr(thing)[:99]
+
+
+@dataclass(frozen=True)
+class NamedDevice:
+    """Maker of the device that a text names. `argument`: the text behind the name and its colon, if there is one."""
+
+    text: str
+    make: Callable[..., LiveDevice]
+    argument: str | None = None
+
+    def open(self, scene: Scene) -> LiveDevice:
+        """The device for this scene, opened and looked at as every device is. Raises `Refused`."""
+        return open_device(self.make, scene, *([] if self.argument is None else [self.argument]), name=self.text)
+
+
+def find_device(e: str, text: str) -> NamedDevice:
+    """Find the device that `text` names for the end `e`, "m" or "s", without opening it. Raises `Refused`.
+
+    >>> find_device("s", "simulated").make.__name__, find_device("m", "csv:reach.csv").argument
+    ('SimulatedSlave', 'reach.csv')
+    """
+    kind = KINDS[e]
+    name, colon, rest = text.partition(":")
+    if name.endswith(".py"):
+        maker, colon, argument = rest.partition(":")
+        return NamedDevice(text, _in_file(e, name, maker), argument if colon else None)
+    if colon and not rest:
+        raise Refused(f"{kind.option} {text} has nothing behind its colon; write {name}, or {name}:ARGUMENT")
+    peer_kind = KINDS["ms"[e == "m"]]
+    if name not in (known := known_devices(e)) and name in known_devices("ms"[e == "m"]):
+        raise Refused(f"{name} is a {peer_kind.word}, and this end takes a {kind.word}; give it to the other end by "
+                      f"{peer_kind.option} {text}, or take one of {', '.join(known)} here")
+    prefer_bundled()  # the parts that it imports must be ours
+    try:
+        make = find(kind.word, kind.group, kind.built_in, name)
+    except ImportError as error:
+        raise Refused(f"the {kind.word} {name} cannot be loaded from {known.get(name, 'its package')}: {error}; "
+                      "install what it needs") from error
+    return NamedDevice(text, make, rest if colon else None)
+
+
+def _in_file(e: str, file: str, name: str) -> Callable[..., LiveDevice]:
+    """The class, or the function, `name` of a file; without a name its one class with the methods of a device."""
+    word, option = KINDS[e].word, KINDS[e].option
+    module = own_module(Path(file), f"a {word}", f"{option} FILE.py names a file with a {word} of your own, "
+                        f"{option} FILE.py:CLASS one of several in it")
+    classes: dict[str, Any] = {key: value for key, value in vars(module).items() if isclass(value)
+                               and value.__module__ == module.__name__ and all(hasattr(value, m) for m in METHODS)}
+    if name:
+        make: Callable[..., LiveDevice] | None = getattr(module, name, None)
+        if make is None:
+            raise Refused(f"{file} has no {name!r}; {nearest(name, classes) if classes else f'it has no {word}'}")
+        return make
+    if not classes:
+        raise Refused(f"{file} has no {word}: a class with read(k) and hold(force), see {PAGE}")
+    if len(classes) > 1:
+        raise Refused(f"{file} has {len(classes)} devices; name one of them, "
+                      f"{enumerated([f'{file}:{each}' for each in classes], 'or')}")
+    only: Callable[..., LiveDevice] = next(iter(classes.values()))
+    return only
+
+
+def pointer(scene: Scene) -> NoReturn:
+    """Mouse, finger or pen in a browser, by `teleop demo SCENE --page`."""
+    raise _browser_refusal(scene, "a pointer drags the master's handle")
+
+
+def gamepad(scene: Scene) -> NoReturn:
+    """A gamepad's stick in a browser, by `teleop demo SCENE --page`."""
+    raise _browser_refusal(scene, "a gamepad's stick moves the hand, and its first button is the clutch")
+
+
+def _browser_refusal(scene: Scene, what: str) -> Refused:
+    return Refused(f"{what} on the page of a live run, which finds it in the browser; type `teleop demo {scene.name} "
+                   "--page`, and leave the device out")

@@ -13,8 +13,7 @@ import time
 from collections.abc import Sequence
 from struct import Struct
 
-from teleop.live.net.address import Address
-from teleop.live.net.wire import LONGEST, STAMP, Wire, arrival, clocks
+from teleop.live.net.wire import LONGEST, STAMP, Address, Wire, arrival, clocks
 
 MOST = 32  # datagrams in one call
 _KNOWN = 64  # senders whose address is remembered as text

@@ -1,12 +1,16 @@
-"""A periodic timer for asyncio that is late by tens of microseconds, not by a millisecond.
+"""Timers for asyncio that are late by tens of microseconds, not by a millisecond, and the clock of suspension.
 
-asyncio's own timers are rounded up to its selector's whole milliseconds. A Linux timerfd is a file that
-becomes readable at the instant, so the loop wakes for it as it does for a socket. Where there is none, the
-loop's own timers are used and `precise` says so.
+asyncio's own timers are rounded up to its selector's whole milliseconds. A Linux timerfd is a file that becomes
+readable at the instant, so the loop wakes for it as it does for a socket. Where there is none, the loop's own timers
+are used and `precise` says so.
 
-What is left is the time that the system takes to wake a process, and asyncio to come to the point. The second is
+What remains is the time that the system takes to wake a process, and asyncio to come to the point. The second is
 known, and the timer is set earlier by it. An alarm with `spin_ns` is woken earlier still and waits for the instant
 awake, which costs that share of a core and takes the first away too.
+
+To asyncio a timer that rings is a readable file: a key to look up, a list of events, a handle that is queued and run in
+a context, and all that a thousand times a second with cold caches. In `TickLoop` the selector calls the reader itself
+and returns the other events, of which there are nearly always none.
 """
 
 from __future__ import annotations
@@ -14,11 +18,89 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import os
+import select
+import selectors
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
+from functools import partial
+from typing import Any
 
-from teleop.live.process.tick_loop import TickLoop
+_MOST = 16  # events in one call
+_LOOK_S = 0.1  # without any event, after which it is looked whether the timers are still there
+
+
+if hasattr(select, "epoll"):
+
+    class _Ringing(selectors.EpollSelector):
+        """`readers`: by the file of a timer, what is called when it rings."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.readers: dict[int, Callable[[], None]] = {}
+            self.epoll: Any = self._selector  # type: ignore[attr-defined]  # typeshed lacks it
+
+        def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+            """What is ready besides timers, which are dealt with."""
+            readers = self.readers
+            if not readers:
+                return super().select(timeout)
+            ready: list[tuple[selectors.SelectorKey, int]] = []
+            longest = _LOOK_S if timeout is None else min(max(timeout, 0.0), _LOOK_S)
+            try:
+                events = self.epoll.poll(longest, _MOST)
+            except InterruptedError:
+                return ready
+            if not events and longest == _LOOK_S:
+                for fd in readers:
+                    self.epoll.modify(fd, select.EPOLLIN)  # raises OSError if somebody has closed that timer
+            for fd, event in events:
+                if fd in readers:
+                    readers[fd]()
+                else:
+                    key = self.get_map()[fd]
+                    mask = (selectors.EVENT_WRITE if event & ~select.EPOLLIN else 0) | (
+                        selectors.EVENT_READ if event & ~select.EPOLLOUT else 0)
+                    ready.append((key, mask & key.events))
+            return ready
+
+
+class TickLoop(asyncio.SelectorEventLoop):
+    """asyncio's own loop with `ring`. Only where there is epoll, which `available` tells."""
+
+    available = hasattr(select, "epoll")
+
+    def __init__(self) -> None:
+        self._ringing = _Ringing()
+        super().__init__(self._ringing)
+
+    def ring(self, fd: int, reader: Callable[[], None]) -> None:
+        """Call `reader` whenever the timer behind `fd` rings; what it raises is reported as asyncio does."""
+        def call() -> None:
+            try:
+                reader()
+            except Exception as error:
+                self.call_exception_handler({"message": "a timer's reader raised", "exception": error})
+
+        self._ringing.readers[fd] = call
+        self._ringing.epoll.register(fd, select.EPOLLIN)
+
+    def ring_no_more(self, fd: int) -> None:
+        """Forget that timer."""
+        del self._ringing.readers[fd]
+        with suppress(OSError):  # others have closed it
+            self._ringing.epoll.unregister(fd)
+
+
+def in_tick_loop(main: Coroutine[Any, Any, None], failed: Callable[[BaseException], None] = lambda _: None) -> None:
+    """`asyncio.run`, in such a loop where there can be one; `failed` is told what ended it before it is taken down."""
+    with asyncio.Runner(loop_factory=TickLoop if TickLoop.available else None) as runner:
+        try:
+            runner.run(main)
+        except BaseException as error:
+            failed(error)
+            raise
+
 
 _ABSOLUTE = 1  # TFD_TIMER_ABSTIME
 _LOOP_NS = 15_000  # from waking up to the callback; where that is faster, the rest is waited for
@@ -124,3 +206,37 @@ class Alarm:
             self._due += self._interval * (behind + 1)
             self._arm()
         self._wake()
+
+
+LEAST_NS = 1_000_000  # shorter is no suspension
+
+Clock = Callable[[], int]
+
+
+def boottime() -> Clock | None:
+    """A clock (ns) that counts the time in which the machine is suspended; None where the system has none."""
+    which = getattr(time, "CLOCK_BOOTTIME", None)
+    return None if which is None else partial(time.clock_gettime_ns, which)
+
+
+class Suspension:
+    """Compares `boot`, which counts suspension, with `mono`, which does not; both in ns. Without `boot` it sees none.
+
+    `time.monotonic_ns` is such a `mono` on Linux: all that an end knows of its peer is older than it says afterwards.
+    """
+
+    def __init__(self, boot: Clock | None, mono: Clock = time.monotonic_ns) -> None:
+        self._boot, self._mono = boot, mono
+        before = mono()
+        self._apart = 0 if boot is None else boot() - before  # if anything, too large
+
+    def passed(self) -> int:
+        """For how long the machine was suspended since this was asked last, ns; 0 if it was not."""
+        # Read in this order the difference is too small, if anything, when the process is held up between the two.
+        if self._boot is None:
+            return 0
+        apart = self._boot() - self._mono()
+        slept = apart - self._apart
+        if slept > 0:
+            self._apart = apart
+        return slept if slept > LEAST_NS else 0

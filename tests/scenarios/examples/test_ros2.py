@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from teleop import DeviceError, load_scene
-from teleop.live.devices.named import named
+from teleop.live.devices.opening import find_device
 from teleop.scene.library import ROOT
 
 FILE = ROOT / "scenarios" / "examples" / "ros2" / "bilateral_ros2.py"
@@ -105,7 +105,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
 
 def opened(e: str, maker: str, axes: int = 1) -> Any:
     """What the command line opens by the file's name."""
-    made: Any = named(e, f"{FILE}:{maker}").open(load_scene("hard_wall" if axes == 1 else "leader_follower"))
+    made: Any = find_device(e, f"{FILE}:{maker}").open(load_scene("hard_wall" if axes == 1 else "leader_follower"))
     return made
 
 

@@ -13,8 +13,7 @@ import pytest
 from teleop.bench import parts, timing
 from teleop.bench.compiled import compiled
 from teleop.bench.timing import CarriedLoad, Late, carried, datagrams, round_trips, ticks
-from teleop.live.net.address import bound
-from teleop.live.net.wire import Wire
+from teleop.live.net.wire import Wire, bound
 
 pytestmark = pytest.mark.live
 
