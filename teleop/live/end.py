@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number
 from teleop.live import fault, security
-from teleop.live.devices.device_watchdog import DeviceWatchdog, watchdog_of, with_watchdog
+from teleop.live.devices.device_watchdog import DeviceWatchdog, with_watchdog
 from teleop.live.devices.guarded_device import LiveDevice, is_simulated
-from teleop.live.devices.opening import close, find_device, open_device
+from teleop.live.devices.opening import close, find_device, open_device, watchdog_of
 from teleop.live.driving import run_in_loop
 from teleop.live.lastresort import LastResort
 from teleop.live.live_line import live_text

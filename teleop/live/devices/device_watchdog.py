@@ -24,7 +24,7 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass
 from hashlib import sha256
@@ -416,34 +416,6 @@ def _is_own(path: Path) -> bool:
     except OSError:
         return False
     return stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid() and not status.st_mode & _OTHERS
-
-
-def watchdog_of(e: str, text: str, scene: str, knobs: Mapping[str, str]) -> DeviceWatchdog:
-    """The watchdog that `--watchdog` starts for the device `text` of the end `e`, in this scene with these knobs.
-
-    It opens the device by the same name a second time, so it is for hardware that two processes may open. A device that
-    only one may open names another way to its motor, by an attribute `watchdog`.
-
-    >>> watchdog_of("s", "my_arm:/dev/ttyACM0", "hard_wall", {}).open
-    'teleop.live.devices.device_watchdog:zeroing'
-    """
-    from teleop.scene.device_names import KINDS
-
-    file, colon, rest = text.partition(":")
-    name = f"{Path(file).absolute()}{colon}{rest}" if file.endswith(".py") else text
-    return DeviceWatchdog(open=f"{__name__}:{zeroing.__name__}", arguments=(e, text, scene, json.dumps(dict(knobs))),
-                          device=f"{KINDS[e].word} {name}")
-
-
-def zeroing(e: str, text: str, scene: str, knobs: str) -> Callable[[], None]:
-    """Open the device in the watchdog process; the function returned has it hold zero. Raises `Refused`."""
-    from teleop.live.devices.opening import find_device
-    from teleop.scene.loading import load_scene
-    from teleop.scene.scene import both_ends
-
-    loaded = both_ends(load_scene(scene, **json.loads(knobs)))
-    device, zero = find_device(e, text).open(loaded), (0.0,) * loaded.axes
-    return lambda: device.hold(zero)
 
 
 if __name__ == "__main__":

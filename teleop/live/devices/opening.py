@@ -6,7 +6,8 @@ A name is one of `teleop.scene.device_names`. A file with one device needs no cl
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from inspect import Signature, isclass, iscoroutinefunction, signature
 from pathlib import Path
@@ -19,7 +20,8 @@ from teleop.live.devices.guarded_device import LiveDevice
 from teleop.naming import find
 from teleop.scene.device_names import KINDS, known_devices
 from teleop.scene.library import own_module, prefer_bundled
-from teleop.scene.scene import Scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene, both_ends
 
 METHODS = {"read": "k", "hold": "force"}  # and what each is called with
 PAGE = "teleop/live/devices/README.md"
@@ -178,6 +180,28 @@ def _in_file(e: str, file: str, name: str) -> Callable[..., LiveDevice]:
                       f"{enumerated([f'{file}:{each}' for each in classes], 'or')}")
     only: Callable[..., LiveDevice] = next(iter(classes.values()))
     return only
+
+
+def watchdog_of(e: str, text: str, scene: str, knobs: Mapping[str, str]) -> DeviceWatchdog:
+    """The watchdog that `--watchdog` starts for the device `text` of the end `e`, in this scene with these knobs.
+
+    It opens the device by the same name a second time, so it is for hardware that two processes may open. A device that
+    only one may open names another way to its motor, by an attribute `watchdog`.
+
+    >>> watchdog_of("s", "my_arm:/dev/ttyACM0", "hard_wall", {}).open
+    'teleop.live.devices.opening:zeroing'
+    """
+    file, colon, rest = text.partition(":")
+    name = f"{Path(file).absolute()}{colon}{rest}" if file.endswith(".py") else text
+    return DeviceWatchdog(open=f"{__name__}:{zeroing.__name__}", arguments=(e, text, scene, json.dumps(dict(knobs))),
+                          device=f"{KINDS[e].word} {name}")
+
+
+def zeroing(e: str, text: str, scene: str, knobs: str) -> Callable[[], None]:
+    """Open the device in the watchdog process; the function returned has it hold zero. Raises `Refused`."""
+    loaded = both_ends(load_scene(scene, **json.loads(knobs)))
+    device, zero = find_device(e, text).open(loaded), (0.0,) * loaded.axes
+    return lambda: device.hold(zero)
 
 
 def pointer(scene: Scene) -> NoReturn:
