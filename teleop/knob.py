@@ -22,7 +22,7 @@ from teleop.errors import Refused, nearest, number
 class Knob:
     """Declaration of a knob. `low` and `high` are included in the range, `above` is not.
 
-    Bounds say what is allowed, `span` where a search for a law's parameters looks (`teleop.studies.tune.ranges`).
+    Bounds say what is allowed, `span` where a search for a law's parameters looks (`teleop.studies.tune.strategy`).
     """
 
     unit: str = ""

@@ -117,6 +117,11 @@ def known_laws() -> dict[str, str]:
     return known(GROUP, BUILT_IN)
 
 
+def two_port_laws() -> list[str]:
+    """Names of every installed law with two ends, in order of the alphabet. Plug-ins are imported."""
+    return sorted(name for name in known_laws() if hasattr(find_law(name), "slave"))
+
+
 def find_law(name: str) -> Callable[..., Any]:
     """The class of the law `name`. Raises `Refused` with the nearest name if there is none.
 

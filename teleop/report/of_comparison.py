@@ -19,9 +19,21 @@ from teleop.scene.axis_labels import SHAPES
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse
-from teleop.studies.compare.columns import COLUMNS, titled
-from teleop.studies.compare.judge import BAD, LawVerdict, columns_of, endings, rankings, verdicts
-from teleop.studies.compare.report import cells, group_text, legend, shown_columns, text
+from teleop.studies.compare.figures import (
+    BAD,
+    COLUMNS,
+    LawVerdict,
+    axis_title,
+    cells,
+    columns_of,
+    endings,
+    group_text,
+    judge_laws,
+    legend,
+    rankings,
+    shown_columns,
+    text,
+)
 from teleop.sweeps.definition import is_growing
 from teleop.sweeps.store import Store
 from teleop.terminal.answer import Answer
@@ -58,7 +70,7 @@ def comparison_told(folder: Path, args: Namespace) -> Told:
                       "the teleop compare that wrote it again with another --out") from error
     if not rows:
         raise Refused(f"{folder} holds a comparison without a row yet; type the teleop compare that wrote it again")
-    found = verdicts(rows, dict.fromkeys(row["law"] for row in rows), document.get("axis_units") or ("m",))
+    found = judge_laws(rows, dict.fromkeys(row["law"] for row in rows), document.get("axis_units") or ("m",))
     links, places = (list(dict.fromkeys(row[name] for row in rows)) for name in ("link", "environment"))
     said = (f"{number_of(len(found), 'law')}, {number_of(len(links), 'link')}, "
             f"{number_of(len(places), 'environment')}; {number_of(len(rows), 'row')}")
@@ -149,4 +161,4 @@ def _tracking(found: Sequence[LawVerdict]) -> list[Markup]:
               if isfinite(one.figures["felt_drag"].value) and isfinite(one.figures["x_err_rms"].value)]
     if len(points) < 2:
         return []
-    return scatter("Tracking against felt drag", [Plane(titled(drag), titled(error), [Group("", "m", points)])])
+    return scatter("Tracking against felt drag", [Plane(axis_title(drag), axis_title(error), [Group("", "m", points)])])

@@ -20,6 +20,12 @@ BEYOND = 2.0  # times the way that the hand's reference and the environment have
 OWN = 1e-3  # m or rad of swing besides
 
 
+class GrowthNote(str):
+    """Note on a run with a motion that law and link feed, and which still grows."""
+
+    __slots__ = ()
+
+
 class Ending(NamedTuple):
     """How a run ended."""
 
@@ -94,10 +100,11 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
     if swung[-1] <= BEYOND * way + OWN or not given > put_in:
         return []
     unit = position_unit(scene)
-    return [f"the motion still grows at the end: a swing of {swung[-1]:.3g} {unit} peak to peak in the last eighth of "
-            f"the run and of {swung[0]:.3g} {unit} half a run before, where the hand's reference moves over {way:.3g} "
-            f"{unit}; law and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see "
-            f"whether the loop is stable: teleop stability {typed(scene)}"]
+    return [GrowthNote(
+        f"the motion still grows at the end: a swing of {swung[-1]:.3g} {unit} peak to peak in the last eighth of "
+        f"the run and of {swung[0]:.3g} {unit} half a run before, where the hand's reference moves over {way:.3g} "
+        f"{unit}; law and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see "
+        f"whether the loop is stable: teleop stability {typed(scene)}")]
 
 
 def _port(trace: Mapping[str, Any]) -> float:

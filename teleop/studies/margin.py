@@ -1,21 +1,20 @@
-"""How far a scene's gains are from instability: the gain margin and the delay margin of its linear loop.
+"""Gain margin and delay margin of a scene's linear loop.
 
     margin(load_scene("hard_wall", law="direct"))                        # Margin(gain=..., delay=...)
     sweep("hard_wall", {"law.K": [100.0, 1000.0]}, metrics=[gain_margin, delay_margin])
 
-They are those of `teleop.analysis.stability`, exact for a linear scene over a constant delay. What is not linear in a
-scene, and changes nothing about small motion, is left out, and each thing that is taken for another is named in
-`assumed`:
+`teleop.analysis.stability` works them out, exact for a linear scene over a constant delay. Nonlinear parts that change
+nothing about small motion are left out, and each part that is replaced by another is named in `assumed`:
 
 - a law that is not linear: the linear law that it offers (`linear`, see `teleop.law.analysis_offers`);
 - a wall: bonded to it, and free of it. The lesser of the two margins counts, as the slave is in and out;
 - a link that varies: a constant delay each way, the median age of the messages that a run plays, with the queue that a
-  playout keeps; ticks that are left out and forces that are renewed every few ticks: run at every tick;
+  playout keeps; skipped ticks and forces that are renewed every few ticks: run at every tick;
 - force caps, encoders, Coulomb friction, a passivity controller: left out.
 
-A loop of waves that resonates at every delay has a gain margin near 1 although it is passive: it is its damping that
-keeps it stable, and no gain is to spare. A margin is no proof either: chattering at a wall and what jitter makes are
-not in it, for which there is `status`.
+A loop of waves that resonates at every delay has a gain margin near 1 although it is passive: its damping keeps it
+stable, and no gain is to spare. A margin is no proof either: chattering at a wall and the effects of jitter are not in
+it, for which there is `status`.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ if TYPE_CHECKING:
 
 
 class Margin(NamedTuple):
-    """The margins of a scene. Where it has none that can be told, both are NaN and `why` says why."""
+    """The margins of a scene. Where they cannot be worked out, both are NaN and `why` says why."""
 
     gain: float  # factor on the loop's gain that makes it unstable, below 1 that makes it stable; inf: none does
-    delay: float  # s that may be added to the round trip, below 0 what is to be taken away; inf: any
+    delay: float  # s that may be added to the round trip, below 0 to be taken away; inf: any
     where: str = ""  # of the lesser gain margin: "in contact" or "free"; empty where there is no such difference
     assumed: tuple[str, ...] = ()
     why: str = ""
@@ -51,7 +50,7 @@ class Margin(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Bond:
-    """A wall that is never left: a spring (N/m) and a damper (N s/m)."""
+    """Wall that is never left: a spring (N/m) and a damper (N s/m)."""
 
     k: float
     d: float
@@ -63,35 +62,35 @@ class Bond:
 
 def margin(scene: Scene, *, seed: int = 0) -> Margin:
     """The margins of a scene with two ends, or of a device that renders by itself. `seed`: of its link."""
-    own, assumed = linearised(scene, seed)
-    found: list[tuple[float, float, str]] = []
+    linear, assumed = linearise(scene, seed)
+    margins: list[tuple[float, float, str]] = []
     why = ""
-    for where, each in _modes(own):
+    for where, mode in _modes(linear):
         try:
-            told = stability(each, seed=seed)
+            loop = stability(mode, seed=seed)
         except Refused as refused:
             why = f"{where}: {refused}" if where else str(refused)
             continue
-        delay = inf if told.delay_margin is None else told.delay_margin * told.dt
-        gain = told.gain_margin
+        delay = inf if loop.delay_margin is None else loop.delay_margin * loop.dt
+        gain = loop.gain_margin
         if gain is None:
-            gain = 0.0 if told.verdict == "unstable" else inf
-        found.append((gain, delay, where))
+            gain = 0.0 if loop.verdict == "unstable" else inf
+        margins.append((gain, delay, where))
     if why:
         return Margin(nan, nan, "", assumed, why)
-    worst = min(found)
-    return Margin(worst[0], min(each[1] for each in found), worst[2], assumed)
+    worst = min(margins)
+    return Margin(worst[0], min(each[1] for each in margins), worst[2], assumed)
 
 
-def stands(scene: Scene, gain: float, *, seed: int = 0) -> tuple[bool, str] | None:
-    """Is the loop of a scene with two ends stable, with its gain and with `gain` times it; None where none can tell.
+def stable_with(scene: Scene, gain: float, *, seed: int = 0) -> tuple[bool, str] | None:
+    """True if the loop of a scene with two ends is stable with its gain and with `gain` times it, else a sentence too.
 
-    With it the sentence on what is not. A count of roots each: far quicker than `margin`, which looks for the edge.
+    None where it cannot be worked out. A count of roots each, far quicker than `margin`, which looks for the edge.
     """
     from teleop.analysis.models.linear import linear_scene
     from teleop.analysis.models.loop import sampled_loop
 
-    for where, each in _modes(linearised(scene, seed)[0]):
+    for where, each in _modes(linearise(scene, seed)[0]):
         try:
             linear = linear_scene(each, seed=seed)
             loop = sampled_loop(linear)
@@ -99,27 +98,27 @@ def stands(scene: Scene, gain: float, *, seed: int = 0) -> tuple[bool, str] | No
             return None
         for factor in dict.fromkeys((1.0, gain)):
             if loop.outside(linear.round_trip, factor):
-                more = "" if factor == 1.0 else f" with {factor:g} times its gain"
-                return False, f"the linear loop{more} is unstable{' ' + where if where else ''}"
+                raised = "" if factor == 1.0 else f" with {factor:g} times its gain"
+                return False, f"the linear loop{raised} is unstable{' ' + where if where else ''}"
     return True, ""
 
 
 def gain_margin(result: Result) -> float:
-    """The gain margin of the scene of a run, as a metric of a sweep; NaN where it has none that can be told."""
+    """The gain margin of the scene of a run, as a metric of a sweep; NaN where it cannot be worked out."""
     return margin(_scene_of(result), seed=result.seed or 0).gain
 
 
 def delay_margin(result: Result) -> float:
-    """The delay margin (s) of the scene of a run, as a metric of a sweep; NaN where it has none that can be told."""
+    """The delay margin (s) of the scene of a run, as a metric of a sweep; NaN where it cannot be worked out."""
     return margin(_scene_of(result), seed=result.seed or 0).delay
 
 
 def _scene_of(result: Result) -> Scene:
     """The scene that a run of an installed scene and law was made from."""
-    own = knobs_of(scene_function(result.scene))
-    # What JSON cannot hold is there as its text, which says no more than that it is as the scene has it by itself.
+    declared = knobs_of(scene_function(result.scene))
+    # A value that JSON cannot hold stands as its text, which says only that the scene has it by default.
     knobs: dict[str, Any] = {name: value for name, value in result.parameters.items()
-                             if name not in own or value != str(own[name].default)}
+                             if name not in declared or value != str(declared[name].default)}
     law = knobs.pop("law")
     if "file" in law:
         raise Refused(f"the law of this run is in {law['file']}; give margin() its scene")
@@ -128,19 +127,19 @@ def _scene_of(result: Result) -> Scene:
     return load_scene(result.scene, **knobs, law=law["name"], **numbers)
 
 
-def linearised(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
-    """The scene without what is not linear and changes nothing about small motion, and what was taken for another."""
-    own, assumed = scene, []
+def linearise(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
+    """The scene without nonlinear parts that change nothing about small motion, and sentences on replaced parts."""
+    linear, assumed = scene, []
     for name in ("device_m", "device_s"):
-        if getattr(own, name) is None:
+        if getattr(linear, name) is None:
             continue
-        if own.per_axis(name)[0].every > 1:
+        if linear.per_axis(name)[0].every > 1:
             assumed.append(f"{name} renews its force at every tick")
-        own = _changed(own, name, encoder=None, every=1)
-    own = _changed(replace(own, cap=None, passivity=None), "master", friction=0.0)
-    if own.slave is None:
-        return own, tuple(assumed)
-    own = _changed(own, "slave", friction=0.0)
+        linear = _changed(linear, name, encoder=None, every=1)
+    linear = _changed(replace(linear, cap=None, passivity=None), "master", friction=0.0)
+    if linear.slave is None:
+        return linear, tuple(assumed)
+    linear = _changed(linear, "slave", friction=0.0)
     ages = _median_ages(scene, seed)
     if ages is not None:
         seconds = [ticks * scene.dt_ns / 1e9 for ticks in ages]
@@ -149,20 +148,20 @@ def linearised(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
         gaps = gaps_of(scene.played_as)
         playout = gaps if isinstance(gaps, Scaled) else Zero()
         link = import_bundled("channel.link").parse_link(f"delay({fwd!r}) ; delay({bwd!r})")
-        own = replace(own, link=link, playout=playout, left_out_m=None, left_out_s=None)
-    return own, tuple(assumed)
+        linear = replace(linear, link=link, playout=playout, left_out_m=None, left_out_s=None)
+    return linear, tuple(assumed)
 
 
 def _changed(scene: Scene, name: str, **numbers: Any) -> Scene:
     """The scene with other numbers in a part, on every axis."""
     part = getattr(scene, name)
-    changed: Any = tuple([replace(own, **numbers) for own in part]) if isinstance(part, tuple) else replace(
+    changed: Any = tuple([replace(each, **numbers) for each in part]) if isinstance(part, tuple) else replace(
         part, **numbers)
     return replace(scene, **{name: changed})
 
 
 def _median_ages(scene: Scene, seed: int) -> Sequence[int] | None:
-    """The ticks that a message takes each way, at least one; None where each takes the same anyway."""
+    """The ticks that a message takes each way, at least one; None where each takes as long anyway."""
     from teleop.analysis.models.linear import link_ticks
 
     queue = scene.wave_playout.target if isinstance(scene.wave_playout, Integral) else 0.0
@@ -174,8 +173,8 @@ def _median_ages(scene: Scene, seed: int) -> Sequence[int] | None:
             pass
         else:
             return None
-    more = round(queue * 1e9 / scene.dt_ns)
-    return [more + max(1, 1 if plan is None else median_age(plan.played_at)) for plan in link_plans(scene, seed)]
+    queued = round(queue * 1e9 / scene.dt_ns)
+    return [queued + max(1, 1 if plan is None else median_age(plan.played_at)) for plan in link_plans(scene, seed)]
 
 
 def _modes(scene: Scene) -> list[tuple[str, Scene]]:

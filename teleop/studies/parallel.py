@@ -19,8 +19,8 @@ Answer = TypeVar("Answer")
 POLL = 1.0  # s
 
 
-class Kind(Enum):
-    """Kind of what a process sends."""
+class PartKind(Enum):
+    """Kind of a part that a process sends."""
 
     PART, ANSWER, RAISED = range(3)
 
@@ -38,12 +38,12 @@ def in_parallel(function: Callable[[Job], Answer], jobs: Sequence[Job], workers:
 
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin)
     try:
-        yield from _ended(pool, function, jobs, workers)
+        yield from _in_turn(pool, function, jobs, workers)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _ended(pool: Executor, function: Callable[[Job], Answer], jobs: Sequence[Job], workers: int) -> Iterator[Answer]:
+def _in_turn(pool: Executor, function: Callable[[Job], Answer], jobs: Sequence[Job], workers: int) -> Iterator[Answer]:
     waiting, running = iter(jobs), set[Future[Answer]]()
     while True:
         for job in waiting:
@@ -104,9 +104,9 @@ def streamed(function: Callable[[Job, Callable[[Any], None]], Answer], jobs: Seq
                 except (EOFError, ConnectionResetError):
                     raise Refused("a process of the search ended before its work did, for want of memory or by a "
                                   "signal; type the same command again to go on") from None
-                if kind is Kind.RAISED:
+                if kind is PartKind.RAISED:
                     raise part
-                if kind is Kind.PART:
+                if kind is PartKind.PART:
                     take(running[pipe], part)
                     continue
                 number = running.pop(pipe)
@@ -127,13 +127,13 @@ def _serve(function: Callable[[Any, Callable[[Any], None]], Any], pipe: Connecti
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             job = pipe.recv()
-            answer: tuple[Kind, Any]
+            answer: tuple[PartKind, Any]
             try:
-                answer = Kind.ANSWER, function(job, lambda part: pipe.send((Kind.PART, part)))
+                answer = PartKind.ANSWER, function(job, lambda part: pipe.send((PartKind.PART, part)))
             except (BrokenPipeError, ConnectionResetError):
                 raise
             except Exception as error:
-                answer = Kind.RAISED, error
+                answer = PartKind.RAISED, error
             pipe.send(answer)
 
 

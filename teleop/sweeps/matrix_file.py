@@ -33,10 +33,10 @@ from pathlib import Path
 from re import fullmatch
 from typing import Any, NamedTuple
 
-from teleop.errors import Refused, nearest, number, whole_number
+from teleop.errors import Refused, number, whole_number
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
-from teleop.storage.files import read_bytes
+from teleop.storage.toml_tables import check_keys, is_tables, knobs_in, read_toml, repeated, text_of
 from teleop.sweeps.runner import plan_sweep
 
 BUILT_IN = ROOT / "scenarios" / "matrix.toml"
@@ -112,22 +112,15 @@ class MatrixBlock:
 
 def read_matrix(path: Path | str = BUILT_IN) -> tuple[MatrixBlock, ...]:
     """The blocks of a matrix's file, every row checked to make a scene. Raises `Refused`."""
-    import tomllib
-
     path = Path(path)
-    try:
-        held = tomllib.loads(read_bytes(path).decode())
-    except (OSError, ValueError, RecursionError) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise Refused(f"the matrix {path} cannot be read ({why}); give a file of TOML with [[block]] tables, or none "
-                      "for the built-in matrix") from None
+    held = read_toml(path, f"the matrix {path}",
+                     "a file of TOML with [[block]] tables, or none for the built-in matrix")
     extra = next((key for key in held if key != "block"), None)
-    if extra is not None or not _tables(held.get("block")) or not held["block"]:
+    if extra is not None or not is_tables(held.get("block")) or not held["block"]:
         what = f"has {extra!r} at its top" if extra is not None else "has no blocks"
         raise Refused(f"the matrix {path} {what}; it is a list of tables, each begun with [[block]]")
     blocks = tuple(_block(table, f"block {i} of {path.name}") for i, table in enumerate(held["block"], 1))
-    names = [block.name for block in blocks]
-    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    twice = repeated([block.name for block in blocks])
     if twice is not None:
         raise Refused(f"two blocks of {path.name} are called {twice!r}; write name = \"{twice}_2\" into one of them")
     for block in blocks:
@@ -135,52 +128,46 @@ def read_matrix(path: Path | str = BUILT_IN) -> tuple[MatrixBlock, ...]:
     return blocks
 
 
-def _tables(value: object) -> bool:
-    return isinstance(value, list) and all(isinstance(each, dict) for each in value)
-
-
 def _block(held: Mapping[str, Any], where: str) -> MatrixBlock:
     where = f"{where} ({held.get('name', held.get('scene', 'without a scene'))})"
-    _known(held, KEYS, where)
+    check_keys(held, KEYS, where)
     for key, example in (("scene", "soft_tissue"), ("laws", None), ("expect", "ok"), ("why", "...")):
         if key not in held:
             raise Refused(f"{where} has no {key}; write " + (f'{key} = "{example}"' if example else 'laws = ["wave"]'))
-    name = _text(held.get("name", Path(_text(held["scene"], "scene", where)).stem), "name", where)
+    name = text_of(held.get("name", Path(text_of(held["scene"], "scene", where)).stem), "name", where)
     if not fullmatch(r"\w[\w.]*", name):
         raise Refused(f"{where}: a name has letters, digits, _ and dots, not {name!r}; write name = \"soft_tissue\"")
-    fixed = held.get("set", {})
-    if not isinstance(fixed, dict):
-        raise Refused(f"{where}: set is a table of knobs, not {fixed!r}; write set = {{duration = 2.0}}")
+    fixed = knobs_in(held.get("set", {}), where)
     if "losses" in held and "delays" not in held:
         raise Refused(f"{where} has losses and no delays, and its link has both; write delays = [0.0]")
     lists = {key: _listed(key, held[key], where) for key in LISTS if key in held}
     block = MatrixBlock(
         name=name, scene=held["scene"], laws=lists["laws"], delays=lists.get("delays", (None,)),
-        losses=lists.get("losses", (None,)), seeds=lists.get("seeds"), fixed=flat_knobs(fixed),
-        expect=_expect(held["expect"], where), why=_text(held["why"], "why", where),
+        losses=lists.get("losses", (None,)), seeds=lists.get("seeds"), fixed=fixed,
+        expect=_expect(held["expect"], where), why=text_of(held["why"], "why", where),
     )
     given = held.get("except", [])
-    if not _tables(given):
+    if not is_tables(given):
         raise Refused(f"{where}: exceptions are tables, each begun with [[block.except]]")
     exceptions = [_exempt(each, block, f"exception {i} of {where}") for i, each in enumerate(given, 1)]
     return replace(block, exceptions=tuple(exceptions))
 
 
 def _exempt(held: Mapping[str, Any], block: MatrixBlock, where: str) -> Exempt:
-    _known(held, (*LISTS, "expect", "why"), where)
+    check_keys(held, (*LISTS, "expect", "why"), where)
     for key in ("expect", "why"):
         if key not in held:
             raise Refused(f'{where} has no {key}; write {key} = "{"diverged" if key == "expect" else "..."}"')
     picked = {key: _picked(key, held[key], getattr(block, key), where) if key in held else getattr(block, key) or (0,)
               for key in LISTS}
-    return Exempt(**picked, expect=_expect(held["expect"], where), why=_text(held["why"], "why", where))
+    return Exempt(**picked, expect=_expect(held["expect"], where), why=text_of(held["why"], "why", where))
 
 
 def _picked(key: str, value: object, own: tuple[Any, ...] | None, where: str) -> tuple[Any, ...]:
     """The block's own values that an exception names, one by one or from .. to."""
     own = () if own in (None, (None,)) else own
     if isinstance(value, dict) and key != "laws":
-        _known(value, ("from", "to"), f"{key} of {where}")
+        check_keys(value, ("from", "to"), f"{key} of {where}")
         low, high = (number(f"{where}: {end} of {key}", value[end]) if end in value else past
                      for end, past in (("from", -inf), ("to", inf)))
         found = tuple(each for each in own if low <= each <= high)
@@ -200,39 +187,15 @@ def _listed(key: str, value: object, where: str) -> tuple[Any, ...]:
         raise Refused(f"{where}: {key} is empty; leave it out, or write at least one value")
     found: tuple[Any, ...]
     if key == "laws":
-        found = tuple(_text(each, key, where) for each in given)
+        found = tuple(text_of(each, key, where) for each in given)
     elif key == "seeds":
         found = tuple(whole_number(f"{where}: {key}", each, low=0) for each in given)
     else:
         found = tuple(number(f"{where}: {key}", each, low=0.0, high=None if key == "delays" else 1.0) for each in given)
-    twice = next((each for i, each in enumerate(found) if each in found[:i]), None)
+    twice = repeated(found)
     if twice is not None:
         raise Refused(f"{where}: {key} names {twice} twice; write each value once")
     return found
-
-
-def flat_knobs(table: Mapping[str, Any], stem: str = "") -> dict[str, object]:
-    """Knobs by their names: TOML reads `law.K = 5` as a table in a table."""
-    out: dict[str, object] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            out |= flat_knobs(value, f"{stem}{key}.")
-        else:
-            out[stem + key] = tuple(value) if isinstance(value, list) else value
-    return out
-
-
-def _known(held: Mapping[str, Any], keys: tuple[str, ...], where: str) -> None:
-    for key in held:
-        if key not in keys:
-            raise Refused(f"{where} has no key {key!r}; {nearest(key, keys)}"
-                          + ("; knobs of the scene go into set = {...}" if "set" in keys else ""))
-
-
-def _text(value: object, key: str, where: str) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise Refused(f"{where}: {key} is a text that is not empty, not {value!r}; write it in quotes")
-    return value
 
 
 def _expect(value: object, where: str) -> str:

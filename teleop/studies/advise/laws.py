@@ -1,6 +1,7 @@
-"""The laws of an advice, each tuned for the link by a process, in a folder that the same command goes on with.
+"""The laws of an advice: each tuned for the link by a process, in a folder that the same command goes on with.
 
-The folder's `sweep.json` says what was asked for and `rows.jsonl` has each point that was run, with its score, as
+A link is described by the delay, jitter and loss of each direction, which say what playouts are worth trying over it.
+The folder's `sweep.json` holds the request and `rows.jsonl` each point that was run, with its score, as
 `teleop.sweeps.store` keeps them: a kill by any signal costs the points in flight. A search is the same to the bit
 whenever it is run, so one that goes on is done again with the scores that are there.
 """
@@ -10,17 +11,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from math import sqrt
+from math import ceil, sqrt
 from os import getloadavg
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from teleop.errors import Refused
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law.offers import claims_of, seed_energy
 from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 from teleop.simulation.facts import unmet
-from teleop.studies.advise.links import OneWay, playouts_for
 from teleop.studies.parallel import streamed
 from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import Scored, Tuned, tune_law
@@ -29,15 +32,73 @@ from teleop.sweeps.grid import plain
 from teleop.sweeps.kernels.digest import digest
 from teleop.sweeps.runner import cores, plan_sweep
 from teleop.sweeps.store import Store
+from teleop.terminal.units import si
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
-SETTLED = 20.0  # s after which the time that is left is told
+SETTLED = 20.0  # s after which the time that is left is shown
 COMPILES = 12.0  # s that a law's kernels take to compile, on the machine of `teleop/studies/README.md`
 FASTER = 60.0  # times, compiled
+LATE = 0.995  # of the packets that come, which a fixed playout delay is to play
+
+
+class OneWay(NamedTuple):
+    """Delay and loss of one direction, over the run of a scene. SI units."""
+
+    least: float
+    median: float
+    late: float  # the delay that `LATE` of them keep to
+    greatest: float
+    lost: float  # share
+
+    def text(self) -> str:
+        """The direction in words."""
+        if self.greatest - self.least < 1e-9:
+            delay = si(self.median, "s")
+        else:
+            delay = (f"{si(self.median, 's')} median ({si(self.least, 's')} to {si(self.greatest, 's')}, "
+                     f"{LATE:.1%} within {si(self.late, 's')})")
+        return f"{delay}, {self.lost:.1%} of packets lost"
+
+
+def one_way(scene: Scene, direction: int, seed: int) -> OneWay:
+    """Delay and loss of direction 0 (forward) or 1 in a run of `scene`. Raises `Refused` if nothing arrives."""
+    if scene.link is None:
+        return OneWay(scene.dt, scene.dt, scene.dt, scene.dt, 0.0)
+    arrivals = scene.link.arrivals(direction, scene.ticks, scene.dt_ns, seed, scene.wire_size)
+    if not len(arrivals.packet):
+        way = ("forward", "backward")[direction]
+        raise Refused(f"nothing gets through the link {way} within {scene.duration:g} s, so no law can do anything; "
+                      "give another part of the recording, or another --link")
+    ages = (arrivals.time_ns - arrivals.packet * scene.dt_ns) / 1e9
+    lost = 1.0 - len(np.unique(arrivals.packet)) / scene.ticks
+    late = float(np.quantile(ages, LATE, method="higher"))
+    return OneWay(float(ages.min()), float(np.median(ages)), late, float(ages.max()), lost)
+
+
+def link_text(ways: tuple[OneWay, OneWay]) -> str:
+    """Both directions in words."""
+    near = all(abs(a - b) <= 0.02 * max(abs(a), abs(b)) + 5e-3 for a, b in zip(*ways, strict=True))
+    return f"{ways[0].text()}, each way" if near else f"forward {ways[0].text()}; backward {ways[1].text()}"
+
+
+def playouts_for(scene: Scene, ways: tuple[OneWay, OneWay]) -> tuple[str, ...]:
+    """The playouts that are tried with the scene's law: newest packet and fixed delay, waves by their integral.
+
+    A link that neither jitters nor loses leaves nothing to choose. Playing a message again in the gaps (hold) is
+    active for waves and changes nothing for samples, of which the newest stands; playing waves as zero fades a steady
+    force: neither is tried.
+    """
+    gaps = "integral" if scene.has_waves else "zero"
+    if all(way.greatest - way.least < scene.dt and way.lost == 0.0 for way in ways):
+        return ()
+    late = max(way.late for way in ways)
+    ticks = max(1, ceil(late / scene.dt - 1e-6))
+    fixed = f"fixed:{ticks * scene.dt:.9g}"
+    return (gaps, f"{fixed}:integral" if scene.has_waves else fixed)
 
 
 class LawMargins(NamedTuple):
-    """The most of what was tried that the gains stand, in a row; what comes next breaks a constraint, or is none."""
+    """The stiffest wall and the longest delay tried that the gains stand; the next breaks a constraint, or is none."""
 
     wall: float  # N/m
     delay: float  # s, further, each way
@@ -78,12 +139,25 @@ class LawAdvice:
         return 0.0 if self.tuned is None else self.spread / sqrt(max(1, len(self.tuned.score.values)))
 
     def keeps_energy(self) -> bool:
-        """True if it claims a ledger, and no condition of it is broken."""
+        """True if the law claims a ledger, and none of its conditions is broken."""
         return bool(self.claims) and not self.broken
 
 
+def gains(law: LawAdvice) -> str:
+    """The parameters, with their units, and the playout."""
+    assert law.tuned is not None
+    texts = []
+    for name, value in law.tuned.best.items():
+        if name == "playout":
+            continue
+        knob = law.knobs[name.removeprefix("law.")].knob
+        texts.append(f"{name.removeprefix('law.')} = {value:g}{' ' + knob.unit if knob.unit not in ('', '1') else ''}")
+    playout = law.tuned.best.get("playout")
+    return ", ".join(texts) + (f", playout {playout}" if playout else "")
+
+
 class LawJob(NamedTuple):
-    """The search of one law."""
+    """Search of one law, as a process is handed it."""
 
     scene: str
     law: str
@@ -93,7 +167,7 @@ class LawJob(NamedTuple):
     objective: str
     seed: int
     engine: str | None
-    known: tuple[Scored, ...]  # points that are there
+    known: tuple[Scored, ...]  # points that the folder holds
 
 
 class Outlook:
@@ -107,23 +181,23 @@ class Outlook:
         self._waiting, self._rows, self._workers = laws, rows, workers
         self._start, self._each = start, each
         self._begun: dict[int, tuple[float, int]] = {}  # by the number of a law, when it began, and with which rows
-        self._first: dict[int, tuple[float, int]] = {}  # when its first rows came, and how many were there then
+        self._first: dict[int, tuple[float, int]] = {}  # the time of its first rows, and their number
         self._last: dict[int, tuple[float, int]] = {}
         self._done: set[int] = set()
 
     def begin(self, law: int, now: float, known: int = 0) -> None:
-        """A law begins with so many `known` rows."""
+        """Note that the search of a law begins with so many `known` rows."""
         self._waiting -= 1
         self._begun[law] = now, known
 
     def rows(self, law: int, rows: int, now: float) -> None:
-        """So many rows of a law are there."""
+        """Note the rows of a law so far."""
         if rows > self._begun[law][1]:
             self._first.setdefault(law, (now, rows))
             self._last[law] = now, rows
 
     def end(self, law: int) -> None:
-        """A law is searched."""
+        """Note that a law is searched."""
         self._done.add(law)
 
     def time_left(self, now: float, busy: float = 1.0) -> float:
@@ -144,9 +218,9 @@ class Outlook:
         return max(sum(work) / self._workers, max(work, default=0.0))
 
 
-def searched(jobs: Sequence[LawJob], out: Path | None, workers: int, clock: Callable[[], float],
-             show: Callable[[float, str], None]) -> Iterator[tuple[LawAdvice, float | None]]:
-    """Search each law; yield its result as it comes, with the time in all (s) that was told after `SETTLED`.
+def search_laws(jobs: Sequence[LawJob], out: Path | None, workers: int, clock: Callable[[], float],
+                show: Callable[[float, str], None]) -> Iterator[tuple[LawAdvice, float | None]]:
+    """Search each law; yield its result as it comes, with the time in all (s) that was predicted after `SETTLED`.
 
     `out`: the folder, made or gone on with; None: none. Raises `Refused`.
     """
@@ -154,13 +228,15 @@ def searched(jobs: Sequence[LawJob], out: Path | None, workers: int, clock: Call
     try:
         if store is not None:
             jobs = [job._replace(known=tuple(points)) for job, points in zip(jobs, _points(store, jobs), strict=True)]
-        yield from _Searches(jobs, store, workers, clock, show).run()
+        yield from LawSearches(jobs, store, workers, clock, show).run()
     finally:
         if store is not None:
             store.close()
 
 
-class _Searches:
+class LawSearches:
+    """Searches of all laws in their processes, kept and shown as they go on."""
+
     def __init__(self, jobs: Sequence[LawJob], store: Store | None, workers: int, clock: Callable[[], float],
                  show: Callable[[float, str], None]) -> None:
         self.jobs, self.store, self.workers, self.clock, self.show = jobs, store, workers, clock, show
@@ -171,23 +247,26 @@ class _Searches:
                                each / FASTER if compiled else each)
         self.points = [len(job.known) for job in jobs]
         self.current, self.ended = "", 0
-        self.told: float | None = None
+        self.predicted: float | None = None
 
     def run(self) -> Iterator[tuple[LawAdvice, float | None]]:
+        """Yield each law's result as it comes, with the predicted time in all (s)."""
         self.began = self.clock()
         for number, advice in streamed(search_law, self.jobs, self.workers, self.begin, self.take, self.poll):
             self.outlook.end(number)
             self.ended += 1
             self.poll()
-            yield advice, self.told
+            yield advice, self.predicted
 
     def begin(self, number: int) -> None:
+        """Note the start of a law's search."""
         self.current = self.jobs[number].law
         self.outlook.begin(number, self.clock(), sum(
             (each.stop - each.first) * len(each.score.figures) for each in self.jobs[number].known))
         self.poll()
 
     def take(self, number: int, part: int | list[Scored]) -> None:
+        """Take in the rows of a law so far, or keep its points."""
         if isinstance(part, int):
             self.outlook.rows(number, part, self.clock())
         elif self.store is not None:
@@ -197,18 +276,18 @@ class _Searches:
         self.poll()
 
     def poll(self) -> None:
-        """Show how far the searches have come."""
+        """Show the progress of the searches."""
         now = self.clock()
         busy = max(1.0, getloadavg()[0] / cores())
         left, spent = self.outlook.time_left(now, busy), now - self.began
-        if spent >= SETTLED and self.told is None:
-            self.told = spent + left
+        if spent >= SETTLED and self.predicted is None:
+            self.predicted = spent + left
         part = spent / (spent + left) if spent >= SETTLED else 0.0
         self.show(part, f"{self.ended} of {len(self.jobs)} laws, {self.current}")
 
 
 def search_law(job: LawJob, send: Callable[[int | list[Scored]], None]) -> LawAdvice:
-    """Tune one law, with the conditions that its best gains break; rows and points are sent as they come."""
+    """Tune one law, and find the conditions that its best gains break; rows and points are sent as they come."""
     fixed = dict(job.fixed)
     try:
         scene = load_scene(job.scene, **{**fixed, "law": job.law})
@@ -226,7 +305,7 @@ def search_law(job: LawJob, send: Callable[[int | list[Scored]], None]) -> LawAd
 
 
 def definition(jobs: Sequence[LawJob]) -> dict[str, Any]:
-    """Definition that the folder of an advice is held to."""
+    """Definition by which the folder of an advice is known again."""
     from teleop.version import __version__
 
     first, sources = jobs[0], []
@@ -243,7 +322,7 @@ def definition(jobs: Sequence[LawJob]) -> dict[str, Any]:
 
 
 def _points(store: Store, jobs: Sequence[LawJob]) -> list[list[Scored]]:
-    """The points of each law that are there, in the order in which its search asked for them."""
+    """The points of each law in the folder, in the order in which its search asked for them."""
     by_law: list[dict[int, Scored]] = [{} for _ in jobs]
     for row in store.rows():
         law, number = divmod(row["row"], jobs[0].budget)
@@ -251,13 +330,13 @@ def _points(store: Store, jobs: Sequence[LawJob]) -> list[list[Scored]]:
     return [[points[i] for i in range(len(points)) if i in points] for points in by_law]
 
 
-def _cells(number: int, law: str, one: Scored) -> dict[str, Any]:
+def _cells(number: int, law: str, scored: Scored) -> dict[str, Any]:
     """A point as a row of the store."""
-    own = one.score
-    score = [own.value, own.broken, own.amount, _pairs(own.terms),
-             [[task, _pairs(figures)] for task, figures in own.figures.items()], [*own.values], own.unmet]
-    return {"row": number, "law": law, "seed": one.first, "seeds": one.stop - one.first, "point": [*one.point],
-            "score": score}
+    score = scored.score
+    cells = [score.value, score.broken, score.amount, _pairs(score.terms),
+             [[task, _pairs(figures)] for task, figures in score.figures.items()], [*score.values], score.unmet]
+    return {"row": number, "law": law, "seed": scored.first, "seeds": scored.stop - scored.first,
+            "point": [*scored.point], "score": cells}
 
 
 def _score(cells: Sequence[Any]) -> Score:

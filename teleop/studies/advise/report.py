@@ -1,60 +1,141 @@
-"""The advice as a page of text, and as a document."""
+"""The command `teleop advise`, and the advice as a page of text, as a document and as CSV."""
 
 from __future__ import annotations
 
 import shlex
+import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from csv import writer
+from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
-from teleop.errors import enumerated, number_of
+from teleop.errors import Refused, enumerated, number, number_of
+from teleop.law import two_port_laws
 from teleop.law.offers import CONDITIONS
+from teleop.scene.knobs import check_text, knobs_of
+from teleop.scene.library import scene_function
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head, parameters
 from teleop.storage.files import replacing_text
-from teleop.studies.advise.advice import Advice
-from teleop.studies.advise.laws import MARGIN, LawAdvice
-from teleop.studies.advise.links import link_text
+from teleop.storage.strict_json import write_document
+from teleop.studies.advise.advice import Advice, advise
+from teleop.studies.advise.laws import MARGIN, LawAdvice, gains, link_text
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score
+from teleop.studies.tune.report import csv_cell, figure, linear_text
 from teleop.studies.tune.report import document as tuned_document
-from teleop.studies.tune.report import figure, linear_text
 from teleop.studies.tune.search import Tuned
-from teleop.terminal.answer import finite
+from teleop.sweeps.definition import DEFINITION
+from teleop.sweeps.runner import cores
+from teleop.sweeps.typed import listed
+from teleop.terminal.answer import Answer
+from teleop.terminal.options import INTERRUPTED, knobs_from
+from teleop.terminal.plotting import asked_formats
+from teleop.terminal.progress import shown_on
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
 
-WORSE = 1.5  # times the best law's term, and `MORE` above it: what is said against another law
+POINT = 3  # rows of one point at most
+ROWS, PLAIN_ROWS = 12_000, 60  # of each law where none are asked for: compiled, and without the extra `batch`
+WORSE = 1.5  # times the best law's term, and `MORE` above it: a term that counts against a law
 MORE = 0.1
 HALF = 0.5
 LIVE = "127.0.0.1:9001"  # of the slave, in the lines that start the answer live
 WIDTH = 108  # columns of text beside the labels
 
 
-def text(found: Advice, seconds: float | None = None) -> str:
+def command(args: Namespace) -> Answer:
+    """Advise a law, and leave summary.json, laws.csv and a plot in a folder that can be gone on with.
+
+    Raises `Refused`.
+    """
+    formats = asked_formats(args)
+    began = args.seconds()
+    laws = two_port_laws() if args.laws is None else listed(args.laws)
+    if not laws:
+        raise Refused("--laws names none; write for example --laws wave,pfra, or leave it out for all")
+    for law in laws:
+        check_text("law", law, {})
+    knobs = _knobs(args)
+    compiled = find_spec("numba") is not None
+    each = args.budget // len(laws) if args.budget is not None else ROWS if compiled else PLAIN_ROWS
+    if each < POINT:
+        raise Refused(f"--budget {args.budget} leaves each of {number_of(len(laws), 'law')} {number_of(each, 'row')}, "
+                      f"and one point of the search takes up to {POINT}: the scene, free space and a stiffer wall; "
+                      f"write --budget {POINT * len(laws)} or more, or fewer --laws")
+    folder = Path(args.out) if args.out is not None else Path("runs") / f"{Path(args.scene).stem}-advise"
+    try:
+        with shown_on(None if args.json else sys.stderr, args.seconds) as show:
+            advice = advise(args.scene, each, fixed=knobs, laws=laws, objective=args.objective, seed=args.seed,
+                            show=show, clock=args.seconds, workers=args.workers or cores(), out=folder)
+    except KeyboardInterrupt:
+        if not (folder / DEFINITION).is_file():
+            raise  # nothing was begun
+        sentence = "interrupted: the same command goes on from here"
+        return Answer(sentence, {"status": "interrupted", "mode": "advise", "sentence": sentence,
+                                 "path": str(folder)}, INTERRUPTED)
+    seconds = args.seconds() - began
+    summary = document(advice, args.typed, seconds)
+    page = text(advice, seconds)
+    plots = []
+    if formats:
+        from teleop.studies.advise.plot import draw
+
+        plots = draw(advice, folder / "advise", formats)
+    write_laws(folder / "laws.csv", advice)
+    with replacing_text(folder / "advice.txt") as file:
+        file.write(page + "\n")
+    write_document(folder / "summary.json", summary)
+    return Answer(page, summary).kept_in(folder).with_plots(folder, plots)
+
+
+def _knobs(args: Namespace) -> dict[str, object]:
+    """The knobs that are set, with the link and the wall among them. Raises `Refused`."""
+    knobs: dict[str, object] = dict(knobs_from(args))
+    if args.ping is not None and args.link is not None:
+        raise Refused("--ping and --link both give the link; leave one of them out")
+    if args.ping is not None:
+        quote = '"' if "'" in args.ping else "'"
+        knobs["link"] = f"ping_log({quote}{args.ping}{quote})"
+    if "link" not in knobs:
+        raise Refused("no link is given; write --link 'delay(0.04) | uniform(0.02) | bernoulli(0.02)', or --ping FILE "
+                      "with what `ping -D -i 0.02 HOST > FILE` has recorded")
+    if args.wall is not None:
+        number("--wall", args.wall, low=0.0, unit="N/m")
+        if "k_e" not in knobs_of(scene_function(args.scene)):
+            raise Refused(f"scene {args.scene} has no knob k_e for --wall to set; leave it out, or take another scene, "
+                          "for example hard_wall or soft_tissue")
+        if "k_e" in knobs:
+            raise Refused("--wall and --set k_e both give the stiffness of the wall; leave one of them out")
+        knobs["k_e"] = args.wall
+    return knobs
+
+
+def text(advice: Advice, seconds: float | None = None) -> str:
     """The page."""
     took = "" if seconds is None else f" in {seconds:.0f} s"
-    rod = _rod(found)
-    rows = [("link", link_text(found.ways)),
-            ("scene", f"{found.scene.name}{_wall(found.scene)}{rod}"),
-            ("searched", f"{number_of(len(found.laws), 'law')}, {found.budget} rows each at most, {found.rows} in "
-                         f"all{took}; objective {found.objective}: {OBJECTIVES[found.objective].sentence}")]
-    best = found.best
+    baseline = _baseline_text(advice)
+    rows = [("link", link_text(advice.ways)),
+            ("scene", f"{advice.scene.name}{_wall(advice.scene)}{baseline}"),
+            ("searched", f"{number_of(len(advice.laws), 'law')}, {advice.budget} rows each at most, {advice.rows} in "
+                         f"all{took}; objective {advice.objective}: {OBJECTIVES[advice.objective].sentence}")]
+    best = advice.best
     if best is None:
-        near = found.laws[0] if found.laws else None
+        near = advice.laws[0] if advice.laws else None
         why = "" if near is None or near.tuned is None else f": {near.law} comes nearest, {near.tuned.score.broken}"
-        rows += [("take", f"none: no law keeps the constraints{why}"), ("", _what_to_do(found))]
+        rows += [("take", f"none: no law keeps the constraints{why}"), ("", _what_to_do(advice))]
     else:
-        rows += [("", ""), *_take(found, best)]
-    told = [facts(wrapped(rows)), "", _table(found)]
-    against = avoid(found)
+        rows += [("", ""), *_take(advice, best)]
+    lines = [facts(wrapped(rows)), "", _table(advice)]
+    against = avoid(advice)
     if against:
-        told += ["", facts(wrapped([("avoid" if i == 0 else "", f"- {line}") for i, line in enumerate(against)]))]
+        lines += ["", facts(wrapped([("avoid" if i == 0 else "", f"- {line}") for i, line in enumerate(against)]))]
     if best is not None and best.tuned is not None:
-        told += ["", f"run it: {shlex.join(best.tuned.command())}", *_live(best.tuned)]
-    return "\n".join(told)
+        lines += ["", f"run it: {shlex.join(best.tuned.command())}", *_live(best.tuned)]
+    return "\n".join(lines)
 
 
 def _live(tuned: Tuned) -> list[str]:
@@ -64,9 +145,9 @@ def _live(tuned: Tuned) -> list[str]:
 
 
 def wrapped(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Facts whose texts are broken at `WIDTH` columns; the lines that go on have no label."""
-    return [(label if i == 0 else "", line) for label, said in rows
-            for i, line in enumerate(wrap(said, WIDTH, subsequent_indent="  " * said.startswith("- ")) or [""])]
+    """Facts with their texts broken at `WIDTH` columns; the lines that go on have no label."""
+    return [(label if i == 0 else "", line) for label, sentence in rows
+            for i, line in enumerate(wrap(sentence, WIDTH, subsequent_indent="  " * sentence.startswith("- ")) or [""])]
 
 
 def _wall(scene: Scene) -> str:
@@ -74,14 +155,14 @@ def _wall(scene: Scene) -> str:
     return f", an environment of {si(k_e, 'N/m')}" if isinstance(k_e, float) else ""
 
 
-def _rod(found: Advice) -> str:
-    tuned = next((one.tuned for one in found.laws if one.tuned is not None), None)
-    if tuned is None or tuned.rod.steady is None:
+def _baseline_text(advice: Advice) -> str:
+    tuned = next((each.tuned for each in advice.laws if each.tuned is not None), None)
+    if tuned is None or tuned.baseline.steady is None:
         return ""
-    return f"; a rigid rod in place of law and link would press it with {si(tuned.rod.steady, 'N')} in the end"
+    return f"; a rigid rod in place of law and link would press it with {si(tuned.baseline.steady, 'N')} in the end"
 
 
-def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
+def _take(advice: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     assert best.tuned is not None
     score = best.tuned.score
     rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_expected(best)) + _means(best))]
@@ -89,8 +170,8 @@ def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
         rows.append(("objective", f"{score.value:.3f} over {len(score.values)} seeds that the search has not seen; "
                                   f"of one seed {min(score.values):.3f} to {max(score.values):.3f}, standard "
                                   f"deviation {best.spread:.3f}"))
-    if found.jumps is not None:
-        jumps = found.jumps
+    if advice.jumps is not None:
+        jumps = advice.jumps
         over = f", the largest of {number_of(jumps.runs, 'run')}" if jumps.runs > 1 else ""
         rows.append(("jumps", f"the force at the hand jumps by up to {si(jumps.tick, 'N')} from one tick to the next, "
                               f"{si(jumps.message, 'N')} from one message to the next, {si(jumps.within, 'N')} within "
@@ -101,85 +182,72 @@ def _take(found: Advice, best: LawAdvice) -> list[tuple[str, str]]:
         rows.append(("loop", f"linear: {linear_text(best.tuned.linear)}"))
     rows.append(("promises", promise(best)))
     rows += [("but", sentence) for sentence in best.broken]
-    alike = found.alike()
+    alike = advice.alike()
     if alike:
-        rows.append(("as good", f"{enumerated([one.law for one in alike])}: not told apart over the seeds"))
-    second = min([one for one in found.laws if one is not best and best.value <= one.value < float("inf")
-                  and one not in alike], key=lambda one: one.value, default=None)
+        rows.append(("as good", f"{enumerated([each.law for each in alike])}: not told apart over the seeds"))
+    second = min([each for each in advice.laws if each is not best and best.value <= each.value < float("inf")
+                  and each not in alike], key=lambda each: each.value, default=None)
     if second is not None:
         rows.append(("because", f"its objective is {score.value:.3f}, that of the next best ({second.law}) "
                                 f"{second.value:.3f}; 0 is the rigid rod"))
-    bolder = found.bolder
+    bolder = advice.bolder
     if bolder is not None:
         rows.append(("bolder", f"{bolder.law} with {gains(bolder)} does better here, {bolder.value:.3f}: "
                                f"{'; '.join(_expected(bolder))}. But {'; '.join(bolder.broken)}. It {_margin(bolder)}"))
     if not best.keeps_energy():
-        safe = next((one for one in found.laws if one.value < float("inf") and one.keeps_energy()), None)
+        safe = next((each for each in advice.laws if each.value < float("inf") and each.keeps_energy()), None)
         if safe is not None:
             rows.append(("or", f"{safe.law} with {gains(safe)}, the best that keeps its energy whatever it touches: "
                                f"{'; '.join(_expected(safe))}"))
     return rows
 
 
-def _means(one: LawAdvice) -> str:
-    """Of what these figures are means, where the link draws random numbers."""
-    assert one.tuned is not None
-    count = len(one.tuned.score.values)
+def _means(law: LawAdvice) -> str:
+    """A note on the seeds behind the figures, where the link draws random numbers."""
+    assert law.tuned is not None
+    count = len(law.tuned.score.values)
     return f" (means over {count} seeds, of which one run has its own)" if count > 1 else ""
 
 
-def gains(one: LawAdvice) -> str:
-    """The parameters, with their units, and the playout."""
-    assert one.tuned is not None
-    told = []
-    for name, value in one.tuned.best.items():
-        if name == "playout":
-            continue
-        knob = one.knobs[name.removeprefix("law.")].knob
-        told.append(f"{name.removeprefix('law.')} = {value:g}{' ' + knob.unit if knob.unit not in ('', '1') else ''}")
-    playout = one.tuned.best.get("playout")
-    return ", ".join(told) + (f", playout {playout}" if playout else "")
-
-
-def _short(one: LawAdvice) -> str:
-    assert one.tuned is not None
+def _short(law: LawAdvice) -> str:
+    assert law.tuned is not None
     return " ".join(f"{name.removeprefix('law.')}={value:g}" if isinstance(value, float) else str(value)
-                    for name, value in one.tuned.best.items())
+                    for name, value in law.tuned.best.items())
 
 
-def _expected(one: LawAdvice) -> list[str]:
-    assert one.tuned is not None
-    score, rod = one.tuned.score, one.tuned.rod
-    told = []
+def _expected(law: LawAdvice) -> list[str]:
+    assert law.tuned is not None
+    score, baseline = law.tuned.score, law.tuned.baseline
+    effects = []
     if (error := figure(score, SCENE, "x_err_rms")) is not None:
-        told.append(f"{si(error, 'm')} rms of tracking error")
+        effects.append(f"{si(error, 'm')} rms of tracking error")
     wall, hand = figure(score, SCENE, "f_env_end"), figure(score, SCENE, "f_m_end")
-    if rod.steady is not None and wall is not None and hand is not None:
-        told.append(f"{si(wall, 'N')} of steady force on the wall and {si(hand, 'N')} on the hand, of "
-                    f"{si(rod.steady, 'N')}")
+    if baseline.steady is not None and wall is not None and hand is not None:
+        effects.append(f"{si(wall, 'N')} of steady force on the wall and {si(hand, 'N')} on the hand, of "
+                       f"{si(baseline.steady, 'N')}")
     felt = figure(score, SCENE, "felt_stiffness")
     if felt is not None:
-        told.append(f"a wall that feels like {si(felt, 'N/m')}")
+        effects.append(f"a wall that feels like {si(felt, 'N/m')}")
     if (drag := figure(score, FREE, "f_m_max")) is not None:
-        told.append(f"at most {si(drag, 'N')} against the hand in free space")
+        effects.append(f"at most {si(drag, 'N')} against the hand in free space")
     if (peak := figure(score, SCENE, "f_env_max")) is not None and peak > 0.0:
-        told.append(f"a peak of {si(peak, 'N')} on the wall")
-    return told
+        effects.append(f"a peak of {si(peak, 'N')} on the wall")
+    return effects
 
 
-def _margin(one: LawAdvice) -> str:
-    assert one.margins is not None
-    wall, delay, wall_end, delay_end = one.margins
-    told = []
+def _margin(law: LawAdvice) -> str:
+    assert law.margins is not None
+    wall, delay, wall_end, delay_end = law.margins
+    bounds = []
     if wall > 0.0:
-        told.append(f"keeps the constraints up to a wall of {si(wall, 'N/m')}"
-                    + (f" (next: {wall_end})" if wall_end else ", the stiffest that was tried"))
+        bounds.append(f"keeps the constraints up to a wall of {si(wall, 'N/m')}"
+                      + (f" (next: {wall_end})" if wall_end else ", the stiffest that was tried"))
     if delay > 0.0:
-        told.append(f"with {si(delay, 's')} more delay each way"
-                    + (f" (next: {delay_end})" if delay_end else ", the most that was tried"))
+        bounds.append(f"with {si(delay, 's')} more delay each way"
+                      + (f" (next: {delay_end})" if delay_end else ", the most that was tried"))
     elif delay_end:
-        told.append(f"not with more delay: {delay_end}")
-    return ", and ".join(told)
+        bounds.append(f"not with more delay: {delay_end}")
+    return ", and ".join(bounds)
 
 
 def _over(ledger: str, claim: str) -> str:
@@ -187,28 +255,28 @@ def _over(ledger: str, claim: str) -> str:
     return CONDITIONS[claim] if ledger == "E_link" else CONDITIONS[claim].partition(",")[0]
 
 
-def promise(one: LawAdvice) -> str:
-    """What the law promises by itself, whatever hand and environment, in words."""
-    if not one.claims:
+def promise(law: LawAdvice) -> str:
+    """The law's claims, which hold for every hand and environment, in words."""
+    if not law.claims:
         return "nothing of energy: what holds is what was run here"
-    held = "; ".join(f"{ledger} stays above zero {_over(ledger, claim)}" for ledger, claim in one.claims.items())
-    return held + (f", but for {1e3 * one.seed_energy:.3g} mJ to begin with" if one.seed_energy > 0.0 else "")
+    held = "; ".join(f"{ledger} stays above zero {_over(ledger, claim)}" for ledger, claim in law.claims.items())
+    return held + (f", but for {1e3 * law.seed_energy:.3g} mJ to begin with" if law.seed_energy > 0.0 else "")
 
 
-def _table(found: Advice) -> str:
+def _table(advice: Advice) -> str:
     lines: list[Sequence[str]] = [("law", "objective +- sd", "tracking", "drag", "on the wall", "on the hand",
                                    "feels like", "jerk", "keeps energy", "gains")]
-    for one in found.laws:
-        if one.tuned is None:
-            lines.append((one.law, "refused", *[""] * 8))
+    for law in advice.laws:
+        if law.tuned is None:
+            lines.append((law.law, "refused", *[""] * 8))
             continue
-        score = one.tuned.score
-        value = f"{score.value:.3f}" + (f" +- {one.spread:.3f}" if one.spread >= 5e-4 else "")
+        score = law.tuned.score
+        value = f"{score.value:.3f}" + (f" +- {law.spread:.3f}" if law.spread >= 5e-4 else "")
         shown = [(SCENE, "x_err_rms"), (FREE, "f_m_max"), (SCENE, "f_env_end"), (SCENE, "f_m_end"),
                  (SCENE, "felt_stiffness"), (SCENE, "jerk_rms")]
         cells = [_si(score, task, name) for task, name in shown]
-        energy = "yes" if one.keeps_energy() else "if" if one.claims else "no"
-        lines.append((one.law, value if one.tuned.feasible else "infeasible", *cells, energy, _short(one)))
+        energy = "yes" if law.keeps_energy() else "if" if law.claims else "no"
+        lines.append((law.law, value if law.tuned.feasible else "infeasible", *cells, energy, _short(law)))
     return columns(lines, left=(0, 9))
 
 
@@ -217,31 +285,32 @@ def _si(score: Score, task: str, metric: str) -> str:
     return "" if value is None else si(value, UNITS[metric])
 
 
-def avoid(found: Advice) -> list[str]:
-    """What is said against the laws that are not advised, and against other parameters of the one that is."""
-    best, alike = found.best, found.alike()
-    told = []
-    for one in found.laws:
-        if one is best or one is found.bolder or one in alike:
+def avoid(advice: Advice) -> list[str]:
+    """Sentences against the laws that are not advised, and against other parameters of the advised law."""
+    best, alike = advice.best, advice.alike()
+    against = []
+    for law in advice.laws:
+        if law is best or law is advice.bolder or law in alike:
             continue
-        if one.tuned is None:
-            told.append(f"{one.law}: {one.refused}")
-        elif not one.tuned.feasible:
-            told.append(f"{one.law}: no point keeps the constraints; the nearest: {one.tuned.score.broken}")
+        if law.tuned is None:
+            against.append(f"{law.law}: {law.refused}")
+        elif not law.tuned.feasible:
+            against.append(f"{law.law}: no point keeps the constraints; the nearest: {law.tuned.score.broken}")
         else:
-            told.append(f"{one.law}: {'; '.join([*_against(one, best), *one.broken]) or 'a little worse in all'}")
+            against.append(f"{law.law}: {'; '.join([*_against(law, best), *law.broken]) or 'a little worse in all'}")
     if best is not None and best.tuned is not None and best.tuned.default is not None and best.tuned.default.broken:
-        told.append(f"{best.law} untuned: {best.tuned.default.broken}")
-    for playout, score, conditions in found.playouts:
-        told.append("; ".join([f"playout {playout} with the advised gains: {_of_playout(score, best)}", *conditions]))
-    return told
+        against.append(f"{best.law} untuned: {best.tuned.default.broken}")
+    for playout, score, conditions in advice.playouts:
+        against.append("; ".join(
+            [f"playout {playout} with the advised gains: {_playout_text(score, best)}", *conditions]))
+    return against
 
 
-def _against(one: LawAdvice, best: LawAdvice | None) -> list[str]:
+def _against(law: LawAdvice, best: LawAdvice | None) -> list[str]:
     """The terms in which a law is clearly worse than the best, in the words of an engineer."""
-    assert one.tuned is not None
-    score, rod = one.tuned.score, one.tuned.rod
-    steady = "" if rod.steady is None else f" of {si(rod.steady, 'N')}"
+    assert law.tuned is not None
+    score, baseline = law.tuned.score, law.tuned.baseline
+    steady = "" if baseline.steady is None else f" of {si(baseline.steady, 'N')}"
     words = {
         "tracking": f"tracks poorly, {_si(score, SCENE, 'x_err_rms')} rms",
         "drag": f"drags, {_si(score, FREE, 'f_m_max')} in free space",
@@ -252,61 +321,62 @@ def _against(one: LawAdvice, best: LawAdvice | None) -> list[str]:
         "rough": f"is rough, its force on the hand changes by {_si(score, SCENE, 'jerk_rms')} rms",
         "force": f"has a force error of {_si(score, SCENE, 'f_err_rms')} rms",
     }
-    own = {} if best is None or best.tuned is None else best.tuned.score.terms
+    terms = {} if best is None or best.tuned is None else best.tuned.score.terms
     touch, feel = (figure(score, SCENE, name) for name in ("f_env_end", "f_m_end"))
-    if rod.steady is not None and touch is not None and touch > rod.steady:
+    if baseline.steady is not None and touch is not None and touch > baseline.steady:
         words["touch"] = f"presses too hard, {si(touch, 'N')}{steady}"
-    if rod.steady is not None and feel is not None and feel > rod.steady:
+    if baseline.steady is not None and feel is not None and feel > baseline.steady:
         words["feel"] = f"is felt too hard, {si(feel, 'N')}{steady} at the hand"
     return [words[name] for name, value in sorted(score.terms.items(), key=lambda each: -each[1])
-            if name in words and value > WORSE * own.get(name, 0.0) and value > own.get(name, 0.0) + MORE]
+            if name in words and value > WORSE * terms.get(name, 0.0) and value > terms.get(name, 0.0) + MORE]
 
 
-def _of_playout(score: Score, best: LawAdvice | None) -> str:
+def _playout_text(score: Score, best: LawAdvice | None) -> str:
     if score.broken:
         return score.broken
-    own = "" if best is None else f" in place of {best.value:.3f}"
+    advised = "" if best is None else f" in place of {best.value:.3f}"
     hand = _si(score, SCENE, "f_m_end")
-    return f"objective {score.value:.3f}{own}" + (f", {hand} of steady force at the hand" if hand else "")
+    return f"objective {score.value:.3f}{advised}" + (f", {hand} of steady force at the hand" if hand else "")
 
 
-def _what_to_do(found: Advice) -> str:
-    slow = max(way.median for way in found.ways)
+def _what_to_do(advice: Advice) -> str:
+    slow = max(way.median for way in advice.ways)
     return (f"ask for less: a softer wall (--wall; a law has to stand one that is {MARGIN:g} times as stiff too), or a "
             f"link of less than {si(slow, 's')}")
 
 
-def document(found: Advice, typed: Sequence[str], seconds: float) -> dict[str, Any]:
-    """The advice as JSON can hold it."""
-    best = found.best
+def document(advice: Advice, typed: Sequence[str], seconds: float) -> dict[str, Any]:
+    """The advice as JSON."""
+    best = advice.best
     sentence = "no law keeps the constraints" if best is None else f"take {best.law} with {gains(best)}"
     return {
-        **head(status="done" if best is not None else "infeasible", sentence=sentence, scene=found.scene.name,
-               mode="advise", parameters=parameters(found.scene), seed=None, command=typed, dt=found.scene.dt_ns / 1e9),
-        "link": {way: each._asdict() for way, each in zip(("fwd", "bwd"), found.ways, strict=True)},
-        "objective": found.objective, "budget": found.budget, "rows": found.rows, "seconds": seconds,
-        "laws": [_document_of(one, typed) for one in found.laws], "avoid": avoid(found),
+        **head(status="done" if best is not None else "infeasible", sentence=sentence, scene=advice.scene.name,
+               mode="advise", parameters=parameters(advice.scene), seed=None, command=typed,
+               dt=advice.scene.dt_ns / 1e9),
+        "link": {way: each._asdict() for way, each in zip(("fwd", "bwd"), advice.ways, strict=True)},
+        "objective": advice.objective, "budget": advice.budget, "rows": advice.rows, "seconds": seconds,
+        "laws": [_document_of(law, typed) for law in advice.laws], "avoid": avoid(advice),
         "run": None if best is None or best.tuned is None else best.tuned.command(),
         "live": None if best is None or best.tuned is None else dict(zip(
             ("master", "slave"), best.tuned.live(LIVE), strict=True)),
-        "jumps": None if found.jumps is None else found.jumps._asdict(), "seconds_told": found.told,
+        "jumps": None if advice.jumps is None else advice.jumps._asdict(), "seconds_told": advice.predicted,
     }
 
 
-def _document_of(one: LawAdvice, typed: Sequence[str]) -> dict[str, Any]:
-    told: dict[str, Any] = {
-        "law": one.law, "refused": one.refused, "claims": dict(one.claims), "seed_energy": one.seed_energy,
-        "conditions_broken": list(one.broken), "deviation": one.deviation, "spread": one.spread,
-        "margins": None if one.margins is None else one.margins._asdict(),
+def _document_of(law: LawAdvice, typed: Sequence[str]) -> dict[str, Any]:
+    answer: dict[str, Any] = {
+        "law": law.law, "refused": law.refused, "claims": dict(law.claims), "seed_energy": law.seed_energy,
+        "conditions_broken": list(law.broken), "deviation": law.deviation, "spread": law.spread,
+        "margins": None if law.margins is None else law.margins._asdict(),
     }
-    if one.tuned is not None:
-        whole = tuned_document(one.tuned, typed)
-        told |= {key: whole[key] for key in ("best", "value", "broken", "terms", "figures", "rows", "points", "engine",
-                                             "run", "at_edge")}
-    return told
+    if law.tuned is not None:
+        whole = tuned_document(law.tuned, typed)
+        answer |= {key: whole[key] for key in (
+            "best", "value", "broken", "terms", "figures", "rows", "points", "engine", "run", "at_edge")}
+    return answer
 
 
-def write_laws(path: Path, found: Advice) -> None:
+def write_laws(path: Path, advice: Advice) -> None:
     """Write the table of laws as CSV."""
     metrics = [each for each in (
         ("x_err_rms", SCENE), ("f_m_max", FREE), ("f_env_end", SCENE), ("f_m_end", SCENE), ("f_env_max", SCENE),
@@ -315,18 +385,14 @@ def write_laws(path: Path, found: Advice) -> None:
         lines = writer(file)
         lines.writerow(["law", "objective", "deviation", "spread", "broken",
                         *(f"{name}:{task}" for name, task in metrics), "keeps_energy", "settings"])
-        for one in found.laws:
-            if one.tuned is None:
-                lines.writerow([one.law, "", "", "", one.refused, *[""] * len(metrics), "", ""])
+        for law in advice.laws:
+            if law.tuned is None:
+                lines.writerow([law.law, "", "", "", law.refused, *[""] * len(metrics), "", ""])
                 continue
-            figures = [figure(one.tuned.score, task, name) for name, task in metrics]
-            lines.writerow([one.law, _cell(one.tuned.score.value), one.deviation, one.spread,
-                            one.tuned.score.broken, *map(_cell, figures), one.keeps_energy(),
-                            _settings(one.tuned.settings)])
-
-
-def _cell(value: float | None) -> Any:
-    return "" if finite(value) is None else value
+            figures = [figure(law.tuned.score, task, name) for name, task in metrics]
+            lines.writerow([law.law, csv_cell(law.tuned.score.value), law.deviation, law.spread,
+                            law.tuned.score.broken, *map(csv_cell, figures), law.keeps_energy(),
+                            _settings(law.tuned.settings)])
 
 
 def _settings(settings: Mapping[str, str]) -> str:

@@ -1,27 +1,47 @@
-"""What `teleop compare` does: read the file, run the rows, tell and draw what came of them."""
+"""The command `teleop compare`: read the file, run its rows in several processes, and report what they come to.
+
+Every row is a run with its whole record, in plain Python: with a dozen rows to a kernel, compiling one for each law
+and scene would take longer than the rows do. A row's figures depend on its own knobs and seed alone. Rows are kept in
+a folder as they finish.
+
+With --tuned each law runs with the parameters that one search of the same number of rows finds for it over each link.
+A search is run in one environment, which the file's key `tune` names, and its parameters are taken in all of them: a
+law that met free space with other parameters than the wall would not be one law. A law without a number to tune stays
+as it is.
+"""
 
 from __future__ import annotations
 
 import csv
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
+from math import isnan
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
-from teleop.errors import enumerated, number_of
+from teleop.errors import Refused, enumerated, number_of
+from teleop.law.offers import seed_energy
 from teleop.scene.axis_labels import AxisLabels
+from teleop.scene.knobs import law_with_its_numbers
+from teleop.scene.library import scene_function
+from teleop.scene.loading import load_scene
+from teleop.scene.parts import varies
+from teleop.scene.scene import Scene
+from teleop.simulation.ending import GrowthNote
 from teleop.simulation.metrics import METRICS, UNITS
-from teleop.simulation.result import versions
+from teleop.simulation.result import Result, versions
+from teleop.simulation.virtual import run
 from teleop.storage.files import replacing_text
 from teleop.storage.strict_json import write_document
-from teleop.studies.compare.cases import Case, cases_of, shown_path
-from teleop.studies.compare.file import BUILT_IN, Comparison, read_comparison
-from teleop.studies.compare.judge import rankings, verdicts
-from teleop.studies.compare.report import document, text
-from teleop.studies.compare.tuned import tune_all
-from teleop.studies.compare.work import OWN, carry_out, numbered
+from teleop.studies.baseline import ContactForce, baseline_contact, contact_force
+from teleop.studies.compare.cases import BUILT_IN, Case, Comparison, cases_of, read_comparison, shown_path
+from teleop.studies.compare.figures import UNSETTLED, document, judge_laws, rankings, text
+from teleop.studies.margin import margin
+from teleop.studies.parallel import in_parallel
+from teleop.sweeps.grid import plain
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import Store
 from teleop.sweeps.typed import listed
@@ -33,23 +53,35 @@ from teleop.terminal.units import duration
 
 WIDE = 120  # columns of what is no terminal
 CSV, SUMMARY = "rows.csv", "summary.json"
+Show = Callable[[int, int], None]
+SWING = 1e-3  # m, at the end of a run that has settled
+ROW_FIGURES = {  # of a row, beside the metrics of its run: unit and meaning
+    "wall_late": ("1", "force of the slave on its environment over the second half of the run, mean, over that of a "
+                  "rigid rod"),
+    "wall_peak": ("1", "largest force of the slave on its environment, over that of a rigid rod"),
+    "sent": ("1", "packets sent for each tick, both directions"),
+    "seed_energy": ("J", "energy that the law is given to begin with"),
+    "gain_margin": ("1", "factor on the loop's gain that makes it unstable, see `teleop.studies.margin`; of one axis "
+                    "over a constant delay"),
+    "delay_margin": ("s", "delay that may be added to the round trip, by the same analysis"),
+}
 
 
 def command(args: Namespace) -> Answer:
-    """Run a comparison, or go on with it, and tell what came of it. Raises `Refused`, before anything is written."""
+    """Run a comparison, or go on with it, and report its figures. Raises `Refused`, before anything is written."""
     formats = asked_formats(args)
     began = args.seconds()
     path = args.file or BUILT_IN
     where = shown_path(path)
     laws = None if args.laws is None else listed(args.laws)
-    asked = read_comparison(path, laws)
+    comparison = read_comparison(path, laws)
     stream = None if args.json else sys.stderr
     workers = args.workers or cores()
-    cases, notes = cases_of(asked, where), list[str]()
+    cases, notes = cases_of(comparison, where), list[str]()
     if args.tuned is not None:
-        cases, notes = _tuned(asked, where, args.tuned, workers, stream, args.seconds)
+        cases, notes = _tuned_cases(comparison, where, args.tuned, workers, stream, args.seconds)
     total = sum(len(case.seeds) for case in cases)
-    folder = Path(args.out) if args.out is not None else Path("runs") / asked.name
+    folder = Path(args.out) if args.out is not None else Path("runs") / comparison.name
     line = None if stream is None else RowsProgress(stream)
     interrupted = False
     try:
@@ -65,46 +97,48 @@ def command(args: Namespace) -> Answer:
     rows = sorted(Store.look(folder).rows(), key=lambda row: row["row"])
     seconds = args.seconds() - began
     units = list(dict.fromkeys(unit for case in cases for unit in case.units))
-    found = verdicts(rows, [law.name for law in asked.laws], units)
-    ranked = rankings(found)
-    heading = (f"compare   {where}: {number_of(len(asked.laws), 'law')}, {number_of(len(asked.links), 'link')}, "
-               f"{number_of(len(asked.environments), 'environment')}, {number_of(len(asked.seeds), 'seed')} for links "
-               f"with dice; {len(rows)} of {total} rows in {duration(seconds)}")
-    told = {
+    verdicts = judge_laws(rows, [law.name for law in comparison.laws], units)
+    ranked = rankings(verdicts)
+    counts = (number_of(len(comparison.laws), "law"), number_of(len(comparison.links), "link"),
+              number_of(len(comparison.environments), "environment"), number_of(len(comparison.seeds), "seed"))
+    heading = (f"compare   {where}: {', '.join(counts)} for links with dice; {len(rows)} of {total} rows in "
+               f"{duration(seconds)}")
+    summary = {
         "status": "interrupted" if interrupted else "done", "sentence": f"{len(rows)} of {total} rows", "scene": None,
         "mode": "compare", "versions": versions(), "command": list(args.typed), "seconds": seconds, "file": str(path),
-        "rows": total, "done": len(rows), "seeds": list(asked.seeds), "path": str(folder),
+        "rows": total, "done": len(rows), "seeds": list(comparison.seeds), "path": str(folder),
         "conditions": [{"law": case.law, "link": case.link, "environment": case.environment,
                         "sentences": list(case.conditions)} for case in cases if case.conditions],
-        "axis_units": units, "tuned": args.tuned, "notes": notes, **document(found, ranked),
+        "axis_units": units, "tuned": args.tuned, "notes": notes, **document(verdicts, ranked),
     }
     write_csv(folder / CSV, rows, cases, AxisLabels(units=tuple(units)))
-    write_document(folder / SUMMARY, told)
-    answer = Answer(text(found, ranked, cases, heading, notes, _width()), told, INTERRUPTED if interrupted else DONE)
+    write_document(folder / SUMMARY, summary)
+    answer = Answer(text(verdicts, ranked, cases, heading, notes, _width()), summary,
+                    INTERRUPTED if interrupted else DONE)
     if formats:
-        from teleop.studies.compare.figures import draw
+        from teleop.studies.compare.plot import draw
 
-        answer = answer.with_plots(folder, draw(rows, found, asked, folder, formats))
+        answer = answer.with_plots(folder, draw(rows, verdicts, comparison, folder, formats))
     if interrupted:
         answer = answer._replace(text=f"{answer.text}\ninterrupted: the same command goes on from here")
     return answer._replace(text=f"{answer.text}\nevery row, with the command that runs it again: {folder / CSV}\n"
                                 f"written to {folder}")
 
 
-def _tuned(asked: Comparison, where: str, budget: int, workers: int, stream: TextIO | None,
-           clock: Callable[[], float]) -> tuple[list[Case], list[str]]:
-    """The cases with the parameters that searches of so many rows found, and a note on those that found nothing."""
-    count = len(asked.laws) * len(asked.links)
+def _tuned_cases(comparison: Comparison, where: str, budget: int, workers: int, stream: TextIO | None,
+                 clock: Callable[[], float]) -> tuple[list[Case], list[str]]:
+    """The cases with the parameters of searches of so many rows, and a note on the laws that kept no constraint."""
+    count = len(comparison.laws) * len(comparison.links)
     with shown_on(stream, clock, float(count)) as show:
-        found = tune_all(asked, budget, workers=workers, show=lambda done, of: show(
+        parameters = tune_all(comparison, budget, workers=workers, show=lambda done, of: show(
             float(done), f"{done} of {number_of(of, 'search', 'searches')} of {number_of(budget, 'row')}"))
-    cases = cases_of(asked, where, {key: one.knobs for key, one in found.items()})
+    cases = cases_of(comparison, where, {key: each.knobs for key, each in parameters.items()})
     notes = []
-    for law in asked.laws:
-        broken = {link.name: found[law.name, link.name].broken for link in asked.links}
+    for law in comparison.laws:
+        broken = {link.name: parameters[law.name, link.name].broken for link in comparison.links}
         links = [name for name, why in broken.items() if why]
         if links:
-            notes.append(f"no parameters of {law.name} keep the constraints of tune in {asked.tune} over "
+            notes.append(f"no parameters of {law.name} keep the constraints of tune in {comparison.tune} over "
                          f"{enumerated(links)}, so it runs with the nearest ({links[0]}: {broken[links[0]]})")
     return cases, notes
 
@@ -115,13 +149,14 @@ def _width() -> int:
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]], cases: Sequence[Case], labels: AxisLabels) -> None:
-    """Every row: its names, seed, how it ended, its figures in SI units, and the command that runs it again.
+    """Write every row: its names, seed, ending, figures in SI units, and the command that runs it again.
 
     A figure over axes in m and in rad has no unit.
     """
     commands = {number: case.command(seed) for number, case, seed in numbered(cases)}
-    some = [name for name in (*METRICS, *OWN) if any(name in row for row in rows)]
-    units = {name: labels.unit(unit) for name, unit in [*UNITS.items(), *((key, own) for key, (own, _) in OWN.items())]}
+    some = [name for name in (*METRICS, *ROW_FIGURES) if any(name in row for row in rows)]
+    units = {name: labels.unit(unit) for name, unit in [
+        *UNITS.items(), *((key, unit) for key, (unit, _) in ROW_FIGURES.items())]}
     with replacing_text(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["law", "link", "environment", "seed", "status", "ticks",
@@ -129,3 +164,163 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]], cases: Sequence[Case],
         for row in rows:
             writer.writerow([row["law"], row["link"], row["environment"], row["seed"], row["status"], row["ticks"],
                              *[row.get(name, "") for name in some], row.get("sentence", ""), commands[row["row"]]])
+
+
+class CaseBatch(NamedTuple):
+    """Rows that one process runs: cases of one law in one environment, each with the numbers and seeds of its rows."""
+
+    cases: tuple[tuple[Case, tuple[tuple[int, int], ...]], ...]
+
+
+def numbered(cases: Sequence[Case]) -> Iterator[tuple[int, Case, int]]:
+    """Number, case and seed of every row."""
+    return ((number, case, seed) for number, (case, seed) in enumerate(
+        (case, seed) for case in cases for seed in case.seeds))
+
+
+def definition(cases: Sequence[Case]) -> dict[str, Any]:
+    """Definition by which the folder of a comparison is known again."""
+    from teleop.version import __version__
+
+    rows = [[case.environment, case.link, case.law, case.command(seed), case.source] for case in cases
+            for seed in case.seeds]
+    return {"scene": "compare", "fixed": {}, "metrics": [], "version": __version__,
+            "grid": {"axes": [{"knobs": ["environment", "link", "law", "command", "source"], "values": rows}],
+                     "seeds": [0]}}
+
+
+def carry_out(cases: Sequence[Case], folder: Path, *, workers: int, show: Show) -> None:
+    """Run what is not done yet of a comparison in `folder`, which is made or gone on with. Raises `Refused`."""
+    with Store.open(folder, definition(cases)) as store:
+        total = sum(len(case.seeds) for case in cases)
+        show(len(store.done), total)
+        for rows in in_parallel(run_batch, _batches(cases, store), workers):
+            store.append(rows)
+            show(len(store.done), total)
+
+
+def _batches(cases: Sequence[Case], store: Store) -> list[CaseBatch]:
+    """The missing rows, grouped by law and environment."""
+    waiting = [(number, case, seed) for number, case, seed in numbered(cases) if number not in store.done]
+    batches = []
+    for _, group in groupby(waiting, key=lambda row: (row[1].law, row[1].environment)):
+        by_case = groupby(group, key=lambda row: id(row[1]))
+        several = [list(rows) for _, rows in by_case]
+        batches.append(CaseBatch(tuple(
+            (rows[0][1], tuple((number, seed) for number, _, seed in rows)) for rows in several)))
+    return batches
+
+
+def run_batch(batch: CaseBatch) -> list[dict[str, Any]]:
+    """Run every row of a batch."""
+    rows, contact, is_known = [], None, False
+    for case, numbers in batch.cases:
+        scene = load_scene(case.scene, **case.knobs)
+        if not is_known:  # of one environment, so the same for all
+            contact, is_known = baseline_contact(scene), True
+        of_case = {"seed_energy": _seed_energy(scene), **margins(scene, numbers[0][1])}
+        for number, seed in numbers:
+            row: dict[str, Any] = {"row": number, "seed": seed, "environment": case.environment, "link": case.link,
+                                   "law": case.law, "knobs": [[name, plain(value)] for name, value in
+                                                              case.knobs.items()]}
+            try:
+                result = run(scene, seed=seed)
+            except Refused as refused:
+                rows.append({**row, "status": "refused", "ended": "refused", "ticks": 0, "sentence": str(refused)})
+                continue
+            ended, sentence = ending_of(result)
+            rows.append({**row, "status": result.status, "ended": ended, "ticks": result.ticks, "sentence": sentence,
+                         **result.metrics, **row_figures(result, contact), **of_case})
+    return rows
+
+
+def _seed_energy(scene: Scene) -> float:
+    """The energy that the laws of all axes are given before the first tick, J."""
+    dt, laws = scene.dt_ns / 1e9, scene.laws
+    if not isinstance(scene.law, tuple) or hasattr(laws[0], "master_sums"):
+        return seed_energy(laws[0], dt, scene.axes)
+    return sum(seed_energy(law, dt) for law in laws)
+
+
+def ending_of(result: Result) -> tuple[str, str]:
+    """The status of a run and its sentence; `UNSETTLED` if it ended ok and has not come to rest.
+
+    Its status is ok, too, where a swing of more than `SWING` is left but the time was too short for a verdict, and
+    where the motion still grows under a hand that moves: law and link feed it.
+    """
+    if result.status == "ok":
+        growth = next((note for note in result.notes if isinstance(note, GrowthNote)), None)
+        if growth is not None or result.metrics.get("swing_end", 0.0) > SWING:
+            return UNSETTLED, growth or result.sentence
+    return result.status, "" if result.status == "ok" else result.sentence
+
+
+def margins(scene: Scene, seed: int) -> dict[str, float]:
+    """Gain and delay margin of the linear loop of one axis over a constant delay, where they are exact.
+
+    With several axes they would take longer than the runs do.
+    """
+    if scene.axes > 1 or (scene.link is not None and varies(scene.link)):
+        return {}
+    linear = margin(scene, seed=seed)
+    return {} if isnan(linear.gain) else {"gain_margin": linear.gain, "delay_margin": linear.delay}
+
+
+def row_figures(result: Result, baseline: ContactForce | None) -> dict[str, float]:
+    """The figures of `ROW_FIGURES` that a run has."""
+    figures: dict[str, float] = {}
+    if baseline is not None and result.status != "diverged":
+        contact = contact_force(result.trace["f_env"])
+        figures |= {"wall_late": contact.late / baseline.late, "wall_peak": contact.peak / baseline.peak}
+    if result.packets:
+        figures["sent"] = sum(way.sent for way in result.packets.values()) / (len(result.packets) * result.ticks)
+    return figures
+
+
+class TunedKnobs(NamedTuple):
+    """Parameters of a law that a search has set, as knobs, and a sentence where it kept no constraint."""
+
+    knobs: Mapping[str, object]
+    broken: str = ""
+
+
+class SearchJob(NamedTuple):
+    """Search that one process runs: its key, and the arguments of `teleop.studies.tune.search.tune_law`."""
+
+    key: tuple[str, str]  # law and link
+    scene: str
+    law: str
+    budget: int
+    seed: int
+    fixed: Mapping[str, object]
+
+
+def tune_all(comparison: Comparison, budget: int, *, workers: int, show: Show) -> dict[tuple[str, str], TunedKnobs]:
+    """Tune each law over each link, by their names. Raises `Refused` for a budget that takes no search."""
+    where = next(each for each in comparison.environments if each.name == comparison.tune)
+    scene = scene_function(where.text)
+    jobs = [SearchJob((law.name, link.name), where.text, law_with_its_numbers(law.text, scene), budget,
+                      comparison.seeds[0],
+                      {**comparison.knobs, **where.knobs, **link.knobs, **law.knobs, "link": link.text})
+            for law in comparison.laws for link in comparison.links]
+    show(0, len(jobs))
+    tuned: dict[tuple[str, str], TunedKnobs] = {}
+    for key, knobs in in_parallel(run_search, jobs, workers):
+        tuned[key] = knobs
+        show(len(tuned), len(jobs))
+    return tuned
+
+
+def run_search(job: SearchJob) -> tuple[tuple[str, str], TunedKnobs]:
+    """Run one search."""
+    from teleop.studies.tune.search import tune_law
+    from teleop.studies.tune.strategy import NothingToTune
+
+    try:
+        tuned = tune_law(job.scene, job.law, job.budget, job.seed, fixed=dict(job.fixed), workers=1, engine="plain")
+    except NothingToTune:
+        return job.key, TunedKnobs({})
+    except Refused as refused:
+        raise Refused(f"{refused} (law {job.key[0]!r}, link {job.key[1]!r})") from None
+    best: dict[str, Any] = dict(tuned.best)
+    return job.key, TunedKnobs(best, "" if tuned.feasible else tuned.score.broken)

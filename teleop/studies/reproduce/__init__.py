@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 
 from teleop.errors import Refused, nearest
-from teleop.studies.reproduce.publication import Finding, Publication
+from teleop.studies.reproduce.publication import Publication, Replication
 
 PUBLICATIONS = (
     "colgate_schenkel", "diolaiti", "abbott_okamura", "gil", "encoder_wall", "hannaford_ryu", "gillespie_cutkosky",
@@ -16,12 +16,12 @@ PUBLICATIONS = (
     "franken",
 )
 
-__all__ = ["PUBLICATIONS", "Finding", "Publication", "find_publication"]
+__all__ = ["PUBLICATIONS", "Publication", "Replication", "find_publication"]
 
 
 def find_publication(name: str) -> Publication:
     """The publication of this name. Raises `Refused` with the nearest names if there is none."""
     if name not in PUBLICATIONS:
         raise Refused(f"there is no publication {name!r} to rerun; {nearest(name, PUBLICATIONS)}")
-    found: Publication = import_module(f"{__name__}.{name}").PUBLICATION
-    return found
+    publication: Publication = import_module(f"{__name__}.{name}").PUBLICATION
+    return publication

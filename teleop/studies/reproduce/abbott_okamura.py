@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from teleop.analysis.passivity.one_port import one_port
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
-from teleop.studies.reproduce.rendered import wall
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall
 
 DEVICES = ((0.8, 0.02, 5e-5), (0.8, 0.02, 1e-5), (0.1, 0.04, 3e-5))  # N s/m, N, m
 NEAR = 1e-3
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The greatest passive stiffness of three devices, and the verdict on either side of it."""
-    found = []
+    numbers = []
     for b, friction, step in DEVICES:
         most = min(2.0 * b / 1e-3, 2.0 * friction / step)
         device = f"b = {b:g} N s/m, f_c = {friction:g} N, D = {step * 1e6:g} um"
         knobs = {"b": b, "friction": friction, "step": step}
-        for factor, said in ((1.0 - NEAR, "passive"), (1.0 + NEAR, "not passive")):
+        for factor, expected in ((1.0 - NEAR, "passive"), (1.0 + NEAR, "not passive")):
             verdict = one_port(wall(most * factor, **knobs)).passive
-            found.append(Finding(f"{device}: a wall of {most * factor:.5g} N/m", said, {
+            numbers.append(Replication(f"{device}: a wall of {most * factor:.5g} N/m", expected, {
                 True: "passive", False: "not passive", None: "not known"}[verdict], "", f"{NEAR:.1%} from the bound"))
-    return found
+    return numbers
 
 
 PUBLICATION = Publication(

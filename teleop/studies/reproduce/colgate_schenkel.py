@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from teleop.analysis.passivity.one_port import one_port
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
-from teleop.studies.reproduce.rendered import wall
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall
 
 WALLS = ((1600.0, 0.0), (800.0, 0.4), (1000.0, 0.25))  # N/m, N s/m
 NEAR = 1e-3  # of the damping, on either side of the bound
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The least damping of the device for three walls, and the verdict just above and just below it."""
-    found = []
+    numbers = []
     for K, B in WALLS:
         least = 0.5 * K * 1e-3 + abs(B)
         scene = wall(K, B, b=least)
-        found.append(Finding(f"least device damping for K = {K:g} N/m, B = {B:g} N s/m", f"{least:g}",
-                             one_port(scene).needed.damping, "N s/m", 1e-6, "K T/2 + |B| with T = 1 ms"))
+        numbers.append(Replication(f"least device damping for K = {K:g} N/m, B = {B:g} N s/m", f"{least:g}",
+                                   one_port(scene).needed.damping, "N s/m", 1e-6, "K T/2 + |B| with T = 1 ms"))
     K, B = WALLS[0]
-    for factor, said in ((1.0 + NEAR, "passive"), (1.0 - NEAR, "not passive")):
+    for factor, expected in ((1.0 + NEAR, "passive"), (1.0 - NEAR, "not passive")):
         verdict = one_port(wall(K, B, b=0.8 * factor)).passive
-        found.append(Finding(f"that wall with {0.8 * factor:.4g} N s/m", said, {True: "passive", False: "not passive",
-                             None: "not known"}[verdict], "", f"{NEAR:.1%} from the bound"))
-    return found
+        numbers.append(Replication(
+            f"that wall with {0.8 * factor:.4g} N s/m", expected,
+            {True: "passive", False: "not passive", None: "not known"}[verdict], "", f"{NEAR:.1%} from the bound"))
+    return numbers
 
 
 PUBLICATION = Publication(

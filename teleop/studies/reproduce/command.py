@@ -1,4 +1,4 @@
-"""What `teleop reproduce` does: rerun published numbers, and tell them beside what came."""
+"""The command `teleop reproduce`: rerun published numbers, and show them beside the results here."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from teleop.studies.reproduce.publication import (
     FITTED,
     PUBLISHED,
     REPRODUCED,
-    Finding,
     NumberSource,
     Publication,
+    Replication,
 )
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import columns
 
-Came = Mapping[str, tuple[Publication, Sequence[Finding]]]
+Reruns = Mapping[str, tuple[Publication, Sequence[Replication]]]
 WORDS = {REPRODUCED: "reproduced", DIFFERS: "different", FITTED: "fitted, which is no reproduction",
          PUBLISHED: "quoted and not run"}
 PAGE = "page.md"
@@ -37,79 +37,81 @@ def command(args: Namespace) -> Answer:
     if args.out is None:
         return _answer(_rerun(publications), args.typed)
     with new_folder(args.out, "reproduce") as new:
-        came = _rerun(publications)
-        answer = _answer(came, args.typed)
+        reruns = _rerun(publications)
+        answer = _answer(reruns, args.typed)
         write_document(new.inside / "summary.json", answer.document)
-        (new.inside / PAGE).write_text(page(came), encoding="utf-8")
+        (new.inside / PAGE).write_text(page(reruns), encoding="utf-8")
     return answer.kept_in(new.path)
 
 
-def _rerun(publications: Sequence[Publication]) -> Came:
-    return {one.name: (one, one.rerun()) for one in publications}
+def _rerun(publications: Sequence[Publication]) -> Reruns:
+    return {each.name: (each, each.rerun()) for each in publications}
 
 
-def _answer(came: Came, typed: Sequence[str]) -> Answer:
+def _answer(reruns: Reruns, typed: Sequence[str]) -> Answer:
     document = {
-        **head(status="done", sentence="; ".join(verdict(came)), scene=", ".join(came), mode="reproduce",
+        **head(status="done", sentence="; ".join(verdict(reruns)), scene=", ".join(reruns), mode="reproduce",
                parameters={}, seed=None, command=typed, dt=None),
-        "publications": [{"name": one.name, "kind": one.kind.value, "source": one.source, "about": one.about,
-                          "setting": one.setting, "findings": [_told(finding) for finding in of_one]}
-                         for one, of_one in came.values()],
+        "publications": [{"name": each.name, "kind": each.kind.value, "source": each.source, "about": each.about,
+                          "setting": each.setting, "findings": [_number_document(number) for number in numbers]}
+                         for each, numbers in reruns.values()],
     }
-    return Answer(table(came), document)
+    return Answer(table(reruns), document)
 
 
-def verdict(reruns: Came) -> list[str]:
-    """A sentence for each source of numbers, with how many came out as printed: the sources weigh unlike."""
+def verdict(reruns: Reruns) -> list[str]:
+    """A sentence for each source of numbers, with the count by label: the sources weigh unlike."""
     sentences = []
     for source in NumberSource:
-        labels = [finding.label for one, findings in reruns.values() if one.kind is source for finding in findings]
+        labels = [each.label for publication, numbers in reruns.values() if publication.kind is source
+                  for each in numbers]
         counts = [f"{labels.count(label)} {words}" for label, words in WORDS.items() if label in labels]
         if labels:
             sentences.append(f"{number_of(len(labels), 'number')} {source.value}: {', '.join(counts)}")
     return sentences
 
 
-def _told(finding: Finding) -> dict[str, Any]:
-    return {"what": finding.what, "label": finding.label, "printed": finding.printed, "published": finding.value,
-            "found": finding.found, "unit": finding.unit,
-            "tolerance": finding.tolerance if finding.within is None else finding.within,
-            "tolerance_chosen_here": finding.tolerance is not None, "remark": finding.remark}
+def _number_document(number: Replication) -> dict[str, Any]:
+    return {"what": number.what, "label": number.label, "printed": number.printed, "published": number.value,
+            "found": number.result, "unit": number.unit,
+            "tolerance": number.tolerance if number.within is None else number.within,
+            "tolerance_chosen_here": number.tolerance is not None, "remark": number.remark}
 
 
-def table(came: Came) -> str:
+def table(reruns: Reruns) -> str:
     """The numbers of each publication under its source, for a terminal."""
     blocks = []
-    for one, findings in came.values():
-        lines = [("what", "label", "published", "here", "tolerance", "unit"), *map(_cells, findings)]
-        remarks = [f"  {finding.what}: {finding.remark}" for finding in findings if finding.remark]
-        blocks.append("\n".join([f"{one.name}: {one.about}", f"  {one.source}", columns(lines, left=(0, 1)), *remarks]))
-    return "\n\n".join([*blocks, "\n".join(verdict(came))])
+    for publication, numbers in reruns.values():
+        lines = [("what", "label", "published", "here", "tolerance", "unit"), *map(_cells, numbers)]
+        remarks = [f"  {number.what}: {number.remark}" for number in numbers if number.remark]
+        blocks.append("\n".join([f"{publication.name}: {publication.about}", f"  {publication.source}",
+                                 columns(lines, left=(0, 1)), *remarks]))
+    return "\n\n".join([*blocks, "\n".join(verdict(reruns))])
 
 
-def page(came: Came) -> str:
-    """All of it as one page of Markdown: sources, settings, numbers, tolerances and remarks."""
-    lines = ["# Published comparisons, run again", "", *[f"- {sentence}" for sentence in verdict(came)]]
-    for one, findings in came.values():
-        lines += ["", f"## {one.name}", "", f"{one.source}.", "", f"What is compared: {one.about}.", "",
-                  f"How it is run here: {one.setting}.", "",
+def page(reruns: Reruns) -> str:
+    """A page of Markdown with sources, settings, numbers, tolerances and remarks."""
+    lines = ["# Published comparisons, run again", "", *[f"- {sentence}" for sentence in verdict(reruns)]]
+    for publication, numbers in reruns.values():
+        lines += ["", f"## {publication.name}", "", f"{publication.source}.", "",
+                  f"What is compared: {publication.about}.", "", f"How it is run here: {publication.setting}.", "",
                   "| what | label | published | here | tolerance | unit | remark |",
                   "|---|---|---|---|---|---|---|"]
-        lines += [f"| {' | '.join((*_cells(finding), finding.remark))} |" for finding in findings]
+        lines += [f"| {' | '.join((*_cells(number), number.remark))} |" for number in numbers]
     return "\n".join([*lines, ""])
 
 
-def _cells(finding: Finding) -> tuple[str, ...]:
-    within = (finding.tolerance or "") if finding.within is None else f"{finding.within:.3g}"
-    chosen = " (chosen here)" if finding.tolerance is not None else ""
-    return (finding.what, finding.label, finding.printed, shown(finding), f"{within}{chosen}", finding.unit)
+def _cells(number: Replication) -> tuple[str, ...]:
+    within = (number.tolerance or "") if number.within is None else f"{number.within:.3g}"
+    chosen = " (chosen here)" if number.tolerance is not None else ""
+    return (number.what, number.label, number.printed, result_text(number), f"{within}{chosen}", number.unit)
 
 
-def shown(finding: Finding) -> str:
-    """What came, with one digit more than is printed or asked for; a dash where nothing was run."""
-    if finding.found is None:
+def result_text(number: Replication) -> str:
+    """The result here, with one digit more than is printed or within the tolerance; a dash where nothing was run."""
+    if number.result is None:
         return "-"
-    if isinstance(finding.found, str):
-        return finding.found
-    asked = 0 if not finding.within or finding.within >= 1.0 else min(-floor(log10(finding.within)), 6)
-    return f"{finding.found:.{max(len(finding.printed.partition('.')[2]) + 1, asked)}f}"
+    if isinstance(number.result, str):
+        return number.result
+    digits = 0 if not number.within or number.within >= 1.0 else min(-floor(log10(number.within)), 6)
+    return f"{number.result:.{max(len(number.printed.partition('.')[2]) + 1, digits)}f}"

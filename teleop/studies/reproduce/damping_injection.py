@@ -9,7 +9,7 @@ from teleop.law import find_law
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 K, DELAY, MASS = 400.0, 0.05, 5.0  # N/m, s each way, kg
 
@@ -21,15 +21,15 @@ def free_masses(B: float) -> Scene:
     return replace(scene, master=body, slave=body, hand=None)
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The verdict at both conditions, and where the scene really loses its stability."""
     edge = critical(free_masses, "B", low=14.0, high=22.0, places=5)
     weak = stability(free_masses(15.0)).verdict
     return [
-        Finding("4 B_m B_s >= K^2 (T1 + T2)^2: B = 20 N s/m", "stable", stability(free_masses(20.0)).verdict),
-        Finding("4 B_m B_s >= K^2 (T1^2 + T2^2): B = 15 N s/m", "stable", weak,
-                remark="the condition on the sum of squares is too weak by sqrt(2): the two masses swing up; the least "
-                f"damping of these two is {edge.value:.2f} N s/m at 1 kHz"),
+        Replication("4 B_m B_s >= K^2 (T1 + T2)^2: B = 20 N s/m", "stable", stability(free_masses(20.0)).verdict),
+        Replication("4 B_m B_s >= K^2 (T1^2 + T2^2): B = 15 N s/m", "stable", weak,
+                    remark="the condition on the sum of squares is too weak by sqrt(2): the two masses swing up; the "
+                    f"least damping of these two is {edge.value:.2f} N s/m at 1 kHz"),
     ]
 
 

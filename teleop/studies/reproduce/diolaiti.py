@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from teleop.analysis.passivity.one_port import one_port
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
-from teleop.studies.reproduce.rendered import wall
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall
 
 WALLS = ((1000.0, 1), (1000.0, 5), (200.0, 20))  # N/m, ticks
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The least damping of the device for walls whose force is late."""
-    return [Finding(f"least device damping for K = {K:g} N/m, {d} ms late", f"{K * (0.5e-3 + d * 1e-3):g}",
-                    one_port(wall(K, delay=d)).needed.damping, "N s/m", 1e-6, "K (T/2 + t_d) with T = 1 ms")
+    return [Replication(f"least device damping for K = {K:g} N/m, {d} ms late", f"{K * (0.5e-3 + d * 1e-3):g}",
+                        one_port(wall(K, delay=d)).needed.damping, "N s/m", 1e-6, "K (T/2 + t_d) with T = 1 ms")
             for K, d in WALLS]
 
 

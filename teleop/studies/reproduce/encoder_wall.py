@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 # knobs of the scene; peak and peak-to-peak in the last 0.5 s (mm), observed energy (mJ), as printed
 RUNS = {
@@ -17,20 +17,20 @@ RUNS = {
 WHAT = (("peak", "mm"), ("peak-to-peak in the last 0.5 s", "mm"), ("observed energy", "mJ"))
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The five runs with the integrator of the source: 40 sub-steps of semi-implicit Euler a tick."""
     import numpy as np
 
-    found = []
+    numbers = []
     for name, (knobs, printed) in RUNS.items():
         scene = load_scene("encoder_wall", **knobs)
         trace = run(scene, bodies="semi_implicit_euler:40").trace
         x, observed = trace["x_m"], float((trace["f_m"][:-1] * np.diff(trace["q_m"])).sum())
         values = (1e3 * float(x.max()), 1e3 * float(np.ptp(x[1000:])), 1e3 * observed)
-        told = ", ".join(f"{key} {value:g}" for key, value in knobs.items())
-        found += [Finding(f"run {name} ({told}): {what}", text, value, unit)
-                  for (what, unit), text, value in zip(WHAT, printed, values, strict=True)]
-    return found
+        setting = ", ".join(f"{key} {value:g}" for key, value in knobs.items())
+        numbers += [Replication(f"run {name} ({setting}): {what}", text, value, unit)
+                    for (what, unit), text, value in zip(WHAT, printed, values, strict=True)]
+    return numbers
 
 
 PUBLICATION = Publication(

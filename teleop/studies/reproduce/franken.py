@@ -5,7 +5,7 @@ from __future__ import annotations
 from teleop.scene.loading import load_scene
 from teleop.simulation.facts import fitted
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 STIFFNESS, DELAY = 1500.0, 1.0  # N/m, s each way
 AT_REST = 1e-4  # m, peak-to-peak in the last five seconds
@@ -21,14 +21,14 @@ def pressed(law: str) -> tuple[float, float]:
     return float(np.ptp(trace["x_m"][-5000:])), float(trace["f_env"][-1])
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The two-layer law, and beside it the same coupling without a layer that has to pay for it."""
     swing, force = pressed("two_layer")
     bare, _ = pressed("direct")
-    return [Finding("two-layer law", "stable", "stable" if swing < AT_REST else "not at rest",
-                    tolerance=f"swing below {1e3 * AT_REST:g} mm",
-                    remark=f"at rest to {swing:.1g} m with {force:.2f} N on the wall, beta fitted to the delay; "
-                    f"position-force reflection alone, law direct, swings by {bare:.2g} m there")]
+    return [Replication("two-layer law", "stable", "stable" if swing < AT_REST else "not at rest",
+                        tolerance=f"swing below {1e3 * AT_REST:g} mm",
+                        remark=f"at rest to {swing:.1g} m with {force:.2f} N on the wall, beta fitted to the delay; "
+                        f"position-force reflection alone, law direct, swings by {bare:.2g} m there")]
 
 
 PUBLICATION = Publication(

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from teleop.analysis.stability.assess import critical
 from teleop.scene.scene import Scene
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
-from teleop.studies.reproduce.rendered import wall
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall
 
 WALLS = ((0.0, 0), (0.0, 1), (0.0, 5), (0.0, 10), (0.0, 100), (0.8, 5))  # N s/m, ticks
 CLOSE = 0.02  # of the rule, that a rule of thumb for small damping and delay may be off
 M, DAMPING = 0.04, 0.8
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The stiffness at which the exact sampled loop loses its stability, beside the rule."""
-    found = []
+    numbers = []
     for B, d in WALLS:
         rule = (DAMPING + B) / (0.5e-3 + d * 1e-3)
 
@@ -24,9 +23,10 @@ def rerun() -> list[Finding]:
         edge = critical(late, "K", low=0.3 * rule, high=3.0 * rule, places=7)
         side = "the rule is on the safe side" if edge.value > rule else "the rule errs on the unsafe side"
         far = f"; {side} by {100.0 * abs(edge.value / rule - 1.0):.1f} %"
-        found.append(Finding(f"critical stiffness, wall damping {B:g} N s/m, {d} ms late", f"{rule:.2f}", edge.value,
-                             "N/m", CLOSE * rule, f"within 2 %, as a rule for small damping and delay{far}"))
-    return found
+        numbers.append(Replication(f"critical stiffness, wall damping {B:g} N s/m, {d} ms late", f"{rule:.2f}",
+                                   edge.value, "N/m", CLOSE * rule,
+                                   f"within 2 %, as a rule for small damping and delay{far}"))
+    return numbers
 
 
 PUBLICATION = Publication(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
-from teleop.studies.reproduce.rendered import held, wall
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall, with_hand
 
 HANDLE, FINGER, SPRING, FLOOR, TICK = 0.35, 0.006, 500.0, 5000.0, 0.01  # kg, kg, N/m, N/m, s
 SURFACE = 0.03  # m
@@ -13,21 +12,21 @@ SURFACE = 0.03  # m
 def heights(finger: float, tick: float) -> list[float]:
     """Heights (m) above the floor to which the handle comes back; the finger pulls towards `finger` (m)."""
     scene = wall(FLOOR, m=HANDLE, b=0.0, dt=tick, x_limit=1.0, energy=False, **{"law.at": SURFACE})
-    x = run(held(scene, mass=FINGER, k=SPRING, d=0.0, at=finger, start=0.0)).trace["x_m"]
+    x = run(with_hand(scene, mass=FINGER, k=SPRING, d=0.0, at=finger, start=0.0)).trace["x_m"]
     return [SURFACE - float(x[k]) for k in range(1, len(x) - 1) if x[k - 1] >= x[k] < x[k + 1] and x[k] < SURFACE]
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The heights of the bounces for three places of the finger."""
-    found = []
+    numbers = []
     for finger in (0.03, 0.032, 0.04):
-        came = heights(finger, TICK)
-        higher = len(came) > 2 and all(later > before for before, later in zip([SURFACE, *came], came, strict=False))
-        reached = ", ".join(f"{1e3 * each:.0f}" for each in came[:4])
-        found.append(Finding(f"floor sampled at 10 ms, finger at {1e3 * finger:g} mm", "higher at every strike",
-                             "higher at every strike" if higher else "not higher at every strike",
-                             remark=f"from {1e3 * SURFACE:g} mm to {reached} mm"))
-    return found
+        tops = heights(finger, TICK)
+        higher = len(tops) > 2 and all(later > before for before, later in zip([SURFACE, *tops], tops, strict=False))
+        reached = ", ".join(f"{1e3 * each:.0f}" for each in tops[:4])
+        numbers.append(Replication(f"floor sampled at 10 ms, finger at {1e3 * finger:g} mm", "higher at every strike",
+                                   "higher at every strike" if higher else "not higher at every strike",
+                                   remark=f"from {1e3 * SURFACE:g} mm to {reached} mm"))
+    return numbers
 
 
 PUBLICATION = Publication(

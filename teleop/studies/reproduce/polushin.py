@@ -8,7 +8,7 @@ from typing import Any
 from teleop.law import At, find_law
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 FORCES = ((5.0, 3.0), (1.0, 3.0), (-2.0, 3.0), (-5.0, -3.0))  # N: f_env, f_h
 SURFACE = 0.03  # m, of the scene beating_heart in the mean
@@ -35,23 +35,23 @@ def let_go(law: str) -> tuple[float, float]:
     return float(np.ptp(trace["x_m"])), float(np.abs(trace["f_env"]).max())
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """The projection in one axis, and both ends of alpha in whole runs."""
-    found = [Finding(f"alpha = 0, f_env = {f_env:g} N, f_h = {f_h:g} N: reflected",
-                     f"{max(min(f_env, f_h), 0.0) if f_h > 0.0 else min(max(f_env, f_h), 0.0):g}",
-                     reflected(f_env, f_h), "N", 1e-12)
-             for f_env, f_h in FORCES]
+    numbers = [Replication(f"alpha = 0, f_env = {f_env:g} N, f_h = {f_h:g} N: reflected",
+                           f"{max(min(f_env, f_h), 0.0) if f_h > 0.0 else min(max(f_env, f_h), 0.0):g}",
+                           reflected(f_env, f_h), "N", 1e-12)
+               for f_env, f_h in FORCES]
     knobs = {"duration": 1.0, "delay": 0.02, "law.kf": 0.5}
-    whole, direct = (run(load_scene("soft_tissue", law=law, **knobs, **more)).trace
-                     for law, more in (("pfra", {"law.alpha": 1.0}), ("direct", {})))
+    whole, direct = (run(load_scene("soft_tissue", law=law, **knobs, **alpha)).trace
+                     for law, alpha in (("pfra", {"law.alpha": 1.0}), ("direct", {})))
     same = all((whole[name] == direct[name]).all() for name in ("x_m", "f_m", "x_s", "f_s"))
-    found.append(Finding("alpha = 1 is direct force reflection", "the same", "the same" if same else "another",
-                         remark="a second of soft_tissue, bit for bit"))
+    numbers.append(Replication("alpha = 1 is direct force reflection", "the same", "the same" if same else "another",
+                               remark="a second of soft_tissue, bit for bit"))
     (moved, touched), (bare, _) = let_go("pfra"), let_go("direct")
-    found.append(Finding("alpha = 0, nobody holds the master: it moves by", "0", moved, "m", 0.0,
-                         f"while the moving wall pushes the slave with up to {touched:.2g} N; under the law direct, "
-                         f"which reflects that force as it is, it moves by {1e3 * bare:.0f} mm"))
-    return found
+    numbers.append(Replication("alpha = 0, nobody holds the master: it moves by", "0", moved, "m", 0.0,
+                               f"while the moving wall pushes the slave with up to {touched:.2g} N; under the law "
+                               f"direct, which reflects that force as it is, it moves by {1e3 * bare:.0f} mm"))
+    return numbers
 
 
 PUBLICATION = Publication(

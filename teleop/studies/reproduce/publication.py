@@ -1,13 +1,13 @@
-"""What a publication says, number by number, and what this stack gives for each.
+"""Publications and their reruns, number by number, with the rendered walls that several of them are about.
 
-A number is labelled by what came of it:
+A number is labelled by its rerun:
 
-    reproduced    the stack's number lies within the tolerance of what is printed
+    reproduced    the stack's number lies within the tolerance of the printed one
     differs       it does not; the remark says why
     fitted        something that the publication leaves open was chosen here by this very number
     published     it was not run again here; the remark says what is lacking
 
-The tolerance of a printed number is half of its last digit, unless the finding names one that was chosen here.
+The tolerance of a printed number is half of its last digit, unless it has one that was chosen here.
 
 Publications are counted apart by the source of their numbers (`NumberSource`): only a number that a paper prints is a
 measurement or a result of others; a formula at numbers of our own says that its derivation holds here.
@@ -16,9 +16,12 @@ measurement or a result of others; a formula at numbers of our own says that its
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from teleop.scene.scene import Scene
 
 REPRODUCED, DIFFERS, FITTED, PUBLISHED = "reproduced", "differs", "fitted", "published"
 ROUNDING = 1e-9  # of the tolerance: 0.5 of the last digit is within half of it
@@ -32,12 +35,12 @@ class NumberSource(Enum):
     TEXTBOOK = "of teaching material"
 
 
-class Finding(NamedTuple):
-    """One number or statement of a publication, and what came of it here."""
+class Replication(NamedTuple):
+    """Number or statement of a publication, with the result of its rerun here."""
 
     what: str
     printed: str  # as it is printed, or as the printed formula gives it: "33.53", or a statement such as "stable"
-    found: float | str | None  # here; None: not run again
+    result: float | str | None  # here; None: not run again
     unit: str = ""
     tolerance: float | str | None = None  # chosen here, in the unit; of a statement in words; None: half of the last
     # printed digit, and none of a statement
@@ -62,14 +65,14 @@ class Finding(NamedTuple):
     @property
     def label(self) -> str:
         """`reproduced`, `differs`, `fitted` or `published`."""
-        if self.found is None:
+        if self.result is None:
             return PUBLISHED
         if self.is_fitted:
             return FITTED
         value, within = self.value, self.within
         if value is None or within is None:
-            return REPRODUCED if self.found == self.printed else DIFFERS
-        near = not isinstance(self.found, str) and abs(self.found - value) <= within * (1.0 + ROUNDING)
+            return REPRODUCED if self.result == self.printed else DIFFERS
+        near = not isinstance(self.result, str) and abs(self.result - value) <= within * (1.0 + ROUNDING)
         return REPRODUCED if near else DIFFERS
 
 
@@ -80,9 +83,9 @@ class Publication:
     name: str
     kind: NumberSource
     source: str  # authors, title, where and when
-    about: str  # what is compared, in a sentence
-    setting: str  # the scene that is run here, and what of it is printed and what assumed
-    rerun: Callable[[], Sequence[Finding]]
+    about: str  # the thing compared, in a sentence
+    setting: str  # the scene that is run here, and which of its numbers are printed and which assumed
+    rerun: Callable[[], Sequence[Replication]]
 
 
 def last_digit(printed: str) -> float:
@@ -93,3 +96,19 @@ def last_digit(printed: str) -> float:
     """
     digits = len(printed.partition(".")[2])
     return float(f"5e-{digits + 1}")
+
+
+def wall(K: float, B: float = 0.0, **knobs: object) -> Scene:
+    """A handle at a rendered wall of stiffness K (N/m) and damping B (N s/m), sampled at 1 kHz: `virtual_wall`."""
+    from teleop.scene.loading import load_scene
+
+    return load_scene("virtual_wall", **{"law.K": K, "law.B": B, **knobs})
+
+
+def with_hand(scene: Scene, *, mass: float, k: float, d: float, at: float, start: float) -> Scene:
+    """The scene with a hand that stands still at `at` (m) and a handle that starts at `start` (m), at rest."""
+    from teleop.scene.loading import load_scene
+
+    still: Any = load_scene("encoder_wall").hand
+    hand = replace(still, mass=mass, k=k, d=d, reference=replace(still.reference, at=at))
+    return replace(scene, hand=hand, start_m=start)

@@ -8,7 +8,7 @@ from teleop.analysis.passivity.judge import Judged, two_ports
 from teleop.law import find_law
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
-from teleop.studies.reproduce.publication import Finding, NumberSource, Publication
+from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)
 
@@ -16,29 +16,30 @@ HANDLE = MassDamper(mass=0.04, damping=0.8)
 def judged(law: str, delay: str) -> Judged:
     """The two-port of two handles, 400 N/m and 4 N s/m between them, on a wall of 400 N/m, without a clock."""
     scene = load_scene("soft_tissue", law=find_law(law)(K=400.0, B=4.0), k_e=400.0, d_e=0.0, link=delay)
-    found = two_ports(replace(scene, master=HANDLE, slave=HANDLE)).continuous
-    assert found is not None
-    return found
+    continuous = two_ports(replace(scene, master=HANDLE, slave=HANDLE)).continuous
+    assert continuous is not None
+    return continuous
 
 
-def rerun() -> list[Finding]:
+def rerun() -> list[Replication]:
     """What is felt of the wall and in free motion, and Llewellyn's parameter."""
     prompt, late = judged("pp", "none"), judged("pp", "delay(0.05)")
     force = [judged("direct", link) for link in ("none", "delay(0.05)")]
     return [
-        Finding("position-position: felt stiffness at 0.01 Hz", "200", prompt.felt, "N/m"),
-        Finding("position-position: free impedance at 1 Hz", "1.680", prompt.free, "N s/m"),
-        Finding("position-position: Llewellyn's criterion", "holds", "holds" if prompt.absolutely_stable else "fails"),
-        Finding("50 ms each way: felt stiffness at 0.01 Hz", "200", late.felt, "N/m"),
-        Finding("50 ms each way: free impedance at 1 Hz", "40.975", late.free, "N s/m"),
-        Finding("50 ms each way: Llewellyn's parameter fails from", "0.1", late.bands[0].low, "Hz"),
-        Finding("50 ms each way: and fails last at", "19.0", late.bands[-1].high, "Hz",
-                remark="19.058 Hz where it is followed to the edge; on which frequencies the wiki looked is not "
-                "printed. In between, from 9.6 to 15.7 Hz, the criterion holds"),
-        Finding("50 ms each way: its least value", "-0.643", late.least, ""),
-        Finding("50 ms each way: there", "5.8", late.at, "Hz"),
-        *[Finding(f"position-force, {told}: free impedance at 1 Hz", "0.839", one.free, "N s/m")
-          for told, one in zip(("no delay", "50 ms each way"), force, strict=True)],
+        Replication("position-position: felt stiffness at 0.01 Hz", "200", prompt.felt, "N/m"),
+        Replication("position-position: free impedance at 1 Hz", "1.680", prompt.free, "N s/m"),
+        Replication("position-position: Llewellyn's criterion", "holds",
+                    "holds" if prompt.absolutely_stable else "fails"),
+        Replication("50 ms each way: felt stiffness at 0.01 Hz", "200", late.felt, "N/m"),
+        Replication("50 ms each way: free impedance at 1 Hz", "40.975", late.free, "N s/m"),
+        Replication("50 ms each way: Llewellyn's parameter fails from", "0.1", late.bands[0].low, "Hz"),
+        Replication("50 ms each way: and fails last at", "19.0", late.bands[-1].high, "Hz",
+                    remark="19.058 Hz where it is followed to the edge; on which frequencies the wiki looked is not "
+                    "printed. In between, from 9.6 to 15.7 Hz, the criterion holds"),
+        Replication("50 ms each way: its least value", "-0.643", late.least, ""),
+        Replication("50 ms each way: there", "5.8", late.at, "Hz"),
+        *[Replication(f"position-force, {delay}: free impedance at 1 Hz", "0.839", each.free, "N s/m")
+          for delay, each in zip(("no delay", "50 ms each way"), force, strict=True)],
     ]
 
 

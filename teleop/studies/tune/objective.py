@@ -1,8 +1,8 @@
-"""What a law is tuned for, and what it must keep: terms, objectives and constraints, all out of rows of a sweep.
+"""Objectives and constraints that a law is tuned by: terms and bounds, all from rows of a sweep.
 
 Each point, a set of parameters, is run in the scene as it is and, where the scene has a knob `k_e`, a second time with
 k_e = 0 (and d_e = 0): the same motion in free space, in which all that the hand feels is drag. Each term is 0 for the
-rigid rod of `teleop.studies.tune.rod` and about 1 for a law that does nothing:
+rigid rod of `teleop.studies.baseline` and about 1 for a law that does nothing:
 
     tracking   x_err_rms over the rms motion of the rod; the root mean square of both, in the scene and in free space
     drag       f_m_max in free space over the steady force of the rod (where the hand does not come to stand, over the
@@ -35,7 +35,7 @@ from teleop.errors import Refused, nearest
 from teleop.law.offers import LEDGERS, claims_of
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
-from teleop.studies.tune.rod import Rod
+from teleop.studies.baseline import Baseline
 from teleop.terminal.units import si
 
 SCENE, FREE, STIFF = "scene", "free", "stiff"  # the rows of a point: as it is, in free space, m times as stiff
@@ -49,7 +49,7 @@ MEASURES = ("swing_end", "x_err_rms", "f_err_rms", "f_m_max", "f_env_max", "f_m_
 
 
 class Objective(NamedTuple):
-    """The terms that are looked at, and a sentence."""
+    """The terms that count, and a sentence."""
 
     terms: tuple[str, ...]
     sentence: str
@@ -75,7 +75,7 @@ def objective_named(name: str) -> Objective:
 
 
 class Score(NamedTuple):
-    """What a point came to. Feasible if `broken` is empty."""
+    """Value, terms and figures of a point. It is feasible if `broken` is empty."""
 
     value: float  # of the objective; inf where it has none
     broken: str  # the constraint that is broken most, as a sentence
@@ -87,9 +87,9 @@ class Score(NamedTuple):
 
     @property
     def order(self) -> tuple[float, float, float]:
-        """What points are sorted by: feasible ones first, of these those that keep the law's conditions, by value.
+        """Sorting key: feasible points first, those that keep the law's conditions before others, by value.
 
-        The others by how much they break.
+        Infeasible ones follow by how much they break.
         """
         return (self.amount, float(self.unmet), self.value)
 
@@ -100,42 +100,42 @@ def measures_of(law: Any) -> tuple[str, ...]:
     return tuple([name for name in (*MEASURES, *ledgers) if name in UNITS])
 
 
-def score(objective: Objective, rods: Mapping[str, Rod], scene: Scene, rows: Sequence[tuple[str, Mapping[str, Any]]]
-          ) -> Score:
+def score(objective: Objective, baselines: Mapping[str, Baseline], scene: Scene,
+          rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Score:
     """The score of a point by its rows, each with its task: a term is the root mean square over tasks and seeds.
 
-    `rods`: of each task.
+    `baselines`: the rigid baseline of each task.
     """
-    found: dict[str, list[float]] = {}
+    by_term: dict[str, list[float]] = {}
     worst, why = 0.0, ""
     for task, row in rows:
-        amount, sentence = _broken(row, scene, rods[task], task)
+        amount, sentence = _violation(row, scene, baselines[task], task)
         if amount > worst:
             worst, why = amount, sentence
-        for name, value in _terms(task, row, rods).items():
-            found.setdefault(name, []).append(value)
-    terms = {name: root_mean_square(values) for name, values in found.items()}
+        for name, value in _terms(task, row, baselines).items():
+            by_term.setdefault(name, []).append(value)
+    terms = {name: root_mean_square(values) for name, values in by_term.items()}
     wanted = [terms[name] for name in objective.terms if name in terms]
     value = root_mean_square(wanted) if wanted else inf
     if worst == 0.0 and not isfinite(value):
         worst, why = 1.0, "a figure of the run is not finite"
-    return Score(value, why, worst, terms, {task: _means([row for other, row in rows if other == task])
-                                           for task, _ in rows})
+    return Score(value, why, worst, terms, {task: _means([row for its_task, row in rows if its_task == task])
+                                            for task, _ in rows})
 
 
 def _means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """The mean of each metric over the rows that have it."""
-    found = {name: [float(row[name]) for row in rows if name in row] for name in UNITS}
-    return {name: sum(values) / len(values) for name, values in found.items() if values}
+    by_metric = {name: [float(row[name]) for row in rows if name in row] for name in UNITS}
+    return {name: sum(values) / len(values) for name, values in by_metric.items() if values}
 
 
-def over_seeds(objective: Objective, rods: Mapping[str, Rod], scene: Scene,
-               rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Score:
-    """As `score`, with the value of each seed by itself."""
+def score_by_seed(objective: Objective, baselines: Mapping[str, Baseline], scene: Scene,
+                  rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Score:
+    """The score of a point, with the value of each seed by itself."""
     seeds = dict.fromkeys(row["seed"] for _, row in rows)
-    each = [score(objective, rods, scene, [(task, row) for task, row in rows if row["seed"] == seed]).value
+    each = [score(objective, baselines, scene, [(task, row) for task, row in rows if row["seed"] == seed]).value
             for seed in seeds]
-    return score(objective, rods, scene, rows)._replace(values=tuple(each))
+    return score(objective, baselines, scene, rows)._replace(values=tuple(each))
 
 
 def root_mean_square(values: Sequence[float]) -> float:
@@ -143,9 +143,9 @@ def root_mean_square(values: Sequence[float]) -> float:
     return sqrt(sum([each * each for each in values]) / len(values))
 
 
-def _terms(task: str, row: Mapping[str, Any], rods: Mapping[str, Rod]) -> dict[str, float]:
+def _terms(task: str, row: Mapping[str, Any], baselines: Mapping[str, Baseline]) -> dict[str, float]:
     """The terms that a row has; a figure that it lacks is not finite."""
-    rod = rods[SCENE]
+    baseline = baselines[SCENE]
     if row["status"] == "refused" or task == STIFF:
         return {}
 
@@ -153,22 +153,22 @@ def _terms(task: str, row: Mapping[str, Any], rods: Mapping[str, Rod]) -> dict[s
         return float(row.get(name, inf))
 
     if task == FREE:
-        return {"drag": figure("f_m_max") / rod.scale, "tracking": figure("x_err_rms") / rods[FREE].moved}
-    told = {"tracking": figure("x_err_rms") / rod.moved}
+        return {"drag": figure("f_m_max") / baseline.scale, "tracking": figure("x_err_rms") / baselines[FREE].moved}
+    terms = {"tracking": figure("x_err_rms") / baseline.moved}
     if "jerk_rms" in row:
-        told["rough"] = figure("jerk_rms") * YIELDS / rod.scale
-    if rod.steady is not None:
-        told |= {"touch": abs(figure("f_env_end") - rod.steady) / rod.steady,
-                 "feel": abs(figure("f_m_end") - rod.steady) / rod.steady}
-    elif rod.pressed > 0.0:
-        told["force"] = figure("f_err_rms") / rod.scale
+        terms["rough"] = figure("jerk_rms") * YIELDS / baseline.scale
+    if baseline.steady is not None:
+        terms |= {"touch": abs(figure("f_env_end") - baseline.steady) / baseline.steady,
+                 "feel": abs(figure("f_m_end") - baseline.steady) / baseline.steady}
+    elif baseline.pressed > 0.0:
+        terms["force"] = figure("f_err_rms") / baseline.scale
     else:
-        told["drag"] = figure("f_m_max") / rod.scale  # nothing is touched: the scene is free space
-    return told
+        terms["drag"] = figure("f_m_max") / baseline.scale  # nothing is touched: the scene is free space
+    return terms
 
 
-def _broken(row: Mapping[str, Any], scene: Scene, rod: Rod, task: str) -> tuple[float, str]:
-    """By how much a row breaks a constraint, 0.0 if it keeps them all; and a sentence. The sooner it ends, the more."""
+def _violation(row: Mapping[str, Any], scene: Scene, baseline: Baseline, task: str) -> tuple[float, str]:
+    """The amount by which a row breaks a constraint, 0.0 if it keeps all; and a sentence. An early end counts more."""
     where = WHERE[task]
     status = row["status"]
     if status == "refused":
@@ -182,14 +182,15 @@ def _broken(row: Mapping[str, Any], scene: Scene, rod: Rod, task: str) -> tuple[
         return 1.4 + min(0.1, left), f"a swing of {si(left, 'm')} is left at the end{where}"
     for ledger in LEDGERS:
         least = row.get(f"{ledger}_min")
-        if least is not None and ledger in claims_of(scene.law) and not least >= -_allowed(ledger, row, scene, rod):
+        if least is not None and ledger in claims_of(scene.law) and not least >= -_tolerance(
+                ledger, row, scene, baseline):
             return 1.0 + min(0.3, abs(least)), f"the claim is broken: {ledger} falls to {si(least, 'J')}{where}"
     return 0.0, ""
 
 
-def _allowed(ledger: str, row: Mapping[str, Any], scene: Scene, rod: Rod) -> float:
-    """J below zero that a ledger may be."""
+def _tolerance(ledger: str, row: Mapping[str, Any], scene: Scene, baseline: Baseline) -> float:
+    """Energy (J) by which a ledger may be below zero."""
     if ledger != "E_law":
         return ROUNDING
     force = float(row.get("f_m_max", 0.0)) + float(row.get("f_s_max", row.get("f_env_max", 0.0)))
-    return ROUNDING + force * FASTER * rod.fastest * scene.dt
+    return ROUNDING + force * FASTER * baseline.fastest * scene.dt

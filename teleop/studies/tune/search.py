@@ -3,21 +3,21 @@
 1. The first points are the parameters that the law has in the scene, those that it fits to link and bodies where it
    offers that, its defaults, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until the part `LATIN` of
    the rows is spent. A point that breaks a condition of the law is moved to where the law fits itself (`fitted`), as
-   far as that turns knobs of the search; of two points the one that keeps the conditions is better.
+   far as that changes knobs of the search; of two points the one that keeps the conditions is better.
 2. From the best point of each playout an evolution strategy (`teleop.studies.tune.strategy`) over the parts of each
-   parameter's range, by equal ratios where the range goes by those, folded at its ends. Where it has come to rest it
+   parameter's range, by equal ratios where the range goes by those, fold at its ends. Where it has come to rest it
    begins again at the best point that is far from all that it began and ended at, until no rows are left. The loops of
-   the best few of a generation are looked at as in 3, so that it turns from those that do not stand.
-3. The linear loop of a result (`teleop.studies.margin`) has to be stable with as many times its gain as the margin that
-   is asked for, where it can be worked out; of a law that claims to keep energy with its own gain: waves that resonate
-   have no gain to spare, and need none. If it is not, the next best point is looked at that is more than `APART` of a
-   range away from all that were, twice that after every quarter of `LOOKS`, the most that are.
+   the best few of a generation are tried as in 3, so that it turns from unstable ones.
+3. The linear loop of a result (`teleop.studies.margin`) has to be stable with its gain times the margin, where it can
+   be worked out. A law that claims to keep energy is tried with its gain alone: waves that resonate have no gain to
+   spare, and need none. If the loop is not stable, the next best point is tried that is more than `APART` of a range
+   away from all that were, twice that after every quarter of `LOOKS`, the most that are.
 4. Where the link draws random numbers the search runs each point with up to `SEEDS` seeds, and the best few points run
-   with as many as `FRESH` that it has not seen: the one with the best mean over these is the result, if each of its
+   with as many as `FRESH` that it has not seen. The one with the best mean over these is the result, if each of its
    rows keeps the constraints. In a large search four times as many are first run with a third as many, unseen too.
 5. A parameter of the result that changes no bit of its rows has the law's own value again.
 
-All rows go through the sweep engine, and none depends on what else is run, on the engine or on the number of threads:
+All rows go through the sweep engine, and none depends on other rows, on the engine or on the number of threads:
 the same arguments give the same result to the bit. Points of a search that was stopped are taken as they are.
 """
 
@@ -39,21 +39,26 @@ from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
 from teleop.simulation.facts import facts_of, fitted
-from teleop.studies.margin import Margin, margin, stands
+from teleop.studies.baseline import Baseline, rigid_baseline
+from teleop.studies.margin import Margin, margin, stable_with
 from teleop.studies.tune.objective import (
     FREE,
-    OBJECTIVES,
     SCENE,
     STIFF,
     Score,
     measures_of,
     objective_named,
-    over_seeds,
-    score,
+    score_by_seed,
 )
-from teleop.studies.tune.ranges import Ranges, at, beyond, part, ranges_of
-from teleop.studies.tune.rod import Rod, rod
-from teleop.studies.tune.strategy import Strategy, folded
+from teleop.studies.tune.strategy import (
+    Ranges,
+    Strategy,
+    fold,
+    part,
+    ranges_of,
+    round_beyond,
+    value_at,
+)
 from teleop.sweeps.engine import choose
 from teleop.sweeps.grid import Grid, Range, grid, sampled
 from teleop.sweeps.runner import LARGEST, carry_out, cores, plan_sweep
@@ -63,7 +68,7 @@ SEEDS, POINTS = 4, 250  # of the link in a search at most, and points that it ha
 FEW, FRESH = 8, 24  # points that are run with other seeds, and how many, at most
 LEAST_FRESH = 4
 SIDE_BY_SIDE = 4000  # rows from which compiling for eight at once, twice as long as for one, is made up for
-LOOKS, LOOKS_EACH, APART = 64, 3, 0.05  # points whose loop is looked at, of a generation too; part of a range between
+LOOKS, LOOKS_EACH, APART = 64, 3, 0.05  # points with their loop tried, in all and a generation; part of a range between
 STEP, LEAST = 0.15, 0.004  # of a range: the first standard deviation of a strategy and the least
 FAR = 0.1  # of a range, between the beginnings of strategies
 STALE = 12  # generations without a better point after which a strategy ends
@@ -87,19 +92,19 @@ Keep = Callable[[Sequence[Scored]], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Tuned:
-    """What a search came to."""
+    """Result of a search."""
 
     law: str  # as it is typed
     scene: str
     fixed: Mapping[str, object]  # the knobs that were set, law left out
     objective: str
-    names: tuple[str, ...]  # of the knobs that were turned
+    names: tuple[str, ...]  # of the knobs that were searched
     ranges: Ranges
     best: Mapping[str, Any]  # knob -> value, of `names`; of an infeasible search the point that comes nearest
     score: Score  # of the best, over all seeds it was run with
     default: Score | None = None  # of the law as it is in the scene, untuned
     tried: tuple[tuple[Mapping[str, Any], Score], ...] = ()  # every point, in the order in which they were run
-    rod: Rod
+    baseline: Baseline
     margin: float
     budget: int
     rows: int  # that were run
@@ -108,9 +113,9 @@ class Tuned:
     measures: tuple[str, ...]  # the metrics of each row
     linear: Margin | None = None  # of the best point; None: nothing is feasible
     seeds: range  # of the link, in the search
-    fresh: range  # those of `score`, which the search has not seen where the link draws random numbers
+    fresh: range  # seeds of `score`, which the search has not seen where the link draws random numbers
     tasks: Mapping[str, Mapping[str, Any]]  # the rows of a point, with the knobs that each sets
-    rods: Mapping[str, Rod]
+    baselines: Mapping[str, Baseline]
 
     @property
     def knobs(self) -> dict[str, Any]:
@@ -124,17 +129,17 @@ class Tuned:
 
     @property
     def settings(self) -> dict[str, str]:
-        """What --set takes to run the best point, law and playout among it."""
-        own = {name: _typed(value) for name, value in self.best.items()}
-        return {"law": self.law, **{key: _typed(value) for key, value in self.fixed.items() if key != "link"}, **own}
+        """Values for --set that run the best point, law and playout among them."""
+        return {"law": self.law, **{name: _option_text(value) for knobs in (self.fixed, self.best)
+                                    for name, value in knobs.items() if name != "link"}}
 
     def command(self, verb: str = "run") -> list[str]:
         """The command that runs the best point."""
-        link = ["--link", _typed(self.fixed["link"])] if "link" in self.fixed else []
+        link = ["--link", _option_text(self.fixed["link"])] if "link" in self.fixed else []
         return ["teleop", verb, self.scene, *self._sets(), *link]
 
     def live(self, address: str) -> tuple[list[str], list[str]]:
-        """The commands that start the best point live, master and slave, which is at this address: HOST:PORT."""
+        """The commands that start the best point live, master and slave; the slave is at this address: HOST:PORT."""
         return tuple([["python", "-m", end, self.scene, *self._sets(), option, address]  # type: ignore[return-value]
                       for end, option in (("master", "--peer"), ("slave", "--listen"))])
 
@@ -142,16 +147,16 @@ class Tuned:
         return [word for name, value in self.settings.items() for word in ("--set", f"{name}={value}")]
 
     def front(self) -> list[tuple[Mapping[str, Any], Score]]:
-        """The feasible points of which no other has both less tracking error and less drag, by the tracking error."""
-        points = [(values, found) for values, found in self.tried if not found.broken]
-        points.sort(key=lambda one: (one[1].terms.get("tracking", inf), one[1].terms.get("drag", inf)))
-        told, least = [], inf
-        for values, found in points:
-            drag = found.terms.get("drag", inf)
+        """The feasible points on the front of tracking error against drag, by the tracking error."""
+        points = [each for each in self.tried if not each[1].broken]
+        points.sort(key=lambda each: (each[1].terms.get("tracking", inf), each[1].terms.get("drag", inf)))
+        front, least = [], inf
+        for point in points:
+            drag = point[1].terms.get("drag", inf)
             if drag < least:
-                told.append((values, found))
+                front.append(point)
                 least = drag
-        return told
+        return front
 
 
 def tune_law(
@@ -161,38 +166,18 @@ def tune_law(
 ) -> Tuned:
     """Search the parameters of `law` (as `--set law=` takes it) in `scene`, in at most `budget` rows of a sweep.
 
-    `fixed`: knobs of the scene that are set, the link among them; a knob of the law that is set is not turned.
-    `margin`: by which factor the environment may be stiffer (knob k_e) with all constraints still kept; 1: none is
-    asked for. `playouts`: texts that the playout may be, tried as a further parameter; left out, the scene's. `seed`:
-    keys all draws of the search, and is the first seed of the link; seeds that follow those of the search are for the
-    check. `tell` is told of rows done. `keep` is handed points as they are run; a search with the same arguments that
-    is given them as `known`, in that order, does not run them again. Raises `Refused`.
+    `fixed`: knobs of the scene that are set, the link among them; a knob of the law that is set is not searched.
+    `margin`: factor by which the environment may be stiffer (knob k_e) with all constraints still kept; 1: none.
+    `playouts`: texts that the playout may be, tried as a further parameter; left out, the scene's. `seed` keys all
+    draws of the search, and is the first seed of the link; the seeds after the search's own are for the check. `tell`
+    is called with the rows done. `keep` is handed points as they are run; a search with the same arguments that is
+    handed them as `known`, in that order, does not run them again. Raises `Refused`, and `NothingToTune` for a law
+    without a number to change.
     """
-    return _Search(scene, law, budget, seed, dict(fixed or {}), objective, margin, tuple(playouts), tell, workers,
-                   engine, keep, known).run()
-
-
-def judged(tuned: Tuned, changes: Sequence[Mapping[str, Any]], *, tasks: Sequence[str] = (SCENE, FREE),
-           workers: int | None = None) -> tuple[list[Score], int]:
-    """The scores of the best point with knobs changed besides, the same ones in each; and how many rows that took.
-
-    With the first seed of the search. Few rows, so they run by `plain`.
-    """
-    turned = tuple(changes[0])
-    run = [task for task in tasks if task in tuned.tasks]
-    of_task = tuple(name for name in tuned.tasks[SCENE] if name not in turned)
-    rows = [(*change.values(), *(tuned.tasks[task][name] for name in of_task)) for change in changes for task in run]
-    fixed = {key: value for key, value in tuned.knobs.items() if key not in (*turned, *of_task)}
-    plan = plan_sweep(tuned.scene, grid({(*turned, *of_task): rows}, [tuned.seed]), metrics=list(tuned.measures),
-                      fixed=fixed, engine="plain")
-    table = [*carry_out(plan, workers=workers)]
-    scene = load_scene(tuned.scene, **tuned.knobs)
-    return [score(OBJECTIVES[tuned.objective], tuned.rods, scene, [*zip(run, table[i:i + len(run)], strict=True)])
-            for i in range(0, len(table), len(run))], len(table)
-
-
-class _Search:
-    """One search: what is turned, how points become rows, and the rows that are left."""
+    return LawSearch(scene, law, budget, seed, dict(fixed or {}), objective, margin, tuple(playouts), tell, workers,
+                     engine, keep, known).run()
+class LawSearch:
+    """Search of one law: the knobs that are searched, the points run so far, and the rows that are left."""
 
     def __init__(self, scene: str, law: str, budget: int, seed: int, fixed: dict[str, object], objective: str,
                  wanted: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None,
@@ -214,30 +199,30 @@ class _Search:
             fixed["playout"] = playouts[0]
         self.scene: Scene = load_scene(scene, **{**fixed, "law": law})
         self.fixed = fixed
-        self.rod = rod(self.scene)
+        self.baseline = rigid_baseline(self.scene)
         self.ranges = ranges_of(self.scene.law, [name for name in fixed if name.startswith("law.")])
-        self._follow()
-        self.spans: dict[str, Range | tuple[str, ...]] = dict(self.ranges.turned)
+        self._fit_followers()
+        self.spans: dict[str, Range | tuple[str, ...]] = dict(self.ranges.searched)
         self.playouts = playouts if len(playouts) > 1 else ()
         if self.playouts:
             self.spans["playout"] = self.playouts
         self.names = tuple(self.spans)
         self.soft = {knob: value for knob, value in SOFT.items() if knob in scene_knobs} if "k_e" in scene_knobs else {}
-        if self.rod.pressed == 0.0:
+        if self.baseline.pressed == 0.0:
             self.soft = {}
         self.margin = number("margin", wanted, low=1.0)
         if wanted > 1.0 and not self.soft:
             raise Refused(f"a margin of {wanted:g} is that of the environment's stiffness, and scene {scene} has no "
                           "knob k_e that sets one it touches; leave --margin out")
-        own: dict[str, Any] = {knob: self.scene.knobs[knob] for knob in self.soft}
-        self.tasks: dict[str, dict[str, Any]] = {SCENE: own}  # with the knobs that they set
-        self.rods = {SCENE: self.rod}
+        contact: dict[str, Any] = {knob: self.scene.knobs[knob] for knob in self.soft}
+        self.tasks: dict[str, dict[str, Any]] = {SCENE: contact}  # with the knobs that they set
+        self.baselines = {SCENE: self.baseline}
         if self.soft:
             self.tasks[FREE] = self.soft
-            self.rods[FREE] = rod(load_scene(scene, **{**fixed, "law": law, **self.soft}))
+            self.baselines[FREE] = rigid_baseline(load_scene(scene, **{**fixed, "law": law, **self.soft}))
         if wanted > 1.0:
-            self.tasks[STIFF] = {knob: wanted * value for knob, value in own.items()}
-            self.rods[STIFF] = self.rod
+            self.tasks[STIFF] = {knob: wanted * value for knob, value in contact.items()}
+            self.baselines[STIFF] = self.baseline
         self.measures = measures_of(self.scene.law)
         if budget < len(self.tasks):
             raise Refused(f"a budget of {budget} is less than the {len(self.tasks)} rows that one point of the search "
@@ -245,59 +230,59 @@ class _Search:
         self.engine = engine or choose(None, self.scene, max(budget, 16), self.measures)[0]
         self.engine = "scalar" if self.engine == "vector" and engine is None and budget < SIDE_BY_SIDE else self.engine
         self.workers = workers
-        self.keep, self.known, self.rows, self.asked = keep, known, 0, 0
+        self.keep, self.known, self.rows, self.requested = keep, known, 0, 0
         self.scores: dict[Point, Score] = {}
-        self.stood: dict[Point, bool] = {}  # points whose linear loop was looked at
+        self.stable: dict[Point, bool] = {}  # points with their linear loop tried
         self.varies = (self.scene.link is not None and varies(self.scene.link)) or any(
             self.scene.leaves_out(e) is not None for e in ("m", "s"))
         draws = min(max(budget // (len(self.tasks) * POINTS), 1), SEEDS) if self.varies else 1
         self.seeds = range(seed, seed + draws)
 
-    def _follow(self) -> None:
-        """Set what follows from link and bodies and is not turned to what the law fits itself to."""
+    def _fit_followers(self) -> None:
+        """Set the knobs that follow from link and bodies, and are not searched, to the values that the law fits."""
         fitting = fitted(self.scene, self.seed).law
         knobs = knobs_of_fields(type(self.scene.law))
-        for name in self.ranges.stay:
+        for name in self.ranges.held:
             if knobs[name].knob.stays and f"law.{name}" not in self.fixed:
                 self.fixed[f"law.{name}"] = getattr(fitting, name)
         self.scene = load_scene(self.name, **{**self.fixed, "law": self.law})
 
     def run(self) -> Tuned:
-        """Search."""
+        """Search, and return the result."""
         each, third = len(self.tasks), self.budget // 3
         fresh = min(max(third // (LEAST_FRESH * each), LEAST_FRESH), FRESH)
         few = min(third // (fresh * each), FEW) if self.varies else 0
         screens = 4 * few if few == FEW else 0
         checks = (few * fresh + screens * (fresh // 3)) * each
-        resets = ((len(self.ranges.turned) + 1) * len(self.seeds) + (fresh if few else 1)) * each
+        resets = ((len(self.ranges.searched) + 1) * len(self.seeds) + (fresh if few else 1)) * each
         resets = resets if 20 * resets <= self.budget else 0
         self.left = (self.budget - checks - resets) // (each * len(self.seeds))  # points
-        own, *others = dict.fromkeys(map(self._of_law, self._laws()))
+        untuned, *fitting = dict.fromkeys(map(self._point_of, self._laws()))
         first = max(1, int(LATIN * self.left))
-        self._try([own, *others, *map(self._repair, self._draw(first - 1 - len(others)))])
+        self._try([untuned, *fitting, *map(self._repair, self._draw(first - 1 - len(fitting)))])
         self._evolve()
         ranked = sorted(self.scores, key=lambda point: self.scores[point].order)
-        enough = self._with_margin([point for point in ranked if not self.scores[point].broken], screens or few or 1)
+        enough = self._select_stable([point for point in ranked if not self.scores[point].broken], screens or few or 1)
         best = enough[0] if enough else min(self.scores, key=lambda point: self.scores[point].order)
-        found, seeds = self.scores[best], self.seeds
+        best_score, seeds = self.scores[best], self.seeds
         if few and enough:
             if screens:
                 seeds = range(seeds.stop, seeds.stop + fresh // 3)
-                screened = self._scored(enough, seeds)
+                screened = self._score_points(enough, seeds)
                 enough = [enough[i] for i in sorted(range(len(enough)), key=lambda i: screened[i].order)]
             seeds = range(seeds.stop, seeds.stop + fresh)
-            checked = dict(zip(enough[:few], self._scored(enough[:few], seeds), strict=True))
+            checked = dict(zip(enough[:few], self._score_points(enough[:few], seeds), strict=True))
             best = min(checked, key=lambda point: checked[point].order)
-            found = checked[best]
-        if resets and not found.broken:
-            best, found = self._reset(best, own, found, seeds)
+            best_score = checked[best]
+        if resets and not best_score.broken:
+            best, best_score = self._reset(best, untuned, best_score, seeds)
         return Tuned(law=self.law, scene=self.name, fixed=self.fixed, objective=self.objective, names=self.names,
-                     ranges=self.ranges, best=self._values(best), score=found,
-                     default=self.scores[own],
-                     tried=tuple([(self._values(point), each) for point, each in self.scores.items()]), rod=self.rod,
+                     ranges=self.ranges, best=self._values(best), score=best_score,
+                     default=self.scores[untuned], baseline=self.baseline,
+                     tried=tuple([(self._values(point), each) for point, each in self.scores.items()]),
                      margin=self.margin, budget=self.budget, rows=self.rows, seed=self.seed, engine=self.engine,
-                     measures=self.measures, tasks=self.tasks, rods=self.rods, seeds=self.seeds, fresh=seeds,
-                     linear=None if found.broken else margin(self._scene(best), seed=self.seed))
+                     measures=self.measures, tasks=self.tasks, baselines=self.baselines, seeds=self.seeds, fresh=seeds,
+                     linear=None if best_score.broken else margin(self._scene(best), seed=self.seed))
 
     def _laws(self) -> list[Any]:
         """The law as it is in the scene, as it fits itself to link and bodies, and with its defaults."""
@@ -305,24 +290,24 @@ class _Search:
         by_itself = load_scene(self.name, **{**self.fixed, "law": text}).law
         return [self.scene.law, fitted(self.scene, self.seed).law, by_itself]
 
-    def _of_law(self, law: Any) -> Point:
-        return self._place({name: getattr(law, name.removeprefix("law.")) for name in self.ranges.turned})
+    def _point_of(self, law: Any) -> Point:
+        return self._point({name: getattr(law, name.removeprefix("law.")) for name in self.ranges.searched})
 
     def _values(self, point: Point) -> dict[str, Any]:
         return dict(zip(self.names, point, strict=True))
 
-    def _place(self, values: Mapping[str, Any]) -> Point:
-        """A point of these values; of a playout that is not among them the first."""
+    def _point(self, values: Mapping[str, Any]) -> Point:
+        """A point of these values, with the first playout if none is among them."""
         return tuple([values[name] if name in values else span[0]  # type: ignore[index]  # a list of texts
                       for name, span in self.spans.items()])
 
     def _draw(self, count: int) -> list[Point]:
-        """So many points of the hypercube, rounded as they are typed."""
+        """Draw so many points of the hypercube, rounded as they are typed."""
         if count < 1:
             return []
         drawn = sampled({name: Range(0.0, 1.0) if isinstance(span, Range) else span
                          for name, span in self.spans.items()}, count, key=self.seed)
-        return [tuple([at(span, values[name]) if isinstance(span, Range) else values[name]
+        return [tuple([value_at(span, values[name]) if isinstance(span, Range) else values[name]
                        for name, span in self.spans.items()]) for _, values, _ in drawn.rows(range(count))]
 
     def _repair(self, point: Point) -> Point:
@@ -331,14 +316,14 @@ class _Search:
         if law is None or facts is None or not hasattr(law, "fitted") or not broken(law, facts):
             return point
         fitting = law.fitted(facts)
-        return tuple([beyond(float(value), float(getattr(fitting, name.removeprefix("law."))))
+        return tuple([round_beyond(float(value), float(getattr(fitting, name.removeprefix("law."))))
                       if isinstance(self.spans[name], Range) else value for name, value in self._values(point).items()])
 
     def _law_of(self, point: Point) -> Any:
         """The law with the numbers of a point; None where it refuses them."""
         try:
             return replace(self.scene.law, **{name.removeprefix("law."): value for name, value in zip(
-                self.names, point, strict=True) if name in self.ranges.turned})
+                self.names, point, strict=True) if name in self.ranges.searched})
         except Refused:
             return None
 
@@ -351,25 +336,25 @@ class _Search:
         except Refused:
             return None
 
-    def _unmet(self, point: Point) -> int:
+    def _count_unmet(self, point: Point) -> int:
         """Number of conditions of the law that a point breaks."""
         law, facts = self._law_of(point), self._facts(self._values(point).get("playout"))
         return 0 if law is None or facts is None else len(broken(law, facts))
 
     def _try(self, points: Sequence[Point]) -> int:
-        """Run those points that were not run yet, as far as rows are left; how many these were."""
+        """Run the points that were not run yet, as far as rows are left; returns their number."""
         new = [point for point in dict.fromkeys(points) if point not in self.scores][:max(0, self.left)]
-        if self.playouts:  # those of one kernel side by side
+        if self.playouts:  # points of one kernel side by side
             new.sort(key=lambda point: self.playouts.index(point[-1]))
         self.left -= len(new)
-        for point, each in zip(new, self._scored(new, self.seeds) if new else (), strict=True):
+        for point, each in zip(new, self._score_points(new, self.seeds) if new else (), strict=True):
             self.scores[point] = each
         return len(new)
 
-    def _scored(self, points: Sequence[Point], seeds: range) -> list[Score]:
+    def _score_points(self, points: Sequence[Point], seeds: range) -> list[Score]:
         """The scores of points, each over all tasks and seeds, in one sweep."""
-        known = self.known[self.asked:self.asked + len(points)]
-        self.asked += len(points)
+        known = self.known[self.requested:self.requested + len(points)]
+        self.requested += len(points)
         if [each[:3] for each in known] == [(point, seeds.start, seeds.stop) for point in points]:
             scores = [each.score for each in known]
             self.rows += len(points) * len(self.tasks) * len(seeds)
@@ -393,9 +378,9 @@ class _Search:
         table = [*carry_out(plan, workers=self.workers, show=show, chunk=self._chunk(len(axes)))]
         self.rows += len(table)
         tasks, per = [*self.tasks], len(self.tasks) * len(seeds)
-        return [over_seeds(self.goal, self.rods, self.scene, [
+        return [score_by_seed(self.goal, self.baselines, self.scene, [
             (tasks[i // len(seeds)], row) for i, row in enumerate(table[n * per:(n + 1) * per])])._replace(
-                unmet=self._unmet(point)) for n, point in enumerate(points)]
+                unmet=self._count_unmet(point)) for n, point in enumerate(points)]
 
     def _chunk(self, rows: int) -> int | None:
         """Rows of a job: what they have in common is worked out once for each. None of what is not compiled."""
@@ -408,8 +393,8 @@ class _Search:
         run = idle = 0
         while self.left > 0 and idle < 4:  # a law may have fewer points than there are rows for
             ranked = sorted(self.scores, key=lambda point: self.scores[point].order)
-            far = [point for point in ranked if not any(self._near(point, end, FAR) for end in ends)]
-            if run < len(self.playouts):  # each has its turn first
+            far = [point for point in ranked if not any(self._is_near(point, end, FAR) for end in ends)]
+            if run < len(self.playouts):  # each playout once at first
                 far = [point for point in far or ranked if point[-1] == self.playouts[run]] or far
             start = far[0] if far else self._repair(self._draw(run + 1)[-1])
             strategy = Strategy([part(span, value) for span, value in zip(spans, start, strict=False)], STEP,
@@ -417,7 +402,7 @@ class _Search:
             best, since, left = self.scores.get(start), 0, self.left
             while self.left > 0 and since < STALE and strategy.spread > LEAST:
                 drawn = strategy.ask()
-                points = [self._repair((*[at(span, u) for span, u in zip(spans, folded(x), strict=True)],
+                points = [self._repair((*[value_at(span, u) for span, u in zip(spans, fold(x), strict=True)],
                                       *start[len(spans):])) for x in drawn]
                 self._try(points)
                 if any(point not in self.scores for point in points):  # the rows have run out
@@ -431,66 +416,66 @@ class _Search:
             idle = 0 if self.left < left else idle + 1
             run += 1
 
-    def _with_margin(self, ranked: Sequence[Point], most: int) -> list[Point]:
-        """The best of these points, `most` at most, whose loop stands the margin; all are marked if none is found."""
-        stood: list[Point] = []
+    def _select_stable(self, ranked: Sequence[Point], most: int) -> list[Point]:
+        """The best of these points, `most` at most, with a loop that stands the margin; all are marked if none does."""
+        stable: list[Point] = []
         looked: list[Point] = []
         for point in ranked:
-            if any(self._near(point, other, APART * 2 ** (4 * len(looked) // LOOKS)) for other in looked) or any(
-                    self._near(point, other, 0.2 * APART) for other in stood):
+            if any(self._is_near(point, tried, APART * 2 ** (4 * len(looked) // LOOKS)) for tried in looked) or any(
+                    self._is_near(point, sound, 0.2 * APART) for sound in stable):
                 continue
-            if self._stands(point):
-                stood.append(point)
-                if len(stood) == most:
+            if self._is_stable(point):
+                stable.append(point)
+                if len(stable) == most:
                     break
                 continue
             looked.append(point)
             if len(looked) == LOOKS:
                 break
-        for point in ranked if not stood else ():  # none of them is known to stand it
+        for point in ranked if not stable else ():  # none of them is known to stand it
             if point not in looked:
                 why = "the linear loop of the points near it does not stand the margin"
                 self.scores[point] = self.scores[point]._replace(broken=why, amount=0.6)
-        return stood
+        return stable
 
     def _check_loops(self, points: Sequence[Point]) -> None:
-        """Look at the loops of the best points of a generation, until one stands, so that strategies turn from others.
+        """Try the loops of the best points of a generation, until one is stable, so that strategies turn from others.
         """
         for point in sorted(points, key=lambda point: self.scores[point].order)[:LOOKS_EACH]:
-            if self.scores[point].broken or self._stands(point):
+            if self.scores[point].broken or self._is_stable(point):
                 return
 
-    def _stands(self, point: Point) -> bool:
+    def _is_stable(self, point: Point) -> bool:
         """True if the linear loop of a point stands the margin, or has none; the point is marked if it does not."""
-        if point not in self.stood:
-            verdict = stands(self._scene(point), 1.0 if claims_of(self.scene.law) else self.margin, seed=self.seed)
-            self.stood[point] = verdict is None or verdict[0]
+        if point not in self.stable:
+            verdict = stable_with(self._scene(point), 1.0 if claims_of(self.scene.law) else self.margin, seed=self.seed)
+            self.stable[point] = verdict is None or verdict[0]
             if verdict is not None and not verdict[0]:
                 self.scores[point] = self.scores[point]._replace(broken=verdict[1], amount=0.5)
-        return self.stood[point]
+        return self.stable[point]
 
-    def _near(self, point: Point, other: Point, apart: float) -> bool:
+    def _is_near(self, p: Point, q: Point, apart: float) -> bool:
         """True if no parameter of two points differs by more than `apart` of its range."""
         return all(abs(part(span, a) - part(span, b)) <= apart for span, a, b in zip(
-            self.spans.values(), point, other, strict=True) if isinstance(span, Range))
+            self.spans.values(), p, q, strict=True) if isinstance(span, Range))
 
     def _scene(self, point: Point) -> Scene:
         return load_scene(self.name, **{**self.fixed, "law": self.law, **self._values(point)})
 
-    def _reset(self, best: Point, own: Point, found: Score, seeds: range) -> tuple[Point, Score]:
-        """The point with the law's own value of each parameter that changes no figure of it; and its score."""
-        turned = [i for i, name in enumerate(self.names) if name in self.ranges.turned and best[i] != own[i]]
-        tries = [(*best[:i], own[i], *best[i + 1:]) for i in turned]
-        (same, *scores) = self._scored([best, *tries], self.seeds)
-        reset = {i for i, each in zip(turned, scores, strict=True) if each == same}
+    def _reset(self, best: Point, untuned: Point, best_score: Score, seeds: range) -> tuple[Point, Score]:
+        """The best point with the untuned value of each parameter that changes no figure of it; and its score."""
+        changed = [i for i, name in enumerate(self.names) if name in self.ranges.searched and best[i] != untuned[i]]
+        tries = [(*best[:i], untuned[i], *best[i + 1:]) for i in changed]
+        (same, *scores) = self._score_points([best, *tries], self.seeds)
+        reset = {i for i, each in zip(changed, scores, strict=True) if each == same}
         if not reset:
-            return best, found
-        point = tuple([own[i] if i in reset else value for i, value in enumerate(best)])
-        again, = self._scored([point], seeds)
-        return (point, again) if again == found else (best, found)
+            return best, best_score
+        point = tuple([untuned[i] if i in reset else value for i, value in enumerate(best)])
+        again, = self._score_points([point], seeds)
+        return (point, again) if again == best_score else (best, best_score)
 
 
-def _typed(value: object) -> str:
+def _option_text(value: object) -> str:
     """A value as --set takes it."""
     if isinstance(value, float):
         return f"{value:.12g}"

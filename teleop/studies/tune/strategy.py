@@ -1,16 +1,137 @@
-"""An evolution strategy with covariance matrix adaptation, CMA-ES: it asks for points and is given their ranks.
+"""Ranges of a law's parameters, and the evolution strategy that draws points in them.
 
-Source: N. Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772 (2016), section 4 and table 1, without its
-negative weights.
+The range of each number follows from its knob's bounds and its default. The strategy is CMA-ES, with covariance matrix
+adaptation: it is asked for points and is then handed their ranks. Source: N. Hansen, "The CMA evolution strategy: a
+tutorial", arXiv:1604.00772 (2016), section 4 and table 1, without its negative weights.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import exp, log, sqrt
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from math import ceil, exp, floor, log, log10, sqrt
 from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from teleop.errors import Refused, enumerated, nearest
+from teleop.knob import Declared, knobs_of_fields
+from teleop.law import law_name
+from teleop.law.offers import seed_energy, stores
+from teleop.sweeps.grid import Range
+
+FACTOR = 30.0  # on either side of the default, where a knob has no bound
+
+
+class NothingToTune(Refused):
+    """A law without a number that a search may change."""
+
+
+class Ranges(NamedTuple):
+    """The ranges of the knobs that are searched, and the other knobs with the reason that they are not."""
+
+    searched: dict[str, Range]  # by name, with "law." before it
+    held: dict[str, str]
+
+
+def ranges_of(law: Any, fixed: Collection[str] = ()) -> Ranges:
+    """The ranges of the numbers of `law`, except those in `fixed` ("law.K"), which somebody has set.
+
+    A knob that declares a span (`teleop.knob`) goes through that, by equal ratios if it begins above 0; one that
+    declares what its value follows from stays.
+
+    Of the others, a knob whose value is above 0 goes by equal ratios, from 1/30 of its value, or its lower bound, to 30
+    times that, or its upper bound. One with a lower bound of 0, or below, and an upper one goes evenly from one to the
+    other, if its value is a tenth of that range or more, or the lower bound itself. One whose value is 0 and that has
+    no upper bound goes evenly from 0 to the greatest value among the law's knobs of its unit, and stays if there is
+    none. So does any that the law's seed energy, E_law(0), depends on: energy that is given out unpaid is not for
+    tuning. Raises `NothingToTune` for a law that has no number to change, and `Refused` for a name in `fixed` that it
+    has not.
+    """
+    knobs = {name: each for name, each in knobs_of_fields(type(law)).items() if each.kind is float}
+    values = {name: float(getattr(law, name)) for name in knobs}
+    unknown = next((name for name in fixed if name.removeprefix("law.") not in values), None)
+    if unknown is not None:
+        raise Refused(f"law {law_name(law)} has no knob {unknown.removeprefix('law.')!r}; "
+                      f"{nearest(unknown.removeprefix('law.'), values)}")
+    searched: dict[str, Range] = {}
+    held: dict[str, str] = {}
+    for name, each in knobs.items():
+        if f"law.{name}" in fixed:
+            held[name] = "as set"
+            continue
+        if each.knob.stays:
+            held[name] = f"{values[name]:g}: {each.knob.stays}"
+            continue
+        if _seeds_energy(law, name):
+            held[name] = f"{values[name]:g}: the energy that the law may give out unpaid depends on it"
+            continue
+        span = _range(each, values[name], [values[peer] for peer, declared in knobs.items()
+                                           if peer != name and declared.knob.unit == each.knob.unit != ""])
+        if span is None:
+            held[name] = f"{values[name]:g}: neither its value nor its bounds say where to look"
+        else:
+            searched[f"law.{name}"] = span
+    if not searched:
+        why = f"{enumerated(values)} as set" if fixed and values else "no number of its own"
+        raise NothingToTune(f"law {law_name(law)} has nothing to tune ({why}); run it as it is: teleop run SCENE "
+                            f"--set law={law_name(law)}")
+    return Ranges(searched, held)
+
+
+def _seeds_energy(law: Any, name: str) -> bool:
+    """True if the energy that the law begins with depends on this number: more of it is no better law."""
+    value = getattr(law, name)
+    try:
+        return stores(law) and any(seed_energy(replace(law, **{name: changed})) != seed_energy(law)
+                                   for changed in (0.5 * value, value + 1e-3))
+    except Refused:  # out of the knob's bounds
+        return False
+
+
+def _range(each: Declared, value: float, alike: list[float]) -> Range | None:
+    knob = each.knob
+    if knob.span is not None:
+        return Range(*knob.span, log=knob.span[0] > 0.0)
+    low = knob.low if knob.low is not None else knob.above
+    if low is not None and low <= 0.0 and knob.high is not None and not low < value < low + 0.1 * (knob.high - low):
+        return Range(low, knob.high) if knob.low is not None else Range(value / FACTOR, knob.high, log=True)
+    if value > 0.0:
+        bottom = max(value / FACTOR, low if low is not None else 0.0)
+        top = knob.high if knob.high is not None else value * FACTOR
+        return Range(bottom, top, log=True) if bottom < top else None
+    most = max(alike, default=0.0)
+    return Range(0.0, most) if value == 0.0 and low == 0.0 and knob.high is None and most > 0.0 else None
+
+
+def value_at(span: Range, u: float) -> float:
+    """The value at the part `u` of a range, 0 to 1, to four digits, as a person types it and a table shows it."""
+    value = float(f"{span.at(u):.4g}")
+    return min(max(value, min(span.low, span.high)), max(span.low, span.high))
+
+
+def round_beyond(value: float, bound: float) -> float:
+    """Round a bound that a value is moved to, in four digits, on beyond it.
+
+    >>> round_beyond(3.0, 40.239), round_beyond(50.0, 40.239), round_beyond(40.239, 40.239)
+    (40.24, 40.23, 40.239)
+    """
+    if bound in (value, 0.0):
+        return bound
+    grain = 10.0 ** (floor(log10(abs(bound))) - 3)
+    steps = bound / grain
+    return float(f"{(ceil(steps) if bound > value else floor(steps)) * grain:.4g}")
+
+
+def part(span: Range, value: float) -> float:
+    """The part of a range at which a value lies, clamped to 0 .. 1."""
+    if span.log:
+        low = max(value, min(span.low, span.high))
+        u = log(low / span.low) / log(span.high / span.low)
+    else:
+        u = (value - span.low) / (span.high - span.low)
+    return min(max(u, 0.0), 1.0)
 
 
 class Strategy:
@@ -48,7 +169,7 @@ class Strategy:
         return drawn
 
     def tell(self, drawn: Sequence[Sequence[float]], orders: Sequence[tuple[float, ...]]) -> None:
-        """Take in what the points of the last generation came to; the least order is best."""
+        """Take in the orders of the last generation's points; the least is best."""
         ranked = sorted(range(len(drawn)), key=lambda i: (orders[i], i))[:len(self.weights)]
         y = (np.array([drawn[i] for i in ranked]) - self.mean) / self.step
         mean = self.weights @ y
@@ -67,10 +188,10 @@ class Strategy:
         self.lengths = np.sqrt(np.maximum(values, 1e-20))
 
 
-def folded(point: Sequence[float]) -> list[float]:
+def fold(point: Sequence[float]) -> list[float]:
     """Parts of ranges, reflected at 0 and 1.
 
-    >>> folded([0.25, -0.25, 1.25, 2.5])
+    >>> fold([0.25, -0.25, 1.25, 2.5])
     [0.25, 0.25, 0.75, 0.5]
     """
     return [min(x % 2.0, 2.0 - x % 2.0) for x in point]

@@ -12,7 +12,7 @@ from master import Grip, Rest
 from slave import HuntCrossley, Tissue, Wall
 from teleop import Direct, MassDamper, PositionPosition, Scene, load_scene, run, sweep
 from teleop.analysis.stability.assess import is_stable, stability
-from teleop.studies.margin import delay_margin, gain_margin, margin, stands
+from teleop.studies.margin import delay_margin, gain_margin, margin, stable_with
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)
 
@@ -52,7 +52,7 @@ def test_a_loop_stands_what_its_margin_says(factor: float) -> None:
     scene = load_scene("hard_wall", law=Direct(K=100.0, B=20.0, kf=0.05), delay=0.03)
     told = margin(scene)
     assert 1.0 < told.gain < 1e3
-    stood = stands(scene, factor * told.gain)
+    stood = stable_with(scene, factor * told.gain)
     assert stood is not None
     assert stood[0] == (factor < 1.0)
     assert ("times its gain is unstable" in stood[1]) == (factor > 1.0)

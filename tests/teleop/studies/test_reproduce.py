@@ -12,8 +12,8 @@ import pytest
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 from teleop.studies.reproduce import PUBLICATIONS, find_publication
-from teleop.studies.reproduce.command import shown
-from teleop.studies.reproduce.publication import Finding
+from teleop.studies.reproduce.command import result_text
+from teleop.studies.reproduce.publication import Replication
 from tests.teleop.conftest import Answer
 
 Typed = Callable[..., Answer]
@@ -30,25 +30,26 @@ OTHERS = {("hannaford_ryu", "fitted"): 1, ("choi_tan", "published"): 2}
 
 class TestALabel:
     @pytest.mark.parametrize(("finding", "label"), [
-        (Finding("peak", "33.53", 33.534), "reproduced"),
-        (Finding("peak", "33.53", 33.536), "differs"),
-        (Finding("peak", "33.53", 33.536, tolerance=0.01), "reproduced"),
-        (Finding("peak", "1600", 1600.5), "reproduced"),
-        (Finding("peak", "0.8", float("nan")), "differs"),
-        (Finding("verdict", "stable", "stable"), "reproduced"),
-        (Finding("verdict", "stable", "unstable"), "differs"),
-        (Finding("bounces", "6", "many"), "differs"),
-        (Finding("peak", "33.53", None), "published"),
-        (Finding("bounces", "6", 6.0, is_fitted=True), "fitted"),
+        (Replication("peak", "33.53", 33.534), "reproduced"),
+        (Replication("peak", "33.53", 33.536), "differs"),
+        (Replication("peak", "33.53", 33.536, tolerance=0.01), "reproduced"),
+        (Replication("peak", "1600", 1600.5), "reproduced"),
+        (Replication("peak", "0.8", float("nan")), "differs"),
+        (Replication("verdict", "stable", "stable"), "reproduced"),
+        (Replication("verdict", "stable", "unstable"), "differs"),
+        (Replication("bounces", "6", "many"), "differs"),
+        (Replication("peak", "33.53", None), "published"),
+        (Replication("bounces", "6", 6.0, is_fitted=True), "fitted"),
     ])
-    def test_says_what_came_of_a_number(self, finding: Finding, label: str) -> None:
+    def test_says_what_came_of_a_number(self, finding: Replication, label: str) -> None:
         assert finding.label == label
 
     def test_is_told_with_a_digit_more_than_is_printed_or_asked_for(self) -> None:
-        assert shown(Finding("peak", "33.53", 33.53412)) == "33.534"
-        assert shown(Finding("damping", "0.8", 0.8, tolerance=1e-6)) == "0.800000"
-        assert shown(Finding("stiffness", "1600.00", 1605.351, tolerance=32.0)) == "1605.351"
-        assert (shown(Finding("peak", "1", None)), shown(Finding("verdict", "stable", "unstable"))) == ("-", "unstable")
+        assert result_text(Replication("peak", "33.53", 33.53412)) == "33.534"
+        assert result_text(Replication("damping", "0.8", 0.8, tolerance=1e-6)) == "0.800000"
+        assert result_text(Replication("stiffness", "1600.00", 1605.351, tolerance=32.0)) == "1605.351"
+        assert result_text(Replication("peak", "1", None)) == "-"
+        assert result_text(Replication("verdict", "stable", "unstable")) == "unstable"
 
 
 @pytest.mark.parametrize("name", PUBLICATIONS)
@@ -67,13 +68,13 @@ def test_a_publication_is_reproduced_but_where_the_reason_is_known(name: str) ->
 
 def test_a_wall_with_another_force_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """A force that is late by a tick, as an unnoticed change of the tick would make it: no number stays."""
-    from teleop.studies.reproduce import colgate_schenkel, rendered
+    from teleop.studies.reproduce import colgate_schenkel, publication
 
     def late(K: float, B: float = 0.0, **knobs: object) -> Scene:
         scene = before(K, B, **knobs)
         return replace(scene, device_m=replace(scene.device_m, delay=1)) if scene.device_m else scene
 
-    before = rendered.wall
+    before = publication.wall
     monkeypatch.setattr(colgate_schenkel, "wall", late)
     labels = [finding.label for finding in colgate_schenkel.rerun()]
     assert labels.count("differs") == 4  # three dampings, and the verdict just above the first

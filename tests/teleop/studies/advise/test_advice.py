@@ -9,14 +9,13 @@ import pytest
 
 from teleop import load_scene, run
 from teleop.errors import Refused
-from teleop.law import find_law
-from teleop.studies.advise.advice import Advice, advise, two_port_laws
-from teleop.studies.advise.laws import MARGIN, Outlook
-from teleop.studies.advise.links import one_way, playouts_for
+from teleop.law import find_law, two_port_laws
+from teleop.studies.advise.advice import Advice, advise, score_changes
+from teleop.studies.advise.laws import MARGIN, Outlook, one_way, playouts_for
 from teleop.studies.advise.report import avoid, text
 from teleop.studies.tune.objective import SCENE
-from teleop.studies.tune.ranges import at
-from teleop.studies.tune.search import _Search, judged, tune_law
+from teleop.studies.tune.search import LawSearch, tune_law
+from teleop.studies.tune.strategy import value_at
 from teleop.sweeps.grid import Range, sampled
 from teleop.terminal.units import si
 
@@ -98,26 +97,27 @@ def test_rows_that_were_there_are_no_measure_of_the_time_that_is_left() -> None:
     assert outlook.time_left(20.0, busy=3.0) == pytest.approx(30.0)
 
 
-def searching(law: str, link: str) -> tuple[dict[str, Any], _Search]:
+def searching(law: str, link: str) -> tuple[dict[str, Any], LawSearch]:
     """The arguments of a search over a link as `advise` makes them, and one that has not begun."""
     fixed = {"k_e": 2000.0, "link": link}
     scene = load_scene("hard_wall", **fixed, law=law)
     playouts = playouts_for(scene, (one_way(scene, 0, 0), one_way(scene, 1, 0)))
     return ({"fixed": fixed, "margin": MARGIN, "playouts": playouts, "workers": 1},
-            _Search("hard_wall", law, 10**6, 0, dict(fixed), "balanced", MARGIN, playouts, None, 1, "vector", None, ()))
+            LawSearch("hard_wall", law, 10**6, 0, dict(fixed), "balanced", MARGIN, playouts, None, 1, "vector", None,
+                      ()))
 
 
-def best_of_random(search: _Search, count: int) -> tuple[Any, ...]:
+def best_of_random(search: LawSearch, count: int) -> tuple[Any, ...]:
     """The best of so many random points within the law's conditions, chosen by other seeds as a search chooses."""
     search.seeds, search.left = range(4000, 4001), count
     spans = {name: Range(0.0, 1.0) if isinstance(span, Range) else span for name, span in search.spans.items()}
     drawn = sampled(spans, count, key=77, latin=False).rows(range(count))
-    search._try([search._repair(tuple([at(span, values[name]) if isinstance(span, Range) else values[name]
+    search._try([search._repair(tuple([value_at(span, values[name]) if isinstance(span, Range) else values[name]
                                      for name, span in search.spans.items()])) for _, values, _ in drawn])
     ranked = sorted(search.scores, key=lambda point: search.scores[point].order)
-    points = search._with_margin([point for point in ranked if not search.scores[point].broken], 60)
+    points = search._select_stable([point for point in ranked if not search.scores[point].broken], 60)
     for seeds, most in ((range(4100, 4108), 60), (range(4200, 4224), 10)):
-        scores = search._scored(points[:most], seeds)
+        scores = search._score_points(points[:most], seeds)
         points = [points[i] for i in sorted(range(len(scores)), key=lambda i: scores[i].order)]
     return points[0]
 
@@ -135,7 +135,7 @@ def test_a_search_was_worse_than_the_best_of_5000_random_points(law: str, link: 
     tuned = tune_law("hard_wall", law, 12_000, **given)
     theirs = best_of_random(search, 5000)
     ours = tuple([tuned.best[name] for name in search.names])
-    found, reference = search._scored([ours, theirs], JUDGES)
+    found, reference = search._score_points([ours, theirs], JUDGES)
     print(f"{law} over {link}: {found.value:.4f} {found.broken}, best of 5000 random points {reference.value:.4f} "
           f"{reference.broken}")
     assert found.value <= 1.03 * reference.value
@@ -179,7 +179,7 @@ def test_the_margin_is_the_last_wall_that_the_gains_stand(found: Advice) -> None
     assert best.tuned is not None
     assert best.margins is not None
     assert best.margins.wall >= 4000.0  # the search asks for twice the wall
-    held, _ = judged(best.tuned, [{"k_e": best.margins.wall}], tasks=[SCENE])
+    held, _ = score_changes(best.tuned, [{"k_e": best.margins.wall}], tasks=[SCENE])
     assert not held[0].broken
 
 

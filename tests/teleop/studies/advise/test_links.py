@@ -6,7 +6,7 @@ import pytest
 
 from teleop import load_scene
 from teleop.errors import Refused
-from teleop.studies.advise.links import link_text, one_way, playouts_for
+from teleop.studies.advise.laws import link_text, one_way, playouts_for
 
 
 def test_delay_jitter_and_loss_are_those_of_the_link() -> None:

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-import teleop.studies.compare.work as work_module
+import teleop.studies.compare.command as command_module
 from teleop.__main__ import main
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
-from teleop.studies.compare.work import Job, how_it_ended, work
+from teleop.studies.compare.command import CaseBatch, ending_of, run_batch
 from teleop.studies.margin import margin
 from teleop.studies.tune.search import tune_law
 
@@ -94,17 +94,17 @@ def test_an_interrupt_leaves_what_it_has_and_the_same_command_goes_on(
         monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     ran: list[Any] = []
 
-    def once(job: Job) -> list[dict[str, Any]]:
+    def once(job: CaseBatch) -> list[dict[str, Any]]:
         if ran:
             raise KeyboardInterrupt
         ran.append(job)
-        return work(job)
+        return run_batch(job)
 
-    monkeypatch.setattr(work_module, "work", once)
+    monkeypatch.setattr(command_module, "run_batch", once)
     assert compare() == 130
     assert "interrupted: the same command goes on" in capsys.readouterr().out
     assert len(rows_of("runs/small")) == 3  # wave in tissue
-    monkeypatch.setattr(work_module, "work", work)
+    monkeypatch.setattr(command_module, "run_batch", run_batch)
     assert compare() == 0
     resumed = rows_of("runs/small")
     assert compare("--out", "whole") == 0
@@ -145,14 +145,14 @@ def test_figures_are_drawn_one_a_question() -> None:
 def test_a_swing_that_stays_at_the_wall_is_not_ok_though_the_time_was_too_short_for_a_verdict() -> None:
     result = run(load_scene("hard_wall", law="direct", link="delay(0.05)", timeout=None, duration=3.5))
     assert result.status == "ok"
-    assert how_it_ended(result)[0] == "unsettled"
-    assert how_it_ended(run(load_scene("hard_wall", link="delay(0.05)", duration=3.5))) == ("ok", "")
+    assert ending_of(result)[0] == "unsettled"
+    assert ending_of(run(load_scene("hard_wall", link="delay(0.05)", duration=3.5))) == ("ok", "")
 
 
 def test_a_motion_that_law_and_link_feed_is_not_ok() -> None:
     result = run(load_scene("soft_tissue", law="direct", link="delay(0.1)", duration=4.0))
     assert result.status == "ok"
-    assert how_it_ended(result)[0] == "unsettled"
+    assert ending_of(result)[0] == "unsettled"
 
 
 @pytest.mark.usefixtures("small")

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from teleop import Scene, load_scene
+from teleop.studies.baseline import Baseline
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score, score
-from teleop.studies.tune.rod import Rod
 
-ROD = Rod(moved=0.02, pressed=4.0, steady=5.0, scale=5.0, fastest=0.1)
+ROD = Baseline(moved=0.02, pressed=4.0, steady=5.0, scale=5.0, fastest=0.1)
 RODS = {SCENE: ROD, FREE: ROD._replace(moved=0.04, pressed=0.0, steady=None)}
 GOOD: dict[str, Any] = {"status": "ok", "ticks": 100, "x_err_rms": 0.002, "f_m_max": 6.0, "f_env_end": 4.0,
                         "f_m_end": 3.0, "f_env_max": 7.0, "swing_end": 0.0, "E_link_min": 0.0}

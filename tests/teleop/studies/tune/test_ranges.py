@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from teleop import Knob
 from teleop.errors import Refused
 from teleop.knob import knobs_of_fields
-from teleop.law import find_law
-from teleop.studies.advise.advice import two_port_laws
-from teleop.studies.tune.ranges import at, part, ranges_of
+from teleop.law import find_law, two_port_laws
+from teleop.studies.tune.strategy import part, ranges_of, value_at
 from teleop.sweeps.grid import Range
 
 
@@ -33,17 +32,17 @@ class Numbers:
 
 def test_a_range_follows_from_bounds_and_default() -> None:
     found = ranges_of(Numbers())
-    assert found.turned == {
+    assert found.searched == {
         "law.K": Range(10.0, 9000.0, log=True), "law.K_d": Range(0.0, 300.0), "law.alpha": Range(0.0, 1.0),
         "law.beta": Range(0.01 / 30.0, 1.0, log=True), "law.g": Range(1.0 / 30.0, 2.0, log=True),
     }
-    assert "neither its value nor its bounds" in found.stay["off"]
+    assert "neither its value nor its bounds" in found.held["off"]
 
 
 @pytest.mark.parametrize("name", two_port_laws())
 def test_the_spans_of_a_law_lie_within_its_bounds_and_about_its_own_values(name: str) -> None:
     law = find_law(name)()
-    for knob, span in ranges_of(law).turned.items():
+    for knob, span in ranges_of(law).searched.items():
         field = knob.removeprefix("law.")
         declared, own = knobs_of_fields(type(law))[field].knob, getattr(law, field)
         assert declared.span is not None, knob
@@ -53,14 +52,14 @@ def test_the_spans_of_a_law_lie_within_its_bounds_and_about_its_own_values(name:
 
 def test_a_knob_that_follows_from_the_slave_is_not_turned() -> None:
     """The mass of the predicted slave was searched from 1/30 to 30 times its own."""
-    stay = ranges_of(find_law("wave_prediction")()).stay
+    stay = ranges_of(find_law("wave_prediction")()).held
     assert stay == {"mass": "0.5: the slave's own", "damping": "1: the slave's own"}
 
 
 def test_a_knob_that_is_set_is_not_turned() -> None:
     found = ranges_of(find_law("wave")(), ["law.K"])
-    assert set(found.turned) == {"law.b", "law.B"}
-    assert found.stay == {"K": "as set"}
+    assert set(found.searched) == {"law.b", "law.B"}
+    assert found.held == {"K": "as set"}
 
 
 def test_a_knob_that_the_law_has_not_is_refused_with_the_nearest() -> None:
@@ -75,7 +74,7 @@ def test_a_law_with_nothing_left_to_tune_is_refused() -> None:
 
 @given(st.sampled_from([Range(0.02, 18.0, log=True), Range(0.0, 1.0), Range(-3.0, 400.0)]), st.floats(0.0, 1.0))
 def test_places_are_what_is_typed_within_the_range(span: Range, u: float) -> None:
-    value = at(span, u)
+    value = value_at(span, u)
     assert span.low <= value <= span.high
     assert float(f"{value:.4g}") == value or value in (span.low, span.high)
-    assert at(span, part(span, value)) == pytest.approx(value, rel=2e-4, abs=1e-12)
+    assert value_at(span, part(span, value)) == pytest.approx(value, rel=2e-4, abs=1e-12)

@@ -7,14 +7,14 @@ from itertools import pairwise
 
 import pytest
 
-from teleop.studies.tune.strategy import Strategy, folded
+from teleop.studies.tune.strategy import Strategy, fold
 
 
 def evolved(value: object, generations: int, key: int = 0) -> Strategy:
     strategy = Strategy([0.2, 0.3, 0.9, 0.5], 0.15, (key, 0))
     for _ in range(generations):
         drawn = strategy.ask()
-        strategy.tell(drawn, [(value(folded(x)),) for x in drawn])  # type: ignore[operator]
+        strategy.tell(drawn, [(value(fold(x)),) for x in drawn])  # type: ignore[operator]
     return strategy
 
 
@@ -26,12 +26,12 @@ def valley(x: Sequence[float]) -> float:
 
 def test_it_finds_the_end_of_a_valley_that_no_coordinate_goes_along() -> None:
     strategy = evolved(valley, 150)
-    assert folded([*strategy.mean]) == pytest.approx([0.5] * 4, abs=1e-3)
+    assert fold([*strategy.mean]) == pytest.approx([0.5] * 4, abs=1e-3)
     assert strategy.spread < 0.01
 
 
 def test_a_least_value_at_the_end_of_a_range_is_found() -> None:
-    assert folded([*evolved(sum, 80).mean]) == pytest.approx([0.0] * 4, abs=0.01)
+    assert fold([*evolved(sum, 80).mean]) == pytest.approx([0.0] * 4, abs=0.01)
 
 
 def test_the_same_key_draws_the_same_points() -> None:

@@ -11,8 +11,7 @@ from teleop.law import find_law, known_laws
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.scene.loading import load_scene
-from teleop.studies.compare.cases import cases_of
-from teleop.studies.compare.file import BUILT_IN, read_comparison
+from teleop.studies.compare.cases import BUILT_IN, cases_of, read_comparison
 
 GOOD = """
 seeds = 2
