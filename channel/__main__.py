@@ -13,8 +13,8 @@ from typing import Any
 from channel.link import describe
 from channel.shell import RelayShell
 from teleop.errors import Refused
-from teleop.live import security
 from teleop.live.net.wire import Address, Wire, address, bound, peer_address, shown, towards
+from teleop.live.options import insecure_option, is_local, tell_insecure
 from teleop.live.orders import OF_THE_RELAY, Orders, orders_option, refuse, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
@@ -33,7 +33,7 @@ def _run(argv: list[str]) -> int:
     scene_options(parser)
     parser.add_argument("--listen", metavar="HOST:PORT", required=True, help="where the master sends to")
     parser.add_argument("--peer", metavar="HOST:PORT", required=True, help="where the slave listens")
-    security.insecure_option(parser)
+    insecure_option(parser)
     realtime_option(parser)
     orders_option(parser)
     parser.add_argument("--json", action="store_true", help="write events as lines of JSON for a machine")
@@ -43,12 +43,12 @@ def _run(argv: list[str]) -> int:
     listen = address(args.listen, "--listen")
     with (output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt,
           realtime.asked(args, interrupt, realtime.RELAY_PRIORITY) as scheduling):
-        beyond = next((at for at in (listen, peer) if not security.is_local(at)), None)
+        beyond = next((at for at in (listen, peer) if not is_local(at)), None)
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer), beyond=beyond, insecure=args.insecure)
         if args.orders:
             shell.orders = Orders(OF_THE_RELAY, partial(_turn, shell, args))
         if beyond is not None and args.insecure:
-            security.tell_insecure(beyond)
+            tell_insecure(beyond)
         at = near.getsockname()[:2]
         if args.json:
             _event("listening", address=shown(at), port=at[1], realtime=scheduling.told)

@@ -19,7 +19,8 @@ from teleop.errors import Refused
 from teleop.knob import Knob
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ARRIVALS, Arrivals, read_arrivals
-from teleop.live.records.record import FILE, never_met, read_record
+from teleop.live.records.reader import FILE, read_record
+from teleop.live.records.record import never_met
 from teleop.simulation.trace import far_apart
 from teleop.storage.folder import is_being_written
 

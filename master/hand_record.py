@@ -219,7 +219,7 @@ def _part(path: Path) -> _Part:
     width = 1 + header["axes"]
     rows = len(data) // (8 * width)
     if len(data) % (8 * width):
-        from teleop.live.records.rows import TruncatedRecord
+        from teleop.live.records.reader import TruncatedRecord
 
         warnings.warn(f"{path} is cut off in the middle of a row, as by a killed process: what came after row {rows} "
                       "is lost", TruncatedRecord, stacklevel=2)

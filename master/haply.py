@@ -30,7 +30,7 @@ except ModuleNotFoundError as error:
                       "'bilateral-teleop[haply]', or pip install websockets") from error
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.device_watchdog import DeviceWatchdog
-from teleop.live.intake import SHARE, intake
+from teleop.live.orders import SHARE, intake
 from teleop.physics.rotation_axes import RotationAxes
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene

@@ -17,7 +17,7 @@ from teleop.version import DISTRIBUTION, __version__
 if TYPE_CHECKING:
     from teleop.checks.two_port import check_law
     from teleop.errors import DeviceError, Refused, number, whole_number
-    from teleop.export.growing import GrowingRun
+    from teleop.export.stream import GrowingRun
     from teleop.knob import Knob, check_knobs
     from teleop.law import At, Law, OnePortLaw, find_law, messages
     from teleop.law.analysis_offers import Coupling

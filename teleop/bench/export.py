@@ -14,11 +14,9 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
-from teleop.export.csv_file import write_csv
-from teleop.export.growing import GrowingEnd, GrowingRun
-from teleop.export.mcap_file import write_mcap
+from teleop.export.files import write_csv, write_mcap
 from teleop.export.stored import read_parts
-from teleop.export.stream import ROWS, Encoder
+from teleop.export.stream import ROWS, Encoder, GrowingEnd, GrowingRun
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from teleop.live.records.end_result import lateness, spread_us
-from teleop.live.records.record import read_record
+from teleop.live.records.reader import read_record
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]

@@ -1,21 +1,89 @@
-"""What `teleop doctor` does."""
+"""Command `teleop doctor`: what is installed here, the compiled kernels, and what this machine gives a live end."""
 
 from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from pathlib import Path
 from typing import Any
 
-from teleop.doctor import installed, machine
-from teleop.doctor.finding import Finding
-from teleop.errors import number_of
+from teleop.doctor import machine
+from teleop.doctor.machine import Finding
+from teleop.errors import enumerated, number_of
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import facts
+from teleop.version import DISTRIBUTION
+
+EXTRAS = {  # what to install for each
+    "cryptography": "secure", "distributed": "cluster", "matplotlib": "plot", "mcap": "log",
+    "mujoco-core": "mujoco", "numba": "batch", "pyOpenSSL": "secure", "scipy": "test", "websockets": "page",
+}
+
+
+def packages() -> dict[str, str | None]:
+    """The versions of what the package needs and of what its extras need; None of one that is not there."""
+    return {name: version_of(name) for name in ("numpy", "msgpack", *EXTRAS)}
+
+
+def version_of(name: str) -> str | None:
+    """The version of an installed distribution, None of one that is not """
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def kernels() -> Path:
+    """Folder of the compiled kernels."""
+    from teleop.sweeps.kernels.compiled import folder
+
+    return folder()
+
+
+def kept(folder: Path) -> list[Path]:
+    """Files of compiled kernels in the folder, those of numba among them."""
+    return [path for path in folder.rglob("teleop_kernel_*") if path.is_file()] if folder.is_dir() else []
+
+
+def clear() -> int:
+    """Remove every compiled kernel, and nothing else; returns how many there were."""
+    held = kept(kernels())
+    for path in held:
+        path.unlink(missing_ok=True)
+    return sum(path.suffix == ".py" for path in held)
+
+
+def others(folders: Iterable[str] | None = None) -> list[str]:
+    """Other packages called `teleop` that Python could import: distributions by name, and places on `folders`.
+
+    `folders`: where Python looks; left out: `sys.path`.
+    """
+    from teleop.scene.library import ROOT
+
+    told = [name for name in dict.fromkeys(packages_distributions().get("teleop", ())) if name != DISTRIBUTION]
+    for folder in dict.fromkeys(sys.path if folders is None else folders):
+        package = Path(folder or ".") / "teleop"
+        for place, file in ((package, package / "__init__.py"), (package.with_suffix(".py"),) * 2):
+            if file.is_file() and place.resolve() != ROOT / "teleop":
+                told.append(str(place))
+    return told
+
+
+def clash(found: list[str]) -> Finding:
+    """What `others` comes to."""
+    if not found:
+        return Finding("name", True, "no other package called teleop is in the way")
+    return Finding(
+        "name", False, f"another package called teleop is here too, {enumerated(found)}, and Python may import it in "
+        "place of this one",
+        f"type  python3 -m venv own && own/bin/pip install {DISTRIBUTION}  for an environment of its own")
 
 
 def command(args: Namespace) -> Answer:
     """The findings; with --clear the kernels are removed first."""
-    removed = installed.clear() if args.clear else 0
+    removed = clear() if args.clear else 0
     found = findings()
     said = f"{number_of(removed, 'kernel')} removed\n{text(found)}" if args.clear else text(found)
     return Answer(said, {**found, "removed": removed})
@@ -26,17 +94,17 @@ def findings() -> dict[str, Any]:
     from teleop.sweeps.kernels.cache_folder import open_to_others
     from teleop.version import __version__
 
-    folder = installed.kernels()
-    held = installed.kept(folder)
+    folder = kernels()
+    held = kept(folder)
     told, found = machine.measured(), machine.governors()
     rights = machine.realtime(told)
-    clashes = installed.others()
+    clashes = others()
     live = machine.judged(told, rights)
     late = any(one.name == "timer" and not one.good for one in live)
-    judged = [installed.clash(clashes), *live, machine.governor(found, not late)]
+    judged = [clash(clashes), *live, machine.governor(found, not late)]
     return {
         "bilateral-teleop": __version__, "python": sys.version.split()[0], "platform": sys.platform,
-        "packages": installed.packages(),
+        "packages": packages(),
         "kernels": {"folder": str(folder), "modules": sum(path.suffix == ".py" for path in held),
                     "bytes": sum(path.stat().st_size for path in held),
                     "not_kept": open_to_others(folder) if folder.exists() else None},
@@ -49,7 +117,7 @@ def text(found: dict[str, Any]) -> str:
     """Text of the findings, a line each, and below what is not good what to type."""
     rows = [("bilateral-teleop", f"{found['bilateral-teleop']}, Python {found['python']} on {found['platform']}")]
     for name, there in found["packages"].items():
-        extra = installed.EXTRAS.get(name)
+        extra = EXTRAS.get(name)
         cure = "not installed" + (f": pip install 'bilateral-teleop[{extra}]'" if extra else "")
         rows.append((name, there or cure))
     held = found["kernels"]

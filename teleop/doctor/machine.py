@@ -1,4 +1,4 @@
-"""What this machine gives a live end, as `teleop.live.probe` measures it, judged by stated thresholds."""
+"""Findings on this machine: what it gives a live end, as `teleop.doctor.probe` measures it, by stated thresholds."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from teleop.doctor.finding import Finding
 from teleop.errors import enumerated
 from teleop.protocol.guard import UNNAMED
 from teleop.terminal.units import si
@@ -22,7 +21,22 @@ HOLDS = round(UNNAMED.timeout * 1000)  # datagrams: of a longer stall the force 
 PATIENCE = 30.0  # s for a process that takes three
 RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 GOVERNORS = Path("/sys/devices/system/cpu")
-PROBE = ("-m", "teleop.live.probe")
+PROBE = ("-m", "teleop.doctor.probe")
+
+
+class Finding(NamedTuple):
+    """What was found of one thing. `good`: None where there is nothing to judge."""
+
+    name: str
+    good: bool | None
+    says: str
+    cure: str | None = None  # what to type, where it is not good
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Its rows of a table of facts."""
+        judged = "" if self.good is None else "ok: " if self.good else "poor: "
+        return [(self.name, judged + self.says), *([] if self.cure is None else [("", self.cure)])]
 
 
 def measured() -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""Runs for the tools that people have: MCAP for Foxglove, CSV for pandas, UDP for PlotJuggler."""
+"""Runs for other tools: MCAP for Foxglove, CSV for pandas, UDP for PlotJuggler; the manifest for another language."""

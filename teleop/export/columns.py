@@ -6,7 +6,9 @@ each, by its name, in one axis too: a layout made for one run fits the others. A
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.axis_labels import AxisLabels, unit_on
@@ -14,6 +16,7 @@ from teleop.scene.axis_labels import AxisLabels, unit_on
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+Keys = tuple[str, ...]  # of a number in an object: the names on the way to it
 TOPICS = {
     "master": "the master's end: the device in the hand",
     "slave": "the slave's end: the robot, and what it touches",
@@ -150,3 +153,52 @@ def numbers(columns: Iterable[NDArray[Any]]) -> list[list[float]]:
         plain = column.astype(int) if column.dtype.kind == "b" else column
         cells += [plain.tolist()] if plain.ndim == 1 else plain.T.tolist()
     return cells
+
+
+class Objects:
+    """Writes rows as objects, the numbers of a row at `paths`. A number that another path leads through is none.
+
+    The text is the same for every reader: shortest digits that give the same bits again. JSON has neither NaN nor
+    infinity, and a reader of JSON Schema such as Foxglove takes no field that may be a number or null: so a number that
+    is not finite is left out of its object, and what it leaves empty too.
+    """
+
+    def __init__(self, paths: Sequence[Keys]) -> None:
+        self._paths = list(paths)
+        tree: dict[str, Any] = {}
+        for i, path in enumerate(self._paths):
+            _put(tree, path, i)
+        self._order: list[int] = []
+        self._template = self._of(tree)
+
+    def _of(self, tree: dict[str, Any]) -> str:
+        parts = []
+        for name, inner in tree.items():
+            if isinstance(inner, dict):
+                text = self._of(inner)
+            else:
+                self._order.append(inner)
+                text = "%s"
+            parts.append(f"{json.dumps(name).replace('%', '%%')}:{text}")
+        return "{" + ",".join(parts) + "}"
+
+    def texts(self, cells: Sequence[Sequence[float]]) -> list[str]:
+        """The object of each row; `cells` has for each path the numbers of all rows."""
+        texts = [self._template % row for row in zip(*[cells[i] for i in self._order], strict=True)]
+        doubtful = [column for column in cells if not isfinite(sum(column))]  # the sum of sound ones may overflow too
+        for i in {i for column in doubtful for i, value in enumerate(column) if not isfinite(value)}:
+            texts[i] = self._sparse([column[i] for column in cells])
+        return texts
+
+    def _sparse(self, row: Sequence[float]) -> str:
+        tree: dict[str, Any] = {}
+        for path, value in zip(self._paths, row, strict=True):
+            if isfinite(value):
+                _put(tree, path, value)
+        return json.dumps(tree, separators=(",", ":"), allow_nan=False)
+
+
+def _put(tree: dict[str, Any], path: Keys, value: Any) -> None:
+    for name in path[:-1]:
+        tree = tree.setdefault(name, {})
+    tree[path[-1]] = value

@@ -24,8 +24,7 @@ EXAMPLE = "teleop export runs/hard_wall-1 --mcap hard_wall.mcap"
 
 def export(args: Namespace) -> Answer:
     """Write a run that is over as an MCAP file, a CSV file, or both. Raises `Refused`; then neither is there."""
-    from teleop.export.csv_file import metadata_of, write_csv, write_metadata
-    from teleop.export.mcap_file import need_mcap, write_mcap
+    from teleop.export.files import metadata_of, need_mcap, write_csv, write_mcap, write_metadata
     from teleop.version import __version__
 
     if args.mcap is None and args.csv is None:
@@ -60,7 +59,7 @@ def export(args: Namespace) -> Answer:
 
 def stream(args: Namespace) -> Answer:
     """Send the rows of a live run to PlotJuggler as they come, until it is over or a signal. Raises `Refused`."""
-    from teleop.export.growing import GrowingRun
+    from teleop.export.stream import GrowingRun
     from teleop.export.stream import stream as send
     from teleop.live.net.wire import address, shown
     from teleop.live.process.interrupt import Interrupt

@@ -5,27 +5,58 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
+from argparse import Namespace
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.live import fault
 from teleop.live.child import Child, arguments_of
 from teleop.live.live_line import live_text
+from teleop.live.options import ticks_of
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.realtime import sentence
-from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
-from teleop.live.records.record import fresh_folder, read_noted
+from teleop.live.records.reader import read_noted
+from teleop.live.records.record import fresh_folder
+from teleop.live.shell import TRACEBACK
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
+from teleop.terminal.answer import Answer
+from teleop.terminal.options import INTERRUPTED, knobs_from
+from teleop.terminal.plotting import asked_formats
 
 FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
+
+
+def command(args: Namespace) -> Answer:
+    """Run the scene live, as three processes, leave its folder, and draw it if asked to; or show it as a page.
+
+    Raises `Refused`.
+    """
+    if args.page and (args.device is not None or args.robot is not None):
+        raise Refused("--page has a simulated device in the browser's hand, and a simulated robot; leave --device and "
+                      "--robot out, or --page")
+    if args.page:
+        from teleop.live.page.command import command as show_page
+
+        return show_page(args)
+    if args.port is not None or args.open:
+        raise Refused("--port and --open are of the page; add --page")
+    from teleop.terminal.run import answer_of, stem, with_plot
+
+    formats = asked_formats(args)
+    result = demo(args.scene, knobs_from(args), seed=args.seed, out=args.out, stem=stem(args.scene),
+                  json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime,
+                  rate=args.rate, spin=args.spin, device=args.device, robot=args.robot)
+    answer = answer_of(result, args.typed)
+    if result.status == "stopped":  # by a signal: a script that goes on with what the run came to must not
+        answer = answer._replace(code=INTERRUPTED)
+    return answer if result.path is None else with_plot(answer, result, result.path, formats)
 
 
 def demo(
@@ -167,7 +198,7 @@ async def _line(scene: Scene, live: dict[str, dict[str, Any]]) -> None:
 def _ran(out: Path) -> bool:
     """True if there is anything to keep: an end came to its first tick, or raised something before."""
     for name in NAMES.values():
-        if (out / name / fault.FILE).is_file():
+        if (out / name / TRACEBACK).is_file():
             return True
         with suppress(Refused):
             if len(read_noted(out / name)[1].ticks):

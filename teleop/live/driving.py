@@ -1,4 +1,4 @@
-"""What drives a live end: the first reading and exchange, its ticks by the clock or by packets, the way out."""
+"""Drivers of a live end: the first reading and exchange, its ticks by the clock or by packets, the way out."""
 
 from __future__ import annotations
 
@@ -8,14 +8,148 @@ import time
 from contextlib import suppress
 from functools import partial
 
+from teleop.errors import Refused
 from teleop.live.leaving import leave, leave_without_loop, let_go
-from teleop.live.listening import Listening
-from teleop.live.lockstep import by_packets
-from teleop.live.meeting import first_reading, meet
+from teleop.live.net.filter import of_next, of_records, of_session
+from teleop.live.net.wire import Wire, shown
 from teleop.live.process.ticker import Alarm, Suspension, boottime, in_tick_loop
-from teleop.live.shell import Shell
-from teleop.protocol.endpoint import Stepped
+from teleop.live.shell import Shell, name_part
+from teleop.protocol.endpoint import Endpoint, Stepped
+from teleop.protocol.liveness import RENEW_NS
+from teleop.protocol.packet import VERSION, Rejection
 from teleop.protocol.session import FINISHED
+
+OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
+SEALED_OPEN_NS = 100_000_000  # the same with keys: the peer may have moved, and the session goes on if it is found
+AGAIN = 0.02  # s: the last packets are sent again after this wait
+SILENT = 250  # such waits in which nothing of the session came, and the other is given up
+HEED = 15  # such waits, and a farewell is heeded: last packets may come behind it
+LINGER = 50  # such pauses at most for the farewell of the other
+HINT_NS = 2_000_000_000  # of waiting for a peer, and the terminal is told what may be wrong
+EARLY_NS = 10_000_000  # so long before tick 0 the exchange is over at the latest
+
+
+async def first_reading(shell: Shell) -> bool:
+    """Read the device, before the other end is asked for anything, and begin the record; False if there is no run.
+
+    A device that cannot be read yet is asked again, for as long as one that fails during a run.
+    """
+    try:
+        while shell.device.read(0, now := time.monotonic_ns()) is None:
+            if shell.device.dead(now):
+                shell.outcome.end("refused", f"the device cannot be read: {shell.device.trouble}")
+            elif shell.interrupt.name is not None:
+                shell.stop(f"it was asked to stop ({shell.interrupt.name})")
+            if shell.outcome.over.is_set():
+                return False
+            await asyncio.sleep(0.005)
+        shell.endpoint.senses(bool(shell.device.sensor), shell.device.switches)
+    except Refused as refused:
+        shell.outcome.end("refused", str(refused))
+        return False
+    shell.recorder.begin(shell.device.force_source)
+    shell.retake_signals()
+    return True
+
+
+async def meet(shell: Shell) -> bool:
+    """The first exchange; False if the run was over before it began."""
+    session, stepped = shell.endpoint.session, shell.endpoint.stepped
+    began, hinted = time.monotonic_ns(), ""
+    while not shell.outcome.over.is_set():
+        now = time.monotonic_ns()
+        if session.failure is not None:
+            shell.outcome.end("refused", session.failure)
+        elif session.farewell not in (None, FINISHED):
+            shell.outcome.end("refused", f"the other end left before the run began: {session.farewell}")
+        elif shell.interrupt.name is not None:
+            shell.stop(f"it was asked to stop ({shell.interrupt.name})")
+        elif session.start_ns is not None and not session.meeting:
+            # Until then what was lost of the exchange can be said again.
+            if stepped or now > session.start_ns - EARLY_NS:
+                return True
+        elif shell.peer_timeout is not None and now - began > shell.peer_timeout * 1e9:
+            shell.outcome.end("refused", _why_no_peer(shell, f"in {shell.peer_timeout:g} s"))
+        elif now - began > HINT_NS and _has_hint(shell):
+            if (hint := _why_no_peer(shell, "yet")) != hinted:
+                shell.hint(hint)
+            hinted = hint
+        shell.say_again(now)
+        await asyncio.sleep(0.005)
+    return False
+
+
+def _has_hint(shell: Shell) -> bool:
+    """True if there is more to tell than that no peer has come."""
+    secure_link = shell.wire.secure_link
+    if secure_link is not None and secure_link.trouble is not None:
+        return True
+    return shell.connection.asked is not None or _unknown_came(shell)
+
+
+def _why_no_peer(shell: Shell, since: str) -> str:
+    """Why there is no peer, as far as it is known."""
+    peer, secure_link = shell.connection.peer, shell.wire.secure_link
+    if secure_link is not None and secure_link.trouble is not None:
+        why = f"no peer was let in {since}: {secure_link.trouble}"
+    elif peer is None:
+        why = f"no master came {since}; start one that has this address as its --peer, or --wait longer"
+    else:
+        why = f"no answer from {shown(peer)} {since}; start the other end first, and check address and port"
+    if secure_link is None and shell.endpoint.rejected[Rejection.VERSION.value]:
+        return f"{why}; what came is of another wire version than {VERSION}: install the same release at both ends"
+    keys = "; what came was from no such end: has one of the two keys, and the other none?"
+    return why + keys * _unknown_came(shell)
+
+
+def _unknown_came(shell: Shell) -> bool:
+    """True if anything has come that no such end sends."""
+    secure_link = shell.wire.secure_link
+    return sum(shell.endpoint.rejected.values() if secure_link is None else secure_link.dropped.values()) > 0
+
+
+name_part(meet, "the first exchange")
+
+
+class Listening:
+    """What the system lets through to `wire`, and so to `endpoint`. Times are ns of the monotonic clock."""
+
+    def __init__(self, endpoint: Endpoint, wire: Wire) -> None:
+        self.endpoint, self.wire = endpoint, wire
+        self.to_all = False  # for the peer was silent
+        self._since_ns = 0  # when it changed
+        self._open_ns = OPEN_NS if wire.secure_link is None else SEALED_OPEN_NS
+
+    def go_on(self, endpoint: Endpoint) -> None:
+        """Listen for another endpoint of the same session."""
+        self.endpoint = endpoint
+
+    def update(self, now: int, begun: bool) -> None:
+        """After a silence listen to all: the peer, or the channel, may come back from another port.
+
+        `begun`: a session has begun since this was called last.
+        """
+        heard_ns, session = self.endpoint.heard_ns, self.endpoint.session
+        if now - heard_ns <= self._open_ns and session.carries_data and not (begun or self.to_all):
+            return  # nearly always
+        if begun or (self.to_all and heard_ns > self._since_ns):
+            self._since_ns = now
+            self._keep_to_peer()
+        elif not self.to_all and (now - max(heard_ns, self._since_ns) > self._open_ns or not session.carries_data):
+            self._since_ns = now
+            self.to_all = True
+            self.wire.listen_to_all()
+
+    def _keep_to_peer(self) -> None:
+        endpoint, number, secure_link = self.endpoint, self.endpoint.session.number, self.wire.secure_link
+        self.to_all = secure_link is not None and not secure_link.settled
+        if self.to_all:
+            self.wire.listen_to_all()  # the answer may come from the address that is in question
+        elif secure_link is not None:
+            self.wire.keep_to_peer(of_records())
+        elif number is not None:
+            shapes = of_session(number, endpoint.scene.wire_size, endpoint.hears)
+            self.wire.keep_to_peer(shapes if endpoint.session.master else shapes + of_next(number))
 
 
 def run_in_loop(shell: Shell, *, spin_ns: int = 0) -> None:
@@ -29,7 +163,7 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
     """The whole run: first reading, first exchange, ticks, farewell; then `shell.outcome` says how it ended.
 
     `spin_ns`: how long before a tick this end wakes, to wait for it awake. Whatever is raised on the way ends the run:
-    see `teleop.live.fault`.
+    see `Shell.fail`.
     """
     loop = asyncio.get_running_loop()
     try:
@@ -173,3 +307,65 @@ class ClockDriver:
         shell.tick(k, now, late)
         shell.say_again(now)
         shell.live_line.announce(now)
+
+
+async def by_packets(shell: Shell, inbox: Stepped) -> None:
+    """Tick when the peer's packet of the tick before has come; what is lost on the way is sent again."""
+    driver = PacketDriver(shell, inbox)
+    asyncio.get_running_loop().add_reader(shell.wire.sock, shell.guarded, driver.drain)
+    for k in range(shell.scene.ticks):
+        if not await driver.has_come(k - 1):
+            break
+        shell.counts.last = k
+        shell.tick(k, now := time.monotonic_ns(), 0)
+        shell.live_line.announce(now)
+    else:
+        shell.finish()
+    await let_go(shell)  # before it waits for anything
+    for _ in range(LINGER):  # the peer may still wait for the last packets
+        if shell.endpoint.session.farewell is not None or shell.outcome.fault is not None:
+            return
+        driver.send_again()
+        shell.bye()
+        await asyncio.sleep(AGAIN)
+
+
+class PacketDriver:
+    """Reads the socket when something has come, and knows for how long nothing of the session has."""
+
+    def __init__(self, shell: Shell, inbox: Stepped) -> None:
+        self.shell, self.inbox = shell, inbox
+        self._arrived = asyncio.Event()
+
+    def drain(self) -> None:
+        """Read the socket."""
+        self.shell.drain()
+        self._arrived.set()
+
+    def send_again(self) -> None:
+        """Send the last packets again."""
+        for data in self.shell.recent:
+            self.shell.wire.send(data)
+
+    async def has_come(self, packet: int) -> bool:
+        """Wait for the peer's packet; False if the run is over, or nothing has come for a time."""
+        shell, session, quiet = self.shell, self.shell.endpoint.session, 0
+        heard, again = shell.endpoint.received, time.monotonic() + AGAIN
+        while not shell.outcome.over.is_set():
+            if self.inbox.has(packet):
+                return True
+            left = session.farewell not in (None, FINISHED)
+            if quiet > (HEED if left else SILENT):
+                shell.stop(f"the other end left: {session.farewell or 'it fell silent'}")
+            if shell.interrupt.name is not None:
+                shell.stop(f"it was asked to stop ({shell.interrupt.name})")
+            self._arrived.clear()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._arrived.wait(), max(0.0, again - time.monotonic()))
+            if time.monotonic() < again:
+                continue  # something came, perhaps from an unknown host: that is no reason to wait longer
+            quiet = quiet + 1 if left or shell.endpoint.received == heard else 0
+            heard, again = shell.endpoint.received, time.monotonic() + AGAIN
+            self.send_again()
+            shell.say_again(time.monotonic_ns())
+        return False

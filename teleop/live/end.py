@@ -14,21 +14,20 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number
-from teleop.live import fault, security
 from teleop.live.devices.device_watchdog import DeviceWatchdog, with_watchdog
 from teleop.live.devices.guarded_device import LiveDevice, is_simulated
 from teleop.live.devices.opening import close, find_device, open_device, watchdog_of
 from teleop.live.driving import run_in_loop
-from teleop.live.lastresort import LastResort
+from teleop.live.leaving import LastResort
 from teleop.live.live_line import live_text
 from teleop.live.net.wire import Address, Wire, address, bound, peer_address, shown, towards
+from teleop.live.options import key_options, secure_link, ticks_of
 from teleop.live.orders import SHAPES, Orders, orders_option, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.rate import ticks_of
 from teleop.live.records.end_result import NAMES, UNRELEASED
 from teleop.live.records.record import EVERY, RecordWriter, fresh_folder
-from teleop.live.shell import Shell
+from teleop.live.shell import TRACEBACK, Shell, write_traceback
 from teleop.live.summary import UNWATCHED, holds_on, write_end
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import Event
@@ -98,7 +97,7 @@ def _run_with(
     endpoint = _endpoint(scene := both_ends(load_scene(args.scene, **knobs)), e, args)
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
-    sealed, insecure = security.secure_link(e, args, at)
+    sealed, insecure = secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
         there.append(made := open_device(device, scene) if given is None else given.open(scene))
         interrupt.retake()
@@ -206,8 +205,8 @@ def _said_of_faults(shell: Shell, folder: Path) -> int:
     where = ""
     if shell.outcome.fault is not None and _leaves_a_traceback(shell):
         with suppress(OSError):
-            fault.write(shell.outcome.fault, folder)
-            where = f"; its traceback is in {folder / fault.FILE}"
+            write_traceback(shell.outcome.fault, folder)
+            where = f"; its traceback is in {folder / TRACEBACK}"
     code = WRONG if isinstance(shell.outcome.fault, Refused) else FAULT
     return complain(shell.outcome.sentence + where, FORCED if shell.outcome.status == UNRELEASED else code)
 
@@ -269,7 +268,7 @@ def _parser(e: str) -> ArgumentParser:
                         help="tick by packets instead of by the clock: both ends step together, and the run equals the "
                         "one in virtual time bit for bit (both ends need it, and the same --seed); for simulated "
                         "devices, since a force is held while packets are waited for")
-    security.options(parser)
+    key_options(parser)
     tick_options(parser)
     realtime_option(parser)
     orders_option(parser)

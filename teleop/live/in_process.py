@@ -7,6 +7,7 @@ the link, drawn up front, says which message each tick plays. So with the simula
 
 from __future__ import annotations
 
+from argparse import Namespace
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -27,11 +28,30 @@ from teleop.simulation.plan import check_seed, link_plans
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import Judge, result_of
+from teleop.terminal.answer import Answer
 
 Make = Callable[[Scene], LiveDevice]
 MEETS_NS = 1_000_000_000  # of virtual time, within which the ends have met
 NUMBER = 1  # of the session: nothing is drawn
 ANALYSE = "; to see "  # behind it stands what to type about the scene's own bodies
+
+
+def command(args: Namespace) -> Answer:
+    """Run the scene in virtual time with a device or a robot by name, and leave its folder. Raises `Refused`."""
+    from teleop.live.devices.opening import find_device
+    from teleop.terminal.run import command as run_virtual
+
+    if args.bodies is not None:
+        raise Refused("--bodies moves the scene's own bodies, and a device or robot by name moves by itself; leave one "
+                      "of them out")
+    texts = {"m": args.device or "simulated", "s": args.robot or "simulated"}
+    make = {e: find_device(e, text).open for e, text in texts.items()}
+    other = {word: texts[e] for word, e in (("device", "m"), ("robot", "s")) if texts[e] != "simulated"}
+
+    def stepped(scene: Scene, *, seed: int, clock: Callable[[], int], **_bodies: None) -> Result:
+        return run_stepped(scene, make, seed=seed, clock=clock, named=other)
+
+    return run_virtual(args, stepped)
 
 
 def run_stepped(scene: Scene, make: Mapping[str, Make], *, seed: int = 0, clock: Callable[[], int] | None = None,

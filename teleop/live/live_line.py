@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from teleop.live import fault
 from teleop.live.records.end_result import NAMES
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
 from teleop.scene.axes import FORCE_UNIT
@@ -67,9 +66,6 @@ class LiveLine:
         } | ({} if scene.axes == 1 and not scene.units else {"axes": [*zip(
             scene.axis_names, scene.axis_units, reading.x, force,
             [getattr(cap, "f_max", None) for cap in scene.per_axis("cap")], strict=True)]})
-
-
-fault.named(LiveLine.announce, "the live line")
 
 
 def live_text(*ends: Mapping[str, Any]) -> tuple[str, str]:

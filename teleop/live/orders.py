@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import os
 from argparse import ArgumentParser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from time import monotonic_ns
 from typing import Any
 
-from teleop.live.intake import intake
 from teleop.storage.strict_json import (
     Check,
     Misshapen,
@@ -28,6 +27,8 @@ from teleop.storage.strict_json import (
     written,
 )
 
+SHARE = 0.3  # of a tick: beyond it a flood would starve the tick
+MOST_PIECES = 1024  # at one tick, however cheap they are
 STDIN = 0
 LONGEST = 1 << 13  # bytes of a line: what is longer takes a millisecond and more to read
 PIECE = 1 << 12  # bytes that are read at once
@@ -45,6 +46,23 @@ SHAPES: dict[str, Check] = {
 """By the word behind `order`: what an end takes."""
 OF_THE_RELAY: dict[str, Check] = {"turn": record(_TURN)}
 """What the relay takes."""
+
+
+def intake(within_ns: int, *, least: int = 1, most: int = MOST_PIECES,
+           clock: Callable[[], int] = monotonic_ns) -> Iterator[int]:
+    """Count the pieces that may be taken in now: `least` whatever they cost, and up to `most` within `within_ns`.
+
+    One bound for datagrams, for orders and for messages of a device's service. What is left over waits for the next
+    tick: whoever sends without pause is slowed down or loses packets, and the force is renewed all the same.
+
+    >>> list(intake(0, least=2)), list(intake(10**12, most=3))
+    ([0, 1], [0, 1, 2])
+    """
+    until = clock() + within_ns
+    for taken in range(most):
+        if taken >= least and clock() >= until:
+            return
+        yield taken
 
 
 def orders_option(parser: ArgumentParser) -> None:

@@ -1,31 +1,127 @@
-"""One live end: a `Connection`, a socket, a device and a record. What drives it, tick by tick, stands beside it."""
+"""One live end: a `Connection`, a socket, a device and a record; how its run ended, and which part of it failed.
+
+What drives it, tick by tick, stands in `driving`; how it lets go of its device in `leaving`.
+
+The event loop logs an exception out of a callback and goes on, and passes KeyboardInterrupt and SystemExit through
+everything; CancelledError and the panics of compiled extensions are no `Exception`. So a live end takes whatever is
+raised, of any type, for a fault: no force at once, the end of the run, a sentence that names the part.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import time
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
 
-from teleop.errors import enumerated, number_of, plural
-from teleop.law.contract import not_finite
-from teleop.live import fault
+from teleop.errors import Refused, enumerated, number_of, plural
+from teleop.law.contract import Method, not_finite, refusal
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadline_of
-from teleop.live.intake import SHARE, intake
 from teleop.live.live_line import LiveLine, Say
 from teleop.live.net.wire import DRAIN, Wire
-from teleop.live.orders import Orders
-from teleop.live.outcome import Outcome
+from teleop.live.options import LinkSecurity
+from teleop.live.orders import SHARE, Orders, intake
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.realtime import RealTime
+from teleop.live.records.end_result import UNRELEASED
 from teleop.live.records.record import RecordWriter
-from teleop.live.security import LinkSecurity
 from teleop.protocol.connection import Connection
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
 from teleop.protocol.guard import Event
+from teleop.protocol.packet import one_line
 from teleop.protocol.session import FINISHED, SessionBegun
 from teleop.scene.scene import Scene
 from teleop.simulation.outcome import divergence
 from teleop.terminal.options import DONE, complain
+
+TRACEBACK = "error.txt"
+MAY_BE_ON = "THE FORCE MAY STILL BE ON, switch the device off"
+PARTS: dict[CodeType, str] = {
+    GuardedDevice.read.__code__: "the device, asked for a reading,",
+    GuardedDevice.hold.__code__: "the device, given a force,",
+    Endpoint.tick.__code__: "the law",
+    Endpoint.receive.__code__: "the reading of a packet",
+    LiveLine.announce.__code__: "the live line",
+    **{part.__code__: "the record"
+       for part in (RecordWriter.begin, RecordWriter.add, RecordWriter.note, RecordWriter.flush)},
+}
+
+
+def part_of(frames: Iterable[FrameType]) -> str | None:
+    """The part that the innermost of these frames, which come last, is in; None of no part that has a name here."""
+    found = [PARTS[frame.f_code] for frame in frames if frame.f_code in PARTS]
+    return found[-1] if found else None
+
+
+def fault_sentence(error: BaseException, law: Any = None, method: str = "") -> str:
+    """The part that raised `error`, and its text; a method of `law` with the line in its file.
+
+    `method`: the law's method at this end; an error that comes of using its answer names it.
+    """
+    if isinstance(error, Refused):
+        return str(error)
+    if law is not None and (refused := refusal(law, error)) is not None:
+        return str(refused)
+    part = part_of(frame for frame, _ in traceback.walk_tb(error.__traceback__))
+    if law is not None and part == PARTS[Endpoint.tick.__code__]:
+        part = f"the answer of {Method(law, method).label}{Method(law, method).first_line()}"
+    detail = f": {text}" if (text := one_line(_error_text(error))) else ""
+    return f"{part or 'the live loop'} raised {type(error).__name__}{detail}"
+
+
+def name_part(function: Any, part: str) -> None:
+    """Call the part that `function` belongs to `part` in sentences."""
+    PARTS[function.__code__] = part
+
+
+def _error_text(error: Any) -> str:
+    try:
+        return str(error)
+    except BaseException:  # an exception's own __str__ may be what is broken
+        return ""
+
+
+def write_traceback(error: BaseException, folder: Path) -> None:
+    """The traceback, for the author of the part; raises OSError if the disk takes no more."""
+    (folder / TRACEBACK).write_text("".join(traceback.format_exception(error)), errors="backslashreplace")
+
+
+class Outcome:
+    """The end of one run: `status` (ok, stopped, diverged, refused or unreleased), its `sentence`, and `over`.
+
+    `fault`: what a part of the end raised, of which the run has ended; None if nothing did.
+    """
+
+    def __init__(self) -> None:
+        self.status = "stopped"
+        self.sentence = "did not start"
+        self.over = asyncio.Event()
+        self.fault: BaseException | None = None
+
+    def end(self, status: str, sentence: str) -> None:
+        """The run is over; the first call counts."""
+        if not self.over.is_set():
+            self.status = status
+            self.sentence = sentence
+            self.over.set()
+
+    def fail(self, error: BaseException, why: str, t: float) -> None:
+        """The run is over at time `t` (s), for a part of the end raised `error`; the first error counts."""
+        if self.fault is None:
+            self.fault = error
+            if self.status != UNRELEASED:  # which weighs more
+                self.status = "stopped"
+                self.sentence = f"stopped at t = {t:.3f} s: {why}"
+        self.over.set()
+
+    def unreleased(self, why: str) -> None:
+        """The device did not take zero force."""
+        self.status = UNRELEASED
+        self.sentence += f"; {why}: {MAY_BE_ON}"
 
 
 @dataclass
@@ -46,7 +142,7 @@ class EndCounts:
 
 
 class Shell:
-    """Owns one end. The drivers (`driving`, `lockstep`, `meeting`, `leaving`) call it; it calls none of them."""
+    """Owns one end. `driving` and `leaving` call it; it calls neither of them."""
 
     def __init__(
         self, endpoint: Endpoint, device: LiveDevice, wire: Wire, recorder: RecordWriter, say: Say,
@@ -99,7 +195,7 @@ class Shell:
         self.outcome.end("stopped", f"stopped at t = {self.so_far():.3f} s: {why}")
 
     def guarded(self, callback: Callable[[], None]) -> None:
-        """Call `callback`; whatever it raises ends the run: see `teleop.live.fault`."""
+        """Call `callback`; whatever it raises ends the run."""
         try:
             callback()
         except BaseException as error:
@@ -110,7 +206,7 @@ class Shell:
         self.device.closed = True
         self.device.let_go()
         method = "master" if self.endpoint.e == "m" else "slave"
-        self.outcome.fail(error, fault.sentence(error, self.scene.laws[0], method), self.so_far())
+        self.outcome.fail(error, fault_sentence(error, self.scene.laws[0], method), self.so_far())
 
     def bye(self) -> None:
         """Send the farewell that says how the run ended for this end."""

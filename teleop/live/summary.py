@@ -8,7 +8,8 @@ from typing import Any
 
 from teleop.errors import Refused, enumerated, number_of, plural
 from teleop.live.records.end_result import NAMES, WAYS, end_result
-from teleop.live.records.record import FILE, read_events, read_noted
+from teleop.live.records.reader import FILE, read_noted
+from teleop.live.records.record import read_events
 from teleop.live.shell import Shell
 from teleop.protocol.endpoint import SLEW
 from teleop.protocol.estimates import LinkEstimates, Times

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from teleop.errors import Refused
 from teleop.live.records.merge import merge, scene_of
-from teleop.live.records.record import FILE
+from teleop.live.records.reader import FILE
 from teleop.report.kinds import MOST_FOLDERS, read, run_told, sections_of
 from teleop.report.page import page
 from teleop.report.told import Told

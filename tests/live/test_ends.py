@@ -22,7 +22,8 @@ from teleop.__main__ import main as report
 from teleop.errors import Refused
 from teleop.live.records.end_result import WAYS
 from teleop.live.records.merge import merge, scene_of
-from teleop.live.records.record import EVERY, FILE, read_noted, read_record
+from teleop.live.records.reader import FILE, read_noted, read_record
+from teleop.live.records.record import EVERY
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from tests.live.conftest import share_received

@@ -14,13 +14,15 @@ from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import DeviceError
 from teleop.law.contract import Method
-from teleop.live import fault, leaving
+from teleop.live import leaving
 from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.driving import run
 from teleop.live.leaving import RETRY_NS
 from teleop.live.records.end_result import UNRELEASED
 from teleop.live.records.merge import merge
-from teleop.live.records.record import read_events, read_record
+from teleop.live.records.reader import read_record
+from teleop.live.records.record import read_events
+from teleop.live.shell import TRACEBACK, fault_sentence
 from teleop.protocol.endpoint import Endpoint, Reading
 from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
@@ -274,7 +276,7 @@ def test_an_end_whose_driver_breaks_says_so_in_one_sentence_and_its_exit_code(
     assert told["sentence"] in heard["sentence"], "the peer is told the truth"
     assert len(read_record(tmp_path / "s")[1].ticks) == told["ticks"] > 0
     if "traceback" in err:
-        assert act.rpartition(".")[2].removeprefix("raise ") in (tmp_path / "s" / fault.FILE).read_text()
+        assert act.rpartition(".")[2].removeprefix("raise ") in (tmp_path / "s" / TRACEBACK).read_text()
 
 
 LAW = """
@@ -302,7 +304,7 @@ def test_of_a_law_that_raises_at_its_first_tick_there_is_a_traceback(where: str,
     code, _, err = slave.end()
     assert (code, err.count("\n")) == (1, 1), err
     assert f"Broken.{where} (broken.py:9) raised IndexError: of a law; mend that line; its traceback is in " in err
-    assert "broken.py" in (tmp_path / "s" / fault.FILE).read_text()
+    assert "broken.py" in (tmp_path / "s" / TRACEBACK).read_text()
     assert f"Broken.{where} (broken.py:9) raised IndexError" in str(master.end())
 
 
@@ -311,7 +313,7 @@ def test_a_fault_whose_own_text_cannot_be_had_has_a_sentence() -> None:
         def __str__(self) -> str:
             raise self
 
-    assert fault.sentence(Nameless()) == "the live loop raised Nameless"
+    assert fault_sentence(Nameless()) == "the live loop raised Nameless"
     with pytest.raises(AttributeError) as caught:
         Endpoint.tick(None, 0, 0, None)  # type: ignore[arg-type]
-    assert fault.sentence(caught.value).startswith("the law raised AttributeError: ")
+    assert fault_sentence(caught.value).startswith("the law raised AttributeError: ")

@@ -13,10 +13,9 @@ import pytest
 
 from teleop import Refused, load_result, load_scene
 from teleop.__main__ import main
-from teleop.live.records.header import header_columns
 from teleop.live.records.merge import merge, scene_of
-from teleop.live.records.record import EVENTS, FILE, read_events, read_record
-from teleop.live.records.rows import TruncatedRecord
+from teleop.live.records.reader import FILE, TruncatedRecord, header_columns, read_record
+from teleop.live.records.record import EVENTS, read_events
 
 KNOBS = {"duration": "1.0"}
 SCENE = load_scene("hard_wall", duration=1.0)

@@ -158,7 +158,7 @@ def test_without_real_time_scheduling_that_signal_ends_the_run(
 def test_it_is_given_back_too_where_compiled_code_does_not_return_to_the_loop() -> None:
     """The handler in Python does not run meanwhile; the thread of the second signal does."""
     told = own("import ctypes, os, time", "from teleop.live.process.interrupt import Interrupt",
-               "from teleop.live.lastresort import LastResort",
+               "from teleop.live.leaving import LastResort",
                "with Interrupt() as interrupt, LastResort(interrupt):",
                "    given = []",
                "    interrupt.overrun = lambda: given.append(time.monotonic())",

@@ -13,16 +13,8 @@ import pytest
 from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES, WAYS
 from teleop.live.records.merge import load_result, merge, recover, scene_of
-from teleop.live.records.record import (
-    EVENTS,
-    EVERY,
-    FILE,
-    RecordWriter,
-    fresh_folder,
-    read_events,
-    read_record,
-)
-from teleop.live.records.rows import TruncatedRecord
+from teleop.live.records.reader import FILE, TruncatedRecord, read_record
+from teleop.live.records.record import EVENTS, EVERY, RecordWriter, fresh_folder, read_events
 from teleop.protocol.guard import Event
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene

@@ -20,9 +20,8 @@ from slave.wall import Wall
 from teleop.__main__ import main
 from teleop.errors import Refused
 from teleop.live.records.inputs import ARRIVALS, INPUTS
-from teleop.live.records.rows import TruncatedRecord
-from teleop.live.replay.open_loop import commanded
-from teleop.live.replay.rerun import difference, read_end
+from teleop.live.records.reader import TruncatedRecord
+from teleop.live.replay.rerun import commanded, difference, read_end
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Integral
 from teleop.stages.device import Device
@@ -213,7 +212,7 @@ def test_whatever_a_folder_of_others_holds_a_replay_ends_in_an_answer_or_in_one_
 
 
 def read_rows(folder: Path) -> Any:
-    from teleop.live.records.record import read_record
+    from teleop.live.records.reader import read_record
 
     return read_record(folder)[1].ticks
 

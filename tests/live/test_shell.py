@@ -18,10 +18,11 @@ from slave.robot import SimulatedSlave
 from teleop.errors import Refused
 from teleop.live.driving import run
 from teleop.live.net.wire import Wire, bound
+from teleop.live.options import ticks_of
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.rate import ticks_of
 from teleop.live.records.merge import merge
-from teleop.live.records.record import EVENTS, FILE, read_record
+from teleop.live.records.reader import FILE, read_record
+from teleop.live.records.record import EVENTS
 from teleop.live.summary import missed_note, reading_note, sums_note
 from teleop.protocol.packet import DATA, Kind, peek
 from teleop.scene.loading import load_scene
@@ -383,7 +384,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
 
     Even if the master goes on hearing the slave: that one falls silent, and asks for another session.
     """
-    for name in ("teleop.live.listening.OPEN_NS", "teleop.protocol.liveness.RENEW_NS"):
+    for name in ("teleop.live.driving.OPEN_NS", "teleop.protocol.liveness.RENEW_NS"):
         monkeypatch.setattr(name, 400_000_000)
     both = pair(replace(SCENE, duration=2.2), wire=Roaming)
     master, slave = both.shells["m"], both.shells["s"]

@@ -14,10 +14,11 @@ from typing import Any
 
 import pytest
 
-from teleop.live.lastresort import HUNG_S
-from teleop.live.outcome import MAY_BE_ON
+from teleop.live.leaving import HUNG_S
 from teleop.live.process.interrupt import OTHERS, REAL_TIME, Interrupt
-from teleop.live.records.record import read_events, read_record
+from teleop.live.records.reader import read_record
+from teleop.live.records.record import read_events
+from teleop.live.shell import MAY_BE_ON
 from teleop.scene.library import ROOT
 from tests.live.conftest import PATIENCE, summary
 
@@ -177,7 +178,7 @@ def test_two_signals_of_one_kind_that_come_while_compiled_code_runs_are_two(sign
     program = f"""
 import ctypes, os, time
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.lastresort import LastResort
+from teleop.live.leaving import LastResort
 with Interrupt() as interrupt, LastResort(interrupt):
     kill = f"kill -TERM {{os.getpid()}}; sleep 0.2; "
     ctypes.CDLL(None).system((kill * {signals}).encode())

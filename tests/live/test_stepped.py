@@ -24,8 +24,8 @@ from teleop.law import find_law, known_laws
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
+from teleop.live.driving import AGAIN
 from teleop.live.driving import run as drive
-from teleop.live.lockstep import AGAIN
 from teleop.live.net.wire import Wire
 from teleop.live.records.merge import merge
 from teleop.live.shell import Shell
@@ -218,7 +218,7 @@ def test_garbage_that_keeps_coming_stops_no_resend_and_no_giving_up(
     killed: bool, pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each datagram of a stranger was taken for a word of the peer: both ends waited for ever, with the force held."""
-    monkeypatch.setattr("teleop.live.lockstep.SILENT", 20)
+    monkeypatch.setattr("teleop.live.driving.SILENT", 20)
     of = scene(duration=0.05)
     both = pair(of, seed=SEED, wire=partial(Stammering, worst=20))
     if killed:

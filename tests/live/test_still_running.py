@@ -19,7 +19,8 @@ from teleop.__main__ import main
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.merge import merge, needs_recovery
-from teleop.live.records.record import FILE, RecordWriter
+from teleop.live.records.reader import FILE
+from teleop.live.records.record import RecordWriter
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING

@@ -12,7 +12,7 @@ import pytest
 from scenarios.examples.device import Carriage
 from teleop import Reading, Refused, load_scene
 from teleop.live.devices.guarded_device import GuardedDevice
-from teleop.live.records.header import OWN
+from teleop.live.records.reader import OWN
 from teleop.live.records.record import read_events
 from teleop.live.replay.rerun import difference, read_end
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from teleop.errors import Refused
-from teleop.live.records.record import read_events, read_record
-from teleop.live.records.rows import TruncatedRecord
+from teleop.live.records.reader import TruncatedRecord, read_record
+from teleop.live.records.record import read_events
 from tests.live.killing import DELAY, DT, F_MAX, RAMP, SLACK, SLEW, One, Site, Upset
 
 

@@ -17,7 +17,7 @@ from master.hand_record import HandRecording
 from master.steered import SteeredMaster
 from teleop import load_scene, run
 from teleop.errors import Refused
-from teleop.live.records.rows import TruncatedRecord
+from teleop.live.records.reader import TruncatedRecord
 from teleop.scene.trust import stored_scene
 
 LAWS = ("wave", "pfra", "tdpa", "two_layer", "pd_d", "direct")

@@ -14,12 +14,12 @@ from socket import gethostname
 from tempfile import mkstemp
 
 from teleop.errors import Refused, number_of
+from teleop.live.options import ticks_of
 from teleop.live.page.controls import Controls
 from teleop.live.page.server import HOST, Requests
 from teleop.live.page.session import Parts, Start
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.rate import ticks_of
 from teleop.live.records.record import fresh_folder
 from teleop.terminal.answer import Answer, scene_head
 from teleop.terminal.options import knobs_from

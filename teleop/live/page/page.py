@@ -15,7 +15,7 @@ from teleop.live.page.server import Clients, Requests, place, said
 from teleop.live.page.session import Children, Parts, Start
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
-from teleop.live.records.following import Row
+from teleop.live.records.reader import Row
 from teleop.protocol.session import OVER
 from teleop.storage.strict_json import Misshapen, written
 

@@ -12,7 +12,7 @@ from struct import Struct
 from struct import error as StructError
 from typing import BinaryIO, NamedTuple
 
-from teleop.live.records.following import GrowingRecord, Row
+from teleop.live.records.reader import GrowingRecord, Row
 from teleop.storage.files import open_regular
 from teleop.storage.strict_json import parse
 

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law import messages
-from teleop.live.records.header import LONGEST, sound_rows
-from teleop.live.records.rows import RecordFile, TruncatedRecord
+from teleop.live.records.reader import LONGEST, RecordFile, TruncatedRecord, sound_rows
 from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.scene import MOST_TICKS, Scene
 from teleop.simulation.structure import structure_of

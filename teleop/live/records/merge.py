@@ -11,8 +11,8 @@ from typing import Any
 
 from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES, UNRELEASED, WAYS, end_result, lateness, spread_us
-from teleop.live.records.header import check_fits
-from teleop.live.records.record import FILE, read_events, read_noted
+from teleop.live.records.reader import FILE, check_fits, read_noted
+from teleop.live.records.record import read_events
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
 from teleop.simulation.ending import Ending, ending

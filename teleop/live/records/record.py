@@ -8,27 +8,28 @@ tick, goes to a file beside it as it happens, one line of JSON each.
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from struct import Struct
 from typing import Any, BinaryIO
 
-from teleop.errors import Refused
-from teleop.live.records.header import OWN, header_columns, own_law, read_header, sound_rows
 from teleop.live.records.inputs import InputWriter
-from teleop.live.records.rows import RecordColumn, RecordFile, TruncatedRecord
+from teleop.live.records.reader import (
+    FILE,
+    OWN,
+    header_columns,
+    own_law,
+)
 from teleop.protocol.guard import Event
 from teleop.scene.axis_labels import labels_of
 from teleop.scene.scene import Scene
 from teleop.simulation.summary_shape import EVENT
-from teleop.simulation.trace import EndRecord, ForceSource
-from teleop.storage.files import open_regular, read_bytes
+from teleop.simulation.trace import ForceSource
+from teleop.storage.files import read_bytes
 from teleop.storage.folder import Claim, claim
 from teleop.storage.strict_json import Misshapen, parse_line
 
-FILE = "record.bin"
 EVENTS = "events.jsonl"
 EVERY = 250  # rows between two writes, at most
 EVERY_NS = 250_000_000  # and so much time, by the scene's clock
@@ -108,38 +109,6 @@ class RecordWriter:
         except OSError as error:
             self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
         self.inputs.close()
-
-
-def read_record(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn]:
-    """The header, the rows and the lateness (ns) of each tick of the record in `folder`. Raises `Refused`.
-
-    Rows and lateness are read when they are asked for, as they were then: the file may be growing.
-    """
-    import numpy as np
-
-    path = folder / FILE
-    try:
-        with open_regular(path, links=False) as file:
-            header = read_header(file)
-            width, start = len(header["columns"]), file.tell()
-            count, rest = sound_rows(file, width)
-    except (OSError, Misshapen) as error:  # no file, or one of something else
-        why = error.strerror if isinstance(error, OSError) else error
-        raise Refused(f"{folder} holds no record of a live end ({why}); give the folder of one") from error
-    if rest:
-        warnings.warn(f"{path} is {rest}: row {count} and what came after it are lost", TruncatedRecord, stacklevel=2)
-    rows = RecordFile(path, start, width, count)
-    ticks = np.asarray(RecordColumn(rows, 0, "int64"))
-    record = EndRecord(ticks, rows, RecordColumn(rows, 2, "int64"), header["force"])
-    return header, record, RecordColumn(rows, 1, "float64")
-
-
-def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn, list[str]]:
-    """The same as `read_record`, with what it warns of as sentences for the summary."""
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always")
-        found = read_record(folder)
-    return *found, [str(warning.message) for warning in warned]
 
 
 def read_events(folder: Path) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from teleop.live.records.record import FILE
+from teleop.live.records.reader import FILE
 from teleop.scene.library import ROOT
 from tests.teleop.export.conftest import LiveEnd
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.doctor import installed, machine
+from teleop.doctor import command, machine
 
 LATE = {"ticks": 900, "left_out": 0, "precise": True, "late_us": {"p50": 50.0, "p99": 120.0, "p100": 900.0}}
 MEASURED: dict[str, Any] = {
@@ -41,7 +41,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_it_says_what_is_installed_and_what_is_not(
     typed: Callable[..., Any], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(installed, "version_of", lambda name: None if name == "numba" else "1.2.3")
+    monkeypatch.setattr(command, "version_of", lambda name: None if name == "numba" else "1.2.3")
     said = typed("doctor").out
     assert "not installed: pip install 'bilateral-teleop[batch]'" in said
     assert str(cache) in said

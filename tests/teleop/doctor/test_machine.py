@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from teleop.doctor import machine
-from teleop.doctor.finding import Finding
+from teleop.doctor.machine import Finding
 
 CURE = "type this for real-time scheduling"
 

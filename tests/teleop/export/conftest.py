@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from teleop import load_scene, run
-from teleop.live.records.header import OWN, header_columns
+from teleop.live.records.reader import OWN, header_columns
 from teleop.live.records.record import RecordWriter
 from teleop.protocol.guard import Event
 from teleop.storage.folder import claim

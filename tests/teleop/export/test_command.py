@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import pytest
 
 import teleop.export.command
-import teleop.export.csv_file
+import teleop.export.files
 from teleop.scene.library import ROOT
 from tests.waiting import PATIENCE
 
@@ -81,7 +81,7 @@ def test_a_wrong_export_is_refused_and_leaves_nothing(typed: Typed, here: Path, 
 
 @pytest.mark.usefixtures("here")
 def test_without_the_extra_it_says_what_to_install(typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("teleop.export.mcap_file.find_spec", lambda _: None)
+    monkeypatch.setattr("teleop.export.files.find_spec", lambda _: None)
     typed("export", "here", "--mcap", "run.mcap").assert_refused("pip install 'bilateral-teleop[log]'")
     assert typed("export", "here", "--csv", "run.csv").code == 0
 
@@ -115,7 +115,7 @@ def test_if_one_of_two_files_finds_no_room_neither_is_there(
         file.write(b"some")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("teleop.export.mcap_file.write_mcap", full)
+    monkeypatch.setattr("teleop.export.files.write_mcap", full)
     typed("export", "here", "--csv", "run.csv", "--mcap", "run.mcap").assert_refused("No space left", "run.mcap")
     assert left(here) == ["here"]
 
@@ -126,7 +126,7 @@ def test_ctrl_c_leaves_nothing_half_written(typed: Typed, here: Path, monkeypatc
         os.kill(os.getpid(), signal.SIGINT)
         raise AssertionError("it went on")
 
-    monkeypatch.setattr(teleop.export.csv_file, "write_csv", interrupted)
+    monkeypatch.setattr(teleop.export.files, "write_csv", interrupted)
     answer = typed("export", "here", "--csv", "run.csv")
     assert answer.code == 130
     assert "nothing half-written is left" in answer.err
@@ -140,7 +140,7 @@ def test_a_file_that_comes_meanwhile_is_not_overwritten(
         (here / "run.csv").write_text("mine")
         return 0
 
-    monkeypatch.setattr(teleop.export.csv_file, "write_csv", meanwhile)
+    monkeypatch.setattr(teleop.export.files, "write_csv", meanwhile)
     typed("export", "here", "--csv", "run.csv").assert_refused("run.csv is there already")
     assert (here / "run.csv").read_text() == "mine"
 

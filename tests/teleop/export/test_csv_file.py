@@ -13,7 +13,7 @@ import pytest
 
 from teleop import load_result
 from teleop.export.columns import KNOWN
-from teleop.export.csv_file import write_csv, write_metadata
+from teleop.export.files import write_csv, write_metadata
 from teleop.export.stored import read_parts
 
 Stored = Callable[[str], Path]

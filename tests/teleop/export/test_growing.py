@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import Refused
-from teleop.export.growing import GrowingRun
-from teleop.live.records.record import FILE
+from teleop.export.stream import GrowingRun
+from teleop.live.records.reader import FILE
 from teleop.storage.folder import claim
 from tests.teleop.export.conftest import LiveEnd
 

@@ -13,7 +13,7 @@ import pytest
 
 from teleop import load_result
 from teleop.export.columns import TOPICS, field, quantity
-from teleop.export.mcap_file import LEVELS, write_mcap
+from teleop.export.files import LEVELS, write_mcap
 from teleop.export.stored import read_parts
 
 pytest.importorskip("mcap", reason="needs the extra `log`")

@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.export.objects import Objects
+from teleop.export.columns import Objects
 
 PATHS = [("t",), ("master", "x", "x"), ("link", "seq"), ("master", "x", "y"), ("master", "50% \"n\"")]
 NUMBERS = st.one_of(st.floats(), st.integers(-(10**12), 10**12))

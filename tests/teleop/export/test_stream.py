@@ -15,8 +15,7 @@ import pytest
 
 from teleop import Refused, load_result
 from teleop.export import stream as module
-from teleop.export.growing import GrowingRun
-from teleop.export.stream import LARGEST, Encoder, stream
+from teleop.export.stream import LARGEST, Encoder, GrowingRun, stream
 from teleop.storage.folder import claim
 from tests.teleop.export.conftest import LiveEnd
 from tests.waiting import PATIENCE, until

@@ -12,7 +12,7 @@ from channel.relay import Relay
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop import Cap, Deadband, Refused, Scene, Watchdog, load_scene, run
-from teleop.live.rate import ticks_of
+from teleop.live.options import ticks_of
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import manifest_difference, manifest_of
 from teleop.protocol.session import Session

@@ -174,7 +174,7 @@ def test_hold_plays_the_last_one_on_at_any_rate() -> None:
 
 
 def test_a_rate_at_which_every_message_comes_after_the_watchdogs_timeout_is_refused() -> None:
-    from teleop.live.rate import ticks_of
+    from teleop.live.options import ticks_of
 
     ticks = partial(ticks_of, lockstep=False, spin=False)
     dogged = load_scene("hard_wall", playout="integral")
@@ -186,7 +186,7 @@ def test_a_rate_at_which_every_message_comes_after_the_watchdogs_timeout_is_refu
 
 
 def test_waves_at_another_rate_than_the_scenes_are_sent_by_their_integral_alone() -> None:
-    from teleop.live.rate import ticks_of
+    from teleop.live.options import ticks_of
 
     ticks = partial(ticks_of, lockstep=False, spin=False)
     with pytest.raises(Refused, match=r"exchange waves by their integral; write --set playout=integral at both ends"):

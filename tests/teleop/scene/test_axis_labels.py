@@ -11,12 +11,11 @@ from typing import Any
 import pytest
 
 from teleop import Result, Scene, load_result, load_scene, run
-from teleop.export.csv_file import write_csv, write_metadata
-from teleop.export.growing import GrowingEnd
-from teleop.export.mcap_file import schema_of
+from teleop.export.files import schema_of, write_csv, write_metadata
 from teleop.export.stored import all_fields, read_parts
-from teleop.live.records.header import read_header
-from teleop.live.records.record import FILE, RecordWriter
+from teleop.export.stream import GrowingEnd
+from teleop.live.records.reader import FILE, read_header
+from teleop.live.records.record import RecordWriter
 from teleop.scene.axis_labels import AxisLabels, labels_of
 from teleop.storage.strict_json import Misshapen
 from tests.teleop.scene.unlike import unlike

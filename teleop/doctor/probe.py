@@ -1,4 +1,4 @@
-"""`python -m teleop.live.probe`: what this machine gives a live end, measured in a process like one; JSON on stdout.
+"""`python -m teleop.doctor.probe`: what this machine gives a live end, measured in a process like one; JSON on stdout.
 
 The timer and the loop are those of an end, without its work: first as all processes are scheduled, then with real-time
 scheduling where the system gives it. The datagrams go over loopback, through the sockets of an end.
