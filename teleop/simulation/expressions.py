@@ -6,12 +6,13 @@ import ast
 import builtins
 import sys
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, reduce
 from operator import eq, gt, is_, is_not, lt, ne
 from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple, TypeVar
 
+from teleop.simulation import masks
 from teleop.stages.record import Record, declared
 
 Location = tuple[int, int, int, int]
@@ -68,7 +69,11 @@ def functions_in(module: str, file: str) -> dict[tuple[str, int], ast.FunctionDe
 class Expressions:
     """The expressions of one function that is being made, and the functions that they call."""
 
-    def __init__(self, entry: FunctionType) -> None:
+    def __init__(self, entry: FunctionType, engine: str = "plain") -> None:
+        self.engine = engine
+        self.masks: list[str] = []  # variables with the conditions of the branches around a line, of lanes
+        self.uniform: set[str] = set()  # variables that are the same in all lanes
+        self.tuple_classes: set[str] = set()  # names of a scene's classes of messages and states
         self.entry = Frame(entry)
         self.file = entry.__code__.co_filename
         self.frames = [self.entry]
@@ -76,7 +81,7 @@ class Expressions:
         self.names: dict[str, Any] = {}  # around the function
         self.fields: dict[str, tuple[int, str]] = {}  # variable -> the record's field that it is
         self.taken = set(entry.__code__.co_varnames)
-        self.assigned: set[str] = set()  # variables of fields that have a value by now, but for those of one tick
+        self.assigned = set(self.entry.arguments)  # variables that have a value by now, but for those of one tick
         self.line = entry.__code__.co_firstlineno
         self.whole: ast.expr | None = None  # the expression that is all of a statement's value
 
@@ -117,6 +122,8 @@ class Expressions:
             raise self.refused(f"two records have a field {field} whose variable would be {word}; rename one")
         if word in self.taken and word not in self.entry.arguments:
             raise self.refused(f"{word} is a field's variable and another's too; rename one")
+        if declared(type(record))[field] in ("int", "bool"):
+            self.uniform.add(word)
         return word
 
     def fresh(self, word: str) -> str:
@@ -203,6 +210,8 @@ class Expressions:
         except AttributeError:
             raise self.refused(f"{type(thing).__name__} has no {word}") from None
         if isinstance(thing, Record) and callable(found) and not isinstance(found, MethodType):
+            if declared(type(thing)).get(word, "").endswith("tuple[Any, ...]]"):
+                self.tuple_classes.add(thing.word(word))
             return self.outer(thing.word(word), found, node)
         return Known(found)
 
@@ -221,6 +230,8 @@ class Expressions:
         inner = self.ev(node.operand)
         if isinstance(inner, Known) and isinstance(node.op, ast.Not):
             return Known(not inner.value)
+        if isinstance(node.op, ast.Not) and self.has_lanes(self.residual(inner, node)):
+            return self.call(masks.invert, [self.residual(inner, node)], node)
         return self.put(ast.UnaryOp(node.op, self.residual(inner, node)), node)
 
     def _BinOp(self, node: ast.BinOp) -> Value:
@@ -232,8 +243,11 @@ class Expressions:
         if decide is not None and isinstance(left, Known) and isinstance(left.value, STRUCTURAL) and isinstance(
                 rights[0], Known) and isinstance(rights[0].value, STRUCTURAL):
             return Known(decide(left.value, rights[0].value))
-        compare = ast.Compare(self.residual(left, node), node.ops, [self.residual(each, node) for each in rights])
-        return self.put(compare, node)
+        sides = [self.residual(each, node) for each in (left, *rights)]
+        if len(node.ops) > 1 and any(map(self.has_lanes, sides)):
+            return self.joined([self.put(ast.Compare(a, [sign], [b]), node) for a, sign, b in zip(
+                sides, node.ops, sides[1:], strict=False)], ast.And(), node)
+        return self.put(ast.Compare(sides[0], node.ops, sides[1:]), node)
 
     def _BoolOp(self, node: ast.BoolOp) -> Value:
         decides = isinstance(node.op, ast.Or)
@@ -249,13 +263,43 @@ class Expressions:
                 break
         if len(kept) < 2:
             return kept[0] if kept else Known(not decides)
-        return self.put(ast.BoolOp(node.op, kept), node)
+        return self.joined(kept, node.op, node)
 
     def _IfExp(self, node: ast.IfExp) -> Value:
         test = self.ev(node.test)
         if isinstance(test, Known):
             return self.ev(node.body if test.value else node.orelse)
+        if self.has_lanes(test):
+            return self.call(masks.select, [test, self.re(node.body), self.re(node.orelse)], node)
         return self.put(ast.IfExp(test, self.re(node.body), self.re(node.orelse)), node)
+
+    # Conditions that eight scenes side by side may answer each in its own way
+
+    def has_lanes(self, value: ast.expr) -> bool:
+        """True if the value may differ from lane to lane."""
+        return self.engine == "vector" and not self.is_uniform(value)
+
+    def is_uniform(self, value: ast.expr) -> bool:
+        """True if the value is the same in all lanes: of constants, of what is declared int or bool, of `any_lane`."""
+        if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and (
+                self.names.get(value.func.id) is masks.any_lane):
+            return True
+        if isinstance(value, ast.Name):
+            return value.id in self.uniform or (value.id in self.names and value.id not in self.fields)
+        return all(self.is_uniform(each) for each in ast.iter_child_nodes(value) if isinstance(each, ast.expr))
+
+    def joined(self, conditions: list[ast.expr], operator: ast.boolop, node: ast.AST) -> ast.expr:
+        """Conditions joined by `and` or `or`; of lanes, masks by `&` or `|`."""
+        if len(conditions) == 1:
+            return conditions[0]
+        if not any(map(self.has_lanes, conditions)):
+            return self.put(ast.BoolOp(operator, conditions), node)
+        sign = ast.BitAnd() if isinstance(operator, ast.And) else ast.BitOr()
+        return reduce(lambda a, b: self.put(ast.BinOp(a, sign, b), node), conditions)
+
+    def call(self, function: Callable[..., Any], parts: list[ast.expr], node: ast.AST) -> ast.expr:
+        """A call of what an engine has an instruction for."""
+        return self.put(ast.Call(self.outer(function.__name__, function, node), parts, []), node)
 
     def _Yield(self, node: ast.Yield) -> Value:
         return self.put(ast.Yield(None if node.value is None else self.re(node.value)), node)

@@ -13,7 +13,7 @@ from teleop.scene.axis_labels import told_along
 from teleop.scene.playout import Playout, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, link_plans
-from teleop.stages.lanes import LEFT_OUT
+from teleop.stages.memory import LEFT_OUT
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
 

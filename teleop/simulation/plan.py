@@ -15,7 +15,7 @@ from teleop.errors import Refused
 from teleop.scene.parts import LeftOutLike
 from teleop.scene.playout import Fixed, Playout, Zero
 from teleop.scene.scene import Scene
-from teleop.stages.lanes import LEFT_OUT
+from teleop.stages.memory import LEFT_OUT
 
 if TYPE_CHECKING:
     import numpy as np

@@ -62,14 +62,15 @@ def live_of(scene: Scene, e: str, sensor: bool | None = None) -> Callable[..., A
 
 @lru_cache(maxsize=64)
 def lines(structure: Structure, entry: Callable[..., Any], recorder: Callable[..., Recorder] = Recorder,
-          asked: tuple[Any, ...] = (), ends: tuple[str, ...] = ()) -> Lines:
+          asked: tuple[Any, ...] = (), ends: tuple[str, ...] = (), engine: str = "plain") -> Lines:
     """The lines that `entry` comes to for a structure.
 
     `recorder` makes the run's recorder of what is `asked`. `ends`: the ends that `entry` is handed beside the run.
+    `engine`: plain, scalar or vector; see `teleop.simulation.specialise`.
     """
     run = run_of(structure, recorder(*asked))
     bind(run, None)
-    made = specialise(entry, run, *[getattr(run, e) for e in ends])
+    made = specialise(entry, run, *[getattr(run, e) for e in ends], engine=engine)
     return Lines(made, compile(ast.Module([made.tree], []), made.file, "exec"))
 
 

@@ -29,8 +29,9 @@ from types import FunctionType, MethodType
 from typing import Any, NamedTuple
 
 from teleop.errors import number_of
+from teleop.simulation import masks
 from teleop.simulation.expressions import Expressions, Frame, Known, NotSpecialised, Value, location, of_structure
-from teleop.stages.lanes import chosen, only
+from teleop.stages import memory
 from teleop.stages.record import Record, declared
 
 __all__ = ["NotSpecialised", "Specialised", "specialise"]
@@ -44,10 +45,17 @@ class Specialised(NamedTuple):
     names: dict[str, Any]  # what it finds by name around it
 
 
-def specialise(function: Callable[..., Any], *records: Record) -> Specialised:
-    """`function` with these for its first arguments; the others stay its arguments. Raises `NotSpecialised`."""
+new: Any = tuple.__new__  # in plain Python twice as fast as the class
+LONG = 12  # statements under a mask from which on it is first asked whether the mask is true of any lane
+
+
+def specialise(function: Callable[..., Any], *records: Record, engine: str = "plain") -> Specialised:
+    """`function` with these for its first arguments; the others stay its arguments. Raises `NotSpecialised`.
+
+    `engine`: plain; scalar, which has instructions for `teleop.stages.memory`; vector, whose branches are masks.
+    """
     assert isinstance(function, FunctionType)
-    made = _Writer(function)
+    made = _Writer(function, engine)
     return made.written(records)
 
 
@@ -58,7 +66,9 @@ class _Writer(Expressions):
         """The whole of it."""
         node = self.definition(self.entry.function)
         self.entry.known = {name: Known(one) for name, one in zip(self.entry.arguments, records, strict=False)}
-        self.body(node.body)
+        if records:
+            self.uniform |= {name for name, kind in self.entry.function.__annotations__.items() if kind == "int"}
+        self.body(self.returned_once(node.body) if self.engine == "vector" else node.body)
         rest = [ast.arg(name) for name in self.entry.arguments[len(records):]]
         made, = ast.parse(f"def {node.name}(): ...").body  # with the fields that this Python's functions have
         assert isinstance(made, ast.FunctionDef)
@@ -66,6 +76,26 @@ class _Writer(Expressions):
         for each in (made, *rest):
             self.put(each, node)
         return Specialised(made, self.file, self.names)
+
+    def returned_once(self, lines: Sequence[ast.stmt]) -> Sequence[ast.stmt]:
+        """The same lines; if they return under an `if`, with a variable for what they return at the end."""
+        if not any(isinstance(line, ast.If) and returns(line) for line in lines):
+            return lines
+        word = self.fresh("returned")
+        self.entry.names[word] = self.named(word, lines[-1])
+
+        def settled(lines: Sequence[ast.stmt]) -> list[ast.stmt]:
+            for i, line in enumerate(lines):
+                if isinstance(line, ast.Return):
+                    value = line.value or self.put(ast.Constant(None), line)
+                    return [*lines[:i], self.put(ast.Assign([self.named(word, line, ast.Store())], value), line)]
+                if isinstance(line, ast.If) and returns(line):
+                    rest = lines[i + 1:]
+                    ways = [settled([*way, *rest]) for way in (line.body, line.orelse)]
+                    return [*lines[:i], self.put(ast.If(line.test, *ways), line)]
+            return [*lines]
+
+        return [*settled(lines), self.put(ast.Return(self.named(word, lines[-1])), lines[-1])]
 
     # Statements
 
@@ -84,7 +114,7 @@ class _Writer(Expressions):
         """Lines that depend on numbers: of a branch, or of a loop."""
         around, self.out = self.out, []
         self.frame.branches += 1
-        if self.body(lines) is not None and self.frame is not self.entry:
+        if self.body(lines) is not None and (self.frame is not self.entry or self.masks):
             raise self.refused("a function that is written out may not return from a loop, or from an `if` of "
                                "numbers; return at its end")
         self.frame.branches -= 1
@@ -120,7 +150,8 @@ class _Writer(Expressions):
         if len(line.targets) == 1:
             self.assign(line.targets[0], value, line)
         else:
-            self.emit(ast.Assign([self.target(each) for each in line.targets], self.residual(value, line)), line)
+            right = self.in_every_lane(self.residual(value, line), line)
+            self.emit(ast.Assign([self.target(each) for each in line.targets], right), line)
 
     def _AnnAssign(self, line: ast.AnnAssign) -> None:
         if line.value is not None:
@@ -139,12 +170,27 @@ class _Writer(Expressions):
                                    "cannot be set under a condition of numbers, or in a loop that stays one")
             self.bind(target, value.value)
             return
-        made, right = self.target(target), self.residual(value, line)
+        right = self.residual(value, line)
+        made = self.target(target)
         if isinstance(made, ast.Name) and made.id in self.fields and made.id in self.entry.arguments:
             if not isinstance(right, ast.Name) or right.id != made.id:
                 raise self.refused(f"{made.id} is an argument and a field of the same name, so it cannot be set")
             return  # one variable is both
+        if isinstance(made, ast.Name) and made.id in self.fields:
+            if made.id not in self.uniform:
+                right = self.in_every_lane(right, line)
+        elif isinstance(made, ast.Name):
+            (self.uniform.discard if self.masks or not self.is_uniform(right) else self.uniform.add)(made.id)
         self.emit(ast.Assign([made], right), line)
+
+    def in_every_lane(self, value: ast.expr, line: ast.AST) -> ast.expr:
+        """A constant of eight scenes side by side, so that its variable has lanes from the beginning."""
+        names = [each for each in ast.walk(value) if isinstance(each, ast.Name) and each.id in self.uniform]
+        truth = isinstance(value, ast.Compare) or (
+            isinstance(value, ast.Constant) and type(value.value) not in (int, float))
+        if self.engine != "vector" or names or truth or not self.is_uniform(value):
+            return value
+        return self.call(masks.broadcast, [value], line)
 
     def target(self, node: ast.expr) -> ast.expr:
         """What is assigned to, as an expression of the function that is made."""
@@ -157,6 +203,7 @@ class _Writer(Expressions):
             if frame is not self.entry and word not in frame.names:
                 frame.names[word] = self.named(self.fresh(word), node)
             made = self.named(word if frame is self.entry else ast.unparse(frame.names[word]), node, ast.Store())
+            self.assigned.add(made.id)
         elif isinstance(node, ast.Attribute):
             record = self.ev(node.value)
             if not isinstance(record, Known) or not isinstance(record.value, Record):
@@ -175,9 +222,15 @@ class _Writer(Expressions):
         return self.put(made, node)
 
     def _If(self, line: ast.If) -> Value | None:
-        test = self.ev(line.test)
+        test = self.right_side(line.test)
         if isinstance(test, Known):
             return self.body(line.body if test.value else line.orelse)
+        if self.has_lanes(test):
+            other = self.mask(self.call(masks.invert, [test], line), line) if line.orelse else ""
+            self.under(self.mask(test, line), line.body, line)
+            if line.orelse:
+                self.under(other, line.orelse, line)
+            return None
         self.emit(ast.If(test, self.block(line.body) or [self.put(ast.Pass(), line)], self.block(line.orelse)), line)
         return None
 
@@ -187,11 +240,42 @@ class _Writer(Expressions):
             self.unroll(line, over.value)
         else:
             target = self.target(line.target)
+            self.uniform.add(ast.unparse(target))
             self.emit(ast.For(target, over, self.turn(line.body), self.block(line.orelse)), line)
 
     def _While(self, line: ast.While) -> None:
         test = self.residual(self.ev(line.test), line)
         self.emit(ast.While(test, self.turn(line.body), self.block(line.orelse)), line)
+
+    def mask(self, test: ast.expr, line: ast.AST) -> str:
+        """A variable with a condition of lanes, and that of the branch around it."""
+        made = self.fresh("mask")
+        if self.masks:
+            test = self.put(ast.BinOp(self.named(self.masks[-1], line), ast.BitAnd(), test), line)
+        self.emit(ast.Assign([self.named(made, line, ast.Store())], test), line)
+        return made
+
+    def under(self, mask: str, lines: Sequence[ast.stmt], line: ast.AST) -> None:
+        """The lines of a branch of lanes: done in all, and chosen, so that elsewhere each variable stays as it was."""
+        had = frozenset(self.assigned)
+        self.masks.append(mask)
+        made = self.block(lines)
+        self.masks.pop()
+        stored = dict.fromkeys([each.id for one in made for each in ast.walk(one)
+                                if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)])
+        kept = {word: self.fresh(f"{word}_was") for word in stored if word in had}
+        around, self.out = self.out, []
+        for word, was in kept.items():
+            self.emit(ast.Assign([self.named(was, line, ast.Store())], self.named(word, line)), line)
+        self.out += made
+        for word, was in kept.items():
+            parts: list[ast.expr] = [self.named(each, line) for each in (mask, word, was)]
+            self.emit(ast.Assign([self.named(word, line, ast.Store())], self.call(masks.select, parts, line)), line)
+        made, self.out = self.out, around
+        if len(made) > LONG:
+            test = self.call(masks.any_lane, [self.named(mask, line)], line)
+            made = [self.put(ast.If(test, made, []), line)]
+        self.out += made
 
     def turn(self, lines: Sequence[ast.stmt]) -> list[ast.stmt]:
         """The lines of a loop that stays one."""
@@ -220,6 +304,9 @@ class _Writer(Expressions):
         if not self.frame.unrolled or self.frame.unrolled[-1]:
             raise self.refused(f"`{type(line).__name__.lower()}` stands in a loop that is unrolled, where it would "
                                "leave the loop around it; write a condition instead")
+        if self.masks:
+            raise self.refused(f"`{type(line).__name__.lower()}` stands under a condition that each of eight scenes "
+                               "answers in its own way")
         self.emit(type(line)(), line)
 
     _Break = _Continue = leave
@@ -237,13 +324,17 @@ class _Writer(Expressions):
         function = self.ev(node.func)
         values = [one for each in node.args for one in self.several(each)]
         if isinstance(function, Known):
-            if function.value is only:
-                return self.only(values, node)
+            if getattr(function.value, "__module__", "") == memory.__name__:
+                return self.remembered(function.value, [self.residual(each, node) for each in values], node)
+            if self.engine == "plain" and is_tuple_class(function.value):
+                return self.new_tuple(self.residual(function, node, getattr(node.func, "id", "")), values, node)
             if (found := self.worked_out(function.value, values, node)) is not None:
                 return found
             method = isinstance(function.value, MethodType) and isinstance(function.value.__self__, Record)
             if method or any(isinstance(each, Known) and isinstance(each.value, Record) for each in values):
                 return self.written_out(function.value, values, node, whole)
+        elif self.engine == "plain" and isinstance(function, ast.Name) and function.id in self.tuple_classes:
+            return self.new_tuple(function, values, node)
         keywords = [self.put(ast.keyword(each.arg, self.re(each.value)), each) for each in node.keywords]
         named = self.residual(function, node, getattr(node.func, "attr", getattr(node.func, "id", "")))
         return self.put(ast.Call(named, [self.residual(each, node) for each in values], keywords), node)
@@ -262,14 +353,36 @@ class _Writer(Expressions):
             kind = ast.Tuple if function is tuple else ast.List
             return first if isinstance(first, Known) else self.put(kind(first.elts, ast.Load()), node)
         if function in (all, any) and isinstance(first, ast.List | ast.Tuple):
-            operator = ast.And() if function is all else ast.Or()
-            return first.elts[0] if len(first.elts) == 1 else self.put(ast.BoolOp(operator, first.elts), node)
+            return self.joined(first.elts, ast.And() if function is all else ast.Or(), node)
         if function is reduce and isinstance(values[0], Known) and values[0].value is add and isinstance(
                 values[1], ast.List | ast.Tuple):
             sums: ast.expr = reduce(
                 lambda left, right: self.put(ast.BinOp(left, ast.Add(), right), node), values[1].elts)
             return sums
         return None
+
+    def new_tuple(self, kind: ast.expr, values: list[Value], node: ast.Call) -> ast.expr:
+        """A NamedTuple in plain Python."""
+        made = self.put(ast.Tuple([self.residual(each, node) for each in values], ast.Load()), node)
+        return self.put(ast.Call(self.outer("new", new, node), [kind, made], []), node)
+
+    def remembered(self, function: FunctionType, parts: list[ast.expr], node: ast.Call) -> Value:
+        """A word of `teleop.stages.memory`: in plain Python its one line, else a call of an engine's instruction."""
+        if self.masks and function is memory.put:
+            return self.call(masks.put_selected, [self.named(self.masks[-1], node), *parts], node)
+        if self.engine != "plain":
+            return self.call(function, parts, node)
+        frame = Frame(function, place=self.frame.place or location(node))
+        frame.names = dict(zip(frame.arguments, parts, strict=True))
+        line = self.definition(function).body[-1]
+        self.frames.append(frame)
+        found: Value = Known(None)
+        if isinstance(line, ast.Assign):
+            self.emit(ast.Assign([self.target(line.targets[0])], self.re(line.value)), node)
+        elif isinstance(line, ast.Return) and line.value is not None:
+            found = self.re(line.value)
+        self.frames.pop()
+        return found
 
     def written_out(self, function: Any, values: list[Value], node: ast.Call, whole: bool) -> Value:
         """A call in the place of which the function's own lines stand."""
@@ -306,27 +419,6 @@ class _Writer(Expressions):
                                "before which they would be worked out; let its call be all of the right side")
         return Known(None) if told is None else told
 
-    def only(self, values: list[Value], node: ast.Call) -> Value:
-        """`only(which, work, ...)`: the lines of `work`, and where `which` is not true all stays as it was."""
-        which, work, *given = values
-        assert isinstance(work, Known)
-        mask, had = self.fresh("runs"), frozenset(self.assigned)
-        self.emit(ast.Assign([self.named(mask, node, ast.Store())], self.residual(which, node)), node)
-        around, self.out = self.out, []
-        self.written_out(work.value, given, node, whole=True)
-        lines, self.out = self.out, around
-        stored = [each.id for line in lines for each in ast.walk(line)
-                  if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)]
-        kept = {word: self.fresh(f"{word}_was") for word in stored if word in had}
-        for word, was in kept.items():
-            self.emit(ast.Assign([self.named(was, node, ast.Store())], self.named(word, node)), node)
-        self.out += lines
-        for word, was in kept.items():
-            parts: list[ast.expr] = [self.named(each, node) for each in (mask, word, was)]
-            value = self.put(ast.Call(self.outer("chosen", chosen, node), parts, []), node)
-            self.emit(ast.Assign([self.named(word, node, ast.Store())], value), node)
-        return Known(None)
-
     def lasting(self, value: ast.expr) -> bool:
         """Is it of what no function that is handed it can set: names of the one that hands it over, and numbers."""
         if isinstance(value, ast.BinOp):
@@ -335,3 +427,13 @@ class _Writer(Expressions):
             value = value.value
         return isinstance(value, ast.Constant) or (
             isinstance(value, ast.Name) and (value.id not in self.fields or value.id in self.entry.arguments))
+
+
+def returns(line: ast.stmt) -> bool:
+    """True if a line, or one within it, returns."""
+    return any(isinstance(each, ast.Return) for each in ast.walk(line))
+
+
+def is_tuple_class(function: Any) -> bool:
+    """True of a NamedTuple's class."""
+    return isinstance(function, type) and issubclass(function, tuple) and hasattr(function, "_fields")

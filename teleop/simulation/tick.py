@@ -19,10 +19,8 @@ from typing import Any
 
 from teleop.law import At, start_at
 from teleop.simulation.messages import connect, deliver, exchange, send
-from teleop.stages.end import Axis, End, Run, elapsed, law_of, zero
-from teleop.stages.lanes import LEFT_OUT, came, only, packet, runs, sample, some, where, within
-
-new: Any = tuple.__new__  # twice as fast as the class
+from teleop.stages.end import Axis, End, Run, elapsed, law_of
+from teleop.stages.memory import LEFT_OUT, at
 
 
 def begin(run: Run, e: End, given: Any) -> None:
@@ -42,18 +40,14 @@ def begin(run: Run, e: End, given: Any) -> None:
         if e.has.dx:
             a.x_before = a.x_read
     for one in e.shown:
-        one.value = zero(run)
+        one.value = 0.0
     if e.has.newest:
-        e.newest = zero(run) - 1.0 if run.has.deadband else -1
+        e.newest = -1
 
 
 def tick(run: Run, e: End, k: int) -> None:
     """One end's tick k: its readings, its law, and the force that is held until the next."""
-    if e.has.age and run.has.deadband:
-        e.age = where(e.newest >= 0.0, (k - e.newest) * run.dt, inf)
-    elif e.has.age and run.has.compiled:
-        e.age = where(came(e.newest), (k - e.newest) * run.dt, inf)
-    elif e.has.age:
+    if e.has.age:
         e.age = (k - e.newest) * run.dt if e.newest >= 0 else inf
     read_directly(e)
     for stage in e.stages:
@@ -89,11 +83,8 @@ def read_directly(e: End) -> None:
 
 def situation(run: Run, e: End, a: Axis) -> Any:
     """What the law is told of one axis."""
-    if run.has.compiled:
-        return At(a.x_read, a.v_read, a.f_read if e.has.touch else nan, a.f, a.dx if e.has.dx else nan, fresh(run, e),
-                  age(run, e), run.dt, span(run, e), gain(e))
-    return new(At, (a.x_read, a.v_read, a.f_read if e.has.touch else nan, a.f, a.dx if e.has.dx else nan,
-                    fresh(run, e), age(run, e), run.dt, span(run, e), gain(e)))
+    return At(a.x_read, a.v_read, a.f_read if e.has.touch else nan, a.f, a.dx if e.has.dx else nan, fresh(run, e),
+              age(run, e), run.dt, span(run, e), gain(e))
 
 
 def fresh(run: Run, e: End) -> Any:
@@ -150,9 +141,6 @@ def loop(  # noqa: PLR0912 - of which a structure has few
     run.law = law
     run.dt = dt
     run.half_dt = 0.5 * dt
-    if run.has.lanes:
-        run.zero = asked[3]
-        run.alive = within(run.zero, inf)
     place_master(run, start_m, ref, held)
     sense_master(run, 0)
     if run.has.slave:
@@ -164,7 +152,7 @@ def loop(  # noqa: PLR0912 - of which a structure has few
         connect(run, size)
     for e in run.ends:
         if e.has.leaves_out:
-            e.ran = zero(run) - 1.0 if run.has.lanes else -1
+            e.ran = -1
     run.recorder.begin(run, asked, size)
     for k in range(count):
         # 1. what is sensed
@@ -190,20 +178,7 @@ def loop(  # noqa: PLR0912 - of which a structure has few
         move_master(run, k)
         if run.has.slave:
             move_slave(run)
-        if run.has.lanes:
-            near = run.alive
-            for e in run.ends:
-                for a in e.axes:
-                    near = near & within(a.x, x_limit)
-            if some(run.alive & ~near):
-                run.recorder.lost(run, run.alive & ~near, k)
-                run.alive = near
-                if not some(run.alive):
-                    break
-                for e in run.ends:
-                    for a in e.axes:
-                        a.x = where(run.alive, a.x, nan)  # what is lost moves no more, and costs no more
-        elif not all(-x_limit < a.x < x_limit for e in run.ends for a in e.axes):
+        if run.recorder.lost(run, x_limit, k):
             break
     else:
         return run.recorder.told(run, count, True)
@@ -213,13 +188,8 @@ def loop(  # noqa: PLR0912 - of which a structure has few
 def attend(run: Run, e: End, k: int, orders: Any) -> None:
     """One end's tick k, if it is run; one that is left out is left out whole, and the force is held."""
     if run.has.deadband:
-        e.send = zero(run)  # unless the tick is run
-    if run.has.lanes:
-        only(runs(packet(orders, k)), run_late, run, e, k)
-    elif run.has.compiled:
-        if runs(packet(orders, k)):
-            run_late(run, e, k)
-    elif orders[k] > LEFT_OUT:
+        e.send = 0.0  # unless the tick is run
+    if at(orders, k) > LEFT_OUT:
         run_late(run, e, k)
 
 
@@ -237,12 +207,12 @@ def place_master(run: Run, start: Any, ref: Any, held: Any) -> None:
     """The master's body at rest where it starts."""
     for a in run.m.axes:
         a.x = start[a.i]
-        a.v = zero(run)
-        a.f = zero(run)
-        a.slope = zero(run)
+        a.v = 0.0
+        a.f = 0.0
+        a.slope = 0.0
         a.c = held.c_m[a.i]
         if run.m.has.felt:
-            a.f_ext = zero(run)
+            a.f_ext = 0.0
         if run.m.has.inner:
             a.z = held.z_m[a.i]
         if run.has.hand:
@@ -254,8 +224,8 @@ def place_slave(run: Run, start: Any, held: Any) -> None:
     run.capped = 0
     for a in run.s.axes:
         a.x = start[a.i]
-        a.v = zero(run)
-        a.f = zero(run)
+        a.v = 0.0
+        a.f = 0.0
         a.c = held.c_s[a.i]
         if run.s.has.inner:
             a.z = held.z_s[a.i]
@@ -265,9 +235,9 @@ def sense_master(run: Run, k: int) -> None:
     """The force of the hand, where it is worked out: the left limit at t_k, the force of the last tick still acting."""
     for a in run.m.axes:
         if run.m.has.felt and run.has.hand and run.m.has.inner:
-            a.f_ext = run.held_force(a.c, a.x, a.v, a.f, reference(run, a, k), a.slope, a.z)
+            a.f_ext = run.held_force(a.c, a.x, a.v, a.f, at(a.r, k), a.slope, a.z)
         elif run.m.has.felt and run.has.hand:
-            a.f_ext = run.grip_force(a.c, a.x, a.v, a.f, reference(run, a, k), a.slope)
+            a.f_ext = run.grip_force(a.c, a.x, a.v, a.f, at(a.r, k), a.slope)
 
 
 def sense_slave(run: Run) -> None:
@@ -277,25 +247,20 @@ def sense_slave(run: Run) -> None:
             a.f_ext = a.force(a.c, a.x, a.v, a.z) if run.s.has.inner else a.force(a.c, a.x, a.v)
 
 
-def reference(run: Run, a: Axis, k: int) -> Any:
-    """Where the hand wants to be at tick k."""
-    return sample(a.r, k) if run.has.compiled else a.r[k]
-
-
 def move_master(run: Run, k: int) -> None:
     """The master's body over one tick."""
     for a in run.m.axes:
         if run.has.hand and run.m.has.inner:
             a.x, a.v, a.z = run.move_held(
-                a.c, a.x, a.v, a.f, reference(run, a, k), reference(run, a, k + 1), a.z)
+                a.c, a.x, a.v, a.f, at(a.r, k), at(a.r, k + 1), a.z)
         elif run.has.hand:
-            a.x, a.v = run.move_gripped(a.c, a.x, a.v, a.f, reference(run, a, k), reference(run, a, k + 1))
+            a.x, a.v = run.move_gripped(a.c, a.x, a.v, a.f, at(a.r, k), at(a.r, k + 1))
         elif run.m.has.inner:
             a.x, a.v, a.z = run.move_held(a.c, a.x, a.v, a.f, 0.0, 0.0, a.z)
         else:
             a.x, a.v, a.more = run.move_free(a.c, a.x, a.v, -a.f)
         if run.has.hand and run.m.has.felt:
-            a.slope = (reference(run, a, k + 1) - reference(run, a, k)) / run.dt
+            a.slope = (at(a.r, k + 1) - at(a.r, k)) / run.dt
 
 
 def move_slave(run: Run) -> None:
@@ -305,8 +270,7 @@ def move_slave(run: Run) -> None:
             a.x, a.v, a.more, a.z = a.move(a.c, a.x, a.v, a.f, a.z)
         else:
             a.x, a.v, a.more = a.move(a.c, a.x, a.v, a.f)
-        if not run.has.compiled:
-            run.capped += a.more
+        run.capped = run.capped + a.more
 
 
 # One end by itself

@@ -25,8 +25,7 @@ from math import inf
 from typing import Any, ClassVar
 
 from teleop.errors import number
-from teleop.stages.end import Column, End, Places, Run, Stage, elapsed, zero
-from teleop.stages.lanes import where
+from teleop.stages.end import Column, End, Places, Run, Stage, elapsed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,18 +66,18 @@ class DeadbandStage(Stage):
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.k, self.floor, self.renews = given
-        self.silent = zero(run) + inf
-        e.send = zero(run)
+        self.silent = inf
+        e.send = 0.0
         for one in e.told:
-            one.last = zero(run)
+            one.last = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
         self.silent = self.silent + elapsed(run, e)
-        e.send = where(self.silent >= self.renews, 1.0, zero(run))
+        e.send = 1.0 if self.silent >= self.renews else 0.0
         for one in e.told:
             one.q = getattr(one.a.tx, one.field)
             one.away = abs(one.q - one.last)
-            e.send = where(one.away > max(self.k * abs(one.last), self.floor), 1.0, e.send)
+            e.send = 1.0 if one.away > max(self.k * abs(one.last), self.floor) else e.send
         for one in e.told:
-            one.last = where(e.send > 0.0, one.q, one.last)
-        self.silent = where(e.send > 0.0, zero(run), self.silent)
+            one.last = one.q if e.send > 0.0 else one.last
+        self.silent = 0.0 if e.send > 0.0 else self.silent

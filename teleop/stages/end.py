@@ -24,8 +24,6 @@ class RunHas(NamedTuple):
     stored: bool = False  # ... and that of the law, which says how much it keeps
     own_laws: bool = False  # each axis has a law of its own, of one class
     deadband: bool = False  # what is sent is decided by content
-    compiled: bool = False  # written without branches, for compiled code
-    lanes: bool = False  # eight scenes side by side
 
 
 class EndHas(NamedTuple):
@@ -67,7 +65,7 @@ class Axis(Record):
     z: Any  # its inner state
     slope: float  # of the hand's reference over the last tick, m/s
     r: Any  # the hand's reference at the ticks
-    more: int  # 1 if the last tick had more contact events than are followed
+    more: Any  # 1 if the last tick had more contact events than are followed
     # what the device reads
     x_read: float
     v_read: float
@@ -203,9 +201,9 @@ class End(Record):
     law: Callable[..., Any]
     total: Callable[..., Any]
     Sums: Callable[..., Any]
-    Message: Callable[..., Any]
-    Sent: Callable[..., Any]
-    State: Callable[..., Any]
+    Message: Callable[..., tuple[Any, ...]]
+    Sent: Callable[..., tuple[Any, ...]]
+    State: Callable[..., tuple[Any, ...]]
 
     def __init__(self, name: str, axes: int, has: EndHas) -> None:
         super().__init__(name)
@@ -224,9 +222,7 @@ class Run(Record):
     dt: float
     half_dt: float
     law: Any  # of all axes, or a tuple with that of each
-    zero: Any  # 0.0 in every lane
-    alive: Any  # the lanes that are within bounds
-    capped: int  # ticks with more contact events than are followed
+    capped: Any  # ticks with more contact events than are followed
 
     grip_force: Callable[..., Any]
     held_force: Callable[..., Any]
@@ -244,8 +240,9 @@ class Recorder(Record):
     def step(self, run: Run, k: int) -> None:
         """After both ends' tick k."""
 
-    def lost(self, run: Run, which: Any, k: int) -> None:
-        """Some of eight scenes left the bounds in tick k."""
+    def lost(self, run: Run, x_limit: Any, k: int) -> Any:
+        """True if the run left its bounds in tick k, and ends with it."""
+        return not all(-x_limit < a.x < x_limit for e in run.ends for a in e.axes)
 
     def told(self, run: Run, ticks: int, complete: bool) -> Any:
         """What the run returns after so many ticks; `complete`: it came to its end."""
@@ -321,8 +318,3 @@ def elapsed(run: Run, e: End) -> Any:
 def law_of(run: Run, a: Axis) -> Any:
     """The law of an axis: that of all, or its own."""
     return run.law[a.i] if run.has.own_laws else run.law
-
-
-def zero(run: Run) -> Any:
-    """0.0, in every lane where eight scenes stand side by side."""
-    return run.zero if run.has.lanes else 0.0

@@ -11,7 +11,7 @@ from math import inf
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import number
-from teleop.stages.end import End, Places, Run, Stage, zero
+from teleop.stages.end import End, Places, Run, Stage
 from teleop.stages.energy_budget import BURST, BudgetLimits
 from teleop.stages.velocity_cap import FADES_FROM, SpeedLimits
 
@@ -139,7 +139,7 @@ class ForceCapStage(Stage):
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_cap = given
         if e.has.slewed:
-            self.shareless = zero(run)
+            self.shareless = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         self.held_for = since

@@ -12,7 +12,7 @@ from functools import reduce
 from operator import add
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Run, Stage, law_of, zero
+from teleop.stages.end import Column, End, Run, Stage, law_of
 from teleop.stages.record import Record
 
 
@@ -97,7 +97,7 @@ class LawLedger(Stage):
         return (Column(f"E_law_{e.name}", ((e, "E_law"),)),)
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        e.E_law = zero(run)
+        e.E_law = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
         if e.has.sums:

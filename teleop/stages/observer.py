@@ -18,7 +18,7 @@ from __future__ import annotations
 from math import exp, expm1
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.stages.end import Column, End, Places, Run, Stage, per_axis, zero
+from teleop.stages.end import Column, End, Places, Run, Stage, per_axis
 from teleop.stages.record import Record
 
 
@@ -79,16 +79,13 @@ class ObserverStage(Stage):
         for a, own in zip(e.axes, self.axes, strict=True):
             own.c_obs = given[0][a.i]
             own.v_before = a.v_read
-            a.f_read = zero(run)
+            a.f_read = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         # After ticks that were left out the force was held over all of them.
         for a, own in zip(e.axes, self.axes, strict=True):
-            if run.has.lanes:
-                own.c_obs = coefficients(self.device[a.i][0], self.device[a.i][1], self.device[a.i][2], e.span)
-            else:
-                own.c_obs = self.c_tick[a.i] if ticks == 1 else coefficients(
-                    self.device[a.i][0], self.device[a.i][1], self.device[a.i][2], e.span)
+            own.c_obs = self.c_tick[a.i] if ticks == 1 else coefficients(
+                self.device[a.i][0], self.device[a.i][1], self.device[a.i][2], e.span)
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):

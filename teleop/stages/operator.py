@@ -55,7 +55,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import Refused, WrongCount, number, number_of
 from teleop.law import At
-from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Run, Stage, per_axis, zero
+from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Run, Stage, per_axis
 from teleop.stages.record import Record
 
 MOST_SPANS = 64
@@ -227,17 +227,17 @@ class OperatorStage(Stage):
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_switch = given
         self.least_g = 1.0 / self.c_switch.steps
-        self.n_clutch = zero(run) - 1.0
-        e.g_clutch = self.g_was = zero(run) + 1.0
-        e.clutch = zero(run)
-        e.present = zero(run) + 1.0
+        self.n_clutch = -1.0
+        e.g_clutch = self.g_was = 1.0
+        e.clutch = 0.0
+        e.present = 1.0
         for a, own in zip(e.axes, self.axes, strict=True):
-            a.offset = zero(run)
+            a.offset = 0.0
             own.x_law = a.x_read
             if len(e.rx_place) > 0:
-                own.apart = zero(run)
+                own.apart = 0.0
         if len(e.rx_place) > 0:
-            self.far = zero(run)
+            self.far = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         self.ticks_by = ticks
@@ -267,7 +267,7 @@ class OperatorStage(Stage):
         for a in e.axes:
             a.f_cmd = e.g_clutch * a.f_cmd
         if len(e.rx_place) > 0:
-            self.far = zero(run)
+            self.far = 0.0
             for a, own in zip(e.axes, self.axes, strict=True):
                 own.apart = own.x_law - getattr(a.rx, e.rx_place)
                 self.far = max(abs(own.apart) / self.c_switch.within[a.i], self.far)

@@ -61,10 +61,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from teleop.physics.rotation import counted, heard_at, left_at, sent_at
-from teleop.stages.end import Column, End, Places, Run, Stage, Turn, zero
-from teleop.stages.lanes import where
-
-new: Any = tuple.__new__
+from teleop.stages.end import Axis, Column, End, Places, Run, Stage, Turn
 
 
 class OrientationStage(Stage):
@@ -84,12 +81,12 @@ class OrientationStage(Stage):
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         for t in e.turns:
-            t.w = t.x = t.y = t.z = zero(run)
-            t.phi_x = t.phi_y = t.phi_z = zero(run)  # so the first turn is to where the end begins
+            t.w = t.x = t.y = t.z = 0.0
+            t.phi_x = t.phi_y = t.phi_z = 0.0  # so the first turn is to where the end begins
             for one in t.heard:
-                one.x = one.y = one.z = zero(run)
+                one.x = one.y = one.z = 0.0
             for one in t.sent:
-                one.x = one.y = one.z = zero(run)
+                one.x = one.y = one.z = 0.0
 
     def situate(self, run: Run, e: End) -> None:
         for t in e.turns:
@@ -101,53 +98,47 @@ class OrientationStage(Stage):
     def receive(self, run: Run, e: End) -> None:
         for t in e.turns:
             for one in t.heard:
-                hear(run, e, t, one)
+                hear(e, t, one)
             for field in e.state_positions:
-                stay(run, e, t, field)
+                stay(e, t, field)
 
     def act(self, run: Run, e: End, k: int) -> None:
         for t in e.turns:
             for one in t.sent:
-                tell(run, e, t, one)
+                tell(e, t, one)
 
 
-def hear(run: Run, e: End, t: Turn, one: Any) -> None:
+def hear(e: End, t: Turn, one: Any) -> None:
     """A position of the received message, as the law is told it."""
     t.px, t.py, t.pz = getattr(t.a.rx, one.field), getattr(t.b.rx, one.field), getattr(t.c.rx, one.field)
-    if run.has.lanes:
-        new_x, new_y, new_z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x, one.y, one.z)
-        one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
-        one.x, one.y, one.z = where(e.got, new_x, one.x), where(e.got, new_y, one.y), where(e.got, new_z, one.z)
-    elif e.got:
+    if e.got:
         one.x, one.y, one.z = heard_at(t.w, t.x, t.y, t.z, t.px, t.py, t.pz, one.x, one.y, one.z)
     else:
         one.x, one.y, one.z = left_at(t.px - t.before_x, t.py - t.before_y, t.pz - t.before_z, t.dx, t.dy, t.dz)
-    t.a.rx = with_position(run, e.Message, e.rx_fields, t.a.rx, one.field, t.phi_x + one.x)
-    t.b.rx = with_position(run, e.Message, e.rx_fields, t.b.rx, one.field, t.phi_y + one.y)
-    t.c.rx = with_position(run, e.Message, e.rx_fields, t.c.rx, one.field, t.phi_z + one.z)
+    t.a.rx = with_position(t.a, "rx", e.Message, e.rx_fields, one.field, t.phi_x + one.x)
+    t.b.rx = with_position(t.b, "rx", e.Message, e.rx_fields, one.field, t.phi_y + one.y)
+    t.c.rx = with_position(t.c, "rx", e.Message, e.rx_fields, one.field, t.phi_z + one.z)
 
 
-def stay(run: Run, e: End, t: Turn, field: str) -> None:
+def stay(e: End, t: Turn, field: str) -> None:
     """A position of the law's state, which stays where it is while the end turns."""
     t.px, t.py, t.pz = left_at(getattr(t.a.s, field) - t.before_x, getattr(t.b.s, field) - t.before_y,
                                getattr(t.c.s, field) - t.before_z, t.dx, t.dy, t.dz)
-    t.a.s = with_position(run, e.State, e.state_fields, t.a.s, field, t.phi_x + t.px)
-    t.b.s = with_position(run, e.State, e.state_fields, t.b.s, field, t.phi_y + t.py)
-    t.c.s = with_position(run, e.State, e.state_fields, t.c.s, field, t.phi_z + t.pz)
+    t.a.s = with_position(t.a, "s", e.State, e.state_fields, field, t.phi_x + t.px)
+    t.b.s = with_position(t.b, "s", e.State, e.state_fields, field, t.phi_y + t.py)
+    t.c.s = with_position(t.c, "s", e.State, e.state_fields, field, t.phi_z + t.pz)
 
 
-def tell(run: Run, e: End, t: Turn, one: Any) -> None:
+def tell(e: End, t: Turn, one: Any) -> None:
     """A position of the message that is sent: a rotation vector."""
     one.x, one.y, one.z = sent_at(
         t.w, t.x, t.y, t.z, getattr(t.a.tx, one.field) - t.phi_x, getattr(t.b.tx, one.field) - t.phi_y,
         getattr(t.c.tx, one.field) - t.phi_z, one.x, one.y, one.z)
-    t.a.tx = with_position(run, e.Sent, e.tx_fields, t.a.tx, one.field, one.x)
-    t.b.tx = with_position(run, e.Sent, e.tx_fields, t.b.tx, one.field, one.y)
-    t.c.tx = with_position(run, e.Sent, e.tx_fields, t.c.tx, one.field, one.z)
+    t.a.tx = with_position(t.a, "tx", e.Sent, e.tx_fields, one.field, one.x)
+    t.b.tx = with_position(t.b, "tx", e.Sent, e.tx_fields, one.field, one.y)
+    t.c.tx = with_position(t.c, "tx", e.Sent, e.tx_fields, one.field, one.z)
 
 
-def with_position(run: Run, kind: Any, fields: tuple[str, ...], message: Any, field: str, value: Any) -> Any:
-    """A message or a state with another value of one field."""
-    if run.has.compiled:
-        return kind(*[value if each == field else getattr(message, each) for each in fields])
-    return new(kind, tuple([value if each == field else getattr(message, each) for each in fields]))
+def with_position(a: Axis, which: str, kind: Any, fields: tuple[str, ...], field: str, value: Any) -> Any:
+    """A message or state of an axis, `rx`, `tx` or `s`, with another value of one field."""
+    return kind(*[value if each == field else getattr(getattr(a, which), each) for each in fields])

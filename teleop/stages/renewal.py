@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from teleop.stages.end import End, Places, Run, Stage, zero
-from teleop.stages.lanes import where
+from teleop.stages.end import End, Places, Run, Stage
 from teleop.stages.record import Record
 
 
@@ -39,16 +38,14 @@ class RenewalStage(Stage):
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.every = given
         for own in self.axes:
-            own.f_renewed = zero(run)
+            own.f_renewed = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         self.since_last = ticks
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
-            if e.has.leaves_out and run.has.lanes:
-                a.f_cmd = own.f_renewed = where(self.since_last > k % self.every, a.f_cmd, own.f_renewed)
-            elif e.has.leaves_out:
+            if e.has.leaves_out:
                 a.f_cmd = own.f_renewed = a.f_cmd if self.since_last > k % self.every else own.f_renewed
             else:
                 a.f_cmd = own.f_renewed = own.f_renewed if k % self.every else a.f_cmd

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Places, Run, Stage, elapsed, per_axis, zero
+from teleop.stages.end import Column, End, Places, Run, Stage, elapsed, per_axis
 from teleop.stages.record import Record
 
 
@@ -43,7 +43,7 @@ class VelocityStage(Stage):
         self.c_est = given[0]
         for a, own in zip(e.axes, self.axes, strict=True):
             own.est = given[1][a.i]
-            a.v_read = zero(run)
+            a.v_read = 0.0
 
     def read(self, run: Run, e: End, k: int) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):

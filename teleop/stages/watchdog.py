@@ -12,7 +12,6 @@ from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import number
 from teleop.stages.end import Column, End, Places, Run, Stage
-from teleop.stages.lanes import where
 
 
 class WatchdogLimits(NamedTuple):
@@ -118,7 +117,7 @@ class WatchdogStage(Stage):
             self.quiet_ticks = inf
             if e.has.leaves_out:
                 self.waits = 0.0
-            e.g = run.zero + 1.0 if run.has.lanes else 1.0
+            e.g = 1.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         if not e.has.live:
@@ -137,11 +136,7 @@ class WatchdogStage(Stage):
 
     def listen(self, run: Run, e: End, k: int) -> None:
         """Note the tick of a fresh message that is not too old."""
-        if run.has.compiled and e.has.aged:
-            self.heard = where(k - e.newest <= self.c_dog.age, where(e.got, k, self.heard), self.heard)
-        elif run.has.compiled:
-            self.heard = where(e.got, k, self.heard)
-        elif e.has.aged:
+        if e.has.aged:
             self.heard = k if e.got and k - e.newest <= self.c_dog.age else self.heard
         else:
             self.heard = k if e.got else self.heard

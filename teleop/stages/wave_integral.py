@@ -65,13 +65,10 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.stages.end import Axis, Column, End, Places, Run, Stage, elapsed, per_axis, zero
-from teleop.stages.lanes import where
+from teleop.stages.end import Axis, Column, End, Places, Run, Stage, elapsed, per_axis
 from teleop.stages.record import Record
 
 TINY = 5e-324  # in place of no energy: D^2/(2 S) is infinite then, and nothing is played
-
-new: Any = tuple.__new__
 
 
 class Integrals(NamedTuple):
@@ -133,30 +130,19 @@ class WaveIntegralStage(Stage):
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.target, self.keeps, self.settles, self.recalls, self.spared, self.leads, self.returns = given
         for a, own in zip(e.axes, self.axes, strict=True):
-            own.q = own.p = own.P = own.G = own.M = own.queue = zero(run)
-            own.C = zero(run) - self.target
-            a.heard = a.sent = Integrals(zero(run), zero(run), zero(run))
-            a.E_played = zero(run)
+            own.q = own.p = own.P = own.G = own.M = own.queue = 0.0
+            own.C = 0.0 - self.target
+            a.heard = a.sent = Integrals(0.0, 0.0, 0.0)
+            a.E_played = 0.0
 
     def receive(self, run: Run, e: End) -> None:
         for a, own in zip(e.axes, self.axes, strict=True):
             owed(run, e, a, own)
-            if run.has.lanes:
-                own.M = max(0.0, min(own.M + (own.L - own.M) * self.recalls, own.L - self.spared))
-                own.H = own.D * own.D / max(2.0 * own.S, TINY)
-                own.h = max(run.dt, own.L - self.settles * min(own.M, own.L - self.keeps), min(own.H, own.L))
-                own.h = where(run.half_dt <= own.L, own.h, run.dt)
-                own.most = sqrt(own.S / run.dt)
-                own.credit = where(run.half_dt > own.L, max(0.0, self.leads + own.L * self.returns), 0.0)
-                own.credit = where(e.got, 0.0, where(abs(own.p) < own.most, own.credit, 0.0))
-                own.p = where(run.half_dt <= own.L, own.D / max(own.h, own.H), min(max(own.p, -own.most), own.most))
-                own.C = where(a.heard.T > 0.0, max(own.C, a.heard.T - (own.h - run.dt)), own.C) + own.credit
-            else:
-                self.release(run, e, a, own)
+            self.release(run, e, a, own)
             play(run, e, a, own)
 
     def release(self, run: Run, e: End, a: Axis, own: AxisWaves) -> None:
-        """The same of one scene, with branches, which cost less than roots and quotients that are seldom needed."""
+        """What is released in this tick of what is owed: the wave p, and what is credited."""
         own.M = own.M + (own.L - own.M) * self.recalls
         if own.L - self.spared < own.M:  # noqa: PLR1730 - a call costs more
             own.M = own.L - self.spared
@@ -213,10 +199,7 @@ def owed(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
         own.G = own.G + own.held * (0.5 * (own.p * own.p))
         own.C = own.C + own.held
     own.D = a.heard.U - own.P
-    if run.has.compiled:
-        own.S = max(a.heard.E - own.G, 0.0)
-    else:
-        own.S = a.heard.E - own.G if a.heard.E > own.G else 0.0
+    own.S = a.heard.E - own.G if a.heard.E > own.G else 0.0
     own.L = a.heard.T - own.C
 
 
@@ -226,7 +209,7 @@ def play(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
     own.G = own.G + run.half_dt * (own.p * own.p)
     own.queue = a.heard.T - own.C
     a.E_played = own.G
-    a.rx = with_wave(run, e, a, own.p)
+    a.rx = with_wave(e, a, own.p)
 
 
 def send_along(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
@@ -237,10 +220,7 @@ def send_along(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
         own.held = elapsed(run, e) - run.dt
         T, U, E = T + own.held, U + own.held * own.q, E + own.held * (0.5 * (own.q * own.q))
         own.q = q
-    if run.has.compiled:
-        a.sent = Integrals(T + run.dt, U + run.dt * q, E + run.half_dt * (q * q))
-    else:
-        a.sent = new(Integrals, (T + run.dt, U + run.dt * q, E + run.half_dt * (q * q)))
+    a.sent = Integrals(T + run.dt, U + run.dt * q, E + run.half_dt * (q * q))
 
 
 class WaveScalingStage(Stage):
@@ -258,11 +238,9 @@ class WaveScalingStage(Stage):
 
     def receive(self, run: Run, e: End) -> None:
         for a in e.axes:
-            a.rx = with_wave(run, e, a, where(e.got, self.gain, 1.0) * getattr(a.rx, e.rx_wave))
+            a.rx = with_wave(e, a, (self.gain if e.got else 1.0) * getattr(a.rx, e.rx_wave))
 
 
-def with_wave(run: Run, e: End, a: Axis, wave: Any) -> Any:
+def with_wave(e: End, a: Axis, wave: Any) -> Any:
     """The received message with this wave in place of its own."""
-    if run.has.compiled:
-        return e.Message(*[wave if field == e.rx_wave else getattr(a.rx, field) for field in e.rx_fields])
-    return new(e.Message, tuple([wave if field == e.rx_wave else getattr(a.rx, field) for field in e.rx_fields]))
+    return e.Message(*[wave if field == e.rx_wave else getattr(a.rx, field) for field in e.rx_fields])

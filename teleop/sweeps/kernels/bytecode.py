@@ -32,7 +32,7 @@ def unlike_python(function: FunctionType) -> str | None:
 
 
 def branches(function: FunctionType) -> bool:
-    """Does it choose its way by its numbers."""
+    """True if the function branches on a number, or has a loop."""
     return any("_IF_" in now.opname or now.opname == "FOR_ITER"
                for each in _all(function) for now in dis.get_instructions(each.__code__))
 
@@ -43,8 +43,9 @@ def without_lanes(function: FunctionType) -> str | None:
         names = {now.opname for now in dis.get_instructions(each.__code__)}
         if "FOR_ITER" in names and names.intersection(COMPREHENDS):
             return COMPREHENSION
-    if branches(function):
-        return "chooses its way by an `if` or a loop (min and max would have lanes)"
+    if any(now.opname == "FOR_ITER" or "JUMP_BACKWARD" in now.opname
+           for each in _all(function) for now in dis.get_instructions(each.__code__)):
+        return "has a loop"
     for each in _all(function):
         if any(isinstance(part, CodeType) for part in each.__code__.co_consts):
             return COMPREHENSION

@@ -22,11 +22,12 @@ from typing import Any, Protocol, cast
 
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
+from teleop.simulation import masks
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.given import record
 from teleop.simulation.source import located
 from teleop.simulation.tick import loop
-from teleop.stages import lanes
+from teleop.stages import memory
 from teleop.storage.files import replacing
 from teleop.sweeps.kernels.bytecode import unlike_python
 from teleop.sweeps.kernels.cache_folder import made_private, open_to_others, tell_once
@@ -67,13 +68,13 @@ def folder() -> Path:
 
 
 MOST_NUMBERS = 500  # of a row
+INSTRUCTIONS = (masks.__name__, memory.__name__)  # modules for whose functions an engine has instructions
 
 
 class Engine(Protocol):
     """What a compiled engine puts into a module of its own: the module `teleop.sweeps.NAME`."""
 
     SOURCES: tuple[str, ...]  # the modules of its own that a kernel is made with
-    LANES: bool  # eight scenes side by side
     REAL: str  # how a float is taken from `reals` at `base`; {} is its number
     WIDTH: int  # scenes side by side
     CALLS: Mapping[str, str]  # the kernels of a module by name: how each calls `loop` for tile t
@@ -101,10 +102,13 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     own = cast("Engine", import_module(f"teleop.sweeps.kernels.{engine}"))
     lines: list[str] = []
     pieces: list[Any] = []
-    made = kernel_lines(scene, measures, compiled=True, lanes=own.LANES)
+    made = kernel_lines(scene, measures, engine=engine)
     for word, part in sorted(made.names(functions_of_kernel(scene, bodies)).items()):
-        if isinstance(part, float) or part.__module__ == lanes.__name__:
-            continue  # inf and nan, and what an engine has instructions for
+        if isinstance(part, float):
+            continue  # inf and nan
+        if part.__module__ in INSTRUCTIONS:
+            lines += [f"{word} = {part.__name__}"] * (word != part.__name__)
+            continue
         for each in _pieces(part):
             if isinstance(each, FunctionType) and (odd := unlike_python(each)):
                 raise NotCompiled(f"{each.__qualname__} has {odd}")
@@ -128,8 +132,8 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
     axes = range(scene.axes if scene.reference is not None else 0)
     words = {
         "row": (len(gives(scene, measures)) + 2) * width, "width": width,
-        "one_path": f"({''.join(f'paths[(t * {len(axes)} + {i}) * {width}], ' for i in axes)})",
-        "own_paths": f"({''.join(f'each(paths, t * {len(axes)} + {i}), ' for i in axes)})",
+        "one_path": f"({''.join(f'(paths[(t * {len(axes)} + {i}) * {width}], 0.0), ' for i in axes)})",
+        "own_paths": f"({''.join(f'(each(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
     }
     kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
                       for name, call in own.CALLS.items())

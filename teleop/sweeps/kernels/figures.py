@@ -1,19 +1,21 @@
 """What a kernel keeps in place of a record: running figures of its run, worked out tick by tick in order.
 
-Plain Python keeps positions of some ticks ago in lists, compiled code in the rings of `teleop.sweeps.kernels.rings`.
-Where eight scenes run side by side, each leaves the run at a tick of its own.
+Where eight scenes run side by side, each leaves the run at a tick of its own: `LaneFigures`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf
+from functools import reduce
+from math import inf, nan
+from operator import add
 from typing import Any
 
-from teleop.stages.end import Axis, End, Recorder, Run, RunHas, zero
-from teleop.stages.lanes import ago, came, received, ring, sent, tell, where, whole
+from teleop.simulation.masks import any_lane, store
+from teleop.stages.end import Axis, End, Recorder, Run, RunHas
+from teleop.stages.memory import get, put, ring
 from teleop.stages.record import Record
-from teleop.sweeps.kernels.measures import Layout, kept, known, least, most, root_mean, sound
+from teleop.sweeps.kernels.measures import Layout, kept, known, least, most, root_mean
 from teleop.sweeps.kernels.sums import Sums
 
 
@@ -63,15 +65,16 @@ class Figures(Recorder):
     told_m: float  # messages that the master sent
     told_s: float
     told_of: float  # ticks
-    start: Any  # the first tick of the late windows
-    window: Any  # ticks of each
-    next: Any  # the tick at which the next begins
+    start: int  # the first tick of the late windows
+    window: int  # ticks of each
+    next: int  # the tick at which the next begins
     swing_0: float  # of the late windows that are over, the newest last, m
     swing_1: float
     swing_2: float
     swing_3: float
     swing_4: float
-    out: Any
+    size: int  # of a ring
+    finite: float  # 1.0 if all is finite at the end, else 0.0
 
     def __init__(self, axes: int, has: RunHas, wanted: Layout) -> None:
         super().__init__()
@@ -91,16 +94,15 @@ class Figures(Recorder):
         """Before the first tick."""
         self.lag_x = asked[0]
         self.lag_f = asked[1]
-        if run.has.lanes:
-            self.out = asked[2]
+        self.size = size
         if "x_err" in self.keeps:
             self.x_err_sq = self.x_err_max = 0.0
             for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.old_x = ring(m.x, size) if run.has.compiled else [0.0] * (self.lag_x + 1)
+                own.old_x = ring(m.x, size)
         if "f_err" in self.keeps:
             self.f_err_sq = self.f_err_max = 0.0
             for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.old_f = ring(m.x, size) if run.has.compiled else [0.0] * (self.lag_f + 1)
+                own.old_f = ring(m.x, size)
         for name in ("f_m_max", "f_s_max", "f_h_max", "f_env_max"):
             if name in self.keeps:
                 setattr(self, name, 0.0)
@@ -111,13 +113,13 @@ class Figures(Recorder):
         if run.m.has.watchdog:
             self.g_m_min = 1.0
             self.g_s_min = 1.0
-        self.told_m = self.told_s = self.told_of = zero(run)
+        self.told_m = self.told_s = self.told_of = 0.0
         if "rest" in self.keeps:
             self.start = self.next = asked[-3]
             self.window = asked[-2]
-            self.swing_0 = self.swing_1 = self.swing_2 = self.swing_3 = zero(run)
+            self.swing_0 = self.swing_1 = self.swing_2 = self.swing_3 = 0.0
             for place in self.places:
-                place.low = place.high = place.rise = place.fall = zero(run)
+                place.low = place.high = place.rise = place.fall = 0.0
         self.sums.begin(run, asked)
 
     def step(self, run: Run, k: int) -> None:
@@ -176,18 +178,11 @@ class Figures(Recorder):
     def track_x(self, run: Run, k: int) -> None:
         """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
         for m, own in zip(run.m.axes, self.axes, strict=True):
-            if run.has.compiled:
-                sent(own.old_x, k, place_of_law(run.m, m))
-            else:
-                own.old_x[k % (self.lag_x + 1)] = place_of_law(run.m, m)
-        self.n_x = whole(ago(k + 1, self.lag_x)) if run.has.compiled else k + 1 - self.lag_x
+            put(own.old_x, k, self.size, place_of_law(run.m, m))
+        self.n_x = k + 1 - self.lag_x
         for s, own in zip(run.s.axes, self.axes, strict=True):
-            if run.has.compiled:
-                then = ago(k, self.lag_x)
-                own.d_x = where(came(then), place_of_law(run.s, s) - received(own.old_x, then, s.x), 0.0)
-            else:
-                past = own.old_x[(k - self.lag_x) % (self.lag_x + 1)]
-                own.d_x = place_of_law(run.s, s) - past if k >= self.lag_x else 0.0
+            past = get(own.old_x, k - self.lag_x, self.size)
+            own.d_x = place_of_law(run.s, s) - past if k >= self.lag_x else 0.0
         err = self.magnitude(*[own.d_x for own in self.axes])
         self.x_err_sq = self.x_err_sq + err * err
         self.x_err_max = most(self.x_err_max, err)
@@ -195,17 +190,10 @@ class Figures(Recorder):
     def track_f(self, run: Run, k: int) -> None:
         """The master's force against that on what the slave touches of `lag_f` ticks ago, 0 before there is one."""
         for s, own in zip(run.s.axes, self.axes, strict=True):
-            if run.has.compiled:
-                sent(own.old_f, k, force_of_law(run.s, s))
-            else:
-                own.old_f[k % (self.lag_f + 1)] = force_of_law(run.s, s)
-        self.n_f = whole(ago(k + 1, self.lag_f)) if run.has.compiled else k + 1 - self.lag_f
+            put(own.old_f, k, self.size, force_of_law(run.s, s))
+        self.n_f = k + 1 - self.lag_f
         for m, own in zip(run.m.axes, self.axes, strict=True):
-            if run.has.compiled:
-                then = ago(k, self.lag_f)
-                own.d_f = where(came(then), m.f - received(own.old_f, then, m.f), 0.0)
-            else:
-                own.d_f = m.f - own.old_f[(k - self.lag_f) % (self.lag_f + 1)] if k >= self.lag_f else 0.0
+            own.d_f = m.f - get(own.old_f, k - self.lag_f, self.size) if k >= self.lag_f else 0.0
         err = self.magnitude(*[own.d_f for own in self.axes])
         self.f_err_sq = self.f_err_sq + err * err
         self.f_err_max = most(self.f_err_max, err)
@@ -222,16 +210,11 @@ class Figures(Recorder):
             for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
                 own.low = a.x
                 own.high = a.x
-                own.rise = zero(run)
-                own.fall = zero(run)
+                own.rise = 0.0
+                own.fall = 0.0
         elif k > self.start:
             for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
-                if run.has.compiled:
-                    own.low = where(a.x < own.low, a.x, own.low)
-                    own.high = where(a.x > own.high, a.x, own.high)
-                    own.rise = where(a.x - own.low > own.rise, a.x - own.low, own.rise)
-                    own.fall = where(own.high - a.x > own.fall, own.high - a.x, own.fall)
-                elif a.x < own.low:
+                if a.x < own.low:
                     own.low = a.x
                     own.fall = max(own.fall, own.high - a.x)
                 elif a.x > own.high:
@@ -243,32 +226,27 @@ class Figures(Recorder):
 
     def close(self, run: Run) -> None:
         """The swing of a window that is over."""
-        self.swing_4 = zero(run)
+        self.swing_4 = 0.0
         for own in self.places:
             self.swing_4 = most(self.swing_4, least(own.rise, own.fall))
 
-    def lost(self, run: Run, which: Any, k: int) -> None:
-        """Some of eight scenes left the bounds in tick k: their figures are as they are now."""
-        if "rest" in self.keeps:
-            self.close(run)
-        tell(self.out, which, -(k + 1), self.all(run))
-
     def told(self, run: Run, ticks: int, complete: bool) -> Any:
         """The ticks that ran, below zero if the run left its bounds in the last of them, and the figures."""
-        if "rest" in self.keeps:
-            self.close(run)
-        if run.has.lanes:
-            if complete:
-                tell(self.out, run.alive, ticks, self.all(run))
-            return None
+        self.finish(run)
         return ticks if complete else -ticks, self.all(run)
 
     def all(self, run: Run) -> tuple[Any, ...]:
         """The figures in order, the sums, and 1.0 if all is finite."""
         return (*[self.figure(run, name) for name in self.measures],
-                *[getattr(record, field) for record, field in self.cells], sound((
-            *[getattr(a, field) for e in run.ends for field in ("x", "v", "f") for a in e.axes],
-            *[getattr(self, name) for name in self.ledgers])))
+                *[getattr(record, field) for record, field in self.cells], self.finite)
+
+    def finish(self, run: Run) -> None:
+        """The end of the last window, and whether positions, velocities, forces and ledgers are finite."""
+        if "rest" in self.keeps:
+            self.close(run)
+        self.finite = 1.0 if reduce(add, [  # what is not finite, less itself, is NaN
+            *[getattr(a, field) - getattr(a, field) for e in run.ends for field in ("x", "v", "f") for a in e.axes],
+            *[getattr(self, name) - getattr(self, name) for name in self.ledgers]]) < 1.0 else 0.0
 
     def figure(self, run: Run, name: str) -> Any:
         """One figure."""
@@ -285,6 +263,37 @@ class Figures(Recorder):
         if name in ("sent_fwd", "sent_bwd"):
             return (self.told_m if name == "sent_fwd" else self.told_s) / self.told_of
         return getattr(self, name)
+
+
+class LaneFigures(Figures):
+    """The same of eight scenes, each stored when it leaves its bounds, or at the end."""
+
+    out: Any
+    alive: Any  # mask of the scenes that are within their bounds
+    within: Any
+    left: Any
+
+    def begin(self, run: Run, asked: Any, size: int) -> None:
+        Figures.begin(self, run, asked, size)
+        self.out = asked[2]
+        self.alive = True
+
+    def lost(self, run: Run, x_limit: Any, k: int) -> Any:
+        self.within = all(-x_limit < a.x < x_limit for e in run.ends for a in e.axes)
+        self.left = self.alive and not self.within
+        if any_lane(self.left):
+            self.finish(run)
+            store(self.out, self.left, -(k + 1), self.all(run))
+            self.alive = self.alive and self.within
+            for e in run.ends:
+                for a in e.axes:
+                    a.x = a.x if self.alive else nan  # a scene that is lost moves no more, and costs no more
+        return not any_lane(self.alive)
+
+    def told(self, run: Run, ticks: int, complete: bool) -> Any:
+        self.finish(run)
+        if complete:
+            store(self.out, self.alive, ticks, self.all(run))
 
 
 def place_of_law(e: End, a: Axis) -> Any:

@@ -24,10 +24,10 @@ from teleop.simulation.metrics import given_out
 from teleop.simulation.plan import median_age
 from teleop.simulation.rest import Still
 from teleop.simulation.source import Lines, functions, lines
-from teleop.simulation.structure import Structure, structure_of
+from teleop.simulation.structure import structure_of
 from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
-from teleop.sweeps.kernels.figures import Figures
+from teleop.sweeps.kernels.figures import Figures, LaneFigures
 from teleop.sweeps.kernels.leaves import Leaves
 from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES, SWINGS, kept, layout, magnitude_of
 
@@ -98,15 +98,14 @@ def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
     return frozenset(named if has.slave else named - of_slave - OF_SLAVE)
 
 
-def kernel_lines(scene: Scene, measures: Sequence[str], *, compiled: bool = False, lanes: bool = False) -> Lines:
+def kernel_lines(scene: Scene, measures: Sequence[str], *, engine: str = "plain") -> Lines:
     """The lines of a scene's loop that work out `measures` as they go, and at the end whether all is finite."""
     structure = structure_of(scene)
-    has = structure.has._replace(compiled=compiled, lanes=lanes)
     kinds = {each for name in measures for each in kept(name)}
     m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kinds & felt))) for own, felt in (
         (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max", "free", "f_env", "touch"}))]
-    return lines(Structure(structure.axes, has, m, s), loop, Figures,
-                 (structure.axes, has, layout(measures, scene.ticks)))
+    return lines(structure._replace(m=m, s=s), loop, LaneFigures if engine == "vector" else Figures,
+                 (structure.axes, structure.has, layout(measures, scene.ticks)), engine=engine)
 
 
 def gives(scene: Scene, measures: Sequence[str]) -> tuple[str, ...]:
@@ -132,9 +131,10 @@ def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
         outputs = []
         for row, lag in zip(rows, lags, strict=True):
             numbers, law, dt, x_limit, start_m, start_s, held = row.tree
+            size = max(row.schedule.size, 1 + max(lag))
             fwd, bwd = [None if plan is None else plan.orders.tolist() for plan in row.schedule.plans]
             outputs.append(KernelOutput(*attempt(
-                law, own_loop, numbers, law, dt, row.ticks, x_limit, start_m, start_s, bwd, fwd, row.schedule.size,
+                law, own_loop, numbers, law, dt, row.ticks, x_limit, start_m, start_s, bwd, fwd, size,
                 row.path, held, (*lag, *row.windows))))
         return outputs
 

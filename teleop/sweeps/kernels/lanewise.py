@@ -1,8 +1,8 @@
 """What compiled text does with lanes as a whole: put them together, choose between them, take one of them.
 
 A *tree* is what a law or a body gives: a number, or a tuple or NamedTuple of trees. These are intrinsics of numba's:
-they are called in compiled code, and each makes the instructions for the types that it meets. Where a scalar kernel
-names them too (`where`) they mean the same of plain numbers.
+they are called in compiled code, and each makes the instructions for the types that it meets; of what is the same in
+all lanes they mean what `teleop.simulation.masks` says.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 from llvmlite import ir
 from numba.extending import intrinsic
 
-from teleop.stages.lanes import LEFT_OUT
 from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, LanesType, MaskType, lanes, mask, types
 
 
@@ -45,7 +44,7 @@ def numbers_in(kind: Any) -> int:
 
 
 @intrinsic_of
-def spread(typingctx: Any, tree: Any) -> Any:  # noqa: ARG001
+def broadcast(typingctx: Any, tree: Any) -> Any:  # noqa: ARG001
     """The tree with its numbers in every lane."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -75,7 +74,7 @@ def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
 
 
 @intrinsic_of
-def put(typingctx: Any, tree: Any, i: Any, one: Any) -> Any:  # noqa: ARG001
+def with_lane(typingctx: Any, tree: Any, i: Any, one: Any) -> Any:  # noqa: ARG001
     """A tree of lanes with the numbers of the tree `one` in lane i."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
@@ -92,29 +91,15 @@ def put(typingctx: Any, tree: Any, i: Any, one: Any) -> Any:  # noqa: ARG001
 
 
 @intrinsic_of
-def where(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
-    """`here` in the lanes that are true, `there` in the others; of plain numbers, one of them."""
-    if LanesType in (type(here), type(there)) or isinstance(which, MaskType):
-        kind = lanes
-        here = here if isinstance(here, types.BaseTuple) else lanes
-    else:
-        here = kind = typingctx.unify_types(here, there)
-
-    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        value = vector_of(builder, args[1], _REALS) if isinstance(sig.args[1], types.BaseTuple) else args[1]
-        return builder.select(args[0], value, args[2])
-
-    return kind(mask if isinstance(which, MaskType) else types.boolean, here, kind), make
-
-
-@intrinsic_of
-def chosen(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
-    """`where` of two trees: its choice for each number."""
+def select(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
+    """`here` where the mask is true, `there` in the other lanes: numbers, truths, or tuples of such."""
 
     def type_of(one: Any, other: Any) -> Any:
         if isinstance(one, types.BaseTuple):
             own = one.instance_class if isinstance(one, types.BaseNamedTuple) else None
             return types.BaseTuple.from_types(tuple(map(type_of, one.types, other.types)), own)
+        if all(isinstance(each, types.Boolean | MaskType) for each in (one, other)):
+            return mask if MaskType in (type(which), type(one), type(other)) else types.boolean
         with_lanes = isinstance(which, MaskType) or LanesType in (type(one), type(other))
         return lanes if with_lanes else typingctx.unify_types(one, other)
 
@@ -128,74 +113,28 @@ def chosen(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
 
         return choose(sig.return_type, here, there, args[1], args[2])
 
-    return type_of(here, there)(which, here, there), make
-
-
-_REALS, _WHOLES = True, False
-
-
-def vector_of(builder: Any, numbers: Any, real: bool) -> Any:
-    """A tuple of whole numbers, one for each lane, as a vector of them or of floats."""
-    whole = ir.IntType(64)
-    vector = ir.Constant(ir.VectorType(whole, WIDTH), ir.Undefined)
-    for i in range(WIDTH):
-        vector = builder.insert_element(vector, builder.extract_value(numbers, i), ir.Constant(ir.IntType(32), i))
-    return builder.sitofp(vector, VECTOR) if real else vector
+    mask_type = which if isinstance(which, MaskType) else types.boolean
+    return type_of(here, there)(mask_type, here, there), make
 
 
 @intrinsic_of
-def whole(typingctx: Any, number: Any) -> Any:  # noqa: ARG001
-    """Whole numbers, one for each lane, as lanes; one by itself as it is."""
-    if not isinstance(number, types.BaseTuple):
-        return number(number), lambda context, builder, sig, args: args[0]  # noqa: ARG005
-    return lanes(number), lambda context, builder, sig, args: vector_of(builder, args[0], _REALS)  # noqa: ARG005
-
-
-@intrinsic_of
-def came(typingctx: Any, seq: Any) -> Any:  # noqa: ARG001
-    """Is a packet's number one from zero on; in each lane, where each has its own."""
+def any_lane(typingctx: Any, which: Any) -> Any:  # noqa: ARG001
+    """True if the mask is true of any lane."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        if isinstance(seq, LanesType):
-            return builder.fcmp_ordered(">=", args[0], ir.Constant(VECTOR, [0.0] * WIDTH))
-        numbers = vector_of(builder, args[0], _WHOLES) if isinstance(seq, types.BaseTuple) else args[0]
-        return builder.icmp_signed(">=", numbers, ir.Constant(numbers.type, None))
-
-    return (mask if isinstance(seq, types.BaseTuple | LanesType) else types.boolean)(seq), make
-
-
-@intrinsic_of
-def runs(typingctx: Any, order: Any) -> Any:  # noqa: ARG001
-    """Is a tick run, its order not `LEFT_OUT`; in each lane, where each has its own."""
-
-    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        numbers = vector_of(builder, args[0], _WHOLES) if isinstance(order, types.BaseTuple) else args[0]
-        least = [LEFT_OUT] * WIDTH if isinstance(order, types.BaseTuple) else LEFT_OUT
-        return builder.icmp_signed(">", numbers, ir.Constant(numbers.type, least))
-
-    return (mask if isinstance(order, types.BaseTuple) else types.boolean)(order), make
-
-
-@intrinsic_of
-def some(typingctx: Any, which: Any) -> Any:  # noqa: ARG001
-    """Is a lane of the mask true."""
-
-    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        if not isinstance(which, MaskType):
+            return args[0]
         bits = builder.bitcast(args[0], ir.IntType(WIDTH))
         return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
-    return types.boolean(which), make
+    return types.boolean(which if isinstance(which, MaskType) else types.boolean), make
 
 
 @intrinsic_of
-def within(typingctx: Any, x: Any, limit: Any) -> Any:  # noqa: ARG001
-    """Where `-limit < x < limit`."""
-
-    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        return builder.and_(builder.fcmp_ordered("<", builder.fneg(args[1]), args[0]),
-                            builder.fcmp_ordered("<", args[0], args[1]))
-
-    return mask(lanes, lanes), make
+def invert(typingctx: Any, which: Any) -> Any:  # noqa: ARG001
+    """The mask that is true where this one is not."""
+    kind = which if isinstance(which, MaskType) else types.boolean
+    return kind(kind), lambda context, builder, sig, args: builder.not_(args[0])  # noqa: ARG005
 
 
 def address(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:

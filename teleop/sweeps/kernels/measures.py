@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 from teleop.simulation.felt import SUMS, TINY, names, ranks
@@ -96,11 +96,3 @@ def magnitude_of(*axes: float) -> float:
 
 
 MAGNITUDES = {1: magnitude1, 2: magnitude2, 3: magnitude3}  # written out: of few axes that is quicker
-
-
-def sound(numbers: tuple[float, ...]) -> float:
-    """1.0 if all are finite, else 0.0."""
-    for number in numbers:
-        if not isfinite(number):
-            return 0.0
-    return 1.0

@@ -1,8 +1,9 @@
-"""What a compiled kernel remembers between ticks: messages on their way, and positions of some ticks ago.
+"""What a compiled kernel keeps and reads by number: `teleop.stages.memory` in compiled code.
 
-A ring is a flat array of rows, as many as a power of two; a row holds the numbers of one message, each with all of its
-lanes. The schedule of a link stands at an address, or, where the scenes side by side have links of their own, at a
-tuple of addresses; a lag likewise is one number or a tuple.
+A ring is a flat array of rows, as many as a power of two, with a message such as its own; a row holds the numbers of
+one message, each with all of its lanes. A path or a schedule stands at an address, which goes with a number such as
+those that stand there; where the scenes side by side have their own, at a tuple of addresses. A place that differs from
+lane to lane is a float in each.
 """
 
 from __future__ import annotations
@@ -15,149 +16,165 @@ import numpy as np
 from llvmlite import ir
 from numba.extending import overload
 
-from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, LanesType, lanes, types
-from teleop.sweeps.kernels.lanewise import address, intrinsic_of, numbers_in, tree_value, vector_of
+from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, LanesType, lanes, mask, types
+from teleop.sweeps.kernels.lanewise import address, intrinsic_of, numbers_in, tree_type, tree_value
 
-WHOLE = ir.IntType(64)
+WHOLE, INDEX = ir.IntType(64), ir.IntType(32)
 
 
 def _has_lanes(kind: Any) -> bool:
     return isinstance(kind, LanesType) or (isinstance(kind, types.BaseTuple) and any(map(_has_lanes, kind.types)))
 
 
-def _each(kind: Any) -> int:
+def _width(kind: Any) -> int:
     """Places that each number of a message takes."""
     return WIDTH if _has_lanes(kind) else 1
 
 
-def ring(message: Any, rows: int) -> Any:
-    """A ring for messages such as this one."""
-    raise NotImplementedError(message, rows)
+def _place(k: Any) -> Any:
+    """The type of a place: lanes, or a whole number."""
+    return k if isinstance(k, LanesType) else types.int64
 
 
-def _ring(message: Any, rows: Any) -> Any:  # noqa: ARG001
-    size = max(1, numbers_in(message)) * _each(message)
-    return lambda message, rows: np.zeros(rows * size)  # noqa: ARG005
+def ring(message: Any, size: int) -> Any:
+    """Make a ring for messages such as this one; `size` is a power of two."""
+    raise NotImplementedError(message, size)
+
+
+def _ring(message: Any, size: Any) -> Any:  # noqa: ARG001
+    row = max(1, numbers_in(message)) * _width(message)
+    return lambda message, size: (np.zeros(size * row), message)
 
 
 overload(ring, strict=False)(_ring)
 
 
-def _row(context: Any, builder: Any, kind: Any, array: Any, seq: Any, message: Any) -> Any:
-    """Where the row of a message begins."""
-    size = ir.Constant(WHOLE, max(1, numbers_in(message)) * _each(message))
-    places = builder.extract_value(context.make_array(kind)(context, builder, array).shape, 0)
-    turn = builder.sub(builder.udiv(places, size), ir.Constant(WHOLE, 1))  # rows, a power of two, less one
-    return builder.mul(builder.and_(seq, turn), size)
+class _Rows:
+    """The rows of a ring that hold a message: one, or one for each lane, where each has a place of its own."""
 
+    def __init__(self, context: Any, builder: Any, ring: tuple[Any, Any], place: tuple[Any, Any], size: Any) -> None:
+        (kind, value), (of_place, k) = ring, place
+        self.context, self.builder = context, builder
+        self.kind, self.message = kind.types
+        self.array = builder.extract_value(value, 0)
+        self.wide, self.apart = _has_lanes(self.message), isinstance(of_place, LanesType)
+        row = ir.Constant(WHOLE, max(1, numbers_in(self.message)) * _width(self.message))
+        last = builder.sub(size, ir.Constant(WHOLE, 1))
+        places = [builder.fptosi(builder.extract_element(k, ir.Constant(INDEX, i)), WHOLE)
+                  for i in range(WIDTH)] if self.apart else [k]
+        self.rows = [builder.mul(builder.and_(each, last), row) for each in places]
 
-def _offsets(kind: Any) -> Iterator[Any]:
-    return (ir.Constant(WHOLE, i) for i in count(0, _each(kind)))
+    def offsets(self) -> Iterator[Any]:
+        """Where each number of a message stands in its row."""
+        return (ir.Constant(WHOLE, i) for i in count(0, _width(self.message)))
 
+    def pointer(self, i: int, offset: Any) -> Any:
+        """Where a number stands: with all of its lanes, or that of lane i by itself."""
+        at = self.builder.add(self.rows[i], offset)
+        if self.wide and not self.apart:
+            return address(self.context, self.builder, self.kind, self.array, at)
+        at = self.builder.add(at, ir.Constant(WHOLE, i)) if self.wide else at
+        return self.builder.gep(self.context.make_array(self.kind)(self.context, self.builder, self.array).data, [at])
 
-def _cell(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    return builder.gep(context.make_array(kind)(context, builder, array).data, [at])
+    def read(self, result: Any, message: Any) -> Any:
+        """The message that they hold."""
+        builder, offsets = self.builder, self.offsets()
+
+        def leaf(kind: Any, value: Any) -> Any:  # noqa: ARG001
+            offset = next(offsets)
+            if not self.apart:
+                return builder.load(self.pointer(0, offset), align=8)
+            found = ir.Constant(VECTOR, ir.Undefined)
+            for i in range(WIDTH):
+                one = builder.load(self.pointer(i, offset), align=8)
+                found = builder.insert_element(found, one, ir.Constant(INDEX, i))
+            return found
+
+        return tree_value(self.context, builder, self.message, result, message, leaf)
+
+    def write(self, kind: Any, message: Any, which: Any = None) -> None:
+        """Keep a message in them, where the mask is true."""
+        builder, offsets = self.builder, self.offsets()
+
+        def keep(pointer: Any, value: Any, here: Any) -> None:
+            if here is not None:
+                value = builder.select(here, value, builder.load(pointer, align=8))
+            builder.store(value, pointer, align=8)
+
+        def leaf(own: Any, value: Any) -> Any:
+            offset = next(offsets)
+            number = self.context.cast(builder, value, own, lanes if self.wide else types.float64)
+            if not self.apart:
+                keep(self.pointer(0, offset), number, which)
+                return value
+            for i in range(WIDTH):
+                lane = ir.Constant(INDEX, i)
+                here = None if which is None else builder.extract_element(which, lane)
+                keep(self.pointer(i, offset), builder.extract_element(number, lane), here)
+            return value
+
+        tree_value(self.context, builder, kind, kind, message, leaf)
 
 
 @intrinsic_of
-def sent(typingctx: Any, kept: Any, k: Any, message: Any) -> Any:  # noqa: ARG001
+def put(typingctx: Any, kept: Any, k: Any, size: Any, message: Any) -> Any:  # noqa: ARG001
     """Keep a message under the number k."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = sig.args[0]
-        row, offsets = _row(context, builder, kind, args[0], args[1], message), _offsets(message)
-
-        def leaf(own: Any, value: Any) -> Any:
-            at = builder.add(row, next(offsets))
-            if _has_lanes(message):
-                builder.store(context.cast(builder, value, own, lanes), address(context, builder, kind, args[0], at),
-                              align=8)
-            else:
-                builder.store(context.cast(builder, value, own, types.float64),
-                              _cell(context, builder, kind, args[0], at))
-            return value
-
-        tree_value(context, builder, message, message, args[2], leaf)
+        _Rows(context, builder, (kept, args[0]), (sig.args[1], args[1]), args[2]).write(message, args[3])
         return context.get_dummy_value()
 
-    return types.none(kept, types.int64, message), make
+    return types.none(kept, _place(k), types.int64, message), make
 
 
 @intrinsic_of
-def placed(typingctx: Any, kept: Any, at: Any, which: Any, message: Any) -> Any:  # noqa: ARG001 - numba gives it
-    """Keep a message at place `at` where `which` is true; lane by lane, where each has a place of its own."""
-    own_places = isinstance(at, types.BaseTuple)
+def put_selected(typingctx: Any, which: Any, kept: Any, k: Any, size: Any, message: Any) -> Any:  # noqa: ARG001
+    """Keep a message under the number k where the mask is true."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind, offsets = sig.args[0], _offsets(message)
-        places = [builder.extract_value(args[1], i) for i in range(WIDTH)] if own_places else [args[1]]
-        rows = [_row(context, builder, kind, args[0], place, message) for place in places]
-
-        def keep(pointer: Any, keeps: Any, value: Any, **aligned: int) -> None:
-            builder.store(builder.select(keeps, value, builder.load(pointer, **aligned)), pointer, **aligned)
-
-        def leaf(own: Any, value: Any) -> Any:
-            offset = next(offsets)
-            if not _has_lanes(message):
-                keep(_cell(context, builder, kind, args[0], builder.add(rows[0], offset)), args[2],
-                     context.cast(builder, value, own, types.float64))
-                return value
-            value = context.cast(builder, value, own, lanes)
-            if not own_places:
-                keep(address(context, builder, kind, args[0], builder.add(rows[0], offset)), args[2], value, align=8)
-                return value
-            for i, row in enumerate(rows):
-                lane = ir.Constant(ir.IntType(32), i)
-                place = builder.add(row, builder.add(offset, ir.Constant(WHOLE, i)))
-                keep(_cell(context, builder, kind, args[0], place), builder.extract_element(args[2], lane),
-                     builder.extract_element(value, lane))
-            return value
-
-        tree_value(context, builder, message, message, args[3], leaf)
+        _Rows(context, builder, (kept, args[1]), (sig.args[2], args[2]), args[3]).write(message, args[4], args[0])
         return context.get_dummy_value()
 
-    return types.none(kept, at if own_places else types.int64, which, message), make
+    apart = isinstance(k, LanesType)
+    return types.none(mask if apart else which, kept, _place(k), types.int64, message), make
 
 
 @intrinsic_of
-def received(typingctx: Any, kept: Any, seq: Any, message: Any) -> Any:  # noqa: ARG001
-    """The message of number `seq`, or the one there is if that is below zero; lane by lane, where each has its own."""
-    own_links = isinstance(seq, types.BaseTuple)
+def get(typingctx: Any, kept: Any, k: Any, size: Any) -> Any:  # noqa: ARG001
+    """The message of number k; of each lane, where each has a place of its own."""
+    number = lanes if _has_lanes(kept.types[1]) else types.float64
+    message = tree_type(kept.types[1], lambda _: number)
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind, numbers = sig.args[0], args[1]
-        if own_links:
-            numbers = vector_of(builder, args[1], False)
-            rows = [_row(context, builder, kind, args[0], builder.extract_value(args[1], i), message)
-                    for i in range(WIDTH)]
-        else:
-            rows = [_row(context, builder, kind, args[0], args[1], message)]
-        came, offsets = builder.icmp_signed(">=", numbers, ir.Constant(numbers.type, None)), _offsets(message)
+        rows = _Rows(context, builder, (kept, args[0]), (sig.args[1], args[1]), args[2])
+        return rows.read(message, builder.extract_value(args[0], 1))
 
-        def leaf(own: Any, value: Any) -> Any:  # noqa: ARG001
-            offset = next(offsets)
-            if not _has_lanes(message):
-                new = builder.load(_cell(context, builder, kind, args[0], builder.add(rows[0], offset)))
-            elif not own_links:
-                new = builder.load(address(context, builder, kind, args[0], builder.add(rows[0], offset)), align=8)
-            else:
-                new = ir.Constant(VECTOR, ir.Undefined)
-                for i, row in enumerate(rows):
-                    place = builder.add(builder.add(row, offset), ir.Constant(WHOLE, i))
-                    one = builder.load(_cell(context, builder, kind, args[0], place))
-                    new = builder.insert_element(new, one, ir.Constant(ir.IntType(32), i))
-            return builder.select(came, new, value)
-
-        return tree_value(context, builder, message, message, args[2], leaf)
-
-    return message(kept, seq if own_links else types.int64, message), make
+    return message(kept, _place(k), types.int64), make
 
 
-def _of_each(builder: Any, sig: Any, of: Any, one: Any) -> Any:
-    """A tuple with what `one` makes of each entry of another, or what it makes of a thing that is no tuple."""
-    if not isinstance(sig, types.BaseTuple):
-        return one(sig, of)
-    return [one(kind, builder.extract_value(of, i)) for i, kind in enumerate(sig.types)]
+@intrinsic_of
+def at(typingctx: Any, numbers: Any, k: Any) -> Any:  # noqa: ARG001
+    """The k-th of the numbers at an address; of each lane, where each has an address of its own."""
+    apart, real = isinstance(numbers[0], types.BaseTuple), isinstance(numbers[1], types.Float)
+
+    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        kind, place = ir.DoubleType() if real else WHOLE, builder.extract_value(args[0], 0)
+        found = [builder.load(builder.gep(builder.inttoptr(each, kind.as_pointer()), [args[1]]))
+                 for each in ([builder.extract_value(place, i) for i in range(WIDTH)] if apart else [place])]
+        if not apart:
+            return found[0]
+        vector = _vector(builder, kind, found)
+        return vector if real else builder.sitofp(vector, VECTOR)
+
+    return (lanes if apart else types.float64 if real else types.int64)(numbers, types.int64), make
+
+
+def _vector(builder: Any, kind: Any, numbers: list[Any]) -> Any:
+    """Numbers, one for each lane, as a vector."""
+    vector = ir.Constant(ir.VectorType(kind, WIDTH), ir.Undefined)
+    for i, number in enumerate(numbers):
+        vector = builder.insert_element(vector, number, ir.Constant(INDEX, i))
+    return vector
 
 
 @intrinsic_of
@@ -166,60 +183,27 @@ def each(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         first = builder.mul(args[1], ir.Constant(WHOLE, WIDTH))
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
         return context.make_tuple(builder, sig.return_type, [
-            builder.load(_cell(context, builder, sig.args[0], args[0], builder.add(first, ir.Constant(WHOLE, i))))
-            for i in range(WIDTH)])
+            builder.load(builder.gep(data, [builder.add(first, ir.Constant(WHOLE, i))])) for i in range(WIDTH)])
 
     return types.UniTuple(types.int64, WIDTH)(numbers, types.int64), make
 
 
-def _at(builder: Any, place: Any, k: Any, kind: Any) -> Any:
-    """The k-th of the numbers that stand at an address."""
-    return builder.load(builder.gep(builder.inttoptr(place, kind.as_pointer()), [k]))
-
-
 @intrinsic_of
-def packet(typingctx: Any, play: Any, k: Any) -> Any:  # noqa: ARG001
-    """The packet that the schedule at an address plays at tick k, or -1; for each lane, where each has its own."""
-
-    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        found = _of_each(builder, play, args[0], lambda _, place: _at(builder, place, args[1], WHOLE))
-        return context.make_tuple(builder, sig.return_type, found) if isinstance(play, types.BaseTuple) else found
-
-    return play(play, types.int64), make
-
-
-@intrinsic_of
-def sample(typingctx: Any, path: Any, k: Any) -> Any:  # noqa: ARG001
-    """Where the path at an address is at tick k; for each lane, where each has its own."""
-    own_paths = isinstance(path, types.BaseTuple)
+def as_lanes(typingctx: Any, numbers: Any) -> Any:  # noqa: ARG001
+    """A tuple of eight whole numbers as lanes."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        found = _of_each(builder, path, args[0], lambda _, place: _at(builder, place, args[1], ir.DoubleType()))
-        if not own_paths:
-            return found
-        vector = ir.Constant(VECTOR, ir.Undefined)
-        for i, one in enumerate(found):
-            vector = builder.insert_element(vector, one, ir.Constant(ir.IntType(32), i))
-        return vector
+        wholes = [builder.extract_value(args[0], i) for i in range(WIDTH)]
+        return builder.sitofp(_vector(builder, WHOLE, wholes), VECTOR)
 
-    return (lanes if own_paths else types.float64)(path, types.int64), make
+    return lanes(numbers), make
 
 
 @intrinsic_of
-def ago(typingctx: Any, k: Any, lag: Any) -> Any:  # noqa: ARG001
-    """The tick `lag` before k; below zero where there is none."""
-
-    def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        found = _of_each(builder, lag, args[1], lambda kind, one: builder.sub(args[0], one))  # noqa: ARG005
-        return context.make_tuple(builder, sig.return_type, found) if isinstance(lag, types.BaseTuple) else found
-
-    return lag(types.int64, lag), make
-
-
-@intrinsic_of
-def tell(typingctx: Any, out: Any, which: Any, ran: Any, told: Any) -> Any:  # noqa: ARG001
-    """Put the ticks that ran and the figures of these lanes in their places."""
+def store(typingctx: Any, out: Any, which: Any, ran: Any, figures: Any) -> Any:  # noqa: ARG001 - numba names them
+    """Write how many ticks ran, and the figures, where the mask is true."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         def keep(i: int, value: Any) -> None:
@@ -227,8 +211,8 @@ def tell(typingctx: Any, out: Any, which: Any, ran: Any, told: Any) -> Any:  # n
             builder.store(builder.select(args[1], value, builder.load(place, align=8)), place, align=8)
 
         keep(0, args[2])
-        for i, kind in enumerate(told.types):
+        for i, kind in enumerate(figures.types):
             keep(i + 1, context.cast(builder, builder.extract_value(args[3], i), kind, lanes))
         return context.get_dummy_value()
 
-    return types.none(out, which, lanes, told), make
+    return types.none(out, mask, lanes, figures), make

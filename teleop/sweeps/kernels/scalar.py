@@ -10,17 +10,16 @@ from teleop.simulation.felt import frame_of
 from teleop.sweeps.kernels.calls import called
 from teleop.sweeps.kernels.compiled import module
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, gives
-from teleop.sweeps.kernels.lanewise import came, chosen, runs, where, whole
-from teleop.sweeps.kernels.rings import ago, packet, placed, received, ring, sample, sent
+from teleop.sweeps.kernels.rings import at, get, put, ring
 
-__all__ = ["ago", "came", "chosen", "packet", "placed", "received", "ring", "runs", "sample", "sent", "where", "whole"]
+__all__ = ["at", "get", "put", "ring"]
 
-LANES = False
 REAL = "reals[base + {}]"
 WIDTH = 1
 CALLS = {"kernel": """\
-        out[t * {row}], told = loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[2 * t], plays[2 * t + 1],
-                                    sizes[t], {one_path}, held, (lags[2 * t], lags[2 * t + 1], start, window, last))
+        out[t * {row}], told = loop(given, law, dt, ticks, x_limit, start_m, start_s, (plays[2 * t], 0),
+                                    (plays[2 * t + 1], 0), sizes[t], {one_path}, held,
+                                    (lags[2 * t], lags[2 * t + 1], start, window, last))
         for i in range(len(told)):
             out[t * {row} + 1 + i] = told[i]"""}
 SOURCES = ("teleop.sweeps.kernels.lanewise", "teleop.sweeps.kernels.rings", "teleop.sweeps.kernels.scalar")

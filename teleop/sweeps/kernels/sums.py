@@ -8,8 +8,7 @@ from operator import add
 from typing import Any
 
 from teleop.simulation.felt import AT_END, names
-from teleop.stages.end import Run, zero
-from teleop.stages.lanes import some, where
+from teleop.stages.end import Run
 from teleop.stages.record import Record
 
 
@@ -42,7 +41,6 @@ class Turns(Record):
 
     v_was: float
     level: float  # of the band, m/s: a quarter of the greatest speed in the third of the late windows from the end
-    over: float  # 1.0 if it turns at this tick
     armed: float  # 1.0 once it was below the band
     count: float  # in the last two windows
     first: float  # tick of the first, between two ticks where the line through their velocities leaves the band
@@ -65,7 +63,7 @@ class Sums(Record):
     jerk_sq: float
     jump: float
     below: float
-    late: Any  # the first tick of the last `END`
+    late: int  # the first tick of the last `END`
 
     def __init__(self, axes: int, groups: Sequence[str], ranks: int) -> None:
         super().__init__("sums")
@@ -93,39 +91,39 @@ class Sums(Record):
         """Before the first tick."""
         if "free" in self.groups or "jerk" in self.groups:
             for own in self.axes:
-                own.v_was = own.f_was = zero(run)
+                own.v_was = own.f_was = 0.0
         if "free" in self.groups:
-            self.away = zero(run) + 1.0
-            self.moved = self.free_n = zero(run)
-            self.free_aa = self.free_av = self.free_vv = zero(run)
-            self.free_fa = self.free_fv = self.free_ff = zero(run)
+            self.away = 1.0
+            self.moved = self.free_n = 0.0
+            self.free_aa = self.free_av = self.free_vv = 0.0
+            self.free_fa = self.free_fv = self.free_ff = 0.0
             for own in self.axes:
-                own.free_a = own.free_v = own.free_f = zero(run)
+                own.free_a = own.free_v = own.free_f = 0.0
         if "jerk" in self.groups:
-            self.jerk_sq = zero(run)
+            self.jerk_sq = 0.0
             for rank in self.ranks:
-                rank.size = zero(run)
+                rank.size = 0.0
         if len(self.at_end) > 0:
             self.late = asked[-1]
             for own in self.axes:
                 for field in self.at_end:
-                    setattr(own, field, zero(run))
+                    setattr(own, field, 0.0)
         if "turns" in self.groups:
             for turn in self.turns:
-                turn.v_was = turn.level = turn.armed = turn.count = zero(run)
-                turn.first = turn.latest = zero(run) - 1.0
+                turn.v_was = turn.level = turn.armed = turn.count = 0.0
+                turn.first = turn.latest = -1.0
 
     def feel(self, run: Run, k: int) -> None:
         """The motion of the master against the force that it was held over, while the slave moves in free space."""
         for s in run.s.axes:
-            self.away = where(abs(s.f_ext) <= 0.0, self.away, 0.0)
-            self.moved = where(abs(s.v) > 0.0, 1.0, self.moved)
+            self.away = self.away if abs(s.f_ext) <= 0.0 else 0.0
+            self.moved = 1.0 if abs(s.v) > 0.0 else self.moved
         self.free = self.away * self.moved
         if k > 0:
             for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.a = where(self.free > 0.0, m.v - own.v_was, 0.0)
-                own.v = where(self.free > 0.0, 0.5 * (m.v + own.v_was), 0.0)
-                own.f = where(self.free > 0.0, own.f_was, 0.0)
+                own.a = m.v - own.v_was if self.free > 0.0 else 0.0
+                own.v = 0.5 * (m.v + own.v_was) if self.free > 0.0 else 0.0
+                own.f = own.f_was if self.free > 0.0 else 0.0
                 own.free_a = own.free_a + own.a
                 own.free_v = own.free_v + own.v
                 own.free_f = own.free_f + own.f
@@ -143,17 +141,14 @@ class Sums(Record):
             self.jerk_sq = self.jerk_sq + step * step
             for rank in self.least:
                 self.jump = step
-                if run.has.lanes:
-                    if some(step > rank.size):
-                        self.rank()
-                elif step > rank.size:
+                if step > rank.size:
                     self.rank()
 
     def rank(self) -> None:
         """A step in its place among the largest."""
         for own in self.ranks:
-            self.below = where(self.jump > own.size, own.size, self.jump)
-            own.size = where(self.jump > own.size, self.jump, own.size)
+            self.below = own.size if self.jump > own.size else self.jump
+            own.size = self.jump if self.jump > own.size else own.size
             self.jump = self.below
 
     def keep(self, run: Run) -> None:
@@ -181,20 +176,13 @@ class Sums(Record):
             if "x_s" in self.groups:
                 own.end_x_s = own.end_x_s + s.x
             if "touch" in self.groups:
-                own.end_touch = own.end_touch + where(abs(s.f_ext) > 0.0, 1.0, 0.0)
+                own.end_touch = own.end_touch + (1.0 if abs(s.f_ext) > 0.0 else 0.0)
 
     def turn(self, run: Run, k: int, start: Any, window: Any) -> None:
         """The velocities of the master in the last three of the late windows, of which the first begins at `start`."""
         if k >= start + 3 * window:
             for a, own in zip(run.m.axes, self.turns, strict=True):
-                if run.has.compiled:
-                    own.over = where(a.v > own.level, own.armed, 0.0)
-                    own.count = own.count + own.over
-                    own.latest = where(own.over > 0.0, k - (a.v - own.level) / (a.v - own.v_was), own.latest)
-                    own.first = where(own.first < 0.0, own.latest, own.first)
-                    own.armed = where(a.v > own.level, 0.0, own.armed)
-                    own.armed = where(a.v < -own.level, 1.0, own.armed)
-                elif a.v > own.level:
+                if a.v > own.level:
                     if own.armed > 0.0:
                         own.count = own.count + 1.0
                         own.latest = k - (a.v - own.level) / (a.v - own.v_was)
@@ -205,4 +193,4 @@ class Sums(Record):
                 own.v_was = a.v
         elif k >= start + 2 * window:
             for a, own in zip(run.m.axes, self.turns, strict=True):
-                own.level = where(0.25 * abs(a.v) > own.level, 0.25 * abs(a.v), own.level)
+                own.level = 0.25 * abs(a.v) if 0.25 * abs(a.v) > own.level else own.level

@@ -18,27 +18,29 @@ from teleop.sweeps.kernels.compiled import cause, module
 from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, NotVectorised, gives, tree_of
 from teleop.sweeps.kernels.lane_parts import lane_end, lane_part
 from teleop.sweeps.kernels.lanes import WIDTH
-from teleop.sweeps.kernels.lanewise import came, chosen, load, runs, some, spread, where, whole, within
+from teleop.sweeps.kernels.lanewise import any_lane, broadcast, invert, load, select
 from teleop.sweeps.kernels.leaves import leaves
-from teleop.sweeps.kernels.rings import ago, each, packet, placed, received, ring, sample, sent, tell
+from teleop.sweeps.kernels.rings import as_lanes, at, each, get, put, put_selected, ring, store
 
-__all__ = ["WIDTH", "ago", "came", "chosen", "each", "lane_end", "lane_part", "load", "packet", "placed", "received",
-           "ring", "runs", "sample", "sent", "some", "spread", "tell", "where", "whole", "within"]
+__all__ = ["WIDTH", "any_lane", "as_lanes", "at", "broadcast", "each", "get", "invert", "lane_end", "lane_part", "load",
+           "put", "put_selected", "ring", "select", "store"]
 
-LANES = True
 REAL = f"load(reals, base + {{}} * {WIDTH})"
 CALLS = {
     "alike": """\
-        loop(given, law, dt, ticks, x_limit, start_m, start_s, plays[t * 2 * {width}], plays[(2 * t + 1) * {width}],
-             sizes[t], {one_path}, held, (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}],
-             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window, last))""",
+        loop(given, law, dt, ticks, x_limit, start_m, start_s, (plays[t * 2 * {width}], 0),
+             (plays[(2 * t + 1) * {width}], 0), sizes[t], {one_path}, held,
+             (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}], out[t * {row}:(t + 1) * {row}],
+              start, window, last))""",
     "apart": """\
-        loop(given, law, dt, ticks, x_limit, start_m, start_s, each(plays, 2 * t), each(plays, 2 * t + 1),
-             sizes[t], {own_paths}, held, (each(lags, 2 * t), each(lags, 2 * t + 1),
-             out[t * {row}:(t + 1) * {row}], spread(0.0), start, window, last))""",
+        loop(given, law, dt, ticks, x_limit, start_m, start_s, (each(plays, 2 * t), 0), (each(plays, 2 * t + 1), 0),
+             sizes[t], {own_paths}, held,
+             (as_lanes(each(lags, 2 * t)), as_lanes(each(lags, 2 * t + 1)), out[t * {row}:(t + 1) * {row}],
+              start, window, last))""",
 }
-SOURCES = tuple(f"teleop.sweeps.kernels.{name}"
-                for name in ("lanes", "lanewise", "rings", "lane_parts", "bytecode", "vector"))
+SOURCES = (*[f"teleop.sweeps.kernels.{name}" for name in (
+    "lanes", "lanewise", "rings", "lane_parts", "bytecode", "vector")],
+    "teleop.simulation.expressions", "teleop.simulation.specialise")
 OF_THE_LAW = ("begin_", "law_", "total_")
 
 

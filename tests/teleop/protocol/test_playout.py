@@ -18,7 +18,7 @@ from teleop.errors import Refused
 from teleop.protocol.inbox import Inbox
 from teleop.scene.playout import Fixed, Hold, Playout, Zero, repeats
 from teleop.simulation.plan import Plan, plan
-from teleop.stages.lanes import LEFT_OUT
+from teleop.stages.memory import LEFT_OUT
 
 MS = 1_000_000
 DT = 1000  # ns, in the small cases

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,14 +18,20 @@ from teleop.simulation.recorder import RowRecorder
 from teleop.simulation.source import bind, functions, live_of, loop_of
 from teleop.simulation.structure import live_structure, run_of, structure_of
 from teleop.simulation.tick import live, loop
-from teleop.stages.end import Recorder, RunHas
+from teleop.stages.end import Recorder
 from teleop.stages.force_cap import Cap
-from teleop.stages.lanes import WIDTH, Eight, Lanes, spread
 from teleop.stages.watchdog import Watchdog
-from teleop.sweeps.kernels import figures as running
-from teleop.sweeps.kernels.figures import Figures
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, functions_of_kernel, plain, tree_of
-from teleop.sweeps.kernels.measures import layout
+from teleop.sweeps.kernels import measures as running
+from teleop.sweeps.kernels.kernel import (
+    Inputs,
+    LinkSchedule,
+    available,
+    functions_of_kernel,
+    kernel_lines,
+    plain,
+    tree_of,
+)
+from tests.teleop.simulation.lanes import WIDTH, WORDS, lane_by_lane, side_by_side
 
 SCENES = {
     "waves": lambda: replace(load_scene("canonical"), energy=True),
@@ -84,8 +89,7 @@ def test_so_does_a_live_end(e: str) -> None:
 
 
 @pytest.mark.parametrize("left_out", [0.0, 0.2])
-def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(
-        left_out: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_for_eight_scenes_run_in_plain_python_and_give_the_bits_of_each(left_out: float) -> None:
     scenes = [replace(load_scene("soft_tissue", law=Direct(K=100.0 + 10.0 * i, B=2.0), left_out=left_out),
                       duration=0.05, x_limit=limit)
               for i, limit in enumerate([1e6] * 6 + [1e-4, 2e-3])]
@@ -96,43 +100,18 @@ def test_lines_for_eight_scenes_run_as_they_stand_and_give_the_bits_of_each(
                    own.reference, None, frame_of(scene)) for scene, own in zip(scenes, ready, strict=True)]
     lags = [row.schedule.lags for row in rows]
     alone = plain(first, ready[0].bodies, measures).run(rows, lags)
-    for name in ("most", "least", "root_mean", "known", "sound"):  # they branch
-        monkeypatch.setattr(running, name, lane_by_lane(getattr(running, name)))
-    water = rows[0].schedule
-    structure = structure_of(first)
-    has: RunHas = structure.has._replace(compiled=True, lanes=True)
-    felt = structure.s._replace(has=structure.s.has._replace(felt=True))
-    master = structure.m._replace(has=structure.m.has._replace(felt=True))
-    run = run_of(structure._replace(has=has, s=felt, m=master), Figures(first.axes, has, layout(measures, first.ticks)))
-    bind(run, {**functions_of_kernel(first, ready[0].bodies)})
+    made = kernel_lines(first, measures, engine="vector")
+    names = {**made.names(functions_of_kernel(first, ready[0].bodies)), **WORDS}
+    for word, function in names.items():
+        if getattr(function, "__module__", "") == running.__name__:  # they branch
+            names[word] = lane_by_lane(function)
+    exec(made.code, names)
     given, law, dt, x_limit, start_m, start_s, held = side_by_side([row.tree for row in rows])
     out: list[Any] = [None] * WIDTH
-    bwd, fwd = water.plans[1], water.plans[0]
-    loop(run, given, law, dt, first.ticks, x_limit, start_m, start_s, bwd and bwd.play, fwd and fwd.play,
-         64, ready[0].reference, held, (*water.lags, out, spread(0.0), *rows[0].windows))
-    assert [(ran, tuple(map(repr, told))) for ran, told in out] == [
+    schedule = rows[0].schedule
+    bwd, fwd = schedule.plans[1], schedule.plans[0]
+    names["loop"](given, law, dt, first.ticks, x_limit, start_m, start_s, bwd and bwd.play, fwd and fwd.play,
+                  64, ready[0].reference, held, (*schedule.lags, out, *rows[0].windows))
+    assert [(ran, tuple(map(repr, figures))) for ran, figures in out] == [
         (each.ran, tuple(map(repr, each.figures))) for each in alone]
     assert {ran < 0 for ran, _ in out} == {True, False}
-
-
-def lane_by_lane(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that branches, for eight scenes."""
-    def each(*values: Any) -> Any:
-        return Lanes([function(*[one_of(value, i) for value in values]) for i in range(WIDTH)])
-
-    return each
-
-
-def one_of(value: Any, i: int) -> Any:
-    """What lane i has of a value, which may be a tuple of such."""
-    if isinstance(value, Eight):
-        return value[i]
-    return tuple([one_of(each, i) for each in value]) if isinstance(value, tuple) else value
-
-
-def side_by_side(trees: list[Any]) -> Any:
-    """Trees of numbers as one, each number with its lanes."""
-    one = trees[0]
-    if isinstance(one, tuple) and not isinstance(one, Eight):
-        return tuple.__new__(type(one), [side_by_side([tree[i] for tree in trees]) for i in range(len(one))])
-    return Lanes(trees) if isinstance(one, float) else one

@@ -1,7 +1,7 @@
 """Ends of a link by themselves, without a law or a body: what they send of waves, and what they play of them.
 
-Both are the stages of `teleop.stages.wave_integral` over records of their own, as they stand or as they are written
-for scenes side by side, of which one is enough here. `mutant` gives the same of a text that is wrong somewhere.
+Both are the stages of `teleop.stages.wave_integral` over records of their own, as they stand. `mutant` gives the same
+of a text that is wrong somewhere.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ class Message(NamedTuple):
 class Alone:
     """One end of one axis, whose law is left out."""
 
-    def __init__(self, playout: Gaps | None = None, *, dt: float = DT, lanes: bool = False, leaves_out: bool = False,
+    def __init__(self, playout: Gaps | None = None, *, dt: float = DT, leaves_out: bool = False,
                  module: Any = wave_integral) -> None:
         playout = playout or Integral()
         self.run, self.e = Run(), End("s", 1, EndHas(leaves_out=leaves_out))
-        self.run.has = RunHas(integral=True, compiled=lanes, lanes=lanes)
-        self.run.zero = 0.0
+        self.run.has = RunHas(integral=True)
         self.run.dt, self.run.half_dt = dt, 0.5 * dt
         self.e.rx_wave, self.e.rx_fields, self.e.tx_wave, self.e.Message = "u", ("u",), "u", Message
         self.axis, = self.e.axes

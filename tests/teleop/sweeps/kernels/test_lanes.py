@@ -13,9 +13,10 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
+from teleop.sweeps.kernels.lane_parts import lane_part
 from teleop.sweeps.kernels.lanes import WIDTH
-from teleop.sweeps.kernels.lanewise import came, lane, load, put, some, spread, where, whole, within
-from teleop.sweeps.kernels.rings import ago, received, ring, sent, tell
+from teleop.sweeps.kernels.lanewise import any_lane, broadcast, invert, lane, load, select, with_lane
+from teleop.sweeps.kernels.rings import as_lanes, get, put, put_selected, ring, store
 
 ODD = [0.0, -0.0, 1.0, -1.5, 1e-310, -3e-320, 1e308, -1e308, math.inf, -math.inf, math.nan, math.pi]
 PAIRS = np.array([*product(ODD, ODD), *[(0.1 * i, 7.0 - 0.3 * i) for i in range(WIDTH)]])[: 144 + WIDTH]
@@ -32,8 +33,8 @@ def on_lanes(function: Callable[..., Any]) -> Callable[..., list[float]]:
 
     @njit
     def call(x: Any, y: Any, out: Any) -> None:
-        one = spread(compiled(load(x, 0), load(y, 0)))
-        tell(out, came(spread(0.0)), 0, (one,))
+        one = broadcast(compiled(load(x, 0), load(y, 0)))
+        store(out, broadcast(0.0) <= 0.0, 0, (one,))
 
     def run(pairs: Any) -> list[float]:
         found: list[float] = []
@@ -101,15 +102,60 @@ def test_a_branch_on_lanes_is_refused_when_it_is_compiled(branch: Callable[..., 
 
 def test_a_mask_chooses_lane_by_lane() -> None:
     def either(x: Any, y: Any) -> Any:
-        return where((x < y) | (x == 1.0), x, -1.0) + where(~(x < y) & (y > 0.0), y, 0.0)
+        return select((x < y) | (x == 1.0), x, -1.0) + select(invert(x < y) & (y > 0.0), y, 0.0)
 
     wanted = [(x if x < y or x == 1.0 else -1.0) + (y if not x < y and y > 0.0 else 0.0) for x, y in PAIRS.tolist()]
     assert list(map(bits, on_lanes(either)(PAIRS))) == list(map(bits, wanted))
 
 
-def test_within_is_pythons_chained_comparison() -> None:
-    got = on_lanes(lambda x, y: within(x, y) * 1.0)(PAIRS)
-    assert got == [1.0 * (-y < x < y) for x, y in PAIRS.tolist()]
+def leaves_early(x: float, y: float) -> float:
+    if x < 0.0:
+        if not y > x:
+            return y - 1.0
+        x = x + 2.0
+    elif x < 1.0 < y or x == y:
+        return x * y
+    total = 0.0
+    if -1.0 < x <= y and not x > 5.0:
+        total = total + x
+    else:
+        y = y - 1.0
+        if y > x or total > 0.0:
+            total = total - y
+    return total if total < 2.0 else y
+
+
+def sorted_pair(x: float, y: float) -> tuple[float, float]:
+    if x > y:
+        x, y = y, x
+    return x, y
+
+
+def calls_another(x: float, y: float) -> float:
+    low, high = sorted_pair(x, y)
+    return leaves_early(low, high) if low > -2.0 else high
+
+
+def many_lines(x: float, y: float) -> float:
+    a = b = c = d = 0.0
+    if x > 0.5:
+        a = x + y
+        b = a * x
+        c = b - y
+        d = c / x
+        a = d - a
+        b = b + a * d
+        c = min(a, b)
+        d = max(c, d)
+    return a + b + c + d
+
+
+@pytest.mark.parametrize("function", [leaves_early, calls_another, many_lines])
+def test_a_function_that_branches_was_refused_though_its_branches_can_be_masks(function: Callable[..., Any]) -> None:
+    with np.errstate(all="ignore"):
+        wanted = [bits(float(function(*map(np.float64, pair)))) for pair in PAIRS]
+    made = lane_part(f"{__name__}:{function.__name__}")
+    assert [bits(each) for each in on_lanes(lambda x, y: made(x, y))(PAIRS)] == wanted  # noqa: PLW0108 - numba takes it
 
 
 class Pair(NamedTuple):
@@ -117,24 +163,24 @@ class Pair(NamedTuple):
     b: tuple[float, float]
 
 
-def test_a_tree_is_spread_taken_apart_and_put_together_lane_by_lane() -> None:
+def test_a_tree_is_broadcast_taken_apart_and_put_together_lane_by_lane() -> None:
     @njit
     def reversed_lanes(x: Any, out: Any) -> None:
         tree = Pair(load(x, 0), (2.0, load(x, 8)))
-        told = spread(lane(tree, 0))
+        told = broadcast(lane(tree, 0))
         for i in range(WIDTH):
-            told = put(told, i, lane(tree, WIDTH - 1 - i))
-        tell(out, within(0.0, told.b[0]), 7, (told.a, told.b[0], told.b[1]))
+            told = with_lane(told, i, lane(tree, WIDTH - 1 - i))
+        store(out, told.b[0] > 0.0, 7, (told.a, told.b[0], told.b[1]))
 
     x, out = np.arange(16.0), np.zeros(4 * WIDTH)
     reversed_lanes(x, out)
     assert out.reshape(4, WIDTH).tolist() == [[7.0] * 8, x[7::-1].tolist(), [2.0] * 8, x[:7:-1].tolist()]
 
 
-def test_some_asks_whether_any_lane_is_true() -> None:
+def test_any_lane_asks_whether_a_lane_is_true() -> None:
     @njit
     def any_above(x: Any, y: float) -> bool:
-        return bool(some(load(x, 0) > y))
+        return bool(any_lane(load(x, 0) > y))
 
     x = np.arange(8.0)
     assert any_above(x, 6.5)
@@ -145,37 +191,38 @@ def replay(size: int, play: list[int], lanes: bool) -> tuple[list[Any], list[Any
     """What a ring gives at ticks that play these packets, and what it was given."""
 
     @njit
-    def scalar(play: Any, size: int, told: Any) -> None:
-        kept, message = ring(Pair(0.0, (0.0, 0.0)), size), Pair(-1.0, (-1.0, -1.0))
+    def scalar(play: Any, size: int, played: Any) -> None:
+        message = Pair(-1.0, (-1.0, -1.0))
+        kept = ring(message, size)
         for k in range(len(play)):
-            message = received(kept, play[k], message)
-            told[k] = message.a + 1000.0 * message.b[1]
-            sent(kept, k, Pair(1.0 * k, (0.0, 2.0 * k)))
+            if play[k] >= 0:
+                message = get(kept, play[k], size)
+            played[k] = message.a + 1000.0 * message.b[1]
+            put(kept, k, size, Pair(1.0 * k, (0.0, 2.0 * k)))
 
     @njit
-    def vector(plays: Any, size: int, told: Any) -> None:
-        nothing = spread(-1.0)
+    def vector(plays: Any, size: int, played: Any) -> None:
+        nothing = broadcast(-1.0)
         message = Pair(nothing, (nothing, nothing))
         kept = ring(message, size)
         for k in range(len(plays[0])):
             a, b = plays[0][k], plays[1][k]
-            seq = (a, b, a, b, a, b, a, b)
-            message = received(kept, seq, message)
-            one = message.a + 1000.0 * message.b[1]
-            tell(told[k], came(spread(1.0)), 0, (one,))
-            sent(kept, k, Pair(spread(k), (spread(0.0), spread(2.0 * k))))
+            seq = as_lanes((a, b, a, b, a, b, a, b))
+            message = select(seq >= 0, get(kept, seq, size), message)
+            store(played[k], nothing < 0.0, 0, (message.a + 1000.0 * message.b[1],))
+            put(kept, k, size, Pair(broadcast(k), (broadcast(0.0), broadcast(2.0 * k))))
 
     expected, last = [], -1.0
     for seq in play:
         last = float(seq) if seq >= 0 else last
         expected.append(last + 1000.0 * (2.0 * last if last >= 0 else -1.0))
     if lanes:
-        told = np.zeros((len(play), 2 * WIDTH))
-        vector((np.array(play), np.array(play[:1] + play[:-1])), size, told)
-        return told[:, WIDTH].tolist(), expected
-    told = np.zeros(len(play))
-    scalar(np.array(play), size, told)
-    return told.tolist(), expected
+        found = np.zeros((len(play), 2 * WIDTH))
+        vector((np.array(play), np.array(play[:1] + play[:-1])), size, found)
+        return found[:, WIDTH].tolist(), expected
+    found = np.zeros(len(play))
+    scalar(np.array(play), size, found)
+    return found.tolist(), expected
 
 
 @pytest.mark.parametrize("lanes", [False, True])
@@ -185,12 +232,18 @@ def test_a_ring_gives_back_the_message_that_is_played(lanes: bool) -> None:
     assert got == wanted
 
 
-def test_lags_and_packets_of_each_lane_are_reckoned_apart() -> None:
+def test_a_message_is_kept_in_the_places_and_for_the_lanes_that_a_mask_names() -> None:
     @njit
-    def behind(k: int, lag: Any, out: Any) -> None:
-        then = ago(k, lag)
-        tell(out, came(then), k, (whole(then),))
+    def kept_apart(out: Any) -> None:
+        place = as_lanes((0, 1, 2, 3, 3, 2, 1, 0))
+        kept = ring(broadcast(0.0), 4)
+        put(kept, 2, 4, broadcast(-5.0))
+        put_selected(place < 3, kept, place, 4, place + 10.0)
+        for k in range(4):
+            store(out[k], place >= 0, k, (get(kept, k, 4),))
 
-    out = np.full(2 * WIDTH, -9.0)
-    behind(3, (0, 1, 2, 3, 4, 5, 6, 7), out)
-    assert out.tolist() == [3.0] * 4 + [-9.0] * 4 + [3.0, 2.0, 1.0, 0.0] + [-9.0] * 4
+    out = np.zeros((4, 2 * WIDTH))
+    kept_apart(out)
+    assert out[:, WIDTH:].tolist() == [
+        [10.0, 0, 0, 0, 0, 0, 0, 10.0], [0, 11.0, 0, 0, 0, 0, 11.0, 0],
+        [-5.0, -5.0, 12.0, -5.0, -5.0, 12.0, -5.0, -5.0], [0.0] * 8]

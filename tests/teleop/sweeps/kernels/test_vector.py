@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from channel.link import parse_link
-from scenarios.virtual_coupling import scene as virtual_coupling
 from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop import At, Energy, Fixed, Integral, Scaled, Scene, load_scene
@@ -26,9 +25,7 @@ from teleop.stages.passivity_controller import PassivityController
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.chunk import Job, work
-from teleop.sweeps.kernels.bytecode import branches
 from teleop.sweeps.kernels.kernel import Kernel, NotVectorised, available, figures, plain
-from teleop.sweeps.kernels.measures import most
 from teleop.sweeps.kernels.vector import vector
 from tests.teleop.sweeps.kernels.test_kernel import inputs
 
@@ -238,18 +235,38 @@ def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(law: An
     assert ran in (engine, "vector", "scalar") if not why else ran == engine
 
 
-def called(x: float) -> float:
-    return most(x, 1.0)
+@dataclass(frozen=True, kw_only=True)
+class Saturates(Direct):
+    """A law with branches, one of which returns."""
+
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        f_s = self.K * (rx.x - at.x) - self.B * at.v
+        if not at.fresh:
+            return 0.5 * f_s, Back(at.f), s
+        if f_s > 2.0:
+            f_s = 2.0
+        elif f_s < -1.0 and at.v > 0.0:
+            f_s = f_s + self.B * at.v
+        return f_s, Back(at.f if at.f > 0.0 else 0.0), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loops(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        f_s = 0.0
+        for _ in range(2):
+            f_s = f_s + 0.5 * self.K * (rx.x - at.x)
+        return f_s - self.B * at.v, Back(at.f), s
 
 
 class TestWhatHasNoLanes:
-    def test_a_law_with_an_if_runs_one_scene_at_a_time_and_the_sweep_says_why(self) -> None:
-        rows = [(n, {"law.K": 200.0 + 10.0 * n}, 0) for n in range(9)]
-        done = {engine: work(Job("virtual_coupling", {"duration": 0.1}, rows, ("f_m_max",), engine))
+    def test_a_law_with_a_loop_runs_one_scene_at_a_time_and_the_sweep_says_why(self) -> None:
+        rows = [(n, {"k_e": 200.0 + 10.0 * n}, 0) for n in range(9)]
+        done = {engine: work(Job("canonical", {"duration": 0.1, "law": Loops()}, rows, ("f_m_max",), engine))
                 for engine in ("plain", "vector", "vector")}  # the second finds the kernel made
         ((engine, why), rows_so), = done["vector"].ran.items()
         assert (engine, rows_so) == ("scalar", 9)
-        assert "VirtualCoupling.force chooses its way by an `if`" in why
+        assert "Loops.slave has a loop" in why
         assert repr(done["plain"].rows) == repr(done["vector"].rows)
 
     def test_so_does_a_body_with_an_inner_state(self) -> None:
@@ -257,10 +274,26 @@ class TestWhatHasNoLanes:
         with pytest.raises(NotVectorised, match="inner state"):
             vector(of, exact_bodies(of), ("x_err_rms",))
 
-    def test_a_branch_is_seen_in_what_a_function_calls_too(self) -> None:
-        assert branches(type(virtual_coupling().law).force)
-        assert branches(called)
-        assert not branches(PFRA.master)
+
+@pytest.mark.parametrize(("scene", "knobs"), [
+    ("virtual_coupling", {}), ("canonical", {"law": Saturates()}),
+    ("canonical", {"law": Saturates(), "link": "delay(0.005) | bernoulli(0.3)"}),
+], ids=["virtual_coupling", "shared schedules", "schedules of their own"])
+def test_a_law_with_an_if_ran_one_scene_at_a_time(scene: str, knobs: dict[str, Any]) -> None:
+    knob = "law.K" if scene == "virtual_coupling" else "k_e"
+    rows = [(n, {knob: 200.0 + 30.0 * n}, n) for n in range(9)]
+    done = {engine: work(Job(scene, {"duration": 0.3, **knobs}, rows, ("f_m_max",), engine))
+            for engine in ("plain", "vector")}
+    assert done["vector"].ran == {("vector", ""): 9}
+    assert repr(done["plain"].rows) == repr(done["vector"].rows)
+
+
+def test_six_axes_ran_one_scene_at_a_time() -> None:
+    rows = [(n, {"delay": 0.01 * n}, n) for n in range(3)]
+    done = {engine: work(Job("pose", {"duration": 0.2}, rows, ("x_err_rms", "f_m_max"), engine))
+            for engine in ("plain", "vector")}
+    assert done["vector"].ran == {("vector", ""): 3}
+    assert repr(done["plain"].rows) == repr(done["vector"].rows)
 
 
 def test_the_engine_of_a_few_rows_is_another_than_that_of_many() -> None:

@@ -1,0 +1,41 @@
+"""Masks: what generated text says in place of a branch where eight scenes run side by side.
+
+A mask is a truth for each scene. Here is what each word means of one scene; `teleop.sweeps.kernels.lanewise` and
+`...rings` have it of eight.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def select(mask: Any, here: Any, there: Any) -> Any:
+    """`here` where the mask is true, else `there`: numbers, or tuples of such."""
+    return here if mask else there
+
+
+def invert(mask: Any) -> Any:
+    """The mask that is true where this one is not."""
+    return not mask
+
+
+def any_lane(mask: Any) -> bool:
+    """True if the mask is true of any scene."""
+    return bool(mask)
+
+
+def broadcast(tree: Any) -> Any:
+    """A number, or a tuple of such, for each scene."""
+    return tree
+
+
+def put_selected(mask: Any, kept: Any, k: Any, size: int, message: Any) -> None:
+    """`teleop.stages.memory.put` where the mask is true."""
+    if mask:
+        kept[k % size] = message
+
+
+def store(out: Any, mask: Any, ran: int, figures: tuple[Any, ...]) -> None:
+    """Write how many ticks ran, and the figures, where the mask is true."""
+    if mask:
+        out[:] = ran, *figures
