@@ -257,12 +257,12 @@ class Expressions:
             if not isinstance(value, Known):
                 kept.append(value)
             elif bool(value.value) is decides and not kept:
-                return Known(decides)
+                return value
             elif bool(value.value) is decides:
                 kept.append(self.residual(value, each))
                 break
         if len(kept) < 2:
-            return kept[0] if kept else Known(not decides)
+            return kept[0] if kept else value
         return self.joined(kept, node.op, node)
 
     def _IfExp(self, node: ast.IfExp) -> Value:

@@ -53,15 +53,15 @@ def deliver(run: Run, e: End, sender: End, play: Any, size: int, k: int) -> None
 
 def deliver_sent(run: Run, e: End, sender: End, size: int, k: int) -> None:
     """The same where some messages are not sent: the newest that comes at tick k, if none newer has come before."""
-    for a, b in zip(e.axes, sender.axes, strict=True):
-        a.coming = get(b.ring, k, size)
-    e.got = e.axes[0].coming[-1] - 1.0 > e.newest
+    for kept, b in zip(e.stage.deadband.axes, sender.axes, strict=True):
+        kept.coming = get(b.ring, k, size)
+    e.got = e.stage.deadband.axes[0].coming[-1] - 1.0 > e.newest
     if e.got:
-        e.newest = e.axes[0].coming[-1] - 1.0
-        for a in e.axes:
-            a.rx = a.coming[0]
+        e.newest = e.stage.deadband.axes[0].coming[-1] - 1.0
+        for a, kept in zip(e.axes, e.stage.deadband.axes, strict=True):
+            a.rx = kept.coming[0]
             if run.has.integral:
-                a.heard = a.coming[1]
+                a.heard = kept.coming[1]
 
 
 def exchange(run: Run, k: int) -> None:
@@ -86,10 +86,11 @@ def send(run: Run, play_m: Any, play_s: Any, size: int, count: int, k: int) -> N
     """
     for e in run.ends:
         if run.has.deadband:
-            e.due = at(play_s if e.name == "m" else play_m, count + k)
-            e.number = at(play_s if e.name == "m" else play_m, count + count + k) + 1.0
+            e.stage.deadband.due = at(play_s if e.name == "m" else play_m, count + k)
+            e.stage.deadband.number = at(play_s if e.name == "m" else play_m, count + count + k) + 1.0
         for a in e.axes:
             if not run.has.deadband:
                 put(a.ring, k, size, (a.tx, a.sent) if run.has.integral else a.tx)
-            elif e.send > 0.0:
-                put(a.ring, e.due, size, (a.tx, a.sent, e.number) if run.has.integral else (a.tx, e.number))
+            elif e.stage.deadband.send > 0.0:
+                put(a.ring, e.stage.deadband.due, size, (a.tx, a.sent, e.stage.deadband.number)
+                    if run.has.integral else (a.tx, e.stage.deadband.number))

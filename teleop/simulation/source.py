@@ -125,9 +125,9 @@ def functions(scene: Scene) -> dict[str, Any]:
         if own.has.sums:
             words[f"total_{e}"] = f"{NAMES[e]}_sums"
             found[f"Sums_{e}"] = sums_type(law, e, scene.dt_ns / 1e9)
-        if own.rx_wave or own.turns:
+        if own.rx_wave or scene.rotations:
             found[f"Message_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "m"]
-        if own.turns:
+        if scene.rotations:
             found[f"Sent_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "s"]
             found[f"State_{e}"] = type(start_of(law, e, scene.dt_ns / 1e9)[0])
         if structure.has.stored:

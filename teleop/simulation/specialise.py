@@ -4,7 +4,7 @@ A *record* is an object that the tick is written over: a run, an end, an axis, a
 (`has`, `axes`, a law's function) is known when the loop is made; what its class only declares (`x: float`) is a
 variable of the loop. Of the entry function, and of each function that it hands a record to,
 
-    if e.has.encoder:           is decided, and the branch that is not taken is not there to be paid for,
+    if e.has.touch:             is decided, and the branch that is not taken is not there to be paid for,
     for a in e.axes:            is unrolled, and so are comprehensions over what is known,
     stage.read(run, e, k)       is written out where it is called,
     a.x = ...                   sets a local variable, x_m0.

@@ -73,9 +73,9 @@ def tick(run: Run, e: End, k: int) -> None:
 def read_directly(e: End) -> None:
     """What a device reads as it is; of the rest there are stages."""
     for a in e.axes:
-        if not e.has.encoder:
+        if not e.stage.encoder:
             a.x_read = a.x
-        if not e.has.velocity:
+        if not e.stage.velocity:
             a.v_read = a.v
         if e.has.sensed:
             a.f_read = a.f_ext
@@ -110,7 +110,9 @@ def gain(e: End) -> Any:
     """The watchdog's gain at the last tick of an end whose law reads it."""
     if not e.has.gain:
         return nan
-    return e.g_held if e.has.live else e.g if e.has.watchdog else 1.0
+    if e.has.live:
+        return e.stage.watchdog.g_held
+    return e.stage.watchdog.g if e.stage.watchdog else 1.0
 
 
 def answer(run: Run, e: End) -> None:
@@ -188,7 +190,7 @@ def loop(  # noqa: PLR0912 - of which a structure has few
 def attend(run: Run, e: End, k: int, orders: Any) -> None:
     """One end's tick k, if it is run; one that is left out is left out whole, and the force is held."""
     if run.has.deadband:
-        e.send = 0.0  # unless the tick is run
+        e.stage.deadband.send = 0.0  # unless the tick is run
     if at(orders, k) > LEFT_OUT:
         run_late(run, e, k)
 
@@ -289,13 +291,14 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
             a.f_ext = touch0[a.i]
     begin(run, e, getattr(given, e.name))
     if e.has.gain:
-        e.g_held = 1.0
-    k, x, v, touch, e.got, newest, rx, heard, e.g, held, since, e.clutch, e.present = yield
+        e.stage.watchdog.g_held = 1.0
+    k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present = yield
     k_before = k - 1
     while True:
         ticks = k - k_before
         k_before = k
         e.span = ticks * dt
+        set_switches(e, clutch, present)
         for stage in e.stages:
             stage.late(run, e, ticks, since)
         for a in e.axes:
@@ -313,10 +316,16 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
                     a.heard = heard[a.i]
         tick(run, e, k)
         if e.has.gain:
-            e.g_held = e.g
-        k, x, v, touch, e.got, newest, rx, heard, e.g, held, since, e.clutch, e.present = yield (
+            e.stage.watchdog.g_held = e.stage.watchdog.g
+        k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present = yield (
             tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]),
             tuple([a.sent for a in e.axes]) if run.has.integral else None, row(e))
+
+
+def set_switches(e: End, clutch: float, present: float) -> None:
+    """The operator's switches as the device has them at this tick."""
+    if e.stage.operator:
+        e.stage.operator.clutch, e.stage.operator.present = clutch, present
 
 
 def row(e: End) -> tuple[float, ...]:

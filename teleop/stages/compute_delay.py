@@ -21,29 +21,26 @@ class ComputeDelayStage(Stage):
     """The delay line of `Device(delay=...)`, in ticks; zero force until it is filled."""
 
     name: ClassVar[str] = "compute_delay"
-
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Delayed(f"{e}{i}") for i in range(axes)])
+    kept: ClassVar[type[Record]] = Delayed
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
         return (0.0,) * scene.per_axis(f"device_{e}")[0].delay
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
-        return tuple([(own, "delay_line") for own in self.axes])
+        return tuple([(line, "delay_line") for line in self.axes])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        for own in self.axes:
-            own.delay_line = given
+        for line in self.axes:
+            line.delay_line = given
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
-        for own in self.axes:
+        for line in self.axes:
             for _ in range(ticks - 1):
-                own.delay_line = own.delay_line[1:] + (own.delay_line[-1],)  # noqa: RUF005 - as below
+                line.delay_line = line.delay_line[1:] + (line.delay_line[-1],)  # noqa: RUF005 - as below
 
     def act(self, run: Run, e: End, k: int) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            own.delay_line = own.delay_line + (a.f_cmd,)  # noqa: RUF005 - compiled code knows no star
-            a.f_cmd = own.delay_line[0]
-            own.delay_line = own.delay_line[1:]
+        for a, line in zip(e.axes, self.axes, strict=True):
+            line.delay_line = line.delay_line + (a.f_cmd,)  # noqa: RUF005 - compiled code knows no star
+            a.f_cmd = line.delay_line[0]
+            line.delay_line = line.delay_line[1:]

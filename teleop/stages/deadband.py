@@ -25,7 +25,9 @@ from math import inf
 from typing import Any, ClassVar
 
 from teleop.errors import number
-from teleop.stages.end import Column, End, Places, Run, Stage, elapsed
+from teleop.kind import kinds
+from teleop.stages.end import Axis, Column, End, Places, Run, Stage, elapsed
+from teleop.stages.record import Record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,38 +48,69 @@ class Deadband:
             number("keep_alive", self.keep_alive, above=0.0, unit="s")
 
 
+class Compared(Record):
+    """A field of an end's messages in one axis, which decides whether they are sent."""
+
+    q: float  # its value
+    last: float  # the value that was sent last
+    away: float  # how far they are apart
+
+    def __init__(self, suffix: str, a: Axis, field: str) -> None:
+        super().__init__(suffix)
+        self.a, self.field = a, field
+
+
+class Coming(Record):
+    """The message of one axis that comes at this tick, with its number behind it."""
+
+    coming: Any
+
+
 class DeadbandStage(Stage):
     """Decides whether an end's message of this tick is sent: `send`, 1.0 or 0.0, recorded as `sent_m` or `sent_s`."""
 
     name: ClassVar[str] = "deadband"
+    kept: ClassVar[type[Record]] = Coming
+    send: float  # 1.0 if the message of this tick is sent, else 0.0
+    due: Any  # the tick at which it comes to the other end
+    number: float  # its number, counted from 1; 0 if it never comes
     k: float
     floor: float
     renews: float  # s
     silent: float  # since the last message that was sent, s
 
     @staticmethod
+    def structure(end: Any) -> Any:
+        """The fields of a message that ask for it to be sent: all but totals, which tell of energy."""
+        return tuple([name for name, kind in kinds(end.tx).items() if kind != "total"])
+
+    def __init__(self, e: End, structure: Any) -> None:
+        super().__init__(e, structure)
+        self.compared = tuple([Compared(f"{a.suffix}_{field}", a, field) for field in structure for a in e.axes])
+
+    @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        own = scene.deadband
+        deadband = scene.deadband
         # Half a tick of grace, so that a time of n ticks means n whatever n*dt rounds to.
-        return own.k, own.floor, inf if own.keep_alive is None else own.keep_alive - 0.5 * dt
+        return deadband.k, deadband.floor, inf if deadband.keep_alive is None else deadband.keep_alive - 0.5 * dt
 
     def columns(self, e: End) -> tuple[Column, ...]:
-        return (Column(f"sent_{e.name}", ((e, "send"),)),)
+        return (Column(f"sent_{e.name}", ((self, "send"),)),)
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.k, self.floor, self.renews = given
         self.silent = inf
-        e.send = 0.0
-        for one in e.told:
-            one.last = 0.0
+        self.send = 0.0
+        for field in self.compared:
+            field.last = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
         self.silent = self.silent + elapsed(run, e)
-        e.send = 1.0 if self.silent >= self.renews else 0.0
-        for one in e.told:
-            one.q = getattr(one.a.tx, one.field)
-            one.away = abs(one.q - one.last)
-            e.send = 1.0 if one.away > max(self.k * abs(one.last), self.floor) else e.send
-        for one in e.told:
-            one.last = one.q if e.send > 0.0 else one.last
-        self.silent = 0.0 if e.send > 0.0 else self.silent
+        self.send = 1.0 if self.silent >= self.renews else 0.0
+        for field in self.compared:
+            field.q = getattr(field.a.tx, field.field)
+            field.away = abs(field.q - field.last)
+            self.send = 1.0 if field.away > max(self.k * abs(field.last), self.floor) else self.send
+        for field in self.compared:
+            field.last = field.q if self.send > 0.0 else field.last
+        self.silent = 0.0 if self.send > 0.0 else self.silent

@@ -39,16 +39,8 @@ class EndHas(NamedTuple):
     newest: bool = False  # the number of the newest message is kept
     dx: bool = False  # the motion of a tick is worked out
     sums: bool = False  # its law sums over the axes
-    encoder: bool = False
-    velocity: bool = False  # it is estimated
-    scaled: bool = False  # its units are not those of the law
-    operated: bool = False  # a clutch stands between it and its law
-    watchdog: bool = False
-    slewed: bool = False  # its force has a slew limit, and a gain by which it is let go
     span: bool = False  # its law reads the time since its last tick,
     gain: bool = False  # ... and the watchdog's gain at that tick
-    observed: bool = False  # its law reads the observer's force
-    aged: bool = False  # the watchdog counts messages beyond an age as none
 
 
 class Axis(Record):
@@ -72,9 +64,6 @@ class Axis(Record):
     f_read: float
     x_before: float  # as it was read at the tick before
     dx: float
-    scale_x: float  # its metres (or rad) for one of the law, and its newtons (or N m)
-    scale_f: float
-    offset: float  # how far it has moved beyond what its law was told, m
     # the law
     at: Any  # teleop.law.At
     s: Any  # its state
@@ -84,9 +73,7 @@ class Axis(Record):
     f_cmd: float  # the force that it commands, and what the stages make of it
     heard: Any  # what the other end's waves had come to with the newest message
     sent: Any  # what its own have come to
-    E_played: float  # energy of the waves that it played, J
     ring: Any  # messages on their way
-    coming: Any  # the one that comes at this tick, with its number behind it, where some are not sent
 
     move: Callable[..., Any]  # the functions of its body
     force: Callable[..., Any]
@@ -106,104 +93,32 @@ class Shown(Record):
         self.a, self.field = a, field
 
 
-class Told(Record):
-    """A field of an end's messages in one axis, by which it is decided whether they are sent."""
-
-    q: float  # its value
-    last: float  # what was sent last
-    away: float  # how far they are apart
-
-    def __init__(self, suffix: str, a: Axis, field: str) -> None:
-        super().__init__(suffix)
-        self.a, self.field = a, field
-
-
-class Followed(Record):
-    """A position of an end's messages on the axes of a rotation, as a rotation vector (rad)."""
-
-    x: float  # as it was told last
-    y: float
-    z: float
-
-    def __init__(self, suffix: str, field: str) -> None:
-        super().__init__(suffix)
-        self.field = field
-
-
-class Turn(Record):
-    """A rotation of an end: the three axes that turn it, and its orientation; see `teleop.stages.orientation`."""
-
-    passing: ClassVar[tuple[str, ...]] = (
-        "before_x", "before_y", "before_z", "dx", "dy", "dz", "px", "py", "pz")
-    w: float  # its unit quaternion
-    x: float
-    y: float
-    z: float
-    phi_x: float  # the coordinates of its axes, as the law is told them, rad
-    phi_y: float
-    phi_z: float
-    before_x: float  # at the tick before
-    before_y: float
-    before_z: float
-    dx: float  # by how much it turned since
-    dy: float
-    dz: float
-    px: float  # a position that is looked at
-    py: float
-    pz: float
-
-    def __init__(self, suffix: str, axes: tuple[Axis, ...], heard: tuple[str, ...], sent: tuple[str, ...]) -> None:
-        super().__init__(suffix)
-        self.a, self.b, self.c = axes
-        self.heard = tuple([Followed(f"{suffix}_rx_{field}", field) for field in heard])
-        self.sent = tuple([Followed(f"{suffix}_tx_{field}", field) for field in sent])
-
-
 class End(Record):
     """The master's end or the slave's."""
 
     name: str  # m or s
     has: EndHas
     axes: tuple[Axis, ...]
-    stages: tuple[Stage, ...]
+    stages: tuple[Stage, ...]  # in their order
+    stage: Any  # each by its name, None in place of one that the end does not have
     cells: tuple[tuple[Record, str], ...]  # of a row of its record
     memory: tuple[tuple[Record, str], ...]  # what it keeps from tick to tick
     shown: tuple[Shown, ...]  # of its law's state, what is recorded
-    told: tuple[Told, ...]  # of its messages, what decides whether they are sent
-    turns: tuple[Turn, ...]  # its rotations
-    send: float  # 1.0 if the message of this tick is sent, else 0.0
-    due: Any  # the tick at which it comes to the other end
-    number: float  # its number, counted from 1; 0 if it never comes
     fields: tuple[str, ...]  # of its law's sums
     tx_wave: str  # the field of its messages that is a wave, "" if none is
     rx_wave: str
-    rx_place: str  # the field of the messages that it receives that tells where the other end is, where that is asked
     rx_fields: tuple[str, ...]  # of the messages that it receives
-    tx_fields: tuple[str, ...]  # of those that it sends, where it has rotations,
-    state_fields: tuple[str, ...]  # ... of its law's state,
-    state_positions: tuple[str, ...]  # ... and of these the positions
     got: Any  # is there a message to play at this tick
     newest: Any  # number of the newest message that was played, -1 before the first
     age: float  # of the newest message, s
-    g: float  # the watchdog's gain
-    g_held: float  # of a live end the same at its last tick
     span: float  # since its last tick, s
     ran: Any  # number of its last tick, in virtual time
-    clutch: Any  # 1.0 while the operator holds the clutch open, else 0.0
-    present: Any  # 1.0 while the operator is there, else 0.0
-    g_clutch: Any  # the modulus between the master and its law
-    E_port: float  # the ledgers, J
-    E_in: float
-    E_out: float
-    E_law: float
 
     begin: Callable[..., Any]  # the functions of its law
     law: Callable[..., Any]
     total: Callable[..., Any]
     Sums: Callable[..., Any]
     Message: Callable[..., tuple[Any, ...]]
-    Sent: Callable[..., tuple[Any, ...]]
-    State: Callable[..., tuple[Any, ...]]
 
     def __init__(self, name: str, axes: int, has: EndHas) -> None:
         super().__init__(name)
@@ -264,6 +179,7 @@ class Stage(Record):
     """
 
     name: ClassVar[str]
+    kept: ClassVar[type[Record]] = Record  # what it keeps in each axis
     reading: ClassVar[bool] = False  # its columns stand before those of the forces
     wants_dx: ClassVar[bool] = False
 
@@ -272,8 +188,15 @@ class Stage(Record):
         """Its numbers; `places` are those where the end starts, as the stages before read them (m, per axis)."""
         return ()
 
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e)
+    @staticmethod
+    def structure(end: Any) -> Any:
+        """What decides its lines beside its being there, hashable; `end` is a `teleop.stages.order.Asked`."""
+        return None
+
+    def __init__(self, e: End, structure: Any) -> None:
+        """Make its records for an end that has its axes already; `structure` is what `structure` returned."""
+        super().__init__(e.name)
+        self.axes: tuple[Any, ...] = tuple([self.kept(a.suffix) for a in e.axes])
 
     def columns(self, e: End) -> tuple[Column, ...]:
         """What of it is recorded."""

@@ -98,9 +98,9 @@ def let_go(c: CapLimits, gain: float, since: float) -> CapLimits:
 
 def share(e: End) -> Any:
     """The share of the law's force that is held: that of the watchdog, and of the operator's clutch."""
-    if e.has.watchdog and e.has.operated and not e.has.live:
-        return e.g * e.g_clutch
-    return e.g_clutch if e.has.operated else e.g
+    if e.stage.watchdog and e.stage.operator and not e.has.live:
+        return e.stage.watchdog.g * e.stage.operator.g_clutch
+    return e.stage.operator.g_clutch if e.stage.operator else e.stage.watchdog.g
 
 
 def without_share(share: float, ticks: float, passed: float) -> float:
@@ -133,12 +133,22 @@ class ForceCapStage(Stage):
     shareless: Any  # ticks since the law last had a share of the force
 
     @staticmethod
+    def structure(end: Any) -> Any:
+        """True if its force has a slew limit, and a gain by which it is let go."""
+        let_go = end.scene.watchdog is not None or (end.e == "m" and end.scene.operator is not None)
+        return let_go and any(each.slew is not None for each in caps(end.scene))
+
+    def __init__(self, e: End, structure: Any) -> None:
+        super().__init__(e, structure)
+        self.slewed = structure
+
+    @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
         return tuple([cap.limits(dt) for cap in caps(scene)])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_cap = given
-        if e.has.slewed:
+        if self.slewed:
             self.shareless = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
@@ -146,11 +156,11 @@ class ForceCapStage(Stage):
         self.passed_by = ticks
 
     def act(self, run: Run, e: End, k: int) -> None:
-        if e.has.slewed:
+        if self.slewed:
             self.shareless = without_share(share(e), self.shareless, self.passed_by if e.has.leaves_out else 1.0)
         for a in e.axes:
-            f_held = still_held(self.c_cap[a.i], self.shareless, a.f) if e.has.slewed else a.f
-            if e.has.leaves_out and (e.has.live or e.has.watchdog):
-                a.f_cmd = cap(let_go(self.c_cap[a.i], e.g, self.held_for), a.f_cmd, f_held)
+            f_held = still_held(self.c_cap[a.i], self.shareless, a.f) if self.slewed else a.f
+            if e.has.leaves_out and e.stage.watchdog:
+                a.f_cmd = cap(let_go(self.c_cap[a.i], e.stage.watchdog.g, self.held_for), a.f_cmd, f_held)
             else:
                 a.f_cmd = cap(self.c_cap[a.i], a.f_cmd, f_held)

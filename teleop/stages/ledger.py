@@ -12,7 +12,7 @@ from functools import reduce
 from operator import add
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Run, Stage, law_of
+from teleop.stages.end import Axis, Column, End, Run, Stage, law_of
 from teleop.stages.record import Record
 
 
@@ -24,18 +24,20 @@ class WaveLedger(Stage):
     """
 
     name: ClassVar[str] = "wave_ledger"
+    E_in: float  # J
+    E_out: float
 
     def columns(self, e: End) -> tuple[Column, ...]:
         out, inward = ("fwd", "bwd") if e.name == "m" else ("bwd", "fwd")
-        return Column(f"E_in_{out}", ((e, "E_in"),)), Column(f"E_out_{inward}", ((e, "E_out"),))
+        return Column(f"E_in_{out}", ((self, "E_in"),)), Column(f"E_out_{inward}", ((self, "E_out"),))
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        e.E_in = e.E_out = 0.0
+        self.E_in = self.E_out = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
         if run.has.integral:  # which keeps both itself
-            e.E_in = reduce(add, [a.sent.E for a in e.axes])
-            e.E_out = reduce(add, [a.E_played for a in e.axes])
+            self.E_in = reduce(add, [a.sent.E for a in e.axes])
+            self.E_out = reduce(add, [wave.G for wave in (e.stage.wave_integral or e.stage.wave_energy).axes])
         else:
             self.sum(run, e)
 
@@ -43,9 +45,9 @@ class WaveLedger(Stage):
         """The energy of this tick's waves."""
         for a in e.axes:
             wave = getattr(a.rx, e.rx_wave) * (True if run.has.repeats else e.got)
-            e.E_out = e.E_out + run.half_dt * (wave * wave)
+            self.E_out = self.E_out + run.half_dt * (wave * wave)
             wave = getattr(a.tx, e.tx_wave)
-            e.E_in = e.E_in + run.half_dt * (wave * wave)
+            self.E_in = self.E_in + run.half_dt * (wave * wave)
 
 
 class Moved(Record):
@@ -58,49 +60,52 @@ class PortLedger(Stage):
     """The work at the port, over the true motion."""
 
     name: ClassVar[str] = "port_ledger"
-
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Moved(f"{e}{i}") for i in range(axes)])
+    kept: ClassVar[type[Record]] = Moved
+    E_port: float  # J
 
     def columns(self, e: End) -> tuple[Column, ...]:
-        return (Column(f"E_port_{e.name}", ((e, "E_port"),)),)
+        return (Column(f"E_port_{e.name}", ((self, "E_port"),)),)
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        e.E_port = 0.0
-        if e.has.encoder:
-            for a, own in zip(e.axes, self.axes, strict=True):
-                own.x_was = a.x
+        self.E_port = 0.0
+        if e.stage.encoder:
+            for a, moved in zip(e.axes, self.axes, strict=True):
+                moved.x_was = a.x
 
     def act(self, run: Run, e: End, k: int) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            if e.has.encoder and e.has.scaled:
-                e.E_port = e.E_port + a.f * (a.x - own.x_was) / (a.scale_x * a.scale_f)
-            elif e.has.encoder:
-                e.E_port = e.E_port + a.f * (a.x - own.x_was)
-            elif e.has.scaled:  # in the units of the law, in which the ports add up: see `teleop.stages.scaling`
-                e.E_port = e.E_port + a.f * a.dx / (a.scale_x * a.scale_f)
+        for a, moved in zip(e.axes, self.axes, strict=True):
+            if e.stage.encoder and e.stage.scaling:
+                self.E_port = self.E_port + a.f * (a.x - moved.x_was) / in_joules_of_law(e, a)
+            elif e.stage.encoder:
+                self.E_port = self.E_port + a.f * (a.x - moved.x_was)
+            elif e.stage.scaling:  # in the units of the law, in which the ports add up: see `teleop.stages.scaling`
+                self.E_port = self.E_port + a.f * a.dx / in_joules_of_law(e, a)
             else:
-                e.E_port = e.E_port + a.f * a.dx
-            if e.has.encoder:
-                own.x_was = a.x
+                self.E_port = self.E_port + a.f * a.dx
+            if e.stage.encoder:
+                moved.x_was = a.x
+
+
+def in_joules_of_law(e: End, a: Axis) -> Any:
+    """The slave's joules in one axis for one of the law."""
+    return e.stage.scaling.axes[a.i].scale_x * e.stage.scaling.axes[a.i].scale_f
 
 
 class LawLedger(Stage):
     """The energy that the law keeps in its state, where it says how much. An end with sums has one for all its axes."""
 
     name: ClassVar[str] = "law_ledger"
-
+    E_law: float  # J
     stored: Callable[..., Any]
 
     def columns(self, e: End) -> tuple[Column, ...]:
-        return (Column(f"E_law_{e.name}", ((e, "E_law"),)),)
+        return (Column(f"E_law_{e.name}", ((self, "E_law"),)),)
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        e.E_law = 0.0
+        self.E_law = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
         if e.has.sums:
-            e.E_law = self.stored(law_of(run, e.axes[0]), e.axes[0].s)
+            self.E_law = self.stored(law_of(run, e.axes[0]), e.axes[0].s)
         else:
-            e.E_law = reduce(add, [self.stored(law_of(run, a), a.s) for a in e.axes])
+            self.E_law = reduce(add, [self.stored(law_of(run, a), a.s) for a in e.axes])

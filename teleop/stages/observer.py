@@ -1,4 +1,4 @@
-"""The human-force observer: f_h from the master's own motion, where there is no force sensor.
+"""The human-force observer: f_h from the master's estimate motion, where there is no force sensor.
 
 Derivation. Without the hand the master obeys M_m dv/dt + b_m v = f_h - f_m with f_m held over a tick.
 Over one tick, with e = exp(-b_m dt/M_m),
@@ -10,7 +10,7 @@ where f_bar is the mean of f_h over the tick weighted with exp(-b_m (t_k - t)/M_
     f_bar(k) = b_m (v(k) - e v(k-1))/(1 - e) + f_m(k-1)      (b_m = 0: M_m (v(k) - v(k-1))/dt + f_m(k-1)),
 
 exact for exact velocities and the force really held. A first-order filter of bandwidth L follows:
-f_h_hat += (1 - exp(-L dt)) (f_bar - f_h_hat). M_m and b_m are the device's own, without the hand.
+f_h_hat += (1 - exp(-L dt)) (f_bar - f_h_hat). M_m and b_m are the device's estimate, without the hand.
 """
 
 from __future__ import annotations
@@ -53,12 +53,9 @@ class ObserverStage(Stage):
     """What the law is told of the hand's force is the observer's. Recorded as `f_h_hat`."""
 
     name: ClassVar[str] = "observer"
+    kept: ClassVar[type[Record]] = Observed
     c_tick: tuple[Coefficients, ...]  # for each axis, over one tick
     device: tuple[tuple[float, float, float], ...]  # L, mass, damping
-
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Observed(f"{e}{i}") for i in range(axes)])
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
@@ -69,25 +66,25 @@ class ObserverStage(Stage):
         return (per_axis("f_h_hat", e.axes, "f_read"),)
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
-        return tuple([cell for a, own in zip(e.axes, self.axes, strict=True)
-                      for cell in ((own, "v_before"), (a, "f_read"))])
+        return tuple([cell for a, estimate in zip(e.axes, self.axes, strict=True)
+                      for cell in ((estimate, "v_before"), (a, "f_read"))])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         if e.has.leaves_out:
             self.c_tick = given[0]
             self.device = given[1]
-        for a, own in zip(e.axes, self.axes, strict=True):
-            own.c_obs = given[0][a.i]
-            own.v_before = a.v_read
+        for a, estimate in zip(e.axes, self.axes, strict=True):
+            estimate.c_obs = given[0][a.i]
+            estimate.v_before = a.v_read
             a.f_read = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         # After ticks that were left out the force was held over all of them.
-        for a, own in zip(e.axes, self.axes, strict=True):
-            own.c_obs = self.c_tick[a.i] if ticks == 1 else coefficients(
+        for a, estimate in zip(e.axes, self.axes, strict=True):
+            estimate.c_obs = self.c_tick[a.i] if ticks == 1 else coefficients(
                 self.device[a.i][0], self.device[a.i][1], self.device[a.i][2], e.span)
 
     def read(self, run: Run, e: End, k: int) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            a.f_read = observe(own.c_obs, a.f_read, own.v_before, a.v_read, a.f)
-            own.v_before = a.v_read
+        for a, estimate in zip(e.axes, self.axes, strict=True):
+            a.f_read = observe(estimate.c_obs, a.f_read, estimate.v_before, a.v_read, a.f)
+            estimate.v_before = a.v_read

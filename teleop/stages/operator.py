@@ -21,7 +21,7 @@ itself) makes another force of F = g f_law. The law is told as f_held what its p
 holds with any force that was held. Where g has come to 0 and a force is left, which a slew limit or a computation delay
 may do for some ticks, its motion is told with the least modulus that the ramp has, until the force is 0. The
 ledger `E_port_m` is of the device's port, and so of the law's. With g = 0 the law is told v = 0, dx = 0, f_held = 0:
-the slave holds, by its own law, and what the law stores stays where it is. With g = 1 all numbers are what they are
+the slave holds, by its port law, and what the law stores stays where it is. With g = 1 all numbers are what they are
 without this stage, to the bit.
 
 **Nothing jumps.** In a tick g changes by dt/ramp, down by the ticks that passed where some were left out. x_law is
@@ -54,6 +54,7 @@ from math import inf
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import Refused, WrongCount, number, number_of
+from teleop.kind import positions
 from teleop.law import At
 from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Run, Stage, per_axis
 from teleop.stages.record import Record
@@ -98,17 +99,17 @@ class Operator:
             raise Refused(f"needs are switches of a device, \"clutch\" or \"present\", not {self.needs!r}; write for "
                           "example needs=(\"present\",)")
 
-        own = self.closes_within
-        if own is not None:
-            each = [number("closes_within", one, above=0.0) for one in (own if isinstance(own, tuple) else (own,))]
-            object.__setattr__(self, "closes_within", tuple(each) if isinstance(own, tuple) else each[0])
+        port = self.closes_within
+        if port is not None:
+            each = [number("closes_within", one, above=0.0) for one in (port if isinstance(port, tuple) else (port,))]
+            object.__setattr__(self, "closes_within", tuple(each) if isinstance(port, tuple) else each[0])
 
     def within(self, axes: int) -> tuple[float, ...]:
         """`closes_within` of each of so many axes, m or rad; inf where it is left out. Raises `Refused`."""
-        own = inf if self.closes_within is None else self.closes_within
-        if isinstance(own, tuple) and len(own) != axes:
-            raise WrongCount("closes_within", own, axes)
-        return own if isinstance(own, tuple) else (own,) * axes
+        port = inf if self.closes_within is None else self.closes_within
+        if isinstance(port, tuple) and len(port) != axes:
+            raise WrongCount("closes_within", port, axes)
+        return port if isinstance(port, tuple) else (port,) * axes
 
     def limits(self, dt: float, axes: int = 1) -> SwitchLimits:
         """What the stage computes with, at a tick of `dt` s."""
@@ -194,6 +195,7 @@ class Held(Record):
 
     g_told: float  # the modulus of the motion of the last tick
     x_law: float  # the position that the law was told, m
+    offset: float  # how far it has moved beyond what its law was told, m
     apart: float  # how far that is from where the other end was, m
 
 
@@ -201,7 +203,11 @@ class OperatorStage(Stage):
     """The transformer between the master and its law; its modulus is the same for all axes."""
 
     name: ClassVar[str] = "operator"
+    kept: ClassVar[type[Record]] = Held
     wants_dx: ClassVar[bool] = True
+    clutch: Any  # 1.0 while the operator holds the clutch open, else 0.0
+    present: Any  # 1.0 while the operator is there, else 0.0
+    g_clutch: Any  # the modulus between the master and its law
     c_switch: Any
     least_g: float  # modulus above 0
     ticks_by: Any  # ticks since the last
@@ -211,32 +217,37 @@ class OperatorStage(Stage):
     n_was: float  # the same before this tick
     g_was: float  # the modulus of the last tick
 
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Held(f"{e}{i}") for i in range(axes)])
+    @staticmethod
+    def structure(end: Any) -> Any:
+        """The position that a master receives, where the clutch closes by it, else "" ."""
+        return positions(end.rx)[0] if end.scene.operator.closes_within is not None else ""
+
+    def __init__(self, e: End, structure: Any) -> None:
+        super().__init__(e, structure)
+        self.rx_position = structure
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.operator.limits(dt, scene.axes)
 
     def columns(self, e: End) -> tuple[Column, ...]:
-        return (Column(f"clutch_{e.name}", ((e, "clutch"),)), Column(f"present_{e.name}", ((e, "present"),)),
-                Column(f"g_clutch_{e.name}", ((e, "g_clutch"),)), per_axis(f"offset_{e.name}", e.axes, "offset"),
-                *[per_axis(f"apart_{e.name}", self.axes, "apart")] * (len(e.rx_place) > 0))
+        return (Column(f"clutch_{e.name}", ((self, "clutch"),)), Column(f"present_{e.name}", ((self, "present"),)),
+                Column(f"g_clutch_{e.name}", ((self, "g_clutch"),)), per_axis(f"offset_{e.name}", self.axes, "offset"),
+                *[per_axis(f"apart_{e.name}", self.axes, "apart")] * bool(self.rx_position))
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_switch = given
         self.least_g = 1.0 / self.c_switch.steps
         self.n_clutch = -1.0
-        e.g_clutch = self.g_was = 1.0
-        e.clutch = 0.0
-        e.present = 1.0
-        for a, own in zip(e.axes, self.axes, strict=True):
-            a.offset = 0.0
-            own.x_law = a.x_read
-            if len(e.rx_place) > 0:
-                own.apart = 0.0
-        if len(e.rx_place) > 0:
+        self.g_clutch = self.g_was = 1.0
+        self.clutch = 0.0
+        self.present = 1.0
+        for a, port in zip(e.axes, self.axes, strict=True):
+            port.offset = 0.0
+            port.x_law = a.x_read
+            if self.rx_position:
+                port.apart = 0.0
+        if self.rx_position:
             self.far = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
@@ -244,38 +255,38 @@ class OperatorStage(Stage):
 
     def read(self, run: Run, e: End, k: int) -> None:
         if e.has.live:
-            e.clutch = max(e.clutch, scheduled(self.c_switch.clutch, k))
-            e.present = min(e.present, 1.0 - scheduled(self.c_switch.absent, k))
+            self.clutch = max(self.clutch, scheduled(self.c_switch.clutch, k))
+            self.present = min(self.present, 1.0 - scheduled(self.c_switch.absent, k))
         else:
-            e.clutch = scheduled(self.c_switch.clutch, k)
-            e.present = 1.0 - scheduled(self.c_switch.absent, k)
-        self.released = max(e.clutch, 1.0 - e.present)
-        if len(e.rx_place) > 0:
+            self.clutch = scheduled(self.c_switch.clutch, k)
+            self.present = 1.0 - scheduled(self.c_switch.absent, k)
+        self.released = max(self.clutch, 1.0 - self.present)
+        if self.rx_position:
             self.released = kept_open(self.n_clutch, self.released, self.far)
-        self.g_was = e.g_clutch
+        self.g_was = self.g_clutch
         self.n_was = self.n_clutch
         self.n_clutch = ramped(
             self.c_switch.steps, self.n_was, self.released, self.ticks_by if e.has.leaves_out else 1.0)
-        e.g_clutch = self.n_clutch / self.c_switch.steps
-        self.g_was = at_first(self.n_was, e.g_clutch, self.g_was)
+        self.g_clutch = self.n_clutch / self.c_switch.steps
+        self.g_was = at_first(self.n_was, self.g_clutch, self.g_was)
 
     def situate(self, run: Run, e: End) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            told(self, a, own)
+        for a, port in zip(e.axes, self.axes, strict=True):
+            transform(self, a, port)
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:
-            a.f_cmd = e.g_clutch * a.f_cmd
-        if len(e.rx_place) > 0:
+            a.f_cmd = self.g_clutch * a.f_cmd
+        if self.rx_position:
             self.far = 0.0
-            for a, own in zip(e.axes, self.axes, strict=True):
-                own.apart = own.x_law - getattr(a.rx, e.rx_place)
-                self.far = max(abs(own.apart) / self.c_switch.within[a.i], self.far)
+            for a, port in zip(e.axes, self.axes, strict=True):
+                port.apart = port.x_law - getattr(a.rx, self.rx_position)
+                self.far = max(abs(port.apart) / self.c_switch.within[a.i], self.far)
 
 
-def told(stage: OperatorStage, a: Axis, own: Held) -> None:
-    """What the law is told of one axis."""
-    own.g_told = modulus(stage.g_was, a.at.f_held, stage.least_g)
-    own.x_law, a.offset = carried(own.g_told, a.at.x, a.at.dx, a.offset, own.x_law)
-    a.at = At(own.x_law, own.g_told * a.at.v, own.g_told * a.at.f, of_port(own.g_told, a.at.f_held),
-              own.g_told * a.at.dx, a.at.fresh, a.at.age, a.at.dt, a.at.span, a.at.gain)
+def transform(stage: OperatorStage, a: Axis, port: Held) -> None:
+    """Put the transformer between the readings of one axis and its law."""
+    port.g_told = modulus(stage.g_was, a.at.f_held, stage.least_g)
+    port.x_law, port.offset = carried(port.g_told, a.at.x, a.at.dx, port.offset, port.x_law)
+    a.at = At(port.x_law, port.g_told * a.at.v, port.g_told * a.at.f, of_port(port.g_told, a.at.f_held),
+              port.g_told * a.at.dx, a.at.fresh, a.at.age, a.at.dt, a.at.span, a.at.gain)

@@ -21,6 +21,9 @@ class Asked(NamedTuple):
     e: str  # m or s
     device: Any  # None: it has none
     reads: frozenset[str]  # the fields of `At` that its law reads
+    tx: Any  # types of the messages that it sends and receives, and of its law's state; None without a slave
+    rx: Any
+    state: Any
 
 
 class Place(NamedTuple):

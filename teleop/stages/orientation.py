@@ -58,10 +58,65 @@ from where the law's positions count from.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
 
+from teleop.kind import positions
 from teleop.physics.rotation import counted, heard_at, left_at, sent_at
-from teleop.stages.end import Axis, Column, End, Places, Run, Stage, Turn
+from teleop.stages.end import Axis, Column, End, Run, Stage
+from teleop.stages.record import Record
+
+
+class Rotations(NamedTuple):
+    """The rotations of an end: the first axis of each, the fields of its messages and its state, and the positions."""
+
+    first: tuple[int, ...]
+    tx_fields: tuple[str, ...]
+    state_fields: tuple[str, ...]
+    rx_positions: tuple[str, ...]
+    tx_positions: tuple[str, ...]
+    state_positions: tuple[str, ...]
+
+
+class Followed(Record):
+    """A position of an end's messages on the axes of a rotation, as a rotation vector (rad)."""
+
+    x: float  # as it was told last
+    y: float
+    z: float
+
+    def __init__(self, suffix: str, field: str) -> None:
+        super().__init__(suffix)
+        self.field = field
+
+
+class Rotation(Record):
+    """A rotation of an end: the three axes that turn it, and its orientation; see `teleop.stages.orientation`."""
+
+    passing: ClassVar[tuple[str, ...]] = (
+        "before_x", "before_y", "before_z", "dx", "dy", "dz", "px", "py", "pz")
+    w: float  # its unit quaternion
+    x: float
+    y: float
+    z: float
+    phi_x: float  # the coordinates of its axes, as the law is told them, rad
+    phi_y: float
+    phi_z: float
+    before_x: float  # at the tick before
+    before_y: float
+    before_z: float
+    dx: float  # by how much it turned since
+    dy: float
+    dz: float
+    px: float  # a position that is looked at
+    py: float
+    pz: float
+
+    def __init__(self, suffix: str, axes: tuple[Axis, ...], fields: Rotations) -> None:
+        super().__init__(suffix)
+        self.a, self.b, self.c = axes
+        self.heard = tuple([Followed(f"{suffix}_rx_{field}", field) for field in fields.rx_positions])
+        self.sent = tuple([Followed(f"{suffix}_tx_{field}", field) for field in fields.tx_positions])
 
 
 class OrientationStage(Stage):
@@ -69,18 +124,28 @@ class OrientationStage(Stage):
 
     name: ClassVar[str] = "orientation"
     reading: ClassVar[bool] = True
+    Sent: Callable[..., tuple[Any, ...]]
+    State: Callable[..., tuple[Any, ...]]
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        return ()
+    def structure(end: Any) -> Any:
+        """The first axis of each rotation, the fields of messages and state, and which of them are positions."""
+        state = end.state
+        return Rotations(end.scene.rotations, end.tx._fields, getattr(state, "_fields", ()), positions(end.rx),
+                         positions(end.tx), positions(state) if hasattr(state, "_fields") else ())
+
+    def __init__(self, e: End, structure: Any) -> None:
+        super().__init__(e, structure)
+        self.fields: Rotations = structure
+        self.rotations = tuple([Rotation(f"{e.name}_turn{i}", e.axes[i:i + 3], structure) for i in structure.first])
 
     def columns(self, e: End) -> tuple[Column, ...]:
-        numbers = ["", *[str(n) for n in range(2, len(e.turns) + 1)]]
-        return tuple([Column(f"q{part}{n}_{e.name}", ((t, part),)) for n, t in zip(numbers, e.turns, strict=True)
+        numbers = ["", *[str(n) for n in range(2, len(self.rotations) + 1)]]
+        return tuple([Column(f"q{part}{n}_{e.name}", ((t, part),)) for n, t in zip(numbers, self.rotations, strict=True)
                       for part in ("w", "x", "y", "z")])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        for t in e.turns:
+        for t in self.rotations:
             t.w = t.x = t.y = t.z = 0.0
             t.phi_x = t.phi_y = t.phi_z = 0.0  # so the first turn is to where the end begins
             for one in t.heard:
@@ -89,26 +154,26 @@ class OrientationStage(Stage):
                 one.x = one.y = one.z = 0.0
 
     def situate(self, run: Run, e: End) -> None:
-        for t in e.turns:
+        for t in self.rotations:
             t.before_x, t.before_y, t.before_z = t.phi_x, t.phi_y, t.phi_z
             t.phi_x, t.phi_y, t.phi_z = t.a.at.x, t.b.at.x, t.c.at.x
             t.dx, t.dy, t.dz = t.phi_x - t.before_x, t.phi_y - t.before_y, t.phi_z - t.before_z
             t.w, t.x, t.y, t.z = counted(t.w, t.x, t.y, t.z, t.dx, t.dy, t.dz)
 
     def receive(self, run: Run, e: End) -> None:
-        for t in e.turns:
+        for t in self.rotations:
             for one in t.heard:
                 hear(e, t, one)
-            for field in e.state_positions:
-                stay(e, t, field)
+            for field in self.fields.state_positions:
+                stay(self, t, field)
 
     def act(self, run: Run, e: End, k: int) -> None:
-        for t in e.turns:
+        for t in self.rotations:
             for one in t.sent:
-                tell(e, t, one)
+                tell(self, t, one)
 
 
-def hear(e: End, t: Turn, one: Any) -> None:
+def hear(e: End, t: Rotation, one: Any) -> None:
     """A position of the received message, as the law is told it."""
     t.px, t.py, t.pz = getattr(t.a.rx, one.field), getattr(t.b.rx, one.field), getattr(t.c.rx, one.field)
     if e.got:
@@ -120,23 +185,23 @@ def hear(e: End, t: Turn, one: Any) -> None:
     t.c.rx = with_position(t.c, "rx", e.Message, e.rx_fields, one.field, t.phi_z + one.z)
 
 
-def stay(e: End, t: Turn, field: str) -> None:
+def stay(stage: OrientationStage, t: Rotation, field: str) -> None:
     """A position of the law's state, which stays where it is while the end turns."""
     t.px, t.py, t.pz = left_at(getattr(t.a.s, field) - t.before_x, getattr(t.b.s, field) - t.before_y,
                                getattr(t.c.s, field) - t.before_z, t.dx, t.dy, t.dz)
-    t.a.s = with_position(t.a, "s", e.State, e.state_fields, field, t.phi_x + t.px)
-    t.b.s = with_position(t.b, "s", e.State, e.state_fields, field, t.phi_y + t.py)
-    t.c.s = with_position(t.c, "s", e.State, e.state_fields, field, t.phi_z + t.pz)
+    t.a.s = with_position(t.a, "s", stage.State, stage.fields.state_fields, field, t.phi_x + t.px)
+    t.b.s = with_position(t.b, "s", stage.State, stage.fields.state_fields, field, t.phi_y + t.py)
+    t.c.s = with_position(t.c, "s", stage.State, stage.fields.state_fields, field, t.phi_z + t.pz)
 
 
-def tell(e: End, t: Turn, one: Any) -> None:
+def tell(stage: OrientationStage, t: Rotation, one: Any) -> None:
     """A position of the message that is sent: a rotation vector."""
     one.x, one.y, one.z = sent_at(
         t.w, t.x, t.y, t.z, getattr(t.a.tx, one.field) - t.phi_x, getattr(t.b.tx, one.field) - t.phi_y,
         getattr(t.c.tx, one.field) - t.phi_z, one.x, one.y, one.z)
-    t.a.tx = with_position(t.a, "tx", e.Sent, e.tx_fields, one.field, one.x)
-    t.b.tx = with_position(t.b, "tx", e.Sent, e.tx_fields, one.field, one.y)
-    t.c.tx = with_position(t.c, "tx", e.Sent, e.tx_fields, one.field, one.z)
+    t.a.tx = with_position(t.a, "tx", stage.Sent, stage.fields.tx_fields, one.field, one.x)
+    t.b.tx = with_position(t.b, "tx", stage.Sent, stage.fields.tx_fields, one.field, one.y)
+    t.c.tx = with_position(t.c, "tx", stage.Sent, stage.fields.tx_fields, one.field, one.z)
 
 
 def with_position(a: Axis, which: str, kind: Any, fields: tuple[str, ...], field: str, value: Any) -> Any:

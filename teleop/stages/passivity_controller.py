@@ -70,12 +70,9 @@ class PassivityControllerStage(Stage):
     """Observer and controller of the master's port, axis by axis. Recorded as `E_po`."""
 
     name: ClassVar[str] = "passivity_controller"
+    kept: ClassVar[type[Record]] = Port
     wants_dx: ClassVar[bool] = True
     c_pc: Limits
-
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Port(f"{e}{i}") for i in range(axes)])
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
@@ -86,10 +83,10 @@ class PassivityControllerStage(Stage):
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_pc = given
-        for own in self.axes:
-            own.E_po = 0.0
+        for port in self.axes:
+            port.E_po = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            own.E_po = own.E_po + a.f * a.dx
-            a.f_cmd = a.f_cmd + damp(self.c_pc, own.E_po, a.v_read)
+        for a, port in zip(e.axes, self.axes, strict=True):
+            port.E_po = port.E_po + a.f * a.dx
+            a.f_cmd = a.f_cmd + damp(self.c_pc, port.E_po, a.v_read)

@@ -21,31 +21,28 @@ class RenewalStage(Stage):
     """The hold of `Device(every=...)`, in ticks."""
 
     name: ClassVar[str] = "renewal"
+    kept: ClassVar[type[Record]] = Renewed
     every: int
     since_last: Any  # ticks since the last
-
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Renewed(f"{e}{i}") for i in range(axes)])
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.per_axis(f"device_{e}")[0].every
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
-        return tuple([(own, "f_renewed") for own in self.axes])
+        return tuple([(hold, "f_renewed") for hold in self.axes])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.every = given
-        for own in self.axes:
-            own.f_renewed = 0.0
+        for hold in self.axes:
+            hold.f_renewed = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         self.since_last = ticks
 
     def act(self, run: Run, e: End, k: int) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
+        for a, hold in zip(e.axes, self.axes, strict=True):
             if e.has.leaves_out:
-                a.f_cmd = own.f_renewed = a.f_cmd if self.since_last > k % self.every else own.f_renewed
+                a.f_cmd = hold.f_renewed = a.f_cmd if self.since_last > k % self.every else hold.f_renewed
             else:
-                a.f_cmd = own.f_renewed = own.f_renewed if k % self.every else a.f_cmd
+                a.f_cmd = hold.f_renewed = hold.f_renewed if k % self.every else a.f_cmd

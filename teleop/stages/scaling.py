@@ -47,6 +47,7 @@ from typing import Any, ClassVar
 from teleop.errors import number
 from teleop.law import At
 from teleop.stages.end import End, Places, Run, Stage
+from teleop.stages.record import Record
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,23 +68,31 @@ def in_units_of_master(scale_x: float, scale_f: float, at: At) -> At:
               at.dt, at.span, at.gain)
 
 
+class Scales(Record):
+    """The scales of one axis."""
+
+    scale_x: float  # slave's metres (or rad) for one of the master
+    scale_f: float  # slave's newtons (or N m) for one of the master
+
+
 class ScalingStage(Stage):
     """The conversion of units around the slave's end of the law: readings before it, its force after it."""
 
     name: ClassVar[str] = "scaling"
+    kept: ClassVar[type[Record]] = Scales
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
         return tuple([(each.scale_x, each.scale_f) for each in scene.per_axis("scaling")])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
-        for a in e.axes:
-            a.scale_x, a.scale_f = given[a.i]
+        for a, scales in zip(e.axes, self.axes, strict=True):
+            scales.scale_x, scales.scale_f = given[a.i]
 
     def situate(self, run: Run, e: End) -> None:
-        for a in e.axes:
-            a.at = in_units_of_master(a.scale_x, a.scale_f, a.at)
+        for a, scales in zip(e.axes, self.axes, strict=True):
+            a.at = in_units_of_master(scales.scale_x, scales.scale_f, a.at)
 
     def act(self, run: Run, e: End, k: int) -> None:
-        for a in e.axes:
-            a.f_cmd = a.scale_f * a.f_cmd
+        for a, scales in zip(e.axes, self.axes, strict=True):
+            a.f_cmd = scales.scale_f * a.f_cmd

@@ -16,35 +16,32 @@ class Estimate(Record):
 
 
 class VelocityStage(Stage):
-    """A velocity estimator of `teleop.stages.velocity`, or one of the user's own, in each axis."""
+    """A velocity estimator of `teleop.stages.velocity`, or one of the user's estimator, in each axis."""
 
     name: ClassVar[str] = "velocity"
+    kept: ClassVar[type[Record]] = Estimate
     reading: ClassVar[bool] = True
     estimate: Callable[..., Any]
     c_est: Any
 
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([Estimate(f"{e}{i}") for i in range(axes)])
-
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        own = [device.velocity for device in scene.per_axis(f"device_{e}")]
-        return (tuple([each.coefficients(dt) for each in own]),
-                tuple([each.start(x) for each, x in zip(own, places, strict=True)]))
+        estimator = [device.velocity for device in scene.per_axis(f"device_{e}")]
+        return (tuple([each.coefficients(dt) for each in estimator]),
+                tuple([each.start(x) for each, x in zip(estimator, places, strict=True)]))
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis(f"v_hat_{e.name}", e.axes, "v_read"),)
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
-        return tuple([(own, "est") for own in self.axes])
+        return tuple([(estimator, "est") for estimator in self.axes])
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.c_est = given[0]
-        for a, own in zip(e.axes, self.axes, strict=True):
-            own.est = given[1][a.i]
+        for a, estimator in zip(e.axes, self.axes, strict=True):
+            estimator.est = given[1][a.i]
             a.v_read = 0.0
 
     def read(self, run: Run, e: End, k: int) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            a.v_read, own.est = self.estimate(self.c_est[a.i], own.est, a.x_read, elapsed(run, e))
+        for a, estimator in zip(e.axes, self.axes, strict=True):
+            a.v_read, estimator.est = self.estimate(self.c_est[a.i], estimator.est, a.x_read, elapsed(run, e))

@@ -97,6 +97,8 @@ class WatchdogStage(Stage):
     """The gain of an end, by which the force of each of its axes is multiplied."""
 
     name: ClassVar[str] = "watchdog"
+    g: float  # the gain
+    g_held: float  # of a live end the same at its last tick
     c_dog: WatchdogLimits
     heard: Any  # the tick at which a fresh message was played last
     quiet_ticks: float
@@ -104,11 +106,20 @@ class WatchdogStage(Stage):
     passed: Any  # ticks since the last
 
     @staticmethod
+    def structure(end: Any) -> Any:
+        """True if a message beyond an age counts as none. Of a live end without a watchdog there is None."""
+        return end.scene.watchdog.age is not None
+
+    def __init__(self, e: End, structure: Any) -> None:
+        super().__init__(e, structure)
+        self.aged, self.recorded = structure is True, structure is not None
+
+    @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.watchdog.limits(dt)
 
     def columns(self, e: End) -> tuple[Column, ...]:
-        return (Column(f"g_{e.name}", ((e, "g"),)),) if e.has.watchdog else ()
+        return (Column(f"g_{e.name}", ((self, "g"),)),) if self.recorded else ()
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         if not e.has.live:
@@ -117,7 +128,7 @@ class WatchdogStage(Stage):
             self.quiet_ticks = inf
             if e.has.leaves_out:
                 self.waits = 0.0
-            e.g = 1.0
+            self.g = 1.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         if not e.has.live:
@@ -127,16 +138,16 @@ class WatchdogStage(Stage):
         if not e.has.live:
             self.listen(run, e, k)
         if e.has.leaves_out and not e.has.live:
-            e.g, self.quiet_ticks, self.waits = watch_late(
-                self.c_dog, e.g, self.quiet_ticks, self.waits, k - self.heard, self.passed)
+            self.g, self.quiet_ticks, self.waits = watch_late(
+                self.c_dog, self.g, self.quiet_ticks, self.waits, k - self.heard, self.passed)
         elif not e.has.live:
-            e.g, self.quiet_ticks = watchdog_step(self.c_dog, e.g, self.quiet_ticks, k - self.heard)
+            self.g, self.quiet_ticks = watchdog_step(self.c_dog, self.g, self.quiet_ticks, k - self.heard)
         for a in e.axes:
-            a.f_cmd = e.g * a.f_cmd
+            a.f_cmd = self.g * a.f_cmd
 
     def listen(self, run: Run, e: End, k: int) -> None:
         """Note the tick of a fresh message that is not too old."""
-        if e.has.aged:
+        if self.aged:
             self.heard = k if e.got and k - e.newest <= self.c_dog.age else self.heard
         else:
             self.heard = k if e.got else self.heard

@@ -104,6 +104,7 @@ class WaveIntegralStage(Stage):
     """The wave p in place of the received one. Recorded is the queue, `queue_m` or `queue_s` (s)."""
 
     name: ClassVar[str] = "wave_integral"
+    kept: ClassVar[type[Record]] = AxisWaves
     target: float  # the least queue that is left after a tick, s
     keeps: float  # the same before it, which is longer by the tick
     settles: float  # the share of what is spare that is released in a tick
@@ -112,66 +113,61 @@ class WaveIntegralStage(Stage):
     returns: float  # dt/ahead
     spared: float  # dt, or 0 where M is L
 
-    def __init__(self, e: str, axes: int) -> None:
-        super().__init__(e, axes)
-        self.axes = tuple([AxisWaves(f"{e}{i}") for i in range(axes)])
-
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:
-        own = scene.wave_playout
-        remembered = (min(1.0, dt / own.memory), dt) if own.memory else (1.0, 0.0)
-        ahead = (dt, dt / own.ahead) if own.ahead else (0.0, 0.0)
-        keeps = own.target + dt if own.target else 0.0
-        return own.target, keeps, min(1.0, dt / own.settle), *remembered, *ahead
+        wave = scene.wave_playout
+        remembered = (min(1.0, dt / wave.memory), dt) if wave.memory else (1.0, 0.0)
+        ahead = (dt, dt / wave.ahead) if wave.ahead else (0.0, 0.0)
+        keeps = wave.target + dt if wave.target else 0.0
+        return wave.target, keeps, min(1.0, dt / wave.settle), *remembered, *ahead
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis(f"queue_{e.name}", self.axes, "queue"),)
 
     def begin(self, run: Run, e: End, given: Any) -> None:
         self.target, self.keeps, self.settles, self.recalls, self.spared, self.leads, self.returns = given
-        for a, own in zip(e.axes, self.axes, strict=True):
-            own.q = own.p = own.P = own.G = own.M = own.queue = 0.0
-            own.C = 0.0 - self.target
+        for a, wave in zip(e.axes, self.axes, strict=True):
+            wave.q = wave.p = wave.P = wave.G = wave.M = wave.queue = 0.0
+            wave.C = 0.0 - self.target
             a.heard = a.sent = Integrals(0.0, 0.0, 0.0)
-            a.E_played = 0.0
 
     def receive(self, run: Run, e: End) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            owed(run, e, a, own)
-            self.release(run, e, a, own)
-            play(run, e, a, own)
+        for a, wave in zip(e.axes, self.axes, strict=True):
+            owed(run, e, a, wave)
+            self.release(run, e, a, wave)
+            play(run, e, a, wave)
 
-    def release(self, run: Run, e: End, a: Axis, own: AxisWaves) -> None:
+    def release(self, run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
         """What is released in this tick of what is owed: the wave p, and what is credited."""
-        own.M = own.M + (own.L - own.M) * self.recalls
-        if own.L - self.spared < own.M:  # noqa: PLR1730 - a call costs more
-            own.M = own.L - self.spared
-        if own.M < 0.0:  # noqa: PLR1730
-            own.M = 0.0
-        own.h = run.dt
-        own.credit = 0.0
-        if run.half_dt <= own.L:
-            own.H = own.D * own.D / (2.0 * own.S if 2.0 * own.S > TINY else TINY)
-            own.spare = own.M if own.L - self.keeps > own.M else own.L - self.keeps
-            if own.L - self.settles * own.spare > own.h:  # noqa: PLR1730
-                own.h = own.L - self.settles * own.spare
-            if own.h < own.H and own.h < own.L:
-                own.h = own.H if own.H < own.L else own.L
-            own.p = own.D / (own.H if own.h < own.H else own.h)
+        wave.M = wave.M + (wave.L - wave.M) * self.recalls
+        if wave.L - self.spared < wave.M:  # noqa: PLR1730 - a call costs more
+            wave.M = wave.L - self.spared
+        if wave.M < 0.0:  # noqa: PLR1730
+            wave.M = 0.0
+        wave.h = run.dt
+        wave.credit = 0.0
+        if run.half_dt <= wave.L:
+            wave.H = wave.D * wave.D / (2.0 * wave.S if 2.0 * wave.S > TINY else TINY)
+            wave.spare = wave.M if wave.L - self.keeps > wave.M else wave.L - self.keeps
+            if wave.L - self.settles * wave.spare > wave.h:  # noqa: PLR1730
+                wave.h = wave.L - self.settles * wave.spare
+            if wave.h < wave.H and wave.h < wave.L:
+                wave.h = wave.H if wave.H < wave.L else wave.L
+            wave.p = wave.D / (wave.H if wave.h < wave.H else wave.h)
         else:
-            own.most = sqrt(own.S / run.dt)
-            if not -own.most < own.p < own.most:
-                if not -own.most <= own.p <= own.most:  # minus nothing stays minus nothing
-                    own.p = -own.most if own.p < 0.0 else own.most
-            elif not e.got and self.leads + own.L * self.returns > 0.0:
-                own.credit = self.leads + own.L * self.returns
-        if a.heard.T - (own.h - run.dt) > own.C and a.heard.T > 0.0:
-            own.C = a.heard.T - (own.h - run.dt)
-        own.C = own.C + own.credit
+            wave.most = sqrt(wave.S / run.dt)
+            if not -wave.most < wave.p < wave.most:
+                if not -wave.most <= wave.p <= wave.most:  # minus nothing stays minus nothing
+                    wave.p = -wave.most if wave.p < 0.0 else wave.most
+            elif not e.got and self.leads + wave.L * self.returns > 0.0:
+                wave.credit = self.leads + wave.L * self.returns
+        if a.heard.T - (wave.h - run.dt) > wave.C and a.heard.T > 0.0:
+            wave.C = a.heard.T - (wave.h - run.dt)
+        wave.C = wave.C + wave.credit
 
     def act(self, run: Run, e: End, k: int) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            send_along(run, e, a, own)
+        for a, wave in zip(e.axes, self.axes, strict=True):
+            send_along(run, e, a, wave)
 
 
 class WaveEnergyStage(WaveIntegralStage):
@@ -184,42 +180,41 @@ class WaveEnergyStage(WaveIntegralStage):
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # it has no times
 
     def receive(self, run: Run, e: End) -> None:
-        for a, own in zip(e.axes, self.axes, strict=True):
-            owed(run, e, a, own)
-            own.p = own.D / max(run.dt, own.D * own.D / max(2.0 * own.S, TINY))
-            own.C = max(own.C, a.heard.T)
-            play(run, e, a, own)
+        for a, wave in zip(e.axes, self.axes, strict=True):
+            owed(run, e, a, wave)
+            wave.p = wave.D / max(run.dt, wave.D * wave.D / max(2.0 * wave.S, TINY))
+            wave.C = max(wave.C, a.heard.T)
+            play(run, e, a, wave)
 
 
-def owed(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
+def owed(run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
     """What is owed of the other end's waves at this tick, and what energy is left for it."""
     if e.has.leaves_out:
-        own.held = elapsed(run, e) - run.dt
-        own.P = own.P + own.held * own.p
-        own.G = own.G + own.held * (0.5 * (own.p * own.p))
-        own.C = own.C + own.held
-    own.D = a.heard.U - own.P
-    own.S = a.heard.E - own.G if a.heard.E > own.G else 0.0
-    own.L = a.heard.T - own.C
+        wave.held = elapsed(run, e) - run.dt
+        wave.P = wave.P + wave.held * wave.p
+        wave.G = wave.G + wave.held * (0.5 * (wave.p * wave.p))
+        wave.C = wave.C + wave.held
+    wave.D = a.heard.U - wave.P
+    wave.S = a.heard.E - wave.G if a.heard.E > wave.G else 0.0
+    wave.L = a.heard.T - wave.C
 
 
-def play(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
+def play(run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
     """Book the wave p of this tick, and let the law have it."""
-    own.P = own.P + run.dt * own.p
-    own.G = own.G + run.half_dt * (own.p * own.p)
-    own.queue = a.heard.T - own.C
-    a.E_played = own.G
-    a.rx = with_wave(e, a, own.p)
+    wave.P = wave.P + run.dt * wave.p
+    wave.G = wave.G + run.half_dt * (wave.p * wave.p)
+    wave.queue = a.heard.T - wave.C
+    a.rx = with_wave(e, a, wave.p)
 
 
-def send_along(run: Run, e: End, a: Axis, own: AxisWaves) -> None:
+def send_along(run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
     """What the waves that this end sends have come to, with that of this tick."""
     T, U, E = a.sent
     q = getattr(a.tx, e.tx_wave)
     if e.has.leaves_out:
-        own.held = elapsed(run, e) - run.dt
-        T, U, E = T + own.held, U + own.held * own.q, E + own.held * (0.5 * (own.q * own.q))
-        own.q = q
+        wave.held = elapsed(run, e) - run.dt
+        T, U, E = T + wave.held, U + wave.held * wave.q, E + wave.held * (0.5 * (wave.q * wave.q))
+        wave.q = q
     a.sent = Integrals(T + run.dt, U + run.dt * q, E + run.half_dt * (q * q))
 
 
@@ -242,5 +237,5 @@ class WaveScalingStage(Stage):
 
 
 def with_wave(e: End, a: Axis, wave: Any) -> Any:
-    """The received message with this wave in place of its own."""
+    """The received message with this wave in place of its wave."""
     return e.Message(*[wave if field == e.rx_wave else getattr(a.rx, field) for field in e.rx_fields])

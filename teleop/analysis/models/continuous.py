@@ -120,7 +120,7 @@ def continuous_ends(scene: Scene) -> tuple[StateSpace, StateSpace]:
     mass, k, d = (hand.mass, hand.k, hand.d) if hand is not None else (0.0, 0.0, 0.0)
     master = _end(scene, "m", mass=body.mass + mass, damping=body.damping + d, k=k, push=-1.0,
                   sensor=(-k, -d, mass / (body.mass + mass)),
-                  bandwidth=scene.observer if structure_of(scene).m.has.observed else None)
+                  bandwidth=scene.observer if structure_of(scene).m.has_stage("observer") else None)
     _, force, c, *_ = exact_bodies(scene).slaves[0]
     rest = force(c, 0.0, 0.0)
     k_e, d_e = force(c, 1.0, 0.0) - rest, force(c, 0.0, 1.0) - rest

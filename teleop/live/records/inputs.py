@@ -48,7 +48,7 @@ def input_columns(scene: Scene, e: str, sensor: bool) -> list[str]:
     axes, (hears, sends) = scene.axes, message_fields(scene, e)
     along = Integrals._fields if structure_of(scene).has.integral else ()  # of each axis, behind the law's message
     per_axis = [f"x_{e}", f"v_{e}", *["f_ext"] * sensor, "f_held"]
-    operated = SWITCHES if getattr(structure_of(scene), e).has.operated else ()
+    operated = SWITCHES if getattr(structure_of(scene), e).has_stage("operator") else ()
     return [*_FLOATS, *operated, *[name for name in per_axis for _ in range(axes)],
             *[f"rx.{name}" for name in hears] * axes, *[f"waves.{name}" for name in along] * axes, *["index"] * axes,
             *[f"f_{e}"] * axes, *[f"tx.{name}" for name in sends] * axes, *[f"sent.{name}" for name in along] * axes]
@@ -83,7 +83,7 @@ class InputWriter:
         self._nothing = (0.0,) * (len(hears) * scene.axes)
         self._no_waves = (0.0,) * (len(Integrals._fields) * scene.axes)
         self._own = (float("nan"),) * scene.axes
-        self._operated = getattr(structure_of(scene), e).has.operated
+        self._operated = getattr(structure_of(scene), e).has_stage("operator")
 
     def begin(self, sensor: bool) -> None:
         """Write the headers, before the first tick. `sensor`: does the end's device sense the external force."""

@@ -12,11 +12,12 @@ from operator import add
 from typing import Any
 
 from teleop.simulation.masks import any_lane, store
-from teleop.stages.end import Axis, End, Recorder, Run, RunHas
+from teleop.stages.end import Recorder, Run, RunHas
+from teleop.stages.ledger import WaveLedger
 from teleop.stages.memory import get, put, ring
 from teleop.stages.record import Record
 from teleop.sweeps.kernels.measures import Layout, kept, known, least, most, root_mean
-from teleop.sweeps.kernels.sums import Sums
+from teleop.sweeps.kernels.sums import Sums, force_of_law, place_of_law
 
 
 class Past(Record):
@@ -110,7 +111,7 @@ class Figures(Recorder):
             setattr(self, name, 0.0)
         for name in self.least_of_ledgers:
             setattr(self, name, inf)
-        if run.m.has.watchdog:
+        if run.m.stage.watchdog:
             self.g_m_min = 1.0
             self.g_s_min = 1.0
         self.told_m = self.told_s = self.told_of = 0.0
@@ -137,17 +138,17 @@ class Figures(Recorder):
         if "f_env_max" in self.keeps:
             self.f_env_max = most(self.f_env_max, self.magnitude(*[a.f_ext for a in run.s.axes]))
         if run.has.waves:
-            self.E_link = (run.m.E_in - run.s.E_out) + (run.s.E_in - run.m.E_out)
+            self.E_link = energy_in_link(run.m.stage.wave_ledger, run.s.stage.wave_ledger)
             self.E_link_min = least(self.E_link_min, self.E_link)
         if run.has.energy:
-            self.E_port = run.m.E_port - run.s.E_port if run.has.slave else run.m.E_port
+            self.E_port = energy_of_ports(run)
             self.E_port_min = least(self.E_port_min, self.E_port)
         if run.has.stored:
-            self.E_law = run.m.E_law + run.s.E_law
+            self.E_law = run.m.stage.law_ledger.E_law + run.s.stage.law_ledger.E_law
             self.E_law_min = least(self.E_law_min, self.E_law)
-        if run.m.has.watchdog:
-            self.g_m_min = least(self.g_m_min, run.m.g)
-            self.g_s_min = least(self.g_s_min, run.s.g)
+        if run.m.stage.watchdog:
+            self.g_m_min = least(self.g_m_min, run.m.stage.watchdog.g)
+            self.g_s_min = least(self.g_s_min, run.s.stage.watchdog.g)
         self.count_told(run)
         if "rest" in self.keeps:
             self.look(run, k)
@@ -171,8 +172,8 @@ class Figures(Recorder):
     def count_told(self, run: Run) -> None:
         """The messages that the ends sent, and the ticks."""
         if "told" in self.keeps:
-            self.told_m = self.told_m + run.m.send
-            self.told_s = self.told_s + run.s.send
+            self.told_m = self.told_m + run.m.stage.deadband.send
+            self.told_s = self.told_s + run.s.stage.deadband.send
             self.told_of = self.told_of + 1.0
 
     def track_x(self, run: Run, k: int) -> None:
@@ -296,13 +297,13 @@ class LaneFigures(Figures):
             store(self.out, self.alive, ticks, self.all(run))
 
 
-def place_of_law(e: End, a: Axis) -> Any:
-    """The place of one axis as the law is told it and in its units, m."""
-    if e.has.operated:
-        return a.x - a.offset
-    return a.x / a.scale_x if e.has.scaled else a.x
+def energy_in_link(m: WaveLedger, s: WaveLedger) -> Any:
+    """The energy that the link keeps, J."""
+    return (m.E_in - s.E_out) + (s.E_in - m.E_out)
 
 
-def force_of_law(e: End, a: Axis) -> Any:
-    """The external force of one axis in the units of the law, N."""
-    return a.f_ext / a.scale_f if e.has.scaled else a.f_ext
+def energy_of_ports(run: Run) -> Any:
+    """The energy that the ports took in, J."""
+    if not run.has.slave:
+        return run.m.stage.port_ledger.E_port
+    return run.m.stage.port_ledger.E_port - run.s.stage.port_ledger.E_port

@@ -87,7 +87,7 @@ class Kernel(NamedTuple):
 def available(scene: Scene) -> frozenset[str]:
     """The figures that a kernel of this scene can give."""
     structure = structure_of(scene)
-    return _available(structure.has, structure.m.has.watchdog)
+    return _available(structure.has, structure.m.has_stage("watchdog"))
 
 
 @lru_cache(maxsize=256)

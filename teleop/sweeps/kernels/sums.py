@@ -8,7 +8,7 @@ from operator import add
 from typing import Any
 
 from teleop.simulation.felt import AT_END, names
-from teleop.stages.end import Run
+from teleop.stages.end import Axis, End, Run
 from teleop.stages.record import Record
 
 
@@ -164,7 +164,7 @@ class Sums(Record):
                 if "f_m" in self.groups:
                     own.end_f_m = own.end_f_m + m.f
                 if "x_m" in self.groups:
-                    own.end_x_m = own.end_x_m + (m.x - m.offset if run.m.has.operated else m.x)
+                    own.end_x_m = own.end_x_m + place_of_law(run.m, m)
             if run.has.slave:
                 self.end_slave(run)
 
@@ -194,3 +194,15 @@ class Sums(Record):
         elif k >= start + 2 * window:
             for a, own in zip(run.m.axes, self.turns, strict=True):
                 own.level = 0.25 * abs(a.v) if 0.25 * abs(a.v) > own.level else own.level
+
+
+def place_of_law(e: End, a: Axis) -> Any:
+    """The place of one axis as the law is told it and in its units, m."""
+    if e.stage.operator:
+        return a.x - e.stage.operator.axes[a.i].offset
+    return a.x / e.stage.scaling.axes[a.i].scale_x if e.stage.scaling else a.x
+
+
+def force_of_law(e: End, a: Axis) -> Any:
+    """The external force of one axis in the units of the law, N."""
+    return a.f_ext / e.stage.scaling.axes[a.i].scale_f if e.stage.scaling else a.f_ext

@@ -169,8 +169,8 @@ def test_every_structure_records_the_columns_that_it_says() -> None:
 
 def test_a_law_that_reads_no_force_needs_neither_sensor_nor_observer() -> None:
     wave, direct = structure_of(make(Wave())), structure_of(make(Direct()))
-    assert [has.sensed or has.observed for has in (wave.m.has, wave.s.has)] == [False, False]
-    assert [has.sensed or has.observed for has in (direct.m.has, direct.s.has)] == [False, True]
+    assert [end.has.sensed or end.has_stage("observer") for end in (wave.m, wave.s)] == [False, False]
+    assert [end.has.sensed or end.has_stage("observer") for end in (direct.m, direct.s)] == [False, True]
 
 
 # Axes
