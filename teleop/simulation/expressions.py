@@ -166,16 +166,16 @@ class Expressions:
 
     # What expressions come to
 
-    def ev(self, node: ast.expr) -> Value:
+    def evaluate(self, node: ast.expr) -> Value:
         """What is known of an expression, or the expression itself with what is known written in."""
         make: Callable[[Any], Value] | None = getattr(self, f"_{type(node).__name__}", None)
         if make is None:
             raise self.refused(f"{type(node).__name__} is not for the tick: {ast.unparse(node)}")
         return make(node)
 
-    def re(self, node: ast.expr) -> ast.expr:
+    def residualize(self, node: ast.expr) -> ast.expr:
         """The expression itself."""
-        return self.residual(self.ev(node), node, getattr(node, "id", getattr(node, "attr", "")))
+        return self.residual(self.evaluate(node), node, getattr(node, "id", getattr(node, "attr", "")))
 
     def _Constant(self, node: ast.Constant) -> Value:
         return Known(node.value)
@@ -199,7 +199,7 @@ class Expressions:
         raise self.refused(f"{word} is not known")
 
     def _Attribute(self, node: ast.Attribute) -> Value:
-        inner = self.ev(node.value)
+        inner = self.evaluate(node.value)
         if not isinstance(inner, Known):
             return self.put(ast.Attribute(inner, node.attr, ast.Load()), node)
         thing, word = inner.value, node.attr
@@ -216,18 +216,18 @@ class Expressions:
         return Known(found)
 
     def _Subscript(self, node: ast.Subscript) -> Value:
-        inner, at = self.ev(node.value), self.ev(node.slice)
+        inner, at = self.evaluate(node.value), self.evaluate(node.slice)
         if isinstance(inner, Known) and isinstance(at, Known):
             return Known(inner.value[at.value])
         made = ast.Subscript(self.residual(inner, node), self.residual(at, node), ast.Load())
         return self.put(made, node)
 
     def _Slice(self, node: ast.Slice) -> Value:
-        parts = [None if each is None else self.re(each) for each in (node.lower, node.upper, node.step)]
+        parts = [None if each is None else self.residualize(each) for each in (node.lower, node.upper, node.step)]
         return self.put(ast.Slice(*parts), node)
 
     def _UnaryOp(self, node: ast.UnaryOp) -> Value:
-        inner = self.ev(node.operand)
+        inner = self.evaluate(node.operand)
         if isinstance(inner, Known) and isinstance(node.op, ast.Not):
             return Known(not inner.value)
         if isinstance(node.op, ast.Not) and self.has_lanes(self.residual(inner, node)):
@@ -235,10 +235,10 @@ class Expressions:
         return self.put(ast.UnaryOp(node.op, self.residual(inner, node)), node)
 
     def _BinOp(self, node: ast.BinOp) -> Value:
-        return self.put(ast.BinOp(self.re(node.left), node.op, self.re(node.right)), node)
+        return self.put(ast.BinOp(self.residualize(node.left), node.op, self.residualize(node.right)), node)
 
     def _Compare(self, node: ast.Compare) -> Value:
-        left, rights = self.ev(node.left), [self.ev(each) for each in node.comparators]
+        left, rights = self.evaluate(node.left), [self.evaluate(each) for each in node.comparators]
         decide = DECIDED.get(type(node.ops[0])) if len(rights) == 1 else None
         if decide is not None and isinstance(left, Known) and isinstance(left.value, STRUCTURAL) and isinstance(
                 rights[0], Known) and isinstance(rights[0].value, STRUCTURAL):
@@ -253,7 +253,7 @@ class Expressions:
         decides = isinstance(node.op, ast.Or)
         kept: list[ast.expr] = []
         for each in node.values:
-            value = self.ev(each)
+            value = self.evaluate(each)
             if not isinstance(value, Known):
                 kept.append(value)
             elif bool(value.value) is decides and not kept:
@@ -266,12 +266,12 @@ class Expressions:
         return self.joined(kept, node.op, node)
 
     def _IfExp(self, node: ast.IfExp) -> Value:
-        test = self.ev(node.test)
+        test = self.evaluate(node.test)
         if isinstance(test, Known):
-            return self.ev(node.body if test.value else node.orelse)
+            return self.evaluate(node.body if test.value else node.orelse)
         if self.has_lanes(test):
-            return self.call(masks.select, [test, self.re(node.body), self.re(node.orelse)], node)
-        return self.put(ast.IfExp(test, self.re(node.body), self.re(node.orelse)), node)
+            return self.call(masks.select, [test, self.residualize(node.body), self.residualize(node.orelse)], node)
+        return self.put(ast.IfExp(test, self.residualize(node.body), self.residualize(node.orelse)), node)
 
     # Conditions that eight scenes side by side may answer each in its own way
 
@@ -302,7 +302,7 @@ class Expressions:
         return self.put(ast.Call(self.outer(function.__name__, function, node), parts, []), node)
 
     def _Yield(self, node: ast.Yield) -> Value:
-        return self.put(ast.Yield(None if node.value is None else self.re(node.value)), node)
+        return self.put(ast.Yield(None if node.value is None else self.residualize(node.value)), node)
 
     def _display(self, node: ast.Tuple | ast.List) -> Value:
         return self.together([one for each in node.elts for one in self.several(each)], node)
@@ -320,8 +320,8 @@ class Expressions:
     def several(self, node: ast.expr) -> list[Value]:
         """The values of an entry of a display or of a call: of one with a star as many as there are."""
         if not isinstance(node, ast.Starred):
-            return [self.ev(node)]
-        inner = self.ev(node.value)
+            return [self.evaluate(node)]
+        inner = self.evaluate(node.value)
         if isinstance(inner, Known):
             return [Known(each) for each in inner.value]
         if isinstance(inner, ast.Tuple | ast.List):
@@ -336,16 +336,16 @@ class Expressions:
     def turns(self, entry: ast.expr, loops: list[ast.comprehension]) -> Iterator[Value]:
         """The entries of a comprehension over what is known."""
         if not loops:
-            yield self.ev(entry)
+            yield self.evaluate(entry)
             return
-        over = self.ev(loops[0].iter)
+        over = self.evaluate(loops[0].iter)
         if not isinstance(over, Known):
             raise self.refused(f"a comprehension goes over what is known, not {ast.unparse(loops[0].iter)}")
         around = self.frame.known
         for each in over.value:
             self.frame.known = {**around}
             self.bind(loops[0].target, each)
-            tests = [self.ev(test) for test in loops[0].ifs]
+            tests = [self.evaluate(test) for test in loops[0].ifs]
             if not all(isinstance(test, Known) for test in tests):
                 raise self.refused("the condition of a comprehension is known beforehand")
             if all(test.value for test in tests):  # type: ignore[union-attr]

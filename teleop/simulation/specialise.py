@@ -128,7 +128,7 @@ class _Writer(Expressions):
     def right_side(self, node: ast.expr) -> Value:
         """All of a line's value: a call in its place may have lines of its own."""
         self.whole = node
-        value = self.ev(node)
+        value = self.evaluate(node)
         self.whole = None
         return value
 
@@ -138,7 +138,7 @@ class _Writer(Expressions):
     def _Expr(self, line: ast.Expr) -> None:
         call = line.value
         if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "setattr":
-            field = self.ev(call.args[1])
+            field = self.evaluate(call.args[1])
             assert isinstance(field, Known)
             target = ast.copy_location(ast.Attribute(call.args[0], field.value, ast.Store()), call)
             self.assign(target, self.right_side(call.args[2]), line)
@@ -205,7 +205,7 @@ class _Writer(Expressions):
             made = self.named(word if frame is self.entry else ast.unparse(frame.names[word]), node, ast.Store())
             self.assigned.add(made.id)
         elif isinstance(node, ast.Attribute):
-            record = self.ev(node.value)
+            record = self.evaluate(node.value)
             if not isinstance(record, Known) or not isinstance(record.value, Record):
                 raise self.refused(f"{ast.unparse(node)} is no field of a record, so it cannot be set")
             if node.attr in vars(record.value) or node.attr not in declared(type(record.value)):
@@ -216,7 +216,7 @@ class _Writer(Expressions):
         elif isinstance(node, ast.Tuple):
             made = ast.Tuple([self.target(each) for each in node.elts], ast.Store())
         elif isinstance(node, ast.Subscript):
-            made = ast.Subscript(self.re(node.value), self.re(node.slice), ast.Store())
+            made = ast.Subscript(self.residualize(node.value), self.residualize(node.slice), ast.Store())
         else:
             raise self.refused(f"{ast.unparse(node)} cannot be set")
         return self.put(made, node)
@@ -235,7 +235,7 @@ class _Writer(Expressions):
         return None
 
     def _For(self, line: ast.For) -> None:
-        over = self.ev(line.iter)
+        over = self.evaluate(line.iter)
         if isinstance(over, Known):
             self.unroll(line, over.value)
         else:
@@ -244,7 +244,7 @@ class _Writer(Expressions):
             self.emit(ast.For(target, over, self.turn(line.body), self.block(line.orelse)), line)
 
     def _While(self, line: ast.While) -> None:
-        test = self.residual(self.ev(line.test), line)
+        test = self.residual(self.evaluate(line.test), line)
         self.emit(ast.While(test, self.turn(line.body), self.block(line.orelse)), line)
 
     def mask(self, test: ast.expr, line: ast.AST) -> str:
@@ -321,7 +321,7 @@ class _Writer(Expressions):
 
     def _Call(self, node: ast.Call) -> Value:
         whole, self.whole = self.whole is node, None
-        function = self.ev(node.func)
+        function = self.evaluate(node.func)
         values = [one for each in node.args for one in self.several(each)]
         if isinstance(function, Known):
             if getattr(function.value, "__module__", "") == memory.__name__:
@@ -335,7 +335,7 @@ class _Writer(Expressions):
                 return self.written_out(function.value, values, node, whole)
         elif self.engine == "plain" and isinstance(function, ast.Name) and function.id in self.tuple_classes:
             return self.new_tuple(function, values, node)
-        keywords = [self.put(ast.keyword(each.arg, self.re(each.value)), each) for each in node.keywords]
+        keywords = [self.put(ast.keyword(each.arg, self.residualize(each.value)), each) for each in node.keywords]
         named = self.residual(function, node, getattr(node.func, "attr", getattr(node.func, "id", "")))
         return self.put(ast.Call(named, [self.residual(each, node) for each in values], keywords), node)
 
@@ -378,9 +378,9 @@ class _Writer(Expressions):
         self.frames.append(frame)
         found: Value = Known(None)
         if isinstance(line, ast.Assign):
-            self.emit(ast.Assign([self.target(line.targets[0])], self.re(line.value)), node)
+            self.emit(ast.Assign([self.target(line.targets[0])], self.residualize(line.value)), node)
         elif isinstance(line, ast.Return) and line.value is not None:
-            found = self.re(line.value)
+            found = self.residualize(line.value)
         self.frames.pop()
         return found
 

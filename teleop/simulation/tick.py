@@ -318,7 +318,7 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
         if e.has.gain:
             e.stage.watchdog.g_held = e.stage.watchdog.g
         k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present = yield (
-            tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]),
+            tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]) if run.has.slave else None,
             tuple([a.sent for a in e.axes]) if run.has.integral else None, row(e))
 
 
