@@ -8,6 +8,7 @@ returns what else there is, which is nearly always nothing.
 from __future__ import annotations
 
 import asyncio
+import gc
 import select
 import selectors
 from collections.abc import Callable, Coroutine
@@ -87,4 +88,5 @@ def in_tick_loop(main: Coroutine[Any, Any, None], failed: Callable[[BaseExceptio
             runner.run(main)
         except BaseException as error:
             failed(error)
+            gc.freeze()  # a loop whose files are gone cannot be closed, and would say so when it is collected
             raise
