@@ -130,6 +130,10 @@ def undeclared(source: str) -> list[int]:
             lines += [node.lineno] if not any(map(declared, node.args[:1])) else []
         elif isinstance(node, ast.ImportFrom):
             lines += [node.lineno for part in node.names if STARTERS.fullmatch(f"{node.module}.{part.name}")]
+        elif isinstance(node, ast.Import):
+            lines += [node.lineno for part in node.names if part.asname and STARTERS.match(f"{part.name}.run")]
+        elif isinstance(node, ast.Assign) and STARTERS.fullmatch(ast.unparse(node.value)):
+            lines.append(node.lineno)
     return lines
 
 
@@ -140,7 +144,8 @@ def test_tests_start_no_program_that_a_fresh_machine_may_lack() -> None:
     assert found == {}, "start it by tests.programs.program(NAME), which skips the test where it is missing"
     for wrong in ("subprocess.run(['zsh'])", "subprocess.Popen(words)", "shell = 'fish'\nsubprocess.run([shell])",
                   "shutil.which('cc')", "from subprocess import run", "asyncio.create_subprocess_exec('sh')",
-                  "words = [sys.executable]\nwords = ['sh']\nos.execvp(words)", "os.system('true')"):
+                  "words = [sys.executable]\nwords = ['sh']\nos.execvp(words)", "os.system('true')",
+                  "import subprocess as sp\nsp.run(['zsh'])", "start = subprocess.Popen\nstart(['zsh'])"):
         assert undeclared(wrong), wrong
     assert not undeclared("words = [program('zsh'), '-c']\nsubprocess.run([*words, 'true'])\nos.execv(sys.executable)")
 

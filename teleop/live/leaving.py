@@ -144,7 +144,8 @@ class LastResort:
     handler in Python runs between two steps of the interpreter's main thread, so while a driver hangs in a system call
     there is none. The number of each signal is written to a pipe by Python's handler in C, and this thread waits for it
     there. Ten times a second it sees to it that this handler and that pipe are still what was put there: a driver may
-    have taken the one for itself, or closed the other.
+    have taken the one for itself, or closed the other. Where no pipe can be had, it goes by what Python's handlers have
+    counted, which a driver that sleeps or waits lets run.
 
     The thread runs as soon as the main thread has not the interpreter to itself: while that sleeps, waits, reads,
     computes in Python, or is in compiled code that has released the interpreter's lock. Compiled code that hangs with
@@ -205,13 +206,20 @@ class LastResort:
             return False
 
     def _open_anew(self) -> bool:
-        """Make another pipe, from which the handler in C learns by `Interrupt.retake`; True if there is one."""
+        """Make another pipe; True if there is one.
+
+        Only the main thread can tell the handler in C of another number (`Interrupt.retake`), and it may stand still.
+        So the pipe takes the number that was closed, if nobody else has it since.
+        """
         with suppress(OSError):  # there are no descriptors left
             # High numbers: whoever had a low one that is closed by now may still write to it.
             low = os.pipe()
-            self._reads, self._writes = (fcntl(end, F_DUPFD_CLOEXEC, _HIGH) for end in low)
+            self._reads, high = (fcntl(end, F_DUPFD_CLOEXEC, _HIGH) for end in low)
             for end in low:
                 os.close(end)
+            self._writes, old = fcntl(high, F_DUPFD_CLOEXEC, self._writes), self._writes
+            unused, self._writes = (high, old) if self._writes == old else (self._writes, high)
+            os.close(unused)
             self._claim()
             self.interrupt.lost = True
         return self._has_pipe()
@@ -232,12 +240,14 @@ class LastResort:
         while not self._done:
             left = due - time.monotonic()
             if left > 0.0:
+                noted, name = self.interrupt.count, self.interrupt.name  # first: the pipe has their numbers by now
                 came = self._read_signals(min(left, POLL_S))
+                before = len(self._names)
                 for number in self.interrupt.taken.intersection(came):
-                    times = came.count(number) - self._is_overrun(number)
-                    if not times:
-                        continue
-                    self._names += [name_of(number)] * times
+                    self._names += [name_of(number)] * (came.count(number) - self._is_overrun(number))
+                if name is not None:
+                    self._names += [name] * (noted - len(self._names))
+                if len(self._names) > before:
                     self.interrupt.seen = len(self._names)
                     self.interrupt.name = self.interrupt.name or self._names[0]  # whoever handles it in Python
                     due = min(due, time.monotonic() + (HEED_S if len(self._names) == 1 else HUNG_S))

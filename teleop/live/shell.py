@@ -38,6 +38,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.outcome import divergence
 from teleop.terminal.options import DONE, complain
 
+MOST_TIMES = 5  # that signals are taken back: while a device is opened and read first, before tick 0, and two more
 TRACEBACK = "error.txt"
 MAY_BE_ON = "THE FORCE MAY STILL BE ON, switch the device off"
 PARTS: dict[CodeType, str] = {
@@ -185,6 +186,9 @@ class Shell:
                    f"{plural(len(names), 'it ends', 'they end')} this run with its force at zero")
             self.note(Event(self.counts.ran, "signals", why))
             complain(why, DONE)
+            if self.interrupt.times > MOST_TIMES:
+                self.stop(f"a driver or a library takes {enumerated(names)} for itself again and again, and a signal "
+                          "could end this process with its force on; have it leave signals alone")
 
     def so_far(self) -> float:
         """The time of the run (s) up to which this end has come."""

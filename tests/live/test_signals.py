@@ -18,7 +18,7 @@ from teleop.live.leaving import HUNG_S
 from teleop.live.process.interrupt import OTHERS, REAL_TIME, Interrupt
 from teleop.live.records.reader import read_record
 from teleop.live.records.record import read_events
-from teleop.live.shell import MAY_BE_ON
+from teleop.live.shell import MAY_BE_ON, MOST_TIMES
 from teleop.scene.library import ROOT
 from tests.live.conftest import PATIENCE, summary
 
@@ -301,6 +301,49 @@ def test_a_driver_that_takes_signals_for_itself_leaves_no_force(
     assert other.end()[0] == 0
 
 
+@pytest.mark.parametrize("how", ["with its default", "with a handler", "below Python"])
+def test_a_driver_that_took_signals_again_and_again_could_end_with_force_on(
+    how: str, command: Make, tmp_path: Path
+) -> None:
+    """Each time it was taken back a tenth of a second later; a signal in between ended the process with 4.26 N on."""
+    force = robot(tmp_path, "s", when=TAKES[how])
+    own, other = pair(command)
+    code, _, err = own.end()
+    assert (code, force()) == (0, 0.0)
+    assert err.count("had taken SIGTERM for itself") == MOST_TIMES + 1
+    assert "SIGTERM for itself again and again" in summary(tmp_path / "s")["sentence"]
+    assert other.end()[0] == 0
+
+
+CLOSES = "[os.close(fd) for fd in range(3, 64) if fd != FILE and os.path.exists(f'/proc/self/fd/{fd}')]"
+
+
+@pytest.mark.parametrize(("deafens", "act"), [
+    pytest.param(CLOSES, "sleeps", id="closes files"),
+    pytest.param(CLOSES, "in C", id="closes files, in C"),
+    pytest.param(f"{TAKES['with its default']}, {CLOSES}", "sleeps", id="takes the signal and closes files"),
+    pytest.param(f"resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3)), {CLOSES}", "sleeps", id="leaves no files"),
+    pytest.param("signal.set_wakeup_fd(-1)", "sleeps", id="takes the pipe"),
+])
+def test_a_driver_that_closed_the_pipe_of_signals_and_hung_was_ended_by_none(
+    deafens: str, act: str, command: Make, tmp_path: Path
+) -> None:
+    """The thread of last resort waited for a handler that wrote to a closed file: 4.26 N on, whatever was sent."""
+    force = robot(tmp_path, "s", HANGS[act], f"import resource; [{deafens}]; hang()")
+    own, _ = pair(command)
+    force.until(lambda f: abs(f) > 0.1)
+    while own.event("live")["k"] < 250:
+        pass
+    time.sleep(1.0)
+    assert force() != 0.0
+    own.signal(signal.SIGTERM)
+    time.sleep(0.05)
+    own.signal(signal.SIGTERM)
+    assert force.until(lambda f: f == 0.0) < HUNG_S + 2.0
+    code, _, err = own.end()
+    assert (code, "its device was set to zero force" in err) == (1, True)
+
+
 @pytest.mark.parametrize("kind", ["", "timerfd", "eventpoll"])
 def test_a_driver_that_closes_files_that_are_not_its_own_leaves_no_force(
     kind: str, command: Make, tmp_path: Path
@@ -318,3 +361,15 @@ def test_a_driver_that_closes_files_that_are_not_its_own_leaves_no_force(
     assert summary(tmp_path / "s")["status"] == "stopped"
     assert (tmp_path / "s" / "error.txt").exists()
     assert not kind or other.end()[0] == 0, "it is told, if there is a socket left"
+
+
+def test_a_driver_that_closed_files_at_its_first_reading_ended_in_tracebacks(command: Make, tmp_path: Path) -> None:
+    force = robot(tmp_path, "s", when="pass", where=CLOSES)
+    text = (tmp_path / "robot.py").read_text().replace("k >= 500", "k == 0")
+    (tmp_path / "robot.py").write_text(text)
+    own = command("robot", *SCENE, "--listen", "127.0.0.1:0", "--json", "--out", "s")
+    code, _, err = own.end()
+    assert (code, force()) == (1, 0.0)
+    assert "the live loop raised OSError" in err
+    assert "Traceback" not in err
+    assert "Task" not in err

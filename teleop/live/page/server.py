@@ -285,7 +285,7 @@ class PageConnection(ServerConnection):
             return b""
         data, self._method = self._method, None
         self.heads = method == b"HEAD"
-        if blank and method.isalpha() and method.decode() not in METHODS:
+        if method.replace(b"-", b"x").isalpha() and method.decode() not in METHODS:  # or the head of a longer one
             self._deaf = True
             self.transport.write(_response(*Requests.of_method()).serialize())
             self.transport.write_eof()

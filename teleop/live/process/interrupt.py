@@ -60,6 +60,7 @@ class Interrupt:
         self.wakeup = -1  # where `LastResort` hears of signals, by the handler in C
         self.lost = False  # has `LastResort` found a signal that is not taken any more
         self._sigaction: Any = getattr(ctypes.CDLL(None), "sigaction", None)
+        self.times = 0  # that any was taken back
         self._before: dict[int, Any] = {}
         self._actions: dict[int, bytes] = {}
         self._retaken: set[int] = set()  # and not yet told
@@ -98,6 +99,7 @@ class Interrupt:
         self.lost = False
         blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, self.taken) & self.taken
         self._retaken.update(number for number in self._before if number in blocked or self._is_lost(number))
+        self.times += bool(self._retaken)
         for number in self._retaken:
             signal.signal(number, self._note)
         if self.wakeup >= 0:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import gc
 import os
 import select
 import selectors
@@ -99,6 +100,7 @@ def in_tick_loop(main: Coroutine[Any, Any, None], failed: Callable[[BaseExceptio
             runner.run(main)
         except BaseException as error:
             failed(error)
+            gc.freeze()  # a loop whose files are gone cannot be closed, and would say so when it is collected
             raise
 
 

@@ -114,7 +114,7 @@ def test_over_a_socket_too_strangers_get_a_sentence_and_the_page_goes_on(served:
     served(scenario)
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "OPTIONS", "DELETE", "BREW"])
+@pytest.mark.parametrize("method", ["POST", "PUT", "OPTIONS", "DELETE", "BREW", "M-SEARCH", "VERSION-CONTROL"])
 def test_another_method_than_get_and_head_was_closed_without_an_answer(method: str, served: Serve) -> None:
     async def scenario(page: Served) -> None:
         answer = await get(page, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: {page.host}\r\n"
