@@ -97,7 +97,8 @@ def check_device(make: str | Callable[..., LiveDevice], scene: Scene | None = No
     each tick, that the next tick knows of it (simulated), and that a force sensor senses something else; that what
     fails raises DeviceError or OSError; `close`; and, simulated, that it opens again. `push=None` pushes what is
     simulated alone. A machine is pushed only if its force lapses by itself or a watchdog process stands beside it,
-    along a ramp, and not on once it has come 5 mm or 5 mrad. Whatever happens, its force is zero at the end and it is closed.
+    along a ramp, and not on once it has come 5 mm or 5 mrad. Whatever happens, its force is zero at the end, and it is
+    closed.
 
     A `read` or `hold` that does not return for 1.2 s ends the process with a sentence and exit code 1, for nothing else
     can: zero force is tried first, from another thread.
