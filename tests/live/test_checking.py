@@ -10,6 +10,7 @@ import time
 from itertools import pairwise
 from math import nan
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -220,6 +221,17 @@ class AddsUp(Moving):
         super().hold((self.f + force[0],))
 
 
+class AddsUpOnASpring(AddsUp):
+    """Stands still with what was added up, so nothing accelerates: 0.1 N at each tick came to 20 N, unnamed."""
+
+    def read(self, k: int) -> Reading:
+        while self.k < k:
+            self.v += 1e-3 * (self.f - 500.0 * self.x - 40.0 * self.v)
+            self.x += 1e-3 * self.v
+            self.k += 1
+        return Reading((self.x,), (self.v,))
+
+
 class ATickOld(Moving):
     newest = Reading((0.0,), (0.0,))
 
@@ -236,6 +248,21 @@ class SensesItsMotor(Moving):
         return Reading(x, v, (self.f,))
 
 
+class SensesItsMotorLate(Moving):
+    """Tells the motor's force a tick after it was held, with the noise of a measured current."""
+
+    before = 0.0
+
+    def __init__(self, scene: Any) -> None:
+        super().__init__(scene)
+        self.dice = Random(4)
+
+    def read(self, k: int) -> Reading:
+        x, v, *_ = super().read(k)
+        f, self.before = self.before + self.dice.gauss(0.0, 1e-3), self.f
+        return Reading(x, v, (f,))
+
+
 MISTAKES = [
     (BackwardsV, Mistake.VELOCITY_SIGN, "turn the sign of v in read"),
     (NoV, Mistake.NO_VELOCITY, "hand over the velocity in read"),
@@ -246,11 +273,13 @@ MISTAKES = [
     (AddsUp, Mistake.ADDS_UP, "do not add to it"),
     (ATickOld, Mistake.LATE, "hand over in read(k) the state at tick k"),
     (SensesItsMotor, Mistake.SENSES_ITSELF, "or f=None without one"),
+    (AddsUpOnASpring, Mistake.ADDS_UP, "with hold called twice at each tick"),
+    (SensesItsMotorLate, Mistake.SENSES_ITSELF, "or f=None without one"),
 ]
 
 
 @pytest.mark.parametrize("is_machine", [False, True], ids=["simulated", "machine"])
-@pytest.mark.parametrize(("make", "mistake", "cure"), MISTAKES, ids=[each[1].name.lower() for each in MISTAKES])
+@pytest.mark.parametrize(("make", "mistake", "cure"), MISTAKES, ids=[each[0].__name__ for each in MISTAKES])
 def test_a_device_that_would_hit_its_user_passed(
     make: Any, mistake: Mistake, cure: str, is_machine: bool,
 ) -> None:
@@ -267,7 +296,7 @@ def test_a_device_that_would_hit_its_user_passed(
     for device in Device.every:
         assert device.f == pytest.approx(0.0, abs=1e-9)
         assert device.closed == 1
-        assert not is_machine or max(map(abs, device.held), default=0.0) < 1.0, "it went on for long"
+        assert not is_machine or max(map(abs, device.held), default=0.0) < 1.5, "it went on for long"
 
 
 def test_a_device_without_a_deadline_passes_with_a_note_that_its_force_stays_on(
@@ -351,6 +380,68 @@ def test_what_moves_by_itself_or_touches_something_is_no_mistake() -> None:
 
     assert check_device(Spring, ONE, ticks=50).moved[0] > 0.0
     assert check_device(Steps, ONE, ticks=50).moved[0] > 0.0
+
+
+class Noisy(Mass):
+    """Throws dice at each reading, also at the same tick; the noise of its sensor is as large as the push."""
+
+    noise, sensor = 2e-5, 0.05
+
+    def __init__(self, scene: Any) -> None:
+        super().__init__(scene)
+        self.dice = Random(5)
+
+    def read(self, k: int) -> Reading:
+        (x,), (v,), *_ = super().read(k)
+        gauss = self.dice.gauss
+        return Reading((x + gauss(0.0, self.noise),), (v + gauss(0.0, 100.0 * self.noise),),
+                       (gauss(0.0, self.sensor),))
+
+
+class Encoder(Mass):
+    """Reads in steps of 10 um, and v by a filtered difference of them."""
+
+    step, slope = 1e-5, 0.0
+
+    def read(self, k: int) -> Reading:
+        while self.k < k:
+            before = round(self.x / self.step)
+            super().read(self.k + 1)
+            self.slope += 0.1 * (1e3 * self.step * (round(self.x / self.step) - before) - self.slope)
+        return Reading((round(self.x / self.step) * self.step,), (self.slope,))
+
+
+class EveryFourthTick(Mass):
+    """Samples at 250 Hz under a tick of 1 ms."""
+
+    newest = Reading((0.0,), (0.0,))
+
+    def read(self, k: int) -> Reading:
+        now = super().read(k)
+        if k % 4 == 0:
+            self.newest = now
+        return self.newest
+
+
+class LostMotion(Mass):
+    """Has a gear with 0.2 mm of backlash between motor and encoder."""
+
+    shown = 0.0
+
+    def read(self, k: int) -> Reading:
+        (x,), (v,), *_ = super().read(k)
+        before, self.shown = self.shown, min(max(self.shown, x - 1e-4), x + 1e-4)
+        return Reading((self.shown,), (v if self.shown != before else 0.0,))
+
+
+@pytest.mark.parametrize("is_machine", [False, True], ids=["simulated", "machine"])
+@pytest.mark.parametrize("make", [Noisy, Encoder, EveryFourthTick, LostMotion])
+def test_a_right_device_was_accused_of_its_noise_its_steps_or_its_rate(make: Any, is_machine: bool) -> None:
+    """Noise was a force in hold, steps and 250 Hz were late readings, and noise of a sensor was the motor's force."""
+    class Device(make):  # type: ignore[misc]
+        simulated = not is_machine
+
+    assert check_device(Device, ONE, ticks=100, push=True).moved[0] > 0.0
 
 
 def test_readings_that_fail_while_it_is_unplugged_are_counted() -> None:

@@ -20,7 +20,9 @@ FARTHEST = 0.05  # m or rad, of a gentle push
 LIGHTEST = 10.0  # times as far a push would have to reach that a machine has cut short: 0.1 N then moves some 10 g
 ALIKE = 2.0  # the integral of v and the way of x may differ by this factor: v may be filtered
 IN_STEP = 0.9  # correlation of the two above which they tell of one motion
+LATEST = 2  # ticks by which a motor's force that is told as a sensed one may be late
 STILL = 1e-5  # of the way of x: an integral of v that is smaller is none
+REPEATED = 1.5  # times as far with each hold repeated: a force that adds up comes twice as far, another as far
 COASTS = 4.5  # times as far as it was pushed: in as long again a free mass comes 3 times as far, a growing force 7
 
 
@@ -156,6 +158,21 @@ def check_growth(motion: PushedMotion, least: float) -> None:
             "replaces the force that was held before: do not add to it"))
 
 
+def check_repetition(once: PushedMotion, twice: PushedMotion, least: float) -> None:
+    """Raise `DeviceFault` if the same push moves a device farther where `hold` is called twice at each tick.
+
+    A force that is replaced is the same force then. Ways of up to `least` (m or rad) are not judged.
+    """
+    n = once.pushed()
+    way, repeated = (_greatest(motion.by[:n]) for motion in (once, twice))
+    if abs(way) > least and repeated / way > REPEATED:
+        force = _greatest(once.held)
+        raise DeviceFault(Mistake.ADDS_UP, (
+            f"its force adds up along {once.name}: {force:.3g} {FORCE_UNIT[once.unit]} moved it by {way:.3g} "
+            f"{once.unit}, and by {repeated:.3g} {once.unit} with hold called twice at each tick; hold replaces the "
+            "force that was held before: do not add to it"))
+
+
 def check_reach(motion: PushedMotion, whole: Sequence[float] = ()) -> None:
     """Raise `DeviceFault` if the push moved it farther than so gentle a push moves a machine.
 
@@ -176,10 +193,15 @@ def check_reach(motion: PushedMotion, whole: Sequence[float] = ()) -> None:
 
 
 def check_lag(motion: PushedMotion, dt: float) -> None:
-    """Raise `DeviceFault` if the first reading after a sudden force does not know of it yet, and a later one does."""
+    """Raise `DeviceFault` if the first reading after a sudden force does not know of it yet, and a later one does.
+
+    An x that stays the same from tick to tick once it moves is one of an encoder's steps, or is sampled more slowly: it
+    is not judged.
+    """
     first = next((i for i, moved in enumerate(zip(motion.by, motion.v_by, strict=True)) if any(moved)), 0)
     began = next((i for i, force in enumerate(motion.held) if force), 0)
-    if began < first <= began + 10:
+    seen = motion.by[first:first + 10]
+    if began < first <= began + 10 and all(a != b for a, b in pairwise(seen)):
         raise DeviceFault(Mistake.LATE, (
             f"readings are late along {motion.name}: a force that was held from one tick on is first seen in x or v "
             f"{first - began + 1} ticks later ({(first - began + 1) * dt * 1e3:.3g} ms), where the next tick knows of "
@@ -189,13 +211,15 @@ def check_lag(motion: PushedMotion, dt: float) -> None:
 def check_sensor(motion: PushedMotion, least: float, tolerance: float) -> None:
     """Raise `DeviceFault` if the sensed force is the commanded one, of either sign, while the device moves.
 
-    What moves it is then no force of what it touches. `tolerance`: N or N m.
+    What moves it is then no force of what it touches. It may come up to `LATEST` ticks late. `tolerance`: N or N m;
+    more than half the push is noise that hides it, and is not judged.
     """
     n = motion.pushed()
-    if not motion.f or not n or abs(_greatest(motion.by[:n])) <= least:
+    if not motion.f or not n or abs(_greatest(motion.by[:n])) <= least or 2.0 * tolerance > abs(
+            _greatest(motion.held)):
         return
-    if any(all(abs(f - sign * held) <= tolerance for f, held in zip(motion.f, motion.held, strict=True))
-           for sign in (1.0, -1.0)):
+    if any(all(abs(f - sign * held) <= tolerance for f, held in zip(motion.f[late:], motion.held, strict=False))
+           for sign in (1.0, -1.0) for late in range(LATEST + 1)):
         unit = FORCE_UNIT[motion.unit]
         raise DeviceFault(Mistake.SENSES_ITSELF, (
             f"the force f that it senses along {motion.name} is the one that its motor was told, "
