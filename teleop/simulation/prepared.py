@@ -73,6 +73,6 @@ class Prepared:
         """The loop of a run in virtual time, specialised for this scene."""
         return loop_of(self.scene, self.bodies)
 
-    def columns(self, e: str, sensor: bool | None = None) -> list[str]:
+    def columns(self, e: str, sensor: bool | None = None) -> tuple[str, ...]:
         """The names of the record of end `e` (m or s), in order; see `teleop.simulation.structure.columns`."""
         return columns(self.scene, e, sensor)

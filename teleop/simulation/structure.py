@@ -68,6 +68,8 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
     sums = getattr(law, f"{NAMES[e]}_sums", None)
     reading = reads(getattr(law, NAMES[e]) if run.slave else law.force) | (reads(sums) if sums else frozenset())
     dt = scene.dt_ns / 1e9
+    tx: Any
+    rx: Any
     tx, rx = messages(scene.laws[0], dt)[::1 if e == "m" else -1] if run.slave else (None, None)
     state = type(start_of(scene.laws[0], e, dt)[0]) if run.slave else None
     asked = Asked(scene, e, scene.per_axis(f"device_{e}")[0], reading, tx, rx, state)
