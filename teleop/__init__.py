@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from teleop.version import DISTRIBUTION, __version__
 
 if TYPE_CHECKING:
-    from teleop.checks.two_port import check_law
+    from teleop.checks.law import check_law
     from teleop.errors import DeviceError, Refused, number, whole_number
     from teleop.export.stream import GrowingRun
     from teleop.knob import Knob, check_knobs
@@ -87,7 +87,7 @@ __all__ = [
     "run", "seed_energy", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
-    "checks.two_port": ("check_law",),
+    "checks.law": ("check_law",),
     "errors": ("DeviceError", "Refused", "number", "whole_number"),
     "export.growing": ("GrowingRun",),
     "knob": ("Knob", "check_knobs"),

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 from teleop import kind
-from teleop.checks.conformance import CURE
+from teleop.checks.conformance import conditions_of
 from teleop.checks.trials import (
     LOW,
     Block,
@@ -252,12 +252,12 @@ def _allowed(scene: Scene) -> Scene | None:
     if hasattr(law, "fitted"):
         law = law.fitted(facts)
     for _ in range(CURES):
-        sentences = law.conditions(facts) if hasattr(law, "conditions") else ()
-        if not sentences:
+        broken = conditions_of(law, facts)
+        if not broken:
             return scene if law is scene.law else replace(scene, law=law)
-        named = {knob: float(text) for sentence in sentences for knob, text in CURE.findall(sentence)}
+        cure = {knob: value for condition in broken for knob, value in condition.cure.items()}
         try:
-            law = replace(law, **named)
+            law = replace(law, **cure)
         except (Refused, TypeError):
             return None
     return None

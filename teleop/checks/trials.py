@@ -42,11 +42,10 @@ def try_claims(law: Law) -> None:
         _waves_balance(law, name)
     scenes = [*trials(law, spread(name)), *(events(law, spread(f"{name} late")) if "E_law" in claims else ())]
     for i, scene in enumerate(scenes):
-        asked = [ledger for ledger, condition in sorted(claims.items())
+        tried = [ledger for ledger, condition in sorted(claims.items())
                  if admitted(condition, scene) and (i < LOOPS or ledger == "E_law")]
-        if not asked:
-            continue
-        refuse_broken(law, scene, run(scene).trace, asked)
+        if tried:
+            refuse_broken(law, scene, run(scene).trace, tried)
 
 
 def refuse_broken(law: Any, scene: Scene, trace: Mapping[str, Any], claimed: Iterable[str]) -> None:
@@ -75,7 +74,7 @@ def _try_books(law: Any, scene: Scene, trace: Mapping[str, Any]) -> None:
     """Refuse a law that keeps more energy than came in by its ports, or less than none (`teleop.law.offers`)."""
     import numpy as np
 
-    name, kept = type(law).__name__, trace["E_law"]
+    name, E_law = type(law).__name__, trace["E_law"]
     works = works_of(trace)
     rounding = LOW + 1e-12 * np.cumsum(sum(works))
     for end, books in honest(law, scene, trace).items():
@@ -84,10 +83,10 @@ def _try_books(law: Any, scene: Scene, trace: Mapping[str, Any]) -> None:
             raise Refused(f"{name} claims E_law, but at tick {k} its {end} keeps {-books[k]:.3g} J more than "
                           f"came in by its port {_where(scene)}; count the work of the force that was held, "
                           f"at.f_held*at.dx, and count it once")
-    owed = kept + surprise(works)
+    owed = E_law + surprise(works)
     if not (wrong := owed >= -rounding).all():
         k = int(np.argmin(wrong))
-        raise Refused(f"{name} claims E_law, which fell to {kept[k]:.3g} J at tick {k}, below zero by more than the "
+        raise Refused(f"{name} claims E_law, which fell to {E_law[k]:.3g} J at tick {k}, below zero by more than the "
                       f"work of one tick {_where(scene)}; mend the law, or leave E_law out of its claims")
 
 
@@ -106,9 +105,9 @@ def surprise(works: list[NDArray[np.float64]]) -> Any:
 
 
 def honest(law: Any, scene: Scene, trace: Mapping[str, Any]) -> dict[str, Any]:
-    """By end: its seed energy and what came in by its port less what it keeps, J at each tick; below zero is made."""
+    """Books by end: seed energy and energy in by the port less the energy kept, J a tick; below zero some is made."""
     took = {"master": trace["E_port_m"] - trace["E_law_m"], "slave": -trace["E_port_s"] - trace["E_law_s"]}
-    return {end: books + given for (end, books), given in
+    return {end: books + seed for (end, books), seed in
             zip(took.items(), seeds(law, scene.dt, scene.axes), strict=True)}
 
 
@@ -117,8 +116,8 @@ def _where(scene: Scene) -> str:
     link = [f"over {scene.link} with {scene.played_as}"] if scene.slave is not None else []
     parts = [scene.hand, scene.master, scene.slave, scene.environment, scene.watchdog, scene.cap, scene.scaling,
              scene.left_out_m, scene.left_out_s, scene.law]
-    *others, last = [*link, *[str(part) for part in parts if part is not None]]
-    return f"{', '.join(others)} and {last}" if link else f"with {', '.join(others)} and {last}"
+    *before, last = [*link, *[str(part) for part in parts if part is not None]]
+    return f"{', '.join(before)} and {last}" if link else f"with {', '.join(before)} and {last}"
 
 
 def _waves_balance(law: Any, name: str) -> None:
@@ -141,12 +140,12 @@ def _waves_balance(law: Any, name: str) -> None:
     _loop_balances(law, name, (forth, u), (back, w))
 
 
-MOTIONS = ("any", "still", "still, with gaps", "yielding")  # what a device does that an end holds a force against
+MOTIONS = ("any", "still", "still, with gaps", "yielding")  # of a device that an end holds a force against
 
 
 def _one_end_balances(law: Any, name: str, motion: str, dice: Iterator[float],
                       way: tuple[str, float, type[Any], str, str]) -> None:
-    """One end of `_waves_balance`. Under any motion the waves are any too.
+    """Balance of one end, for `_waves_balance`. Under any motion the waves are any too.
 
     Of a device that is still a steady wave comes back whole, in gaps as nothing; one that yields takes energy out. So
     coupling and filter burn next to nothing of it, behind which too much energy could hide.
@@ -170,9 +169,9 @@ def _one_end_balances(law: Any, name: str, motion: str, dice: Iterator[float],
         x += dt * v
         at = At(x, v, touch, f, dt * v, fresh, 1e-3, dt, dt)
         f, tx, s = tick(s, at, rx, *([sums(s, at, rx)] if sums else []))
-        came, went = getattr(rx, rx_wave) * at.fresh, getattr(tx, tx_wave)
-        stored += dt * (sign * f * v + 0.5 * (came * came - went * went))
-        through += dt * (abs(f * v) + 0.5 * (came * came + went * went))
+        wave_in, wave_out = getattr(rx, rx_wave) * at.fresh, getattr(tx, tx_wave)
+        stored += dt * (sign * f * v + 0.5 * (wave_in * wave_in - wave_out * wave_out))
+        through += dt * (abs(f * v) + 0.5 * (wave_in * wave_in + wave_out * wave_out))
         if not stored >= -1e-9 - 1e-6 * through:
             raise Refused(f"{name} claims E_link, but by tick {k} its {end} gave its port {-stored:.3g} J "
                           "more than the waves brought; put zero for a wave that is not fresh, solve "
@@ -180,7 +179,7 @@ def _one_end_balances(law: Any, name: str, motion: str, dice: Iterator[float],
 
 
 def _loop_balances(law: Any, name: str, fwd: tuple[type[Any], str], bwd: tuple[type[Any], str]) -> None:
-    """The same of both ends at once, 40 ms apart: the answers to its own waves tell an end more than any waves do.
+    """Balance of both ends at once, 40 ms apart: an end that gets answers to its own waves may behave otherwise.
 
     The master is swung, and the slave is a mass of 0.5 kg in free space.
     """
@@ -194,23 +193,23 @@ def _loop_balances(law: Any, name: str, fwd: tuple[type[Any], str], bwd: tuple[t
     for k in range(600):
         v["slave"] = max(-1.0, min(v["slave"] + dt / 0.5 * (f["slave"] - v["slave"]), 1.0))
         v["master"] = 0.2 * sin(0.02 * k) + 0.1 * sin(0.0523 * k)
-        told = {}
+        messages_out = {}
         for end, sign in ends.items():
-            (_, came), (_, went) = (bwd, fwd) if end == "master" else (fwd, bwd)
+            (_, rx_wave), (_, tx_wave) = (bwd, fwd) if end == "master" else (fwd, bwd)
             x[end] += dt * v[end]
             at = At(x[end], v[end], 0.0, f[end], dt * v[end], k >= lag, lag * dt if k >= lag else inf, dt, dt)
             rx, sums = sent[end][k], getattr(law, f"{end}_sums", None)
             s, tick = states[end], getattr(law, end)
-            f[end], told[end], states[end] = tick(s, at, rx, *([sums(s, at, rx)] if sums else []))
-            r, q, work = getattr(rx, came) * at.fresh, getattr(told[end], went), f[end] * v[end]
+            f[end], messages_out[end], states[end] = tick(s, at, rx, *([sums(s, at, rx)] if sums else []))
+            r, q, work = getattr(rx, rx_wave) * at.fresh, getattr(messages_out[end], tx_wave), f[end] * v[end]
             stored[end] += dt * (sign * work + 0.5 * (r * r - q * q))
             through[end] += dt * (abs(work) + 0.5 * (r * r + q * q))
             if not stored[end] >= -1e-9 - 1e-6 * through[end]:
                 raise Refused(f"{name} claims E_link, but by tick {k} of a swing in free space its {end} gave its port "
                               f"{-stored[end]:.3g} J more than the waves brought; play no more energy than came, or "
                               "leave E_link out of its claims")
-        sent["slave"].append(told["master"])
-        sent["master"].append(told["slave"])
+        sent["slave"].append(messages_out["master"])
+        sent["master"].append(messages_out["slave"])
 
 
 def trials(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
@@ -348,10 +347,10 @@ class RandomLink:
 
         packets = np.arange(count)
         drawn = [_hash(packets, self.key + direction + place / 7.0) for place in range(4)]
-        kept = (drawn[0] >= self.loss) & (packets // max(self.blackout, 1) % 2 * min(self.blackout, 1) == 0)
-        copied = kept & (drawn[1] < self.copies)
-        packet = np.concatenate([packets[kept], packets[copied]])
-        late = np.concatenate([drawn[2][kept], drawn[3][copied]]) * self.jitter
+        passed = (drawn[0] >= self.loss) & (packets // max(self.blackout, 1) % 2 * min(self.blackout, 1) == 0)
+        copied = passed & (drawn[1] < self.copies)
+        packet = np.concatenate([packets[passed], packets[copied]])
+        late = np.concatenate([drawn[2][passed], drawn[3][copied]]) * self.jitter
         time_ns = ((packet + self.ticks + late) * dt_ns).astype(np.int64)
         order = np.argsort(time_ns, kind="stable")
         return RandomArrivals(packet[order], time_ns[order])

@@ -19,7 +19,7 @@ Answer = TypeVar("Answer")
 POLL = 1.0  # s
 
 
-class PartKind(Enum):
+class StreamKind(Enum):
     """Kind of a part that a process sends."""
 
     PART, ANSWER, RAISED = range(3)
@@ -104,9 +104,9 @@ def streamed(function: Callable[[Job, Callable[[Any], None]], Answer], jobs: Seq
                 except (EOFError, ConnectionResetError):
                     raise Refused("a process of the search ended before its work did, for want of memory or by a "
                                   "signal; type the same command again to go on") from None
-                if kind is PartKind.RAISED:
+                if kind is StreamKind.RAISED:
                     raise part
-                if kind is PartKind.PART:
+                if kind is StreamKind.PART:
                     take(running[pipe], part)
                     continue
                 number = running.pop(pipe)
@@ -127,13 +127,13 @@ def _serve(function: Callable[[Any, Callable[[Any], None]], Any], pipe: Connecti
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             job = pipe.recv()
-            answer: tuple[PartKind, Any]
+            answer: tuple[StreamKind, Any]
             try:
-                answer = PartKind.ANSWER, function(job, lambda part: pipe.send((PartKind.PART, part)))
+                answer = StreamKind.ANSWER, function(job, lambda part: pipe.send((StreamKind.PART, part)))
             except (BrokenPipeError, ConnectionResetError):
                 raise
             except Exception as error:
-                answer = PartKind.RAISED, error
+                answer = StreamKind.RAISED, error
             pipe.send(answer)
 
 

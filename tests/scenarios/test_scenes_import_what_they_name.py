@@ -20,7 +20,7 @@ from teleop.scene.library import ROOT, built_in_scenes
 DICE = {"bernoulli", "duplicate", "gamma", "gilbert_elliott", "normal", "uniform"}  # effects that throw them
 NEVER = {"asyncio", "socket", "select", "msgpack", "matplotlib", "scipy", "difflib", "importlib.metadata",
          "concurrent.futures", "subprocess", "teleop.live", "teleop.protocol.packet", "teleop.protocol.endpoint",
-         "teleop.protocol.session", "teleop.terminal.plotting", "teleop.scene.catalogue", "teleop.checks.two_port",
+         "teleop.protocol.session", "teleop.terminal.plotting", "teleop.scene.catalogue", "teleop.checks.law",
          "channel.relay"}
 ENVIRONMENTS = {"slave.wall", "slave.tissue", "slave.hunt_crossley", "slave.moving", "slave.standard_linear_solid"}
 ESTIMATORS = {f"teleop.stages.velocity.{name}"

@@ -22,7 +22,7 @@ def judged(law: str, delay: str) -> Judged:
 
 
 def rerun() -> list[Replication]:
-    """What is felt of the wall and in free motion, and Llewellyn's parameter."""
+    """Stiffness of the wall, impedance in free motion, and Llewellyn's parameter, as the hand perceives them."""
     prompt, late = judged("pp", "none"), judged("pp", "delay(0.05)")
     force = [judged("direct", link) for link in ("none", "delay(0.05)")]
     return [

@@ -10,7 +10,7 @@ import pytest
 from teleop import At, Direct, Facts, Refused, Wave, kind
 from teleop.checks import engines
 from teleop.checks.conformance import try_conformance
-from teleop.checks.engines import try_engines
+from teleop.checks.law import try_engines
 from teleop.errors import number
 
 

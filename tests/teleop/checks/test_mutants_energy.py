@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from teleop.checks.two_port import check_law
+from teleop.checks.law import check_law
 from teleop.errors import Refused
 from tests.teleop.checks.mutants_energy import PSPM_WRONG, TDPA_WRONG, TWO_LAYER
 

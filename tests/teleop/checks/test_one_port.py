@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from teleop.checks.two_port import check_law
+from teleop.checks.law import check_law
 from teleop.errors import Refused, number
 from teleop.law import At
 from teleop.laws.virtual_coupling import VirtualCoupling

@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 
 import pytest
 
+from teleop.checks.law import check_law
 from teleop.checks.search import try_worst
 from teleop.checks.trials import RandomLink, try_claims
-from teleop.checks.two_port import check_law
 from teleop.errors import Refused, number
 from teleop.law import At, find_law, known_laws
 from teleop.law.offers import Facts, claims_of, enough

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 
-from teleop.checks.two_port import check_law
+from teleop.checks.law import check_law
 from teleop.errors import Refused, number
 from teleop.law import At, find_law, known_laws
 from teleop.laws.direct import Direct
