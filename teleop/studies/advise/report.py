@@ -1,27 +1,30 @@
-"""The command `teleop advise`, and the advice as a page of text, as a document and as CSV."""
+"""The command `teleop advise`, and the report of an advice: a page of text, document, CSV and a plot."""
 
 from __future__ import annotations
 
 import shlex
-import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from csv import writer
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from teleop.errors import Refused, enumerated, number, number_of
 from teleop.law import two_port_laws
 from teleop.law.offers import CONDITIONS
 from teleop.scene.knobs import check_text, knobs_of
 from teleop.scene.library import scene_function
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head, parameters
+from teleop.simulation.virtual import run
 from teleop.storage.files import replacing_text
-from teleop.storage.strict_json import write_document
 from teleop.studies.advise.advice import Advice, advise
 from teleop.studies.advise.laws import MARGIN, LawAdvice, gains, link_text
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score
@@ -33,10 +36,28 @@ from teleop.sweeps.runner import cores
 from teleop.sweeps.typed import listed
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import INTERRUPTED, knobs_from
-from teleop.terminal.plotting import asked_formats
-from teleop.terminal.progress import shown_on
+from teleop.terminal.plotting import (
+    BLUE,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    PINK,
+    PURPLE,
+    RED,
+    SKY,
+    grid_lines,
+    literal,
+    new_figure,
+    save,
+)
+from teleop.terminal.progress import shown_for
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
+from teleop.terminal.work import Task, command_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 POINT = 3  # rows of one point at most
 ROWS, PLAIN_ROWS = 12_000, 60  # of each law where none are asked for: compiled, and without the extra `batch`
@@ -45,14 +66,17 @@ MORE = 0.1
 HALF = 0.5
 LIVE = "127.0.0.1:9001"  # of the slave, in the lines that start the answer live
 WIDTH = 108  # columns of text beside the labels
+TERMS = {  # name -> colour, label
+    "tracking": (BLUE, "tracking error"), "drag": (ORANGE, "drag in free space"),
+    "touch": (GREEN, "steady force missing at the wall"), "feel": (PINK, "steady force missing at the hand"),
+    "rough": (PURPLE, "roughness at the hand"),
+    "force": (SKY, "force error"),
+}
+MOST = 1.5  # of a term that is drawn to scale
 
 
-def command(args: Namespace) -> Answer:
-    """Advise a law, and leave summary.json, laws.csv and a plot in a folder that can be gone on with.
-
-    Raises `Refused`.
-    """
-    formats = asked_formats(args)
+def find(args: Namespace) -> Task:
+    """Advise a law, in a folder that the same command goes on with. Raises `Refused`."""
     began = args.seconds()
     laws = two_port_laws() if args.laws is None else listed(args.laws)
     if not laws:
@@ -67,29 +91,27 @@ def command(args: Namespace) -> Answer:
                       f"and one point of the search takes up to {POINT}: the scene, free space and a stiffer wall; "
                       f"write --budget {POINT * len(laws)} or more, or fewer --laws")
     folder = Path(args.out) if args.out is not None else Path("runs") / f"{Path(args.scene).stem}-advise"
-    try:
-        with shown_on(None if args.json else sys.stderr, args.seconds) as show:
-            advice = advise(args.scene, each, fixed=knobs, laws=laws, objective=args.objective, seed=args.seed,
-                            show=show, clock=args.seconds, workers=args.workers or cores(), out=folder)
-    except KeyboardInterrupt:
-        if not (folder / DEFINITION).is_file():
-            raise  # nothing was begun
-        sentence = "interrupted: the same command goes on from here"
-        return Answer(sentence, {"status": "interrupted", "mode": "advise", "sentence": sentence,
-                                 "path": str(folder)}, INTERRUPTED)
-    seconds = args.seconds() - began
-    summary = document(advice, args.typed, seconds)
-    page = text(advice, seconds)
-    plots = []
-    if formats:
-        from teleop.studies.advise.plot import draw
 
-        plots = draw(advice, folder / "advise", formats)
-    write_laws(folder / "laws.csv", advice)
-    with replacing_text(folder / "advice.txt") as file:
-        file.write(page + "\n")
-    write_document(folder / "summary.json", summary)
-    return Answer(page, summary).kept_in(folder).with_plots(folder, plots)
+    def work() -> Answer:
+        try:
+            with shown_for(args) as show:
+                advice = advise(args.scene, each, fixed=knobs, laws=laws, objective=args.objective, seed=args.seed,
+                                show=show, clock=args.seconds, workers=args.workers or cores(), out=folder)
+        except KeyboardInterrupt:
+            if not (folder / DEFINITION).is_file():
+                raise  # nothing was begun
+            sentence = "interrupted: the same command goes on from here"
+            return Answer(sentence, {"status": "interrupted", "mode": "advise", "sentence": sentence,
+                                     "path": str(folder)}, INTERRUPTED)
+        seconds = args.seconds() - began
+        page = text(advice, seconds)
+        return Answer(page, document(advice, args.typed, seconds), plots={"advise": partial(draw, advice)}, files={
+            "laws.csv": partial(write_laws, advice), "advice.txt": partial(write_page, page)})
+
+    return Task(Path(args.scene).stem, work, folder)
+
+
+command = command_of(find, "advise")
 
 
 def _knobs(args: Namespace) -> dict[str, object]:
@@ -376,7 +398,13 @@ def _document_of(law: LawAdvice, typed: Sequence[str]) -> dict[str, Any]:
     return answer
 
 
-def write_laws(path: Path, advice: Advice) -> None:
+def write_page(page: str, path: Path) -> None:
+    """Write the page as text."""
+    with replacing_text(path) as file:
+        file.write(page + "\n")
+
+
+def write_laws(advice: Advice, path: Path) -> None:
     """Write the table of laws as CSV."""
     metrics = [each for each in (
         ("x_err_rms", SCENE), ("f_m_max", FREE), ("f_env_end", SCENE), ("f_m_end", SCENE), ("f_env_max", SCENE),
@@ -397,3 +425,74 @@ def write_laws(path: Path, advice: Advice) -> None:
 
 def _settings(settings: Mapping[str, str]) -> str:
     return " ".join(f"{name}={value}" for name, value in settings.items())
+
+
+def draw(advice: Advice, path: Path, formats: Sequence[str]) -> list[Path]:
+    """Draw the advice as `path` in each of `formats`; returns the files."""
+    best = advice.best
+    title = "no law keeps the constraints" if best is None else f"take {best.law}: {gains(best)}"
+    figure = new_figure((13.0, 6.5), f"{literal(title)}\n{literal(f'{advice.scene.name}, {link_text(advice.ways)}')}")
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    _laws(figure.add_subplot(grid[:, 0]), advice)
+    if best is not None and best.tuned is not None:
+        motion = figure.add_subplot(grid[0, 1])
+        force = figure.add_subplot(grid[1, 1], sharex=motion)
+        _run(motion, force, best.tuned)
+    return save(figure, path, formats)
+
+
+def _laws(axes: Axes, advice: Advice) -> None:
+    """A row for each law: its terms as bars, its value as a mark."""
+    laws = [each for each in advice.laws if each.tuned is not None]
+    names = [name for name in TERMS if any(each.tuned is not None and name in each.tuned.score.terms for each in laws)]
+    high = 0.8 / max(1, len(names))
+    for y, law in enumerate(laws):
+        assert law.tuned is not None
+        if not law.tuned.feasible:
+            axes.text(0.02, y, literal(f"infeasible: {law.tuned.score.broken}", most=70), va="center", fontsize=8,
+                      color=RED)
+            continue
+        for i, name in enumerate(names):
+            value = law.tuned.score.terms.get(name)
+            if value is not None:
+                axes.barh(y - 0.4 + (i + 0.5) * high, min(value, MOST), height=high, color=TERMS[name][0],
+                          label=TERMS[name][1] if law is _first(laws) else None)
+        axes.errorbar(law.value, y, xerr=law.deviation or None, fmt="D", color=DARK, markersize=5, capsize=3,
+                      label="objective: root mean square" if law is _first(laws) else None, zorder=5)
+    axes.set_yticks(range(len(laws)), [f"advised: {each.law}" if each is advice.best else each.law for each in laws])
+    axes.set_ylim(len(laws) - 0.4, -0.6)
+    axes.set_xlim(0.0, MOST)
+    axes.set_xlabel(f"0: a rigid rod, 1: a law that does nothing (cut off at {MOST:g})")
+    axes.axvline(1.0, color=GREY, linewidth=0.8)
+    grid_lines(axes)
+    axes.legend(fontsize=8, loc="upper right")  # where the best laws have the shortest bars
+
+
+def _first(laws: Sequence[LawAdvice]) -> LawAdvice | None:
+    return next((each for each in laws if each.tuned is not None and each.tuned.feasible), None)
+
+
+def _run(motion: Axes, force: Axes, tuned: Tuned) -> None:
+    """Positions and forces of a run with the advised gains."""
+    result = run(load_scene(tuned.scene, **tuned.knobs), seed=tuned.seed)
+    t, trace = result.trace["t"], result.trace
+
+    def first(name: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        column = np.asarray(trace[name])
+        return column if column.ndim == 1 else column[:, 0]
+
+    motion.plot(t, 1e3 * first("x_m"), color=BLUE, label="master")
+    motion.plot(t, 1e3 * first("x_s"), color=ORANGE, label="slave")
+    motion.set_ylabel("position (mm)")
+    force.plot(t, first("f_env") if "f_env" in trace else 0.0 * t, color=ORANGE, label="slave on the environment")
+    force.plot(t, first("f_m"), color=BLUE, label="stack against the hand")
+    steady = tuned.baseline.steady
+    if steady is not None:
+        force.axhline(steady, color=GREY, linewidth=1.0, linestyle="--", label="steady force of a rigid rod")
+        top = 1.5 * max(steady, float(np.quantile(first("f_m"), 0.999)))
+        force.set_ylim(top=min(top, force.get_ylim()[1]))
+    force.set_ylabel("force (N)")
+    force.set_xlabel("t (s)")
+    for axes in (motion, force):
+        grid_lines(axes)
+        axes.legend(fontsize=8)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
+from functools import partial
 from math import floor, log10
+from pathlib import Path
 from typing import Any
 
 from teleop.errors import number_of
 from teleop.simulation.result import head
-from teleop.storage.folder import new_folder
-from teleop.storage.strict_json import write_document
 from teleop.studies.reproduce import PUBLICATIONS, find_publication
 from teleop.studies.reproduce.publication import (
     DIFFERS,
@@ -23,6 +23,7 @@ from teleop.studies.reproduce.publication import (
 )
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import columns
+from teleop.terminal.work import Task, command_of
 
 Reruns = Mapping[str, tuple[Publication, Sequence[Replication]]]
 WORDS = {REPRODUCED: "reproduced", DIFFERS: "different", FITTED: "fitted, which is no reproduction",
@@ -30,33 +31,30 @@ WORDS = {REPRODUCED: "reproduced", DIFFERS: "different", FITTED: "fitted, which 
 PAGE = "page.md"
 
 
-def command(args: Namespace) -> Answer:
-    """Rerun one publication, or all; with --out leave summary.json and the page. Raises `Refused`."""
+def find(args: Namespace) -> Task:
+    """Rerun one publication, or all. Raises `Refused`."""
     names = PUBLICATIONS if args.name is None else (args.name,)
     publications = [find_publication(name) for name in names]  # all, before any is run
-    if args.out is None:
-        return _answer(_rerun(publications), args.typed)
-    with new_folder(args.out, "reproduce") as new:
-        reruns = _rerun(publications)
-        answer = _answer(reruns, args.typed)
-        write_document(new.inside / "summary.json", answer.document)
-        (new.inside / PAGE).write_text(page(reruns), encoding="utf-8")
-    return answer.kept_in(new.path)
+
+    def work() -> Answer:
+        reruns = {each.name: (each, each.rerun()) for each in publications}
+        return Answer(table(reruns), document(reruns, args.typed), files={PAGE: partial(write_page, reruns)})
+
+    return Task("published", work)
 
 
-def _rerun(publications: Sequence[Publication]) -> Reruns:
-    return {each.name: (each, each.rerun()) for each in publications}
+command = command_of(find, "reproduce", always=False)
 
 
-def _answer(reruns: Reruns, typed: Sequence[str]) -> Answer:
-    document = {
+def document(reruns: Reruns, typed: Sequence[str]) -> dict[str, Any]:
+    """The reruns as JSON."""
+    return {
         **head(status="done", sentence="; ".join(verdict(reruns)), scene=", ".join(reruns), mode="reproduce",
                parameters={}, seed=None, command=typed, dt=None),
         "publications": [{"name": each.name, "kind": each.kind.value, "source": each.source, "about": each.about,
                           "setting": each.setting, "findings": [_number_document(number) for number in numbers]}
                          for each, numbers in reruns.values()],
     }
-    return Answer(table(reruns), document)
 
 
 def verdict(reruns: Reruns) -> list[str]:
@@ -99,6 +97,11 @@ def page(reruns: Reruns) -> str:
                   "|---|---|---|---|---|---|---|"]
         lines += [f"| {' | '.join((*_cells(number), number.remark))} |" for number in numbers]
     return "\n".join([*lines, ""])
+
+
+def write_page(reruns: Reruns, path: Path) -> None:
+    """Write that page."""
+    path.write_text(page(reruns), encoding="utf-8")
 
 
 def _cells(number: Replication) -> tuple[str, ...]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from argparse import Namespace
 from collections.abc import Iterable, Mapping, Sequence
 from csv import writer
+from functools import partial
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -17,17 +17,16 @@ from teleop.simulation.facts import unmet
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head
 from teleop.storage.files import replacing_text
-from teleop.storage.folder import new_folder
-from teleop.storage.strict_json import write_document
 from teleop.studies.margin import Margin
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score
 from teleop.studies.tune.search import Tuned, tune_law
 from teleop.terminal.answer import Answer, finite
 from teleop.terminal.options import knobs_from
-from teleop.terminal.plotting import BLACK, BLUE, ORANGE, PALE, asked_formats, grid_lines, literal, new_figure, save
-from teleop.terminal.progress import shown_on
+from teleop.terminal.plotting import BLACK, BLUE, ORANGE, PALE, grid_lines, literal, new_figure, save
+from teleop.terminal.progress import shown_for
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
+from teleop.terminal.work import Task, command_of
 
 SHOWN = {  # the name of a term, and the figure behind it: task and metric
     "tracking": ("tracking error, rms", SCENE, "x_err_rms"),
@@ -39,23 +38,24 @@ SHOWN = {  # the name of a term, and the figure behind it: task and metric
 }
 
 
-def command(args: Namespace) -> Answer:
-    """Search, and leave summary.json, points.csv, front.csv and a plot in a new folder. Raises `Refused`."""
-    formats = asked_formats(args)
+def find(args: Namespace) -> Task:
+    """Search the law's parameters. Raises `Refused`."""
     playouts = [] if args.playouts is None else [each.strip() for each in args.playouts.split(",") if each.strip()]
     stem = "".join(c if c.isalnum() or c in "_-" else "-" for c in args.law.rsplit("/", 1)[-1]).strip("-") or "law"
-    with shown_on(None if args.json else sys.stderr, args.seconds, args.budget) as show, \
-            new_folder(args.out, f"{stem}-tune") as new:
-        tuned = tune_law(args.scene, args.law, args.budget, args.seed, fixed=knobs_from(args), playouts=playouts,
-                         objective=args.objective, margin=args.margin, tell=show, workers=args.workers,
-                         engine=args.engine)
-        names = tuned.names
-        write_points(new.inside / "points.csv", names, tuned.tried)
-        write_points(new.inside / "front.csv", names, tuned.front())
-        summary = document(tuned, args.typed)
-        plots = draw(tuned, new.inside / "tune", formats) if formats else []
-        write_document(new.inside / "summary.json", summary)
-    return Answer(text(tuned), summary).kept_in(new.path).with_plots(new.path, plots)
+
+    def work() -> Answer:
+        with shown_for(args, args.budget) as show:
+            tuned = tune_law(args.scene, args.law, args.budget, args.seed, fixed=knobs_from(args), playouts=playouts,
+                             objective=args.objective, margin=args.margin, tell=show, workers=args.workers,
+                             engine=args.engine)
+        return Answer(text(tuned), document(tuned, args.typed), plots={"tune": partial(draw, tuned)}, files={
+            "points.csv": partial(write_points, tuned.names, tuned.tried),
+            "front.csv": partial(write_points, tuned.names, tuned.front())})
+
+    return Task(stem, work)
+
+
+command = command_of(find, "tune")
 
 
 def text(tuned: Tuned) -> str:
@@ -175,7 +175,7 @@ def _document_of(score: Score) -> dict[str, Any]:
                         for task, row in score.figures.items()}}
 
 
-def write_points(path: Path, names: Sequence[str], points: Iterable[tuple[Mapping[str, Any], Score]]) -> None:
+def write_points(names: Sequence[str], points: Iterable[tuple[Mapping[str, Any], Score]], path: Path) -> None:
     """Write points as CSV: their parameters, value, terms, figures and the constraint that they break."""
     scored = [*points]
     terms = [name for name in SHOWN if any(name in score.terms for _, score in scored)]
