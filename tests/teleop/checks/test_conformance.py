@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import pytest
 
 from teleop import At, Direct, Facts, Refused, Wave, kind
-from teleop.checks import engines
+from teleop.checks import law as law_module
 from teleop.checks.conformance import try_conformance
 from teleop.checks.law import try_engines
 from teleop.errors import number
@@ -120,14 +120,14 @@ class TestEngines:
         try_engines(Direct(), compiled=compiled)
 
     def test_a_figure_that_is_off_by_a_bit_is_caught(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        own = engines.run
+        own = law_module.run
 
         def off(scene: Any) -> Any:
             result = own(scene)
             more = {**result.metrics, "f_m_max": result.metrics["f_m_max"] * (1.0 + 2.0 ** -52)}
             return replace(result, metrics=more)
 
-        monkeypatch.setattr(engines, "run", off)
+        monkeypatch.setattr(law_module, "run", off)
         with pytest.raises(Refused, match=r"Direct gives f_m_max = .* by the engine plain, and .* in a single run"):
             try_engines(Direct(), compiled=False)
 
