@@ -216,13 +216,13 @@ def _probe(end: LawEnd) -> None:
 
 
 def _check_unseen(end: LawEnd, call: Call, bits: str) -> None:
-    """Refuse an end whose answer depends on a field that it does not visibly read."""
+    """Refuse an end with an answer that depends on a field it does not visibly read."""
     for field in At._fields:
         if field in end.seen:
             continue
         arguments = end.arguments(call._replace(at=without(call.at, field)))
         if in_bits(end.tick.call(*arguments)) != bits:
-            raise unseen(end.tick, field)
+            raise unseen_read(end.tick, field)
 
 
 def _probe_one_port(law: Any) -> None:
@@ -244,7 +244,7 @@ def _probe_one_port(law: Any) -> None:
             ask_again(force, (s, at), bits)
             for field in At._fields:
                 if field not in seen and in_bits(force.call(s, without(at, field))) != bits:
-                    raise unseen(force, field)
+                    raise unseen_read(force, field)
             probed.append((s, at, bits))
             s = got[1] if all(isfinite(each) and abs(each) < FAR for each in got[1]) else began
     for s, at, bits in reversed(probed):
@@ -300,7 +300,7 @@ def ask_again(method: Method, arguments: tuple[Any, ...], bits: str) -> None:
         raise method.refuse(arguments, f"answers the same arguments differently the second time; {REMEMBER}")
 
 
-def unseen(method: Method, field: str) -> LawMistake:
+def unseen_read(method: Method, field: str) -> LawMistake:
     """The refusal of a method that reads a field of `At` which its lines do not name."""
     return LawMistake(f"{method.label}{method.first_line()} reads {field} where it cannot be seen; write at.{field} in "
                    f"{method.label} itself or in a plain function that it calls by name")

@@ -6,11 +6,11 @@ conditions do, and is closest to breaking where they barely do. Each goal judges
 makes greater:
 
     books    energy that an end keeps beyond what came in by its port, over the work at that port
-    E_law    what it keeps below zero, over the greatest work of one tick so far: more than 1 breaks the claim. No
+    E_law    its depth below zero, over the greatest work of one tick so far: more than 1 breaks the claim. No
              force cap, and no grip or wall of k T^2/m or d T/m above 1/4, see `teleop.law.offers`
     E_port   what the ports got, over all the work at them
 
-Trials at random find what is wrong at ordinary gains; this finds what needs gains, hand, bodies and link at once. The
+Trials at random find faults at ordinary gains; this finds faults that need gains, hand, bodies and link at once. The
 points are the same at every search. They are run in plain Python: no compiled kernel has the ledgers of each end at
 each tick.
 """
@@ -30,11 +30,11 @@ from teleop.checks.trials import (
     RandomLink,
     Swing,
     Tones,
-    admitted,
-    honest,
+    admits,
+    books_of,
+    greatest_work,
     refuse_broken,
     spread,
-    surprise,
     works_of,
 )
 from teleop.errors import Refused
@@ -83,7 +83,7 @@ class Shaken:
 
 
 class Point:
-    """Numbers in [0, 1] by name, each made when it is asked for: drawn, or that of a parent with changes."""
+    """Numbers in [0, 1] by name, each made when it is asked for: drawn, or bred from a parent."""
 
     def __init__(self, dice: Iterator[float], parents: tuple[Point, ...] = ()) -> None:
         self._dice, self._parents = dice, parents
@@ -95,7 +95,7 @@ class Point:
             self._numbers[name] = self._bred(name) if self._parents else next(self._dice)
         return self._numbers[name]
 
-    def _bred(self, name: str) -> float:
+    def _breed(self, name: str) -> float:
         parent = self._parents[int(next(self._dice) * len(self._parents))].at(name)
         change = next(self._dice)
         if change < CHANGED / 3.0:
@@ -118,11 +118,11 @@ def try_worst(law: Any, *, runs: int = RUNS, key: str = "", duration: float = DU
     for ledger, goals in GOALS.items():
         if ledger in claims_of(law):
             for goal in goals:
-                worst = _evolved(law, ledger, goal, worst, runs, spread(f"{type(law).__name__}{goal}{key}"), duration)
+                worst = _evolve(law, ledger, goal, worst, runs, spread(f"{type(law).__name__}{goal}{key}"), duration)
     return worst
 
 
-def _evolved(law: Any, ledger: str, goal: str, worst: Worst, runs: int, dice: Iterator[float], duration: float
+def _evolve(law: Any, ledger: str, goal: str, worst: Worst, runs: int, dice: Iterator[float], duration: float
              ) -> Worst:
     """The search of one goal, with what the goals before it had."""
     best: list[tuple[float, int, Point, Scene]] = []
@@ -131,14 +131,14 @@ def _evolved(law: Any, ledger: str, goal: str, worst: Worst, runs: int, dice: It
         parents = tuple([point for _, _, point, _ in best[:PARENTS]])
         point = Point(dice, parents if ran >= RANDOM * runs else ())
         scene = _scene(law, point, duration, cap=None if goal == "E_law" else _cap(point))
-        if scene is None or not admitted(claims_of(law)[ledger], scene):
+        if scene is None or not admits(claims_of(law)[ledger], scene):
             continue
         trace = run(scene).trace
         refuse_broken(scene.law, scene, trace, [ledger])
         best.append((_fraction(goal, scene, trace), -number, point, scene))
         best.sort(key=lambda each: each[:2], reverse=True)
         del best[PARENTS:]
-        port = min(port, _of_bound(scene, trace))
+        port = min(port, _share_of_bound(scene, trace))
         ran += 1
         if ran == runs:
             break
@@ -151,27 +151,27 @@ def _fraction(goal: str, scene: Scene, trace: Any) -> float:
     """Progress of a run towards breaking a goal."""
     works = works_of(trace)
     if goal == "E_law":
-        return float((-trace["E_law"] / (surprise(works) + LOW)).max())
+        return float((-trace["E_law"] / (greatest_work(works) + LOW)).max())
     late = len(works[0]) // 2  # what goes in as a run begins hides what comes out later
     if goal == "books":
         return max(float(-books[late:].min() / (work.sum() + LOW)) for books, work in
-                   zip(honest(scene.law, scene, trace).values(), works, strict=True))
+                   zip(books_of(scene.law, scene, trace).values(), works, strict=True))
     return float(-trace[goal][late:].min() / (sum(work.sum() for work in works) + LOW))
 
 
-def _of_bound(scene: Scene, trace: Any) -> float:
+def _share_of_bound(scene: Scene, trace: Any) -> float:
     """The least E_port over what may be given out: the seed energy and, of a law with books, one tick's work."""
-    bound = seed_energy(scene.law, scene.dt, scene.axes) + surprise(works_of(trace))
+    bound = seed_energy(scene.law, scene.dt, scene.axes) + greatest_work(works_of(trace))
     return min(float((trace["E_port"] / (bound + LOW)).min()), 0.0)
 
 
 def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | None:
     """The scene of a point, with the law that its conditions allow there; None if there is none."""
-    tuned = _tuned(law, point)
+    tuned = _with_knobs(law, point)
     if tuned is None:
         return None
     size, ticks = point.between("amplitude", 0.005, 0.5), round(duration / DT)
-    lost_m, lost_s = _lost(point, "lost_m"), _lost(point, "lost_s")
+    lost_m, lost_s = _lost_ticks(point, "lost_m"), _lost_ticks(point, "lost_s")
     held_m, held_s = _longest_held(lost_m, 0, ticks), _longest_held(lost_s, 1, ticks)
     master, slave = point.between("m_m", 0.02, 2.0), point.between("m_s", 0.05, 5.0)
     one_end: dict[str, Any] = {
@@ -193,7 +193,7 @@ def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | 
     scaling = None
     if point.at("scaling") > 0.7:
         scaling = Scaling(scale_x=point.between("scale_x", 0.01, 1.0), scale_f=point.between("scale_f", 0.01, 1.0))
-    return _allowed(Scene(
+    return _meet_conditions(Scene(
         **one_end, slave=MassDamper(mass=slave, damping=point.beyond("b_s", 2.0)),
         environment=block if point.at("wall") > 0.4 else None, scaling=scaling, start_s=point.beyond("apart", 0.02),
         link=RandomLink(ticks=int(point.between("delay", 1.0, 150.0)) - 1, loss=point.beyond("loss", 0.5),
@@ -209,7 +209,7 @@ def _playout(law: Any, point: Point) -> Playout:
     return (Zero(), again, Fixed(0.02))[int(point.at("playout") * 2.999)]
 
 
-def _lost(point: Point, name: str) -> LostTicks | None:
+def _lost_ticks(point: Point, name: str) -> LostTicks | None:
     share = point.beyond(name, 0.3, 0.7)
     return LostTicks(share=share, key=point.at("key")) if share > 0.0 else None
 
@@ -225,7 +225,7 @@ def _cap(point: Point) -> Cap | None:
     return Cap(f_max=point.between("f_max", 0.1, 100.0)) if point.at("cap") > 0.7 else None
 
 
-def _tuned(law: Any, point: Point) -> Any:
+def _with_knobs(law: Any, point: Point) -> Any:
     """The law with the knobs of a point, within two decades of its own; None if it refuses them."""
     knobs = {name: _number(getattr(law, name), each.knob, point.at(f"law.{name}"))
              for name, each in knobs_of_fields(type(law)).items()}
@@ -246,7 +246,7 @@ def _number(default: float, knob: Knob, at: float) -> float:
     return value if knob.high is None else min(value, knob.high)
 
 
-def _allowed(scene: Scene) -> Scene | None:
+def _meet_conditions(scene: Scene) -> Scene | None:
     """The scene with its law fitted to the link, and knobs as its conditions say to type; None if one stays broken."""
     facts, law = facts_of(scene), scene.law
     if hasattr(law, "fitted"):

@@ -43,13 +43,13 @@ def try_claims(law: Law) -> None:
     scenes = [*trials(law, spread(name)), *(events(law, spread(f"{name} late")) if "E_law" in claims else ())]
     for i, scene in enumerate(scenes):
         tried = [ledger for ledger, condition in sorted(claims.items())
-                 if admitted(condition, scene) and (i < LOOPS or ledger == "E_law")]
+                 if admits(condition, scene) and (i < LOOPS or ledger == "E_law")]
         if tried:
             refuse_broken(law, scene, run(scene).trace, tried)
 
 
 def refuse_broken(law: Any, scene: Scene, trace: Mapping[str, Any], claimed: Iterable[str]) -> None:
-    """Refuse a law in whose run of `scene` one of the `claimed` ledgers is not kept."""
+    """Refuse a law if one of the `claimed` ledgers is not kept in its run of `scene`."""
     name = type(law).__name__
     through = max(float(abs(trace[column]).max()) for column in trace if column.startswith("E_"))
     for ledger in claimed:
@@ -62,7 +62,7 @@ def refuse_broken(law: Any, scene: Scene, trace: Mapping[str, Any], claimed: Ite
                           f"leave {ledger} out of its claims")
 
 
-def admitted(condition: str, scene: Scene) -> bool:
+def admits(condition: str, scene: Scene) -> bool:
     """True if a claim with this condition holds for a trial."""
     link, gaps = scene.link, gaps_of(scene.played_as)
     if condition == "constant delay":
@@ -77,13 +77,13 @@ def _try_books(law: Any, scene: Scene, trace: Mapping[str, Any]) -> None:
     name, E_law = type(law).__name__, trace["E_law"]
     works = works_of(trace)
     rounding = LOW + 1e-12 * np.cumsum(sum(works))
-    for end, books in honest(law, scene, trace).items():
+    for end, books in books_of(law, scene, trace).items():
         if not (wrong := books >= -rounding).all():
             k = int(np.argmin(wrong))
             raise Refused(f"{name} claims E_law, but at tick {k} its {end} keeps {-books[k]:.3g} J more than "
                           f"came in by its port {_where(scene)}; count the work of the force that was held, "
                           f"at.f_held*at.dx, and count it once")
-    owed = E_law + surprise(works)
+    owed = E_law + greatest_work(works)
     if not (wrong := owed >= -rounding).all():
         k = int(np.argmin(wrong))
         raise Refused(f"{name} claims E_law, which fell to {E_law[k]:.3g} J at tick {k}, below zero by more than the "
@@ -97,14 +97,14 @@ def works_of(trace: Mapping[str, Any]) -> list[NDArray[np.float64]]:
     return [np.abs(np.diff(trace[f"E_port_{e}"], prepend=0.0)) for e in ("m", "s") if f"E_port_{e}" in trace]
 
 
-def surprise(works: list[NDArray[np.float64]]) -> Any:
+def greatest_work(works: list[NDArray[np.float64]]) -> Any:
     """Depth below zero that E_law may have by each tick, J: the greatest work of one tick so far, of both ends."""
     import numpy as np
 
     return sum(np.maximum.accumulate(work) for work in works)
 
 
-def honest(law: Any, scene: Scene, trace: Mapping[str, Any]) -> dict[str, Any]:
+def books_of(law: Any, scene: Scene, trace: Mapping[str, Any]) -> dict[str, Any]:
     """Books by end: seed energy and energy in by the port less the energy kept, J a tick; below zero some is made."""
     took = {"master": trace["E_port_m"] - trace["E_law_m"], "slave": -trace["E_port_s"] - trace["E_law_s"]}
     return {end: books + seed for (end, books), seed in
@@ -252,10 +252,10 @@ def events(law: Law, dice: Iterator[float]) -> Iterator[Scene]:
             left_out_s=LostTicks(share=0.3 * next(dice), key=next(dice)) if i % 4 > 0 else None,
             watchdog=Watchdog(timeout=0.03, ramp=0.02) if i % 2 else None,
             cap=Cap(f_max=0.5 + 5.0 * next(dice)) if i % 3 == 1 else None)
-    yield capped(law)
+    yield capped_scene(law)
 
 
-def capped(law: Law) -> Scene:
+def capped_scene(law: Law) -> Scene:
     """Three axes with a wall in one of them and a force cap, which turns the held force to another direction."""
     return Scene(
         law=law, playout=Zero(), energy=True, duration=DURATION, x_limit=1e3, axes=3, cap=Cap(f_max=3.0),

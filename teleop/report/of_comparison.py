@@ -26,12 +26,12 @@ from teleop.studies.compare.figures import (
     axis_title,
     cells,
     columns_of,
+    columns_to_show,
     endings,
     group_text,
     judge_laws,
     legend,
     rankings,
-    shown_columns,
     text,
 )
 from teleop.sweeps.definition import is_growing
@@ -95,7 +95,7 @@ def _summary(folder: Path) -> dict[str, Any]:
 
 def _section(name: str, document: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], found: Sequence[LawVerdict],
              said: str, notes: Sequence[str]) -> Section:
-    columns = shown_columns(found)
+    columns = columns_to_show(found)
     head = ["law", "ok", "osc", "div", *[f"{one.head} ({one.unit})" if one.unit else one.head for one in columns]]
     ranked = [(one.column.question, " | ".join(group_text(group, one.column) for group in one.groups)
                + (f"; half of the runs failed: {', '.join(one.failed)}" if one.failed else ""))

@@ -135,11 +135,11 @@ def linearise(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
             continue
         if linear.per_axis(name)[0].every > 1:
             assumed.append(f"{name} renews its force at every tick")
-        linear = _changed(linear, name, encoder=None, every=1)
-    linear = _changed(replace(linear, cap=None, passivity=None), "master", friction=0.0)
+        linear = _change(linear, name, encoder=None, every=1)
+    linear = _change(replace(linear, cap=None, passivity=None), "master", friction=0.0)
     if linear.slave is None:
         return linear, tuple(assumed)
-    linear = _changed(linear, "slave", friction=0.0)
+    linear = _change(linear, "slave", friction=0.0)
     ages = _median_ages(scene, seed)
     if ages is not None:
         seconds = [ticks * scene.dt_ns / 1e9 for ticks in ages]
@@ -152,7 +152,7 @@ def linearise(scene: Scene, seed: int) -> tuple[Scene, tuple[str, ...]]:
     return linear, tuple(assumed)
 
 
-def _changed(scene: Scene, name: str, **numbers: Any) -> Scene:
+def _change(scene: Scene, name: str, **numbers: Any) -> Scene:
     """The scene with other numbers in a part, on every axis."""
     part = getattr(scene, name)
     changed: Any = tuple([replace(each, **numbers) for each in part]) if isinstance(part, tuple) else replace(

@@ -1,4 +1,4 @@
-"""Jobs carried out by several processes, each answer as it comes."""
+"""Jobs for several processes, with each answer as it comes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class StreamKind(Enum):
 
 
 def in_parallel(function: Callable[[Job], Answer], jobs: Sequence[Job], workers: int) -> Iterator[Answer]:
-    """The answer of `function` to each job, as they come; in this process where there is one worker.
+    """Yield the answer of `function` to each job, as they come; in this process where there is one worker.
 
-    Function and jobs are pickled, so both belong to modules. Whoever goes on no further waits for the jobs in flight.
+    Function and jobs are pickled, so both belong to modules. Leaving the loop waits for the jobs in flight.
     """
     workers = min(workers, len(jobs))
     if workers < 2:
@@ -57,15 +57,15 @@ def _in_turn(pool: Executor, function: Callable[[Job], Answer], jobs: Sequence[J
             yield future.result()
 
 
-def streamed(function: Callable[[Job, Callable[[Any], None]], Answer], jobs: Sequence[Job], workers: int,
-             begin: Callable[[int], None], take: Callable[[int, Any], None], poll: Callable[[], None]
-             ) -> Iterator[tuple[int, Answer]]:
-    """The number and the answer of each job, as they come; what a job sends on its way is taken in this process.
+def stream(function: Callable[[Job, Callable[[Any], None]], Answer], jobs: Sequence[Job], workers: int,
+           begin: Callable[[int], None], take: Callable[[int, Any], None], poll: Callable[[], None]
+           ) -> Iterator[tuple[int, Answer]]:
+    """Yield the number and the answer of each job, as they come; parts that it sends are taken in this process.
 
     `function(job, send)` is called in one of several processes, in this one where there is one worker. `begin(number)`
-    is called when a job is handed out, `take(number, part)` for each part that it sends, and `poll()` once a second and
-    more often. Whoever goes on no further ends the processes at once; one whose starter is gone, by whatever signal,
-    ends when it next sends something. Raises `Refused` if a process ends before its job does.
+    is called when a job is handed out, and `take(number, part)` for each part that it sends. `poll()` is called once a
+    second and more often. Leaving the loop ends the processes at once; one that has lost its starter ends when it next
+    sends something. Raises `Refused` if a process ends before its job does.
     """
     workers = min(workers, len(jobs))
     if workers < 2:
@@ -140,7 +140,7 @@ def _serve(function: Callable[[Any, Callable[[Any], None]], Any], pipe: Connecti
 def _begin() -> None:
     """Leave Ctrl-C to the process that started this one, and linear algebra to one thread: there is a process a core.
 
-    It goes before the first job, whose function brings numpy.
+    It goes before the first job, since the job's function loads numpy.
     """
     import os
     import signal

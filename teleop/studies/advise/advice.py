@@ -25,7 +25,7 @@ from teleop.simulation.facts import unmet
 from teleop.simulation.virtual import run
 from teleop.studies.advise.laws import LawAdvice, LawJob, LawMargins, OneWay, one_way, search_laws
 from teleop.studies.baseline import rigid_baseline
-from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score, objective_named, score
+from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score, find_objective, score
 from teleop.studies.tune.search import Tuned
 from teleop.sweeps.grid import grid
 from teleop.sweeps.runner import carry_out, plan_sweep
@@ -94,7 +94,7 @@ def advise(scene: str, budget: int, *, fixed: Mapping[str, object], laws: Sequen
     processes, with a law each. `out`: a folder that keeps the points run; the same advice there goes on where it
     stopped. `show` is called with the part that is done, by time, and a text.
     """
-    objective_named(objective)
+    find_objective(objective)
     names = two_port_laws() if laws is None else [*laws]
     first = load_scene(scene, **fixed)
     rigid_baseline(first)  # a scene in which no law can be tuned is refused at once, and not law by law
@@ -149,7 +149,7 @@ def _jumps(law: LawAdvice) -> Jumps:
         force = np.asarray(trace["f_m"], dtype=float).reshape(len(trace["t"]), -1)
         tick = max(tick, _greatest(force, 1))
         within = max(within, _greatest(force, window))
-        played = _played(trace["seq_m"]) if "seq_m" in trace else None
+        played = _play_ticks(trace["seq_m"]) if "seq_m" in trace else None
         if played is not None and len(played):
             ends = np.append(played[1:], len(force)) - 1  # the tick before the next message is played
             jumps = force[ends] - force[np.maximum(played - 1, 0)]
@@ -157,7 +157,7 @@ def _jumps(law: LawAdvice) -> Jumps:
     return Jumps(tick, message, within, len([*tuned.fresh][:JUMPS]))
 
 
-def _played(newest: Any) -> Any:
+def _play_ticks(newest: Any) -> Any:
     """The ticks at which a message is played that is newer than all before."""
     return np.flatnonzero(np.diff(np.maximum.accumulate(np.asarray(newest, dtype=np.int64)), prepend=-1) > 0)
 

@@ -3,7 +3,7 @@
 A link is described by the delay, jitter and loss of each direction, which say what playouts are worth trying over it.
 The folder's `sweep.json` holds the request and `rows.jsonl` each point that was run, with its score, as
 `teleop.sweeps.store` keeps them: a kill by any signal costs the points in flight. A search is the same to the bit
-whenever it is run, so one that goes on is done again with the scores that are there.
+whenever it is run, so one that goes on is done again with the scores of the folder.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from teleop.law.offers import claims_of, seed_energy
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.facts import unmet
-from teleop.studies.parallel import streamed
+from teleop.studies.parallel import stream
 from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import Scored, Tuned, tune_law
 from teleop.sweeps.engine import PLAIN
@@ -84,9 +84,8 @@ def link_text(ways: tuple[OneWay, OneWay]) -> str:
 def playouts_for(scene: Scene, ways: tuple[OneWay, OneWay]) -> tuple[str, ...]:
     """The playouts that are tried with the scene's law: newest packet and fixed delay, waves by their integral.
 
-    A link that neither jitters nor loses leaves nothing to choose. Playing a message again in the gaps (hold) is
-    active for waves and changes nothing for samples, of which the newest stands; playing waves as zero fades a steady
-    force: neither is tried.
+    A link that neither jitters nor loses leaves nothing to choose. Neither hold nor zero is tried for waves: hold plays
+    a message again in the gaps, which is active, and zero fades a steady force. For samples hold changes nothing.
     """
     gaps = "integral" if scene.has_waves else "zero"
     if all(way.greatest - way.least < scene.dt and way.lost == 0.0 for way in ways):
@@ -252,7 +251,7 @@ class LawSearches:
     def run(self) -> Iterator[tuple[LawAdvice, float | None]]:
         """Yield each law's result as it comes, with the predicted time in all (s)."""
         self.began = self.clock()
-        for number, advice in streamed(search_law, self.jobs, self.workers, self.begin, self.take, self.poll):
+        for number, advice in stream(search_law, self.jobs, self.workers, self.begin, self.take, self.poll):
             self.outlook.end(number)
             self.ended += 1
             self.poll()

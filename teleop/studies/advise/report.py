@@ -151,10 +151,10 @@ def text(advice: Advice, seconds: float | None = None) -> str:
         rows += [("take", f"none: no law keeps the constraints{why}"), ("", _what_to_do(advice))]
     else:
         rows += [("", ""), *_take(advice, best)]
-    lines = [facts(wrapped(rows)), "", _table(advice)]
+    lines = [facts(wrap_facts(rows)), "", _table(advice)]
     against = avoid(advice)
     if against:
-        lines += ["", facts(wrapped([("avoid" if i == 0 else "", f"- {line}") for i, line in enumerate(against)]))]
+        lines += ["", facts(wrap_facts([("avoid" if i == 0 else "", f"- {line}") for i, line in enumerate(against)]))]
     if best is not None and best.tuned is not None:
         lines += ["", f"run it: {shlex.join(best.tuned.command())}", *_live(best.tuned)]
     return "\n".join(lines)
@@ -166,7 +166,7 @@ def _live(tuned: Tuned) -> list[str]:
             *(f"  {shlex.join(words)}" for words in tuned.live(LIVE))]
 
 
-def wrapped(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+def wrap_facts(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     """Facts with their texts broken at `WIDTH` columns; the lines that go on have no label."""
     return [(label if i == 0 else "", line) for label, sentence in rows
             for i, line in enumerate(wrap(sentence, WIDTH, subsequent_indent="  " * sentence.startswith("- ")) or [""])]
@@ -187,7 +187,7 @@ def _baseline_text(advice: Advice) -> str:
 def _take(advice: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     assert best.tuned is not None
     score = best.tuned.score
-    rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_expected(best)) + _means(best))]
+    rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_effects(best)) + _means(best))]
     if len(score.values) > 1:
         rows.append(("objective", f"{score.value:.3f} over {len(score.values)} seeds that the search has not seen; "
                                   f"of one seed {min(score.values):.3f} to {max(score.values):.3f}, standard "
@@ -215,12 +215,12 @@ def _take(advice: Advice, best: LawAdvice) -> list[tuple[str, str]]:
     bolder = advice.bolder
     if bolder is not None:
         rows.append(("bolder", f"{bolder.law} with {gains(bolder)} does better here, {bolder.value:.3f}: "
-                               f"{'; '.join(_expected(bolder))}. But {'; '.join(bolder.broken)}. It {_margin(bolder)}"))
+                               f"{'; '.join(_effects(bolder))}. But {'; '.join(bolder.broken)}. It {_margin(bolder)}"))
     if not best.keeps_energy():
         safe = next((each for each in advice.laws if each.value < float("inf") and each.keeps_energy()), None)
         if safe is not None:
             rows.append(("or", f"{safe.law} with {gains(safe)}, the best that keeps its energy whatever it touches: "
-                               f"{'; '.join(_expected(safe))}"))
+                               f"{'; '.join(_effects(safe))}"))
     return rows
 
 
@@ -237,7 +237,7 @@ def _short(law: LawAdvice) -> str:
                     for name, value in law.tuned.best.items())
 
 
-def _expected(law: LawAdvice) -> list[str]:
+def _effects(law: LawAdvice) -> list[str]:
     assert law.tuned is not None
     score, baseline = law.tuned.score, law.tuned.baseline
     effects = []

@@ -262,7 +262,7 @@ def _case(comparison: Comparison, where: str, law: ComparedItem, environment: Co
         scene = load_scene(environment.text, **knobs)
     elif comparison.fitted and hasattr(scene.laws[0], "fitted"):
         laws = tuple([each.fitted(facts(scene, i, *played)) for i, each in enumerate(scene.laws)])
-        knobs |= _changed(scene.laws, laws)
+        knobs |= _changed_knobs(scene.laws, laws)
         scene = replace(scene, law=laws if isinstance(scene.law, tuple) else laws[0])
     first: Any = scene.laws[0]
     file = None if is_built_in(first) else own_file(type(first))
@@ -274,14 +274,14 @@ def _case(comparison: Comparison, where: str, law: ComparedItem, environment: Co
 def _plans(scene: Scene, seeds: tuple[int, ...]) -> tuple[LinkPlans, bool]:
     """Plans of the link with the first seed; and True if another seed plays anything else."""
     plans = link_plans(scene, seeds[0])
-    return plans, any(_played(link_plans(scene, seed)) != _played(plans) for seed in seeds[1:])
+    return plans, any(_play_times(link_plans(scene, seed)) != _play_times(plans) for seed in seeds[1:])
 
 
-def _played(plans: LinkPlans) -> list[bytes]:
+def _play_times(plans: LinkPlans) -> list[bytes]:
     return [b"" if plan is None else plan.played_at.tobytes() for plan in plans]
 
 
-def _changed(laws: tuple[Any, ...], fitted: tuple[Any, ...]) -> dict[str, object]:
+def _changed_knobs(laws: tuple[Any, ...], fitted: tuple[Any, ...]) -> dict[str, object]:
     """The parameters in which fitted laws of the axes differ, as knobs: a number, or where axes differ one for each."""
     if not is_dataclass(laws[0]):
         return {}
@@ -300,6 +300,6 @@ def _option_text(value: object) -> str:
     return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def shown_path(path: Path | str) -> str:
+def path_text(path: Path | str) -> str:
     """A path as messages print it; a file of this package by its name."""
     return Path(path).name if ROOT in Path(path).resolve().parents else str(path)

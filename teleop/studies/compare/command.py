@@ -1,11 +1,11 @@
-"""The command `teleop compare`: read the file, run its rows in several processes, and report what they come to.
+"""The command `teleop compare`: read the file, run its rows in several processes, and report their figures.
 
 Every row is a run with its whole record, in plain Python: with a dozen rows to a kernel, compiling one for each law
 and scene would take longer than the rows do. A row's figures depend on its own knobs and seed alone. Rows are kept in
 a folder as they finish.
 
 With --tuned each law runs with the parameters that one search of the same number of rows finds for it over each link.
-A search is run in one environment, which the file's key `tune` names, and its parameters are taken in all of them: a
+A search is run in one environment, named by the file's key `tune`, and its parameters are taken in all of them: a
 law that met free space with other parameters than the wall would not be one law. A law without a number to tune stays
 as it is.
 """
@@ -37,7 +37,7 @@ from teleop.simulation.virtual import run
 from teleop.storage.files import replacing_text
 from teleop.storage.strict_json import write_document
 from teleop.studies.baseline import ContactForce, baseline_contact, contact_force
-from teleop.studies.compare.cases import BUILT_IN, Case, Comparison, cases_of, read_comparison, shown_path
+from teleop.studies.compare.cases import BUILT_IN, Case, Comparison, cases_of, path_text, read_comparison
 from teleop.studies.compare.figures import UNSETTLED, document, judge_laws, rankings, text
 from teleop.studies.margin import margin
 from teleop.studies.parallel import in_parallel
@@ -72,7 +72,7 @@ def command(args: Namespace) -> Answer:
     formats = asked_formats(args)
     began = args.seconds()
     path = args.file or BUILT_IN
-    where = shown_path(path)
+    where = path_text(path)
     laws = None if args.laws is None else listed(args.laws)
     comparison = read_comparison(path, laws)
     stream = None if args.json else sys.stderr
@@ -153,7 +153,7 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]], cases: Sequence[Case],
 
     A figure over axes in m and in rad has no unit.
     """
-    commands = {number: case.command(seed) for number, case, seed in numbered(cases)}
+    commands = {number: case.command(seed) for number, case, seed in number_rows(cases)}
     some = [name for name in (*METRICS, *ROW_FIGURES) if any(name in row for row in rows)]
     units = {name: labels.unit(unit) for name, unit in [
         *UNITS.items(), *((key, unit) for key, (unit, _) in ROW_FIGURES.items())]}
@@ -172,7 +172,7 @@ class CaseBatch(NamedTuple):
     cases: tuple[tuple[Case, tuple[tuple[int, int], ...]], ...]
 
 
-def numbered(cases: Sequence[Case]) -> Iterator[tuple[int, Case, int]]:
+def number_rows(cases: Sequence[Case]) -> Iterator[tuple[int, Case, int]]:
     """Number, case and seed of every row."""
     return ((number, case, seed) for number, (case, seed) in enumerate(
         (case, seed) for case in cases for seed in case.seeds))
@@ -190,7 +190,7 @@ def definition(cases: Sequence[Case]) -> dict[str, Any]:
 
 
 def carry_out(cases: Sequence[Case], folder: Path, *, workers: int, show: Show) -> None:
-    """Run what is not done yet of a comparison in `folder`, which is made or gone on with. Raises `Refused`."""
+    """Run the missing rows of a comparison in `folder`, which is made or gone on with. Raises `Refused`."""
     with Store.open(folder, definition(cases)) as store:
         total = sum(len(case.seeds) for case in cases)
         show(len(store.done), total)
@@ -201,7 +201,7 @@ def carry_out(cases: Sequence[Case], folder: Path, *, workers: int, show: Show) 
 
 def _batches(cases: Sequence[Case], store: Store) -> list[CaseBatch]:
     """The missing rows, grouped by law and environment."""
-    waiting = [(number, case, seed) for number, case, seed in numbered(cases) if number not in store.done]
+    waiting = [(number, case, seed) for number, case, seed in number_rows(cases) if number not in store.done]
     batches = []
     for _, group in groupby(waiting, key=lambda row: (row[1].law, row[1].environment)):
         by_case = groupby(group, key=lambda row: id(row[1]))
@@ -245,7 +245,7 @@ def _seed_energy(scene: Scene) -> float:
 def ending_of(result: Result) -> tuple[str, str]:
     """The status of a run and its sentence; `UNSETTLED` if it ended ok and has not come to rest.
 
-    Its status is ok, too, where a swing of more than `SWING` is left but the time was too short for a verdict, and
+    The status is ok, too, where a swing of more than `SWING` is left and the time was too short for a verdict. So it is
     where the motion still grows under a hand that moves: law and link feed it.
     """
     if result.status == "ok":

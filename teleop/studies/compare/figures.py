@@ -1,8 +1,8 @@
 """The figures of a comparison: columns, what each law comes to in them, rankings with their ties, and the table.
 
 A *case* is one law over one link in one environment. Of each figure a law has one value a seed: the median over the
-cases in which the figure counts. A run that did not end `ok` counts as worse than any that did, so that a law cannot
-better its figures by failing where it is hard. The value of a law is the mean over the seeds, and the *spread* their
+cases in which the figure counts. A run that did not end `ok` counts as worse than any that did: a law does not better
+its figures by failing where it is hard. The value of a law is the mean over the seeds, and the *spread* their
 range: two laws tie where their difference is no more than the greater of the two spreads, or than one percent.
 """
 
@@ -175,7 +175,7 @@ def free_environments(rows: Iterable[Row]) -> set[str]:
 
 
 def _environments(column: FigureColumn, rows: Iterable[Row], free: set[str]) -> set[str]:
-    """The environments in which a column counts: those of its kind in which some law has the figure."""
+    """The environments in which a column counts: of its kind, with the figure from some law."""
     has = {row["environment"] for row in rows if row["ended"] == "ok" and column.key in row}
     if column.where == ANY or (column.where == FREE and not has & free):
         return has
@@ -278,7 +278,7 @@ def columns_of(verdicts: Sequence[LawVerdict]) -> Mapping[str, FigureColumn]:
     return verdicts[0].columns if verdicts else BY_KEY
 
 
-def held_back(verdicts: Sequence[LawVerdict]) -> list[LawVerdict]:
+def held_back_laws(verdicts: Sequence[LawVerdict]) -> list[LawVerdict]:
     """The laws whose low tracking error says little: they hold the hand back.
 
     They track better than the median law, and press less than half as much as the rigid baseline.
@@ -293,7 +293,7 @@ def table(verdicts: Sequence[LawVerdict], width: int = 120) -> str:
 
     A figure that no law has, and packets that all laws send at every tick, have no column.
     """
-    shown = shown_columns(verdicts)
+    shown = columns_to_show(verdicts)
     lines = [["", *[head for head, _ in ENDED], *[column.head for column in shown]],
              ["law", *["" for _ in ENDED], *[column.unit for column in shown]]]
     lines += [cells(each, shown) for each in verdicts]
@@ -316,7 +316,7 @@ def cells(verdict: LawVerdict, shown: Sequence[FigureColumn]) -> list[str]:
             *[cell(column, verdict.figures[column.key]) for column in shown]]
 
 
-def shown_columns(verdicts: Sequence[LawVerdict]) -> list[FigureColumn]:
+def columns_to_show(verdicts: Sequence[LawVerdict]) -> list[FigureColumn]:
     """The columns that say anything."""
     figures = {column: [each.figures[column.key] for each in verdicts] for column in columns_of(verdicts).values()}
     return [column for column, some in figures.items() if any(each.failed or not isnan(each.value) for each in some)
@@ -343,17 +343,17 @@ def text(verdicts: Sequence[LawVerdict], ranked: Sequence[Ranking], cases: Seque
     """The page of a comparison: heading, table, legend, rankings and notes."""
     parts = [heading, table(verdicts, width), legend(verdicts, width), "\n".join(_ranking_lines(ranked, width))]
     every_note = [*_held_back_notes(verdicts), *notes, *condition_notes(cases)]
-    parts.append("\n".join(line for note in every_note for line in _wrapped(f"note  {note}", width, 6)))
+    parts.append("\n".join(line for note in every_note for line in _wrap(f"note  {note}", width, 6)))
     return "\n\n".join(part for part in parts if part)
 
 
 def legend(verdicts: Sequence[LawVerdict], width: int) -> str:
     """Meanings of the columns that are shown, in short."""
-    shown = shown_columns(verdicts)
+    shown = columns_to_show(verdicts)
     kinds = {FREE: " (free)", TOUCHED: " (in contact)"}
     meanings = "; ".join(f"{column.head}: {column.meaning}{kinds.get(column.where, '')}" for column in shown)
-    return "\n".join(_wrapped("Each figure is the median over the cases, in which a run that did not end ok is worse "
-                              f"than any other; {HALF_FAILED}: half of them. {meanings}.", width, 0))
+    return "\n".join(_wrap("Each figure is the median over the cases, in which a run that did not end ok is worse "
+                           f"than any other; {HALF_FAILED}: half of them. {meanings}.", width, 0))
 
 
 def _ranking_lines(ranked: Sequence[Ranking], width: int) -> list[str]:
@@ -363,8 +363,7 @@ def _ranking_lines(ranked: Sequence[Ranking], width: int) -> list[str]:
     for each in ranked:
         best = ", ".join(group_text(group, each.column) for group in each.groups)
         failed = f"; half of the runs failed: {', '.join(each.failed)}" if each.failed else ""
-        lines += _wrapped(f"{each.column.question:<{wide}}  {best} {each.column.unit}".rstrip() + failed, width,
-                          wide + 2)
+        lines += _wrap(f"{each.column.question:<{wide}}  {best} {each.column.unit}".rstrip() + failed, width, wide + 2)
     return lines
 
 
@@ -378,7 +377,7 @@ def group_text(group: Sequence[tuple[str, float]], column: FigureColumn) -> str:
 def _held_back_notes(verdicts: Sequence[LawVerdict]) -> list[str]:
     return [f"{each.law} tracks well because the hand goes less far: its wall feels "
             f"{100.0 * each.figures['wall_late'].value:.0f} % of a rigid rod's force{_drag(each)}"
-            for each in held_back(verdicts)]
+            for each in held_back_laws(verdicts)]
 
 
 def _drag(verdict: LawVerdict) -> str:
@@ -400,14 +399,14 @@ def condition_notes(cases: Sequence[Case]) -> list[str]:
     return notes
 
 
-def _wrapped(line: str, width: int, indent: int) -> list[str]:
+def _wrap(line: str, width: int, indent: int) -> list[str]:
     return wrap(printable(line), max(width, NARROW), subsequent_indent=" " * indent, break_on_hyphens=False)
 
 
 def document(verdicts: Sequence[LawVerdict], ranked: Sequence[Ranking]) -> dict[str, object]:
     """The verdicts and rankings as JSON; a figure that no run has is null, one with half of its runs failed "failed".
 
-    A spread is that of the distance from the best value, see `distance`.
+    A spread is the range of the distance from the best value, see `distance`.
     """
     return {
         "laws": [{"law": each.law, "cases": each.cases, "ended": dict(each.ended),
@@ -417,7 +416,7 @@ def document(verdicts: Sequence[LawVerdict], ranked: Sequence[Ranking]) -> dict[
                                  "meaning": column.meaning} for column in columns_of(verdicts).values()},
         "rankings": {each.column.key: {"groups": [[law for law, _ in group] for group in each.groups],
                                        "failed": list(each.failed)} for each in ranked},
-        "held_back": [each.law for each in held_back(verdicts)],
+        "held_back": [each.law for each in held_back_laws(verdicts)],
     }
 
 

@@ -1,11 +1,11 @@
 """Plots of a comparison, one for each question. Needs the extra `plot`.
 
-    status     over which links and in which environments does each law come to an end
-    tracking   does a law track because it is good, or because it holds the hand back
-    wall       how hard does the wall feel the hand, against that of a rigid rod
-    feel       what does the hand perceive: stiffness in contact, mass and drag in free space
-    smooth     how rough is the reflected force
-    energy     what does the law give out, and how far do the ends drift apart
+    status     over which links and in which environments does each law come to an end?
+    tracking   does a law track because it is good, or because it holds the hand back?
+    wall       how hard does the slave press the wall, against a rigid rod?
+    feel       what does the hand perceive: stiffness in contact, mass and drag in free space?
+    smooth     how rough is the reflected force?
+    energy     what does the law give out, and how far do the ends drift apart?
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ STIFFNESS, DELAY = 1500.0, 1.0  # N/m, s each way
 AT_REST = 1e-4  # m, peak-to-peak in the last five seconds
 
 
-def pressed(law: str) -> tuple[float, float]:
+def press(law: str) -> tuple[float, float]:
     """Swing of the master (m, peak-to-peak) in the last 5 s of 40 s after a reach into the wall; the force there."""
     import numpy as np
 
@@ -23,8 +23,8 @@ def pressed(law: str) -> tuple[float, float]:
 
 def rerun() -> list[Replication]:
     """The two-layer law, and beside it the same coupling without a layer that has to pay for it."""
-    swing, force = pressed("two_layer")
-    bare, _ = pressed("direct")
+    swing, force = press("two_layer")
+    bare, _ = press("direct")
     return [Replication("two-layer law", "stable", "stable" if swing < AT_REST else "not at rest",
                         tolerance=f"swing below {1e3 * AT_REST:g} mm",
                         remark=f"at rest to {swing:.1g} m with {force:.2f} N on the wall, beta fitted to the delay; "

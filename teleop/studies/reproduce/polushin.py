@@ -14,7 +14,7 @@ FORCES = ((5.0, 3.0), (1.0, 3.0), (-2.0, 3.0), (-5.0, -3.0))  # N: f_env, f_h
 SURFACE = 0.03  # m, of the scene beating_heart in the mean
 
 
-def reflected(f_env: float, f_h: float) -> float:
+def reflected_force(f_env: float, f_h: float) -> float:
     """The force (N) that the law reflects with alpha = 0, of one axis."""
     law: Any = find_law("pfra")(alpha=0.0)
     at = At(0.0, 0.0, f_h, 0.0, 0.0, True, 0.0, 1e-3, 1e-3)
@@ -39,7 +39,7 @@ def rerun() -> list[Replication]:
     """The projection in one axis, and both ends of alpha in whole runs."""
     numbers = [Replication(f"alpha = 0, f_env = {f_env:g} N, f_h = {f_h:g} N: reflected",
                            f"{max(min(f_env, f_h), 0.0) if f_h > 0.0 else min(max(f_env, f_h), 0.0):g}",
-                           reflected(f_env, f_h), "N", 1e-12)
+                           reflected_force(f_env, f_h), "N", 1e-12)
                for f_env, f_h in FORCES]
     knobs = {"duration": 1.0, "delay": 0.02, "law.kf": 0.5}
     whole, direct = (run(load_scene("soft_tissue", law=law, **knobs, **alpha)).trace

@@ -13,7 +13,7 @@ from teleop.studies.reproduce.publication import NumberSource, Publication, Repl
 HANDLE = MassDamper(mass=0.04, damping=0.8)
 
 
-def judged(law: str, delay: str) -> Judged:
+def two_port_of(law: str, delay: str) -> Judged:
     """The two-port of two handles, 400 N/m and 4 N s/m between them, on a wall of 400 N/m, without a clock."""
     scene = load_scene("soft_tissue", law=find_law(law)(K=400.0, B=4.0), k_e=400.0, d_e=0.0, link=delay)
     continuous = two_ports(replace(scene, master=HANDLE, slave=HANDLE)).continuous
@@ -23,8 +23,8 @@ def judged(law: str, delay: str) -> Judged:
 
 def rerun() -> list[Replication]:
     """Stiffness of the wall, impedance in free motion, and Llewellyn's parameter, as the hand perceives them."""
-    prompt, late = judged("pp", "none"), judged("pp", "delay(0.05)")
-    force = [judged("direct", link) for link in ("none", "delay(0.05)")]
+    prompt, late = two_port_of("pp", "none"), two_port_of("pp", "delay(0.05)")
+    force = [two_port_of("direct", link) for link in ("none", "delay(0.05)")]
     return [
         Replication("position-position: felt stiffness at 0.01 Hz", "200", prompt.felt, "N/m"),
         Replication("position-position: free impedance at 1 Hz", "1.680", prompt.free, "N s/m"),

@@ -1,7 +1,7 @@
 """Objectives and constraints that a law is tuned by: terms and bounds, all from rows of a sweep.
 
-Each point, a set of parameters, is run in the scene as it is and, where the scene has a knob `k_e`, a second time with
-k_e = 0 (and d_e = 0): the same motion in free space, in which all that the hand feels is drag. Each term is 0 for the
+Each point, a set of parameters, is run in the scene as it is. Where the scene has a knob `k_e` it is run a second time
+with k_e = 0 (and d_e = 0): the same motion in free space, where the hand perceives drag alone. Each term is 0 for the
 rigid rod of `teleop.studies.baseline` and about 1 for a law that does nothing:
 
     tracking   x_err_rms over the rms motion of the rod; the root mean square of both, in the scene and in free space
@@ -13,16 +13,16 @@ rigid rod of `teleop.studies.baseline` and about 1 for a law that does nothing:
                follows up to some 10 Hz, cannot yield; a force that chatters from tick to tick is no steady force
     force      f_err_rms over the rod's rms force, where the hand does not come to stand against something
 
-The value of an objective is the root mean square of its terms, so a law cannot buy a small tracking error by keeping
-the hand off the wall, nor a light hand by letting it feel nothing.
+The value of an objective is the root mean square of its terms. So a law cannot buy a small tracking error by keeping
+the hand off the wall, nor a light hand by reflecting nothing.
 
 With a margin m above 1 each point is run a third time, in the scene with m k_e (and m d_e): that row has to keep the
 constraints and has no term.
 
 A point is feasible if every row of it has the status ok, has come to rest where the hand has (less than `REST` of
-swing is left), and keeps each ledger that the law claims above its bound: for E_link and E_port -1e-9 J; for E_law
-minus the greatest work of one tick, f_m_max and f_env_max times dt times `FASTER` times the fastest motion of the rod
-(an end that bounces is faster), since no law knows the work of the tick that is running.
+swing is left), and keeps each claimed ledger above its bound. For E_link and E_port that is -1e-9 J. For E_law it is
+minus the greatest work of one tick, since no law knows the work of the tick that is running: f_m_max and f_env_max
+times dt times `FASTER` times the fastest motion of the rod (an end that bounces is faster).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ OBJECTIVES = {
 }
 
 
-def objective_named(name: str) -> Objective:
+def find_objective(name: str) -> Objective:
     """The objective of that name. Raises `Refused` with the nearest one."""
     if name not in OBJECTIVES:
         raise Refused(f"there is no objective {name!r}; {nearest(name, OBJECTIVES)}")

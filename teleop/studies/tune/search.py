@@ -1,19 +1,19 @@
 """The search for a law's parameters: a Latin hypercube, then evolution strategies, with a stated number of rows.
 
-1. The first points are the parameters that the law has in the scene, those that it fits to link and bodies where it
-   offers that, its defaults, and those of a Latin hypercube (McKay, Beckman & Conover 1979), until the part `LATIN` of
-   the rows is spent. A point that breaks a condition of the law is moved to where the law fits itself (`fitted`), as
-   far as that changes knobs of the search; of two points the one that keeps the conditions is better.
-2. From the best point of each playout an evolution strategy (`teleop.studies.tune.strategy`) over the parts of each
-   parameter's range, by equal ratios where the range goes by those, fold at its ends. Where it has come to rest it
-   begins again at the best point that is far from all that it began and ended at, until no rows are left. The loops of
-   the best few of a generation are tried as in 3, so that it turns from unstable ones.
+1. The first points are the law's parameters in the scene, as fitted to link and bodies where the law offers it, and
+   its defaults. Points of a Latin hypercube (McKay, Beckman & Conover 1979) follow, until the part `LATIN` of the rows
+   is spent. A point that breaks a condition of the law is moved to where the law fits itself (`fitted`), as far as
+   that changes knobs of the search. Of two points the one that keeps the conditions is better.
+2. An evolution strategy (`teleop.studies.tune.strategy`) goes on from the best point of each playout. It works on the
+   parts of each range, by equal ratios where the range goes by those, reflected at its ends. Once at rest it begins
+   again at the best point that is far from all its beginnings and ends, until no rows are left. The loops of the best
+   few of a generation are tried as in 3, so that it turns from unstable ones.
 3. The linear loop of a result (`teleop.studies.margin`) has to be stable with its gain times the margin, where it can
    be worked out. A law that claims to keep energy is tried with its gain alone: waves that resonate have no gain to
    spare, and need none. If the loop is not stable, the next best point is tried that is more than `APART` of a range
-   away from all that were, twice that after every quarter of `LOOKS`, the most that are.
-4. Where the link draws random numbers the search runs each point with up to `SEEDS` seeds, and the best few points run
-   with as many as `FRESH` that it has not seen. The one with the best mean over these is the result, if each of its
+   away from all that were tried; that distance doubles after every quarter of `LOOKS`, the most that are tried.
+4. Where the link draws random numbers the search runs each point with up to `SEEDS` seeds. The best few points then
+   run with as many as `FRESH` that it has not seen. The one with the best mean over these is the result, if each of its
    rows keeps the constraints. In a large search four times as many are first run with a third as many, unseen too.
 5. A parameter of the result that changes no bit of its rows has the law's own value again.
 
@@ -46,8 +46,8 @@ from teleop.studies.tune.objective import (
     SCENE,
     STIFF,
     Score,
+    find_objective,
     measures_of,
-    objective_named,
     score_by_seed,
 )
 from teleop.studies.tune.strategy import (
@@ -185,7 +185,7 @@ class LawSearch:
         if "law" in fixed:
             raise Refused(f"law={fixed['law']} is set beside the law that is tuned, {law}; leave one of them out")
         self.name, self.law, self.budget, self.seed, self.tell = scene, law, budget, seed, tell
-        self.goal = objective_named(objective)
+        self.goal = find_objective(objective)
         self.objective = objective
         scene_knobs = knobs_of(scene_function(scene))
         if "energy" in scene_knobs and "energy" not in fixed:
@@ -383,7 +383,7 @@ class LawSearch:
                 unmet=self._count_unmet(point)) for n, point in enumerate(points)]
 
     def _chunk(self, rows: int) -> int | None:
-        """Rows of a job: what they have in common is worked out once for each. None of what is not compiled."""
+        """Rows of a job: what they have in common is worked out once for each. None without compilation."""
         return None if self.engine == "plain" else max(1, min(-(-rows // (self.workers or cores())), LARGEST))
 
     def _evolve(self) -> None:

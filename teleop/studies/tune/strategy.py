@@ -38,14 +38,18 @@ class Ranges(NamedTuple):
 def ranges_of(law: Any, fixed: Collection[str] = ()) -> Ranges:
     """The ranges of the numbers of `law`, except those in `fixed` ("law.K"), which somebody has set.
 
-    A knob that declares a span (`teleop.knob`) goes through that, by equal ratios if it begins above 0; one that
-    declares what its value follows from stays.
+    A knob that declares a span (`teleop.knob`) goes through that, by equal ratios if it begins above 0. One that
+    declares from what its value follows stays.
 
-    Of the others, a knob whose value is above 0 goes by equal ratios, from 1/30 of its value, or its lower bound, to 30
-    times that, or its upper bound. One with a lower bound of 0, or below, and an upper one goes evenly from one to the
-    other, if its value is a tenth of that range or more, or the lower bound itself. One whose value is 0 and that has
-    no upper bound goes evenly from 0 to the greatest value among the law's knobs of its unit, and stays if there is
-    none. So does any that the law's seed energy, E_law(0), depends on: energy that is given out unpaid is not for
+    For the other knobs:
+
+    - a value above 0 goes by equal ratios, from 1/30 of it, or the lower bound, to 30 times it, or the upper bound;
+    - between a lower bound of 0, or below, and an upper one it goes evenly, if the value is a tenth of that range or
+      more, or the lower bound itself;
+    - a value of 0 without an upper bound goes evenly from 0 to the greatest value among the law's knobs of its unit,
+      and stays if there is none.
+
+    So does any that the law's seed energy, E_law(0), depends on: energy that is given out unpaid is not for
     tuning. Raises `NothingToTune` for a law that has no number to change, and `Refused` for a name in `fixed` that it
     has not.
     """

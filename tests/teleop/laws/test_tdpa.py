@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from channel.delay import Delay
 from channel.gilbert_elliott import GilbertElliott
-from teleop.checks.trials import capped
+from teleop.checks.trials import capped_scene
 from teleop.errors import Refused
 from teleop.law import At
 from teleop.law.offers import seed_energy
@@ -194,7 +194,7 @@ def test_least_energy_that_a_slave_can_ask_for() -> None:
 def test_a_cap_in_three_axes_gives_no_energy_out() -> None:
     """The cap turns the held force out of the direction of the asked one: -1.5 J in 1 s, when G < 0 asked for no more
     than what was owed, of a force that was not held, and with the coupling booked twice the work of a tick."""
-    trace = run(replace(capped(TDPA()), duration=1.0)).trace
+    trace = run(replace(capped_scene(TDPA()), duration=1.0)).trace
     one_tick = sum(abs(np.diff(trace[f"E_port_{e}"])).max() for e in "ms")
     assert trace["E_law"].min() >= -one_tick
     assert one_tick < 0.1

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from teleop.errors import Refused
-from teleop.studies.parallel import streamed
+from teleop.studies.parallel import stream
 
 
 def squares(job: int, send: Callable[[Any], None]) -> int:
@@ -26,7 +26,7 @@ def squares(job: int, send: Callable[[Any], None]) -> int:
 def carried_out(jobs: list[int], workers: int) -> tuple[dict[int, int], dict[int, list[int]], list[int]]:
     parts: dict[int, list[int]] = {}
     begun: list[int] = []
-    answers = dict(streamed(squares, jobs, workers, begun.append,
+    answers = dict(stream(squares, jobs, workers, begun.append,
                             lambda number, part: parts.setdefault(number, []).append(part), lambda: None))
     return answers, parts, begun
 

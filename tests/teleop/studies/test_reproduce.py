@@ -140,7 +140,7 @@ def test_the_row_of_a_master_that_nobody_holds_passed_with_direct_reflection_too
 
 def test_without_its_tank_the_franken_scene_does_not_come_to_rest() -> None:
     """So that "stable" is a word that the rerun may not have said."""
-    from teleop.studies.reproduce.franken import AT_REST, pressed
+    from teleop.studies.reproduce.franken import AT_REST, press
 
-    swing, _ = pressed("direct")
+    swing, _ = press("direct")
     assert swing > 1000.0 * AT_REST

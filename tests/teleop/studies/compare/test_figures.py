@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from teleop.studies.compare.figures import BY_KEY, endings, held_back, judge_laws, ranking, rankings, text
+from teleop.studies.compare.figures import BY_KEY, endings, held_back_laws, judge_laws, ranking, rankings, text
 
 
 def row(law: str, link: str, seed: int, ended: str = "ok", place: str = "wall", **figures: float) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def test_a_law_that_tracks_because_the_wall_is_hardly_touched_is_named() -> None
     rows = [row("drag", "delay", 0, x_err_rms=0.001, wall_late=0.2), row("good", "delay", 0, x_err_rms=0.002,
             wall_late=0.9), row("slow", "delay", 0, x_err_rms=0.01, wall_late=0.1)]
     found = judge_laws(rows, ["drag", "good", "slow"])
-    assert [one.law for one in held_back(found)] == ["drag"]
+    assert [one.law for one in held_back_laws(found)] == ["drag"]
     assert {one.column.key for one in rankings(found)} == {"x_err_rms", "wall_late"}
 
 
