@@ -92,7 +92,7 @@ class Point:
     def at(self, name: str) -> float:
         """The number of this name."""
         if name not in self._numbers:
-            self._numbers[name] = self._bred(name) if self._parents else next(self._dice)
+            self._numbers[name] = self._breed(name) if self._parents else next(self._dice)
         return self._numbers[name]
 
     def _breed(self, name: str) -> float:
