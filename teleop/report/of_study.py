@@ -89,8 +89,8 @@ def blocks_of(document: Mapping[str, Any]) -> list[Block]:
         if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
             found += _tables(name, [_shortened(each) for each in value], units)
         elif isinstance(value, dict):
-            alone += [(f"{name}.{key}", with_unit(each, units.get(key, ""))) for key, each in value.items()
-                      if _plain(each)]
+            alone += [(path, with_unit(each, units.get(path, units.get(key, ""))))
+                      for key, each in value.items() if _plain(each) for path in [f"{name}.{key}"]]
             found += [block for key, each in value.items() if isinstance(each, list) and each and
                       all(isinstance(one, dict) for one in each) for block in _tables(f"{name}.{key}", each, units)]
         elif _plain(value):

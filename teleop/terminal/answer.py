@@ -82,6 +82,39 @@ def scene_head(scene: Scene, mode: str, *, sentence: str, seed: int, command: Se
                 command=command, dt=scene.dt_ns / 1e9, also=also)
 
 
+class WithUnit(NamedTuple):
+    """A value of a document, or several alike, in `unit`; empty: values of different units."""
+
+    value: Any
+    unit: str
+
+
+def with_units(body: Mapping[str, Any]) -> dict[str, Any]:
+    """The body of a document that begins with `scene_head`: plain values, and their `units` by key.
+
+    Where values of one key have different units, each unit stands under the path of its value.
+
+    >>> with_units({"delay": WithUnit(3, "ticks"), "limit": {"delay": WithUnit(0.1, "s")}})
+    {'units': {'dt': 's', 'delay': 'ticks', 'limit.delay': 's'}, 'delay': 3, 'limit': {'delay': 0.1}}
+    """
+    by_key: dict[str, dict[str, str]] = {}  # the units of each key, by path
+
+    def plain(value: Any, path: tuple[str, ...] = ()) -> Any:
+        if isinstance(value, WithUnit):
+            if value.unit:
+                by_key.setdefault(path[-1], {})[".".join(path)] = value.unit
+            return value.value
+        if isinstance(value, Mapping):
+            return {key: plain(each, (*path, key)) for key, each in value.items()}
+        return [plain(each, path) for each in value] if isinstance(value, list) else value
+
+    values = plain(body)
+    units = {"dt": "s"}
+    for key, by_path in by_key.items():
+        units |= by_path if len({*by_path.values()}) > 1 else {key: next(iter(by_path.values()))}
+    return {"units": units, **values}
+
+
 def finite(value: float | None) -> float | None:
     """The number, or None where it has no bound.
 

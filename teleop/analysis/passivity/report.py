@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,7 +11,7 @@ from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
 from teleop.law.analysis_offers import instead
 from teleop.scene.axis_labels import labels_of, told_along, unit_on
-from teleop.terminal.answer import finite, scene_head, titled
+from teleop.terminal.answer import WithUnit, finite, scene_head, titled, with_units
 from teleop.terminal.ranges import typed_range
 from teleop.terminal.table import facts
 from teleop.terminal.units import si
@@ -22,14 +22,9 @@ if TYPE_CHECKING:
     from teleop.scene.scene import Scene
 
 SHOWN = 3  # bands in the table
-UNITS = {
-    "dt": "s", "range": "Hz", "damping": "N s/m", "needed_damping": "N s/m", "frequency": "Hz", "delay": "ticks",
-    "every": "ticks", "stiffness": "N/m", "quantised_stiffness": "N/m", "encoder_friction": "N",
-    "touched_stiffness": "N/m", "alpha_e": "N s/m", "delta": "N s/m", "gamma": "N s/m", "alpha_miller": "N s/m",
-    "alpha_max": "N s/m", "alpha_by_integrator": "N s/m", "needed_for_passive": "N s/m", "needed_alone": "N s/m",
-    "added_damping": "N s/m", "bands": "Hz", "eta_min": "1", "eta_min_frequency": "Hz", "free_impedance": "N s/m",
-    "felt_stiffness": "N/m",
-}
+DAMPING = "N s/m"
+
+Along = Callable[[float | None, str], WithUnit]
 
 
 class PassivityAnswer(NamedTuple):
@@ -173,45 +168,55 @@ def _llewellyn(judged: Judged) -> str:
 
 
 def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
-    """The JSON document: SI units; what has no bound or is not known is null."""
-    told = scene_head(answer.scene, "passivity", sentence=answer.sentence, seed=answer.seed, command=command)
+    """The JSON document; what has no bound or is not known is null."""
     axis = labels_of(answer.scene).in_units(answer.scene.axes)[0]
-    told |= {"units": {name: unit_on(unit, axis) for name, unit in UNITS.items()},
-             "range": [answer.low, answer.high], "left_out": list(answer.left_out),
-             "linear_law": instead(answer.scene.law) or None}
+
+    def along(value: float | None, unit: str) -> WithUnit:
+        """The value in the unit that it has on this axis, by that along a line."""
+        return WithUnit(finite(value), unit_on(unit, axis))
+
+    body: dict[str, Any] = {
+        "range": WithUnit([answer.low, answer.high], "Hz"), "left_out": list(answer.left_out),
+        "linear_law": instead(answer.scene.law) or None}
     if answer.one is not None:
-        told |= {"ports": 1, "passive": answer.one.passive, **_one_numbers(answer.one)}
+        body |= {"ports": 1, "passive": answer.one.passive, **_one_numbers(answer.one, along)}
     if answer.two is not None:
         two = answer.two
-        told |= {"ports": 2, "touched_stiffness": two.stiffness, "why_not": two.why_not,
-                 "sampled": _numbers(two.sampled), "continuous": _numbers(two.continuous)}
-    return told
+        body |= {"ports": 2, "touched_stiffness": along(two.stiffness, "N/m"), "why_not": two.why_not,
+                 "sampled": _numbers(two.sampled, along), "continuous": _numbers(two.continuous, along)}
+    return {**scene_head(answer.scene, "passivity", sentence=answer.sentence, seed=answer.seed, command=command),
+            **with_units(body)}
 
 
-def _one_numbers(one: RenderedImpedance) -> dict[str, Any]:
+def _one_numbers(one: RenderedImpedance, along: Along) -> dict[str, Any]:
     behind, shunt = one.behind, one.verdict.shunt
     return {
-        "damping": one.damping, "needed_damping": finite(one.needed.damping), "frequency": one.needed.frequency,
-        "delay": one.d, "every": one.every, "stiffness": one.stiffness,
-        "quantised_stiffness": one.quantised, "encoder_friction": one.verdict.asked,
-        "shunt": shunt and {"added_damping": shunt.adds, "needed_damping": shunt.needs, "frequency": shunt.frequency},
+        "damping": along(one.damping, DAMPING), "needed_damping": along(one.needed.damping, DAMPING),
+        "frequency": WithUnit(one.needed.frequency, "Hz"), "delay": WithUnit(one.d, "ticks"),
+        "every": WithUnit(one.every, "ticks"), "stiffness": along(one.stiffness, "N/m"),
+        "quantised_stiffness": along(one.quantised, "N/m"), "encoder_friction": along(one.verdict.asked, "N"),
+        "shunt": shunt and {"added_damping": along(shunt.adds, DAMPING), "needed_damping": along(shunt.needs, DAMPING),
+                            "frequency": WithUnit(shunt.frequency, "Hz")},
         "coupling": behind and {
-            "alpha_e": finite(behind.alpha.alpha), "alpha_e_frequency": behind.alpha.frequency, "delta": one.damping,
-            "gamma": behind.gamma, "alpha_miller": behind.miller, "alpha_max": behind.most,
-            "needed_for_passive": finite(behind.passive_needs),
-            "needed_alone": finite(behind.alone), "stiffness": behind.stiffness,
-            "alpha_by_integrator": {name: finite(lack.alpha) for name, lack in behind.integrators.items()},
+            "alpha_e": along(behind.alpha.alpha, DAMPING),
+            "alpha_e_frequency": WithUnit(behind.alpha.frequency, "Hz"), "delta": along(one.damping, DAMPING),
+            "gamma": along(behind.gamma, DAMPING), "alpha_miller": along(behind.miller, DAMPING),
+            "alpha_max": along(behind.most, DAMPING), "needed_for_passive": along(behind.passive_needs, DAMPING),
+            "needed_alone": along(behind.alone, DAMPING), "stiffness": along(behind.stiffness, "N/m"),
+            "alpha_by_integrator": WithUnit({name: finite(lack.alpha) for name, lack in behind.integrators.items()},
+                                            along(None, DAMPING).unit),
             "why_not": {name: lack.why for name, lack in [("alpha_e", behind.alpha), *behind.integrators.items()]
                         if lack.why},
         },
     }
 
 
-def _numbers(judged: Judged | None) -> dict[str, Any] | None:
+def _numbers(judged: Judged | None, along: Along) -> dict[str, Any] | None:
     return judged and {
-        "absolutely_stable": judged.absolutely_stable, "bands": [list(band) for band in judged.bands],
-        "eta_min": finite(judged.least), "eta_min_frequency": judged.at, "passive": judged.passive,
-        "free_impedance": judged.free, "felt_stiffness": judged.felt,
+        "absolutely_stable": judged.absolutely_stable,
+        "bands": WithUnit([list(band) for band in judged.bands], "Hz"), "eta_min": WithUnit(finite(judged.least), "1"),
+        "eta_min_frequency": WithUnit(judged.at, "Hz"), "passive": judged.passive,
+        "free_impedance": along(judged.free, DAMPING), "felt_stiffness": along(judged.felt, "N/m"),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from math import isnan
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
 from teleop.errors import number_of
 from teleop.scene.axis_labels import labels_of, told_along, unit_on
-from teleop.terminal.answer import finite, scene_head
+from teleop.terminal.answer import WithUnit, finite, scene_head, with_units
 from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from teleop.analysis.precision.measure import Entry, Precision
 
 HEAD = ("method/sub-steps", "per tick", "x_s max", "x_s rms", "x_s end", "f_env max", "f_env rms", "peak", "")
+LENGTHS = {"error_estimate_max", "error_estimate_sum", "tolerance"}  # among the estimates of an end
 NO_TIME = "no time; a shorter duration or --rounds 1 has them"
 TRACKING = (
     ("tracking error", "x_err", "m", "slave against the delayed master, whatever the method"),
@@ -157,36 +158,43 @@ def verdict(got: Precision) -> str:
 
 def summary(got: Precision, command: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON document; a number that does not exist, or has no bound, is null."""
-    result = got.result
-    return {
-        **scene_head(got.scene, "precision", status=result.status, sentence=verdict(got), seed=got.seed,
-                     command=command, also=["scipy"] if there() else []),
+    result, axis = got.result, axis_of(got)
+
+    def along(unit: str, value: object) -> WithUnit:
+        """The value in the unit that it has on this axis, by that along a line."""
+        return WithUnit(value, unit_on(unit, axis))
+
+    def series(values: Mapping[str, float]) -> dict[str, Any]:
+        return {name: along(SERIES[name], finite(value)) for name, value in values.items()}
+
+    body = {
         "ticks": result.ticks, "rounds": got.rounds, "contacts": got.contacts,
-        "units": {**{name: unit_on(unit, axis_of(got)) for name, unit in SERIES.items()}, "ns_per_tick": "ns",
-                  "peak_ratio": "1"},
         "reference": {
-            "method": got.truth.method, "sentence": got.truth.sentence,
-            "off_by": {name: finite(size) for name, size in got.truth.off.items()},
-            "per_tick": {method: asdict(steps) for method, steps in got.truth.steps.items()},
-            "step_ns": dict(got.step_ns),
+            "method": got.truth.method, "sentence": got.truth.sentence, "off_by": series(got.truth.off),
+            "per_tick": {method: {**asdict(steps), "x": along("m", steps.x), "v": along("m/s", steps.v)}
+                         for method, steps in got.truth.steps.items()},
+            "step_ns": WithUnit(dict(got.step_ns), "ns"),
         },
-        "estimates": {end: dict(one) for end, one in got.truth.estimates.items()},
-        "bound": None if got.truth.bound is None else {name: finite(size) for name, size in got.truth.bound.items()},
-        "tracking": {name: value for name, value in result.metrics.items() if name[:5] in ("x_err", "f_err")},
-        "methods": [_entry(e, got.truth.off) for e in got.entries],
+        "estimates": {end: {name: along("m", value) if name in LENGTHS else value for name, value in estimates.items()}
+                      for end, estimates in got.truth.estimates.items()},
+        "bound": None if got.truth.bound is None else series(got.truth.bound),
+        "tracking": {name: along("m" if name[0] == "x" else "N", value) for name, value in result.metrics.items()
+                     if name[:5] in ("x_err", "f_err")},
+        "methods": [_entry(e, got.truth.off, along) for e in got.entries],
         "left_out": dict(got.left_out), "notes": list(result.notes),
     }
+    return {**scene_head(got.scene, "precision", status=result.status, sentence=verdict(got), seed=got.seed,
+                         command=command, also=["scipy"] if there() else []), **with_units(body)}
 
 
-def _entry(e: Entry, off: Mapping[str, float]) -> dict[str, Any]:
-    """One contender; `resolved` is false where its largest error may be the reference's own."""
+def _entry(e: Entry, off: Mapping[str, float], along: Callable[[str, object], WithUnit]) -> dict[str, Any]:
+    """The keys of one contender; `resolved` is false where its largest error may be the reference's own."""
     c = e.contender
     return {
         "name": e.key, "method": c.method, "label": c.label, "substeps": c.substeps, "rtol": c.rtol,
-        "ns_per_tick": e.ns_per_tick, "runs": e.runs, "status": e.status, "sentence": e.sentence,
-        "errors": {name: {**{k: finite(v) for k, v in error._asdict().items()}, "resolved": not error.max <= off[name]}
+        "ns_per_tick": WithUnit(e.ns_per_tick, "ns"), "runs": e.runs, "status": e.status, "sentence": e.sentence,
+        "errors": {name: along(SERIES[name], {**{k: finite(v) for k, v in error._asdict().items()},
+                                              "resolved": not error.max <= off[name]})
                    for name, error in e.errors.items()},
-        "peak_ratio": e.peak_ratio, "missed_contacts": e.missed, "beaten_by": e.beaten_by,
+        "peak_ratio": WithUnit(e.peak_ratio, "1"), "missed_contacts": e.missed, "beaten_by": e.beaten_by,
     }
-
-

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 from teleop.analysis.stability.assess import Stability
 from teleop.analysis.stability.report import StabilityAnswer, ask, summary, table
@@ -39,8 +41,8 @@ def find(args: Namespace) -> Task:
     return Task(scene.name, work)
 
 
-def _answer(args: Namespace, found: StabilityAnswer) -> Answer:
-    return Answer(table(found), summary(found, args.typed), DONE if found.finished else INTERRUPTED)
+def _answer(args: Namespace, found: StabilityAnswer, drawn: Mapping[str, Any] | None = None) -> Answer:
+    return Answer(table(found), summary(found, args.typed, drawn), DONE if found.finished else INTERRUPTED)
 
 
 def _with_plots(args: Namespace, found: StabilityAnswer) -> Answer:
@@ -64,9 +66,8 @@ def _with_plots(args: Namespace, found: StabilityAnswer) -> Answer:
     plots = {"stability": partial(draw, found, drawn)}
     if swept is not None:
         plots["critical"] = partial(draw_swept, found, swept)
-    answer = _answer(args, found)
-    return answer._replace(document={**answer.document, **numbers(drawn)}, plots=plots,
-                           files={"curves.npz": partial(write_npz, arrays=curves(drawn, swept))})
+    return _answer(args, found, numbers(drawn))._replace(
+        files={"curves.npz": partial(write_npz, arrays=curves(drawn, swept))}, plots=plots)
 
 
 command = command_of(find, "stability", always=False)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.loop import gains, in_order, indent, sampled_loop
 from teleop.analysis.models.roots import MOST_STATES, Roots, dominant, greatest, states
+from teleop.terminal.answer import WithUnit
 
 if TYPE_CHECKING:
     import numpy as np
@@ -167,13 +168,13 @@ def _margins(scene: Scene, seed: int) -> tuple[float | None, float | None, float
 
 
 def numbers(drawn: Picture) -> dict[str, Any]:
-    """What the JSON document has of a picture."""
+    """The keys of the JSON document on a picture."""
     loop = drawn.loop
     return {
         "roots": {"drawn": len(drawn.roots.z), "total": drawn.roots.total, "complete": drawn.roots.complete},
         "open_loop": loop and {
-            "phase_margin": loop.phase_margin, "gain_crossover": loop.gain_crossover,
-            "phase_crossover": loop.phase_crossover,
+            "phase_margin": WithUnit(loop.phase_margin, "rad"), "gain_crossover": WithUnit(loop.gain_crossover, "Hz"),
+            "phase_crossover": WithUnit(loop.phase_crossover, "Hz"),
         },
     }
 

@@ -22,7 +22,8 @@ from teleop.analysis.stability.assess import (
 )
 from teleop.errors import Refused, enumerated, number_of, plural
 from teleop.law.analysis_offers import instead
-from teleop.terminal.answer import scene_head, titled
+from teleop.scene.axis_labels import labels_of
+from teleop.terminal.answer import WithUnit, scene_head, titled, with_units
 from teleop.terminal.ranges import typed_number, typed_range
 from teleop.terminal.table import columns, facts
 from teleop.terminal.units import si
@@ -30,18 +31,12 @@ from teleop.terminal.units import si
 if TYPE_CHECKING:
     from teleop.analysis.models.continuous import Continuous
     from teleop.analysis.models.rest import FreeMotion
-    from teleop.analysis.models.roots import Mode
     from teleop.scene.scene import Scene
     from teleop.terminal.progress import Show
 
 PLACES_IN_TIME = 21  # of a range: each is a few runs
 HALVINGS = 20  # of a range that is tried at `PLACES` values, or about so many
 TOLD = 4  # further changes in the table
-UNITS = {
-    "dt": "s", "fwd": "ticks", "bwd": "ticks", "round_trip": "ticks", "critical_round_trip": "ticks",
-    "delay_margin": "ticks", "gain_margin": "1", "frequency": "Hz", "growth": "1/s", "damping": "1", "amplitude": "m",
-    "continuous.round_trip": "s", "phase_margin": "rad", "gain_crossover": "Hz", "phase_crossover": "Hz",
-}
 
 
 class SoFar(NamedTuple):
@@ -230,39 +225,45 @@ def _span(knob: str, own: float, typed: str | None) -> tuple[float, float]:
     return typed_range("--range", typed, what=f"values of {knob}", example="10:1e4")
 
 
-def summary(answer: StabilityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
-    """The JSON document: SI units; fwd, bwd, round trips and the delay margin in ticks."""
+def summary(answer: StabilityAnswer, command: Sequence[str] = (), drawn: Mapping[str, Any] | None = None
+            ) -> dict[str, Any]:
+    """The JSON document, with the numbers of what is `drawn`."""
     found = answer.found
-    told = scene_head(answer.scene, "stability", sentence=answer.sentence, seed=answer.seed, command=command,
-                      status="done" if answer.finished else "interrupted")
-    told |= {"units": UNITS, "verdict": found.verdict, "linear_law": answer.stands_in or None}
+    limit, edge = answer.limit, answer.edge
+    body: dict[str, Any] = {"verdict": found.verdict, "linear_law": answer.stands_in or None}
     if isinstance(found, Stability):
-        root = found.mode
-        told |= {
-            "method": "roots", "unstable": found.unstable, "integrators": found.integrators, "fwd": found.forth,
-            "bwd": found.back, "round_trip": found.round_trip, "critical_round_trip": found.critical_round_trip,
-            "delay_margin": found.delay_margin, "gain_margin": found.gain_margin,
-            "dominant": root and _root(root),
-        }
+        body |= {"method": "roots", "unstable": found.unstable, "integrators": found.integrators,
+                 "fwd": WithUnit(found.forth, "ticks"), "bwd": WithUnit(found.back, "ticks"),
+                 "round_trip": WithUnit(found.round_trip, "ticks"), **_margins(found)}
         if found.axes:
-            told["axes"] = [{
-                "names": list(names), "verdict": own.verdict, "unstable": own.unstable, "integrators": own.integrators,
-                "critical_round_trip": own.critical_round_trip, "delay_margin": own.delay_margin,
-                "gain_margin": own.gain_margin, "dominant": own.mode and _root(own.mode),
-            } for names, own in found.axes]
+            body["axes"] = [{"names": list(names), "verdict": alone.verdict, "unstable": alone.unstable,
+                             "integrators": alone.integrators, **_margins(alone)} for names, alone in found.axes]
     else:
-        told |= {"method": "virtual time", "amplitude": found.amplitude,
-                 "frequency": found.frequency, "rests": found.rests}
-    told["continuous"] = answer.limit and answer.limit._asdict()
-    told["critical"] = answer.edge and {**answer.edge._asdict(), "all": [one._asdict() for one in answer.edge.all]}
+        body |= {"method": "virtual time", "amplitude": WithUnit(found.amplitude, labels_of(answer.scene).unit("m")),
+                 "frequency": WithUnit(found.frequency, "Hz"), "rests": found.rests}
+    body["continuous"] = limit and {**limit._asdict(), "round_trip": WithUnit(limit.round_trip, "s"),
+                                    "frequency": WithUnit(limit.frequency, "Hz")}
+    body["critical"] = edge and {**_in_unit(edge, answer.unit), "all": [_in_unit(one, answer.unit) for one in edge.all]}
     if answer.so_far is not None:
-        told["so_far"] = {"knob": answer.so_far.knob, "tried": [list(one) for one in answer.so_far.tried]}
-    return told
+        body["so_far"] = {"knob": answer.so_far.knob, "tried": [list(one) for one in answer.so_far.tried]}
+    return {**scene_head(answer.scene, "stability", sentence=answer.sentence, seed=answer.seed, command=command,
+                         status="done" if answer.finished else "interrupted"), **with_units({**body, **(drawn or {})})}
 
 
-def _root(mode: Mode) -> dict[str, Any]:
-    return {"z": [mode.z.real, mode.z.imag], "frequency": mode.frequency, "growth": mode.growth,
-            "damping": mode.damping}
+def _margins(found: Stability) -> dict[str, Any]:
+    mode = found.mode
+    return {
+        "critical_round_trip": WithUnit(found.critical_round_trip, "ticks"),
+        "delay_margin": WithUnit(found.delay_margin, "ticks"), "gain_margin": WithUnit(found.gain_margin, "1"),
+        "dominant": mode and {"z": [mode.z.real, mode.z.imag], "frequency": WithUnit(mode.frequency, "Hz"),
+                              "growth": WithUnit(mode.growth, "1/s"), "damping": WithUnit(mode.damping, "1")},
+    }
+
+
+def _in_unit(edge: Critical | Change, unit: str) -> dict[str, Any]:
+    """The fields of a change of the verdict; its values are in `unit`."""
+    values = {name: WithUnit(getattr(edge, name), unit.strip()) for name in ("value", "low", "high")}
+    return {**edge._asdict(), **values}
 
 
 def table(answer: StabilityAnswer) -> str:

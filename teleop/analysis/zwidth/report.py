@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.terminal.answer import finite, scene_head, titled
+from teleop.scene.axis_labels import labels_of, unit_on
+from teleop.terminal.answer import WithUnit, finite, scene_head, titled, with_units
 from teleop.terminal.table import columns, facts
 
 if TYPE_CHECKING:
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
     from teleop.analysis.zwidth.plane import Boundary
 
 
-class Metric(NamedTuple):
-    """A metric of a row: its key in the JSON, its head in the table and its unit."""
+class LeverColumn(NamedTuple):
+    """A metric of the levers: its key in the JSON, its head in the table and its unit along a line."""
 
     key: str
     head: str
@@ -23,14 +24,13 @@ class Metric(NamedTuple):
 
 
 METRICS = (
-    Metric("z_width_1hz", "Z-width 1 Hz", "N s/m"), Metric("area", "area", "decades x decades"),
-    Metric("passive_K", "passive K", "N/m"), Metric("passive_B", "passive B", "N s/m"),
-    Metric("stable_K_any_B", "stable K", "N/m"), Metric("stable_K", "at own B", "N/m"),
-    Metric("K_at_rest", "at rest", "N/m"),
+    LeverColumn("z_width_1hz", "Z-width 1 Hz", "N s/m"), LeverColumn("area", "area", "decades x decades"),
+    LeverColumn("passive_K", "passive K", "N/m"), LeverColumn("passive_B", "passive B", "N s/m"),
+    LeverColumn("stable_K_any_B", "stable K", "N/m"), LeverColumn("stable_K", "at own B", "N/m"),
+    LeverColumn("K_at_rest", "at rest", "N/m"),
 )
 UNITS = {metric.key: metric.unit for metric in METRICS} | {
-    "stable_K_free": "N/m", "z_max_1hz": "N s/m", "z_min_1hz": "N s/m", "gap": "decades", "frequency": "Hz",
-    "upper": "N s/m", "lower": "N s/m", "K": "N/m", "B": "N s/m", "ratio": "1",
+    "stable_K_free": "N/m", "z_max_1hz": "N s/m", "z_min_1hz": "N s/m", "gap": "decades",
 }
 MEANING = {
     "z_width_1hz": "Z_max - Z_min at 1 Hz, 0 where nothing wider than the device is passive",
@@ -123,39 +123,41 @@ def _facts(got: ZWidth) -> Iterator[tuple[str, str]]:
 def summary(got: ZWidth, command: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON document; what does not exist is null."""
     sentence = got.base.region.sentence if got.rows else "interrupted before anything was found"
-    told = scene_head(got.scene, "zwidth", status="interrupted" if got.interrupted else "done", sentence=sentence,
-                      seed=got.seed, command=command)
-    told |= {
-        "units": UNITS, "meaning": MEANING,
-        "range": {"K": list(got.span_K), "B": list(got.span_B)},
-        "stable": {"hand": _boundary(got.stable), "free": _boundary(got.stable_free)},
-        "measured": [{"B": B, "K": finite(K)} for B, K in got.measured],
-        "levers": [_row(row, got.base) for row in got.rows], "notes": list(got.notes),
+    axis = labels_of(got.scene).in_units(got.scene.axes)[0]
+    stiffness, damping = unit_on("N/m", axis), unit_on("N s/m", axis)
+
+    def boundary(edge: Boundary | None) -> dict[str, Any] | None:
+        return edge and {"B": WithUnit(list(edge.B), damping), "K": WithUnit([finite(K) for K in edge.K], stiffness)}
+
+    body = {
+        "meaning": MEANING,
+        "range": {"K": WithUnit(list(got.span_K), stiffness), "B": WithUnit(list(got.span_B), damping)},
+        "stable": {"hand": boundary(got.stable), "free": boundary(got.stable_free)},
+        "measured": [{"B": WithUnit(B, damping), "K": WithUnit(finite(K), stiffness)} for B, K in got.measured],
+        "levers": [_row(row, got.base, axis) for row in got.rows], "notes": list(got.notes),
     }
-    if not got.rows:
-        return told
-    base, told["passive"] = got.base, {
-        "corners": None if got.base.region.corners is None else [[0.0, 0.0], *map(list, got.base.region.corners)],
-        "sentence": got.base.region.sentence,
-    }
-    upper = base.curves.upper
-    told["impedance"] = {
-        "frequency": base.curves.frequency.tolist(), "upper": None if upper is None else upper.tolist(),
-        "lower": base.curves.lower.tolist(),
-    }
-    return {**told, **{key: finite(value) for key, value in numbers(base).items()}}
+    if got.rows:
+        region, curves = got.base.region, got.base.curves
+        body |= {
+            "passive": {"corners": None if region.corners is None else [[0.0, 0.0], *map(list, region.corners)],
+                        "sentence": region.sentence},
+            "impedance": {"frequency": WithUnit(curves.frequency.tolist(), "Hz"),
+                          "upper": WithUnit(None if curves.upper is None else curves.upper.tolist(), damping),
+                          "lower": WithUnit(curves.lower.tolist(), damping)},
+            **_with_units(numbers(got.base), axis),
+        }
+    return {**scene_head(got.scene, "zwidth", status="interrupted" if got.interrupted else "done", sentence=sentence,
+                         seed=got.seed, command=command), **with_units(body)}
 
 
-def _row(row: LeverRow, base: LeverRow) -> dict[str, Any]:
-    own = numbers(row)
+def _row(row: LeverRow, base: LeverRow, axis: str) -> dict[str, Any]:
+    values = numbers(row)
     return {
-        "name": row.name, "what": row.what, **{key: finite(value) for key, value in own.items()},
-        "beyond": [key for key, value in own.items() if value is not None and not isfinite(value)],
-        "ratio": ratios(row, base), "sentence": row.region.sentence,
+        "name": row.name, "what": row.what, **_with_units(values, axis),
+        "beyond": [key for key, value in values.items() if value is not None and not isfinite(value)],
+        "ratio": WithUnit(ratios(row, base), "1"), "sentence": row.region.sentence,
     }
 
 
-def _boundary(edge: Boundary | None) -> dict[str, Any] | None:
-    return None if edge is None else {"B": list(edge.B), "K": [finite(K) for K in edge.K]}
-
-
+def _with_units(values: dict[str, float | None], axis: str) -> dict[str, WithUnit]:
+    return {key: WithUnit(finite(value), unit_on(UNITS[key], axis)) for key, value in values.items()}

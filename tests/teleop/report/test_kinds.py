@@ -114,6 +114,12 @@ class TestAStudy:
         assert "dominant.frequency" in said
         assert f"{summary['dominant']['frequency']:.6g} Hz" in of("s").texts
 
+    def test_of_a_loop_without_a_clock_had_its_round_trip_in_ticks(self, typed: Typed) -> None:
+        typed("stability", "soft_tissue", "--set", "law=direct", "--continuous", "--out", "s")
+        typed("report", "s")
+        value = json.loads(Path("s/summary.json").read_text())["continuous"]["round_trip"]
+        assert f"{value:.6g} s" in of("s").texts
+
     def test_of_numbers_that_are_none_has_no_figure_and_says_so(self, typed: Typed) -> None:
         Path("t").mkdir()
         Path("t/summary.json").write_text(json.dumps({

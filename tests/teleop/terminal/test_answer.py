@@ -54,3 +54,41 @@ def test_the_file_in_the_folder_is_the_document_that_is_printed(typed: Callable[
     told = json.loads(typed(*words, "--json", "--out", "here").out)
     assert told.pop("path") == "here"
     assert told == json.loads(Path("here/summary.json").read_text())
+
+
+def keys_of(document: Any, path: tuple[str, ...] = ()) -> set[str]:
+    """Every key of a document, and its path."""
+    if isinstance(document, list):
+        return {key for each in document for key in keys_of(each, path)}
+    if not isinstance(document, dict):
+        return set()
+    return {name for key, each in document.items() for name in (
+        key, ".".join([*path, key]), *keys_of(each, (*path, key)))}
+
+
+@pytest.mark.parametrize("words", [
+    ("passivity", "canonical"), ("passivity", "virtual_coupling"), ("stability", "soft_tissue", "--continuous"),
+    ("stability", "local", "--set", "duration=0.5", "--time"),
+    ("precision", "hard_wall", "--set", "duration=0.02", "--rounds", "1"),
+])
+def test_units_were_named_of_keys_that_are_not_there(typed: Callable[..., Any], words: tuple[str, ...]) -> None:
+    told = json.loads(typed(*words, "--json").out)
+    units = told.pop("units")
+    assert {*units} <= keys_of(told)
+    assert len(units) >= 3
+
+
+def test_the_round_trip_had_one_unit_in_ticks_and_in_seconds(typed: Callable[..., Any]) -> None:
+    units = json.loads(typed("stability", "soft_tissue", "--set", "law=direct", "--continuous", "--critical", "k_e",
+                             "--tol", "1", "--json").out)["units"]
+    assert (units["round_trip"], units["continuous.round_trip"]) == ("ticks", "s")
+    assert units["value"] == "N/m"  # the knob's
+
+
+@pytest.mark.parametrize(("words", "unit"), [
+    (("passivity", "leader_follower", "--axis", "elbow"), "N m/rad"),
+    (("stability", "leader_follower", "--time"), "rad"),
+])
+def test_of_a_joint_the_units_were_those_of_a_line(typed: Callable[..., Any], words: tuple[str, ...], unit: str
+                                                   ) -> None:
+    assert unit in json.loads(typed(*words, "--set", "duration=0.2", "--json").out)["units"].values()
