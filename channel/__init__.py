@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from channel.ping_log import PingLog
     from channel.recorded import Recorded
     from channel.rng import Ints, Rng
-    from channel.rows import by_time, later, nanoseconds
+    from channel.schedule import by_time, later, nanoseconds
     from channel.uniform import UniformJitter
 
 __all__ = [
@@ -63,7 +63,7 @@ _HOMES = {  # the module of each name, under this package
     "ping_log": ("PingLog",),
     "recorded": ("Recorded",),
     "rng": ("Ints", "Rng"),
-    "rows": ("by_time", "later", "nanoseconds"),
+    "schedule": ("by_time", "later", "nanoseconds"),
     "uniform": ("UniformJitter",),
 }
 

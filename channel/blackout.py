@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from channel.effect import Effect
 from channel.rng import Ints, Rng
-from channel.rows import nanoseconds
+from channel.schedule import nanoseconds
 from teleop.errors import Refused, number
 from teleop.knob import Knob
 

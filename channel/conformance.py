@@ -8,7 +8,7 @@ import numpy as np
 
 from channel.effect import Effect
 from channel.rng import BLOCK, Ints, Rng
-from channel.rows import by_number, by_time
+from channel.schedule import by_number, by_time
 from teleop.errors import Refused
 
 Rows = tuple[Ints, Ints]
@@ -97,10 +97,10 @@ def _carried(effect: Effect, pieces: Iterable[Rows], size: int) -> Rows:
     return by_time(np.concatenate(packets), np.concatenate(times))
 
 
-def _same(one: Rows, other: Rows) -> bool:
-    return np.array_equal(one[0], other[0]) and np.array_equal(one[1], other[1])
+def _same(one: Rows, another: Rows) -> bool:
+    return np.array_equal(one[0], another[0]) and np.array_equal(one[1], another[1])
 
 
-def _require(kept: bool, effect: Effect, what: str) -> None:
-    if not kept:
+def _require(holds: bool, effect: Effect, what: str) -> None:
+    if not holds:
         raise Refused(f"{effect!r} {what}")

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng
-from channel.rows import nanoseconds
+from channel.schedule import nanoseconds
 from teleop.knob import Knob
 
 
@@ -31,5 +31,5 @@ class Delay(Effect):
 
     def carry(self, state: None, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, None]:
-        """All packets, later."""
+        """Delay all packets."""
         return packet, time_ns + self.constant_ns, None

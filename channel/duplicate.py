@@ -9,7 +9,7 @@ import numpy as np
 
 from channel.effect import Effect, probability, seconds
 from channel.rng import Ints, Rng
-from channel.rows import by_time, nanoseconds
+from channel.schedule import by_time, nanoseconds
 from teleop.knob import Knob
 
 
@@ -34,7 +34,7 @@ class Duplicate(Effect):
 
     def carry(self, state: Rng, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, Rng]:
-        """All packets, some of them again."""
+        """Repeat some of the packets."""
         twice = state.uniform(packet) < self.p
         copies = np.concatenate((packet, packet[twice]))
         times = np.concatenate((time_ns, time_ns[twice] + nanoseconds(self.after)))

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from os import PathLike, fspath
+from typing import TYPE_CHECKING, ClassVar, NoReturn
+from zlib import crc32
 
 from channel.rng import Bools, Ints, Rng
 from channel.schedule import Arrivals, Order, State, Stream, arrivals
@@ -122,7 +124,7 @@ class Chain:
         return Stream(self, direction, seed, size)
 
     def __or__(self, after: Effect | Chain) -> Chain:
-        """These effects, then `after`."""
+        """Append `after` to these effects."""
         if not isinstance(after, Effect | Chain):
             return NotImplemented
         return Chain(self.effects + (after.effects if isinstance(after, Chain) else (after,)))
@@ -140,3 +142,33 @@ def seconds(name: str, value: object, *, above: float | None = None) -> float:
 def probability(name: str, value: object) -> float:
     """`value` as a probability, 0 to 1."""
     return number(name, value, low=0.0, high=1.0)
+
+
+def read_recording(name: str, path: str | PathLike[str]) -> tuple[str, list[str], int]:
+    """The path as text, the lines of the file, and the CRC-32 of its bytes.
+
+    The checksum makes effects that replay different recordings of the same name different objects.
+    """
+    from teleop.storage.files import read_bytes
+
+    if not isinstance(path, str | PathLike):
+        raise Refused(f"path must name a recording, not {path!r}; write for example {name}(\"file.txt\")")
+    where = fspath(path)
+    try:
+        data = read_bytes(where)
+    except OSError as error:
+        raise Refused(f"{where} cannot be read ({error.strerror or error}): {name} replays a recording; "
+                      "give the path of a file, or of a part of it that is to be replayed") from None
+    try:
+        lines = data.decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        refuse_line(where, data.count(b"\n", 0, error.start) + 1, f"this is not text; {name} reads the text "
+                    "that was recorded, unpacked")
+    if not any(line.strip() for line in lines):
+        raise Refused(f"{where} is empty: there is nothing to replay; record again")
+    return where, lines, crc32(data)
+
+
+def refuse_line(path: str, line: int, what: str) -> NoReturn:
+    """Refuses a recording because of one line: what is wrong with it and what to do."""
+    raise Refused(f"{path}, line {line}: {what}")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng, inside, normal
-from channel.rows import later
+from channel.schedule import later
 from teleop.errors import number
 from teleop.knob import Knob
 
@@ -37,7 +37,7 @@ class GammaJitter(Effect):
 
     def carry(self, state: Rng, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, Rng]:
-        """All packets, each later by its own draw."""
+        """Delay each packet by its own draw."""
         delay = standard_gamma(state, packet, self.shape) * (self.mean / self.shape)
         return *later(packet, time_ns, delay), state
 
@@ -52,7 +52,7 @@ def standard_gamma(rng: Rng, packet: Ints, shape: float) -> NDArray[np.float64]:
     """
     d = (shape + 1.0 if shape < 1.0 else shape) - 1.0 / 3.0
     c = 1.0 / sqrt(9.0 * d)
-    found = np.empty(len(packet))
+    gamma = np.empty(len(packet))
     waiting = np.arange(len(packet))
     words = first = rng.words(packet)
     attempt = 0
@@ -61,10 +61,10 @@ def standard_gamma(rng: Rng, packet: Ints, shape: float) -> NDArray[np.float64]:
         v = np.maximum(1.0 + c * x, 0.0) ** 3
         log_v = np.log(np.maximum(v, 1e-300))  # v = 0 is rejected: its log must only be very low
         accepted = np.log(inside(words[:, 2])) < 0.5 * x * x + d - d * v + d * log_v
-        found[waiting[accepted]] = d * v[accepted]
+        gamma[waiting[accepted]] = d * v[accepted]
         waiting = waiting[~accepted]
         attempt += 1
         words = rng.words(packet[waiting], attempt)
     if shape < 1.0:
-        found *= inside(first[:, 3]) ** (1.0 / shape)
-    return found
+        gamma *= inside(first[:, 3]) ** (1.0 / shape)
+    return gamma

@@ -84,8 +84,8 @@ class GilbertElliott(Effect):
             return np.empty(0, np.bool_)
         blocks = np.unique(packet // BLOCK)
         all_of_them = np.concatenate([self._block(state, number) for number in blocks.tolist()])
-        found: Bools = all_of_them[np.searchsorted(blocks, packet // BLOCK) * BLOCK + packet % BLOCK]
-        return found
+        bad: Bools = all_of_them[np.searchsorted(blocks, packet // BLOCK) * BLOCK + packet % BLOCK]
+        return bad
 
     def _block(self, state: ChannelState, number: int) -> Bools:
         """The states of one block of packets."""

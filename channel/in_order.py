@@ -32,6 +32,6 @@ class InOrder(Effect):
 
     def carry(self, state: int, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, int]:
-        """All packets, sorted by number; none before the one in front of it."""
+        """Sort all packets by number; none leaves before the one in front of it."""
         leaves = np.maximum(np.maximum.accumulate(time_ns), state) if len(time_ns) else time_ns
         return packet, leaves, int(leaves[-1]) if len(leaves) else state

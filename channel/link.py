@@ -110,7 +110,7 @@ def parse_link(text: str) -> Effect | Chain | Link:
     """
     if not isinstance(text, str) or len(text) > _LONGEST:
         raise Refused(f"a link is a text of at most {_LONGEST} characters; {_FORM}")
-    text = _BARE_PATH.sub(lambda found: f"{found[1]}({found[2]!r}", text)
+    text = _BARE_PATH.sub(lambda match: f"{match[1]}({match[2]!r}", text)
     try:
         ways = ast.parse(text.strip()).body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -137,7 +137,7 @@ def names_a_file(text: str) -> bool:
     return "'" in text or '"' in text or _BARE_PATH.search(text) is not None
 
 
-def shown(text: str, link: Effect | Chain | Link) -> str:
+def record_text(text: str, link: Effect | Chain | Link) -> str:
     """`text` as it names `link` in what is kept: with the digest of what it replays, where it replays a live run.
 
     Then another record under the same path is another link, wherever links are told apart by their texts.
@@ -164,16 +164,16 @@ def _effect(node: ast.AST, text: str) -> Effect:
 def _call(effect: Effect) -> str:
     where = f"{type(effect).__module__}:{type(effect).__name__}"
     # The installed packages are looked through only for what is not built in.
-    name = _named(EFFECTS, where) or _named(known_effects(), where)
+    name = _name_of(EFFECTS, where) or _name_of(known_effects(), where)
     if name is None or not is_dataclass(effect):
         return repr(effect)
-    given = [(knob.name, getattr(effect, knob.name)) for knob in fields(effect)
+    knobs = [(knob.name, getattr(effect, knob.name)) for knob in fields(effect)
              if knob.init and getattr(effect, knob.name) != knob.default]
-    if len(given) == 1 and given[0][0] == fields(effect)[0].name:
-        return f"{name}({given[0][1]!r})"
-    return f"{name}({', '.join(f'{knob}={value!r}' for knob, value in given)})"
+    if len(knobs) == 1 and knobs[0][0] == fields(effect)[0].name:
+        return f"{name}({knobs[0][1]!r})"
+    return f"{name}({', '.join(f'{knob}={value!r}' for knob, value in knobs)})"
 
 
-def _named(effects: Mapping[str, str], where: str) -> str | None:
+def _name_of(effects: Mapping[str, str], where: str) -> str | None:
     """The name under which the class at `where` is known."""
     return next((name for name, home in effects.items() if home == where), None)

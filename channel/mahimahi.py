@@ -7,11 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from channel import recording
-from channel.effect import Effect
+from channel.effect import Effect, read_recording, refuse_line
 from channel.rng import Ints, Rng
-from channel.rows import by_time, nanoseconds
-from channel.schedule import Order
+from channel.schedule import Order, by_time, nanoseconds
 from teleop.errors import Refused, number
 from teleop.knob import Knob
 
@@ -47,7 +45,7 @@ class Mahimahi(Effect):
             raise Refused(f"queue must be a whole number of packets, 1 to 1000000, not {self.queue!r}; "
                           "write for example queue=2000")
         object.__setattr__(self, "start", number("start", self.start, low=0.0, high=1e6))
-        path, lines, crc = recording.read("mahimahi", self.path)
+        path, lines, crc = read_recording("mahimahi", self.path)
         for name, value in (("path", path), ("crc", crc), ("_ms", opportunities(path, lines))):
             object.__setattr__(self, name, value)
 
@@ -74,9 +72,9 @@ class Mahimahi(Effect):
         free = _free_slots(soonest, self.queue, state)
         before = np.concatenate(([state], free[:-1]))
         slot = np.maximum(before, soonest)
-        kept = before < soonest + self.queue
-        leaves = self._time(slot[kept] // each) - nanoseconds(self.start)
-        return *by_time(packet[kept], leaves), int(free[-1])
+        has_room = before < soonest + self.queue
+        leaves = self._time(slot[has_room] // each) - nanoseconds(self.start)
+        return *by_time(packet[has_room], leaves), int(free[-1])
 
     def _next(self, time_ns: Ints) -> Ints:
         """The first opportunity later than each time: its number, repeats counted."""
@@ -110,19 +108,19 @@ def _free_slots(soonest: Ints, queue: int, free: int) -> Ints:
 def opportunities(path: str, lines: list[str]) -> Ints:
     """The times of a trace, ms, (n,), checked line by line."""
     last = 0
-    found = []
+    times = []
     for line, text in enumerate(lines, 1):
         if not text.strip():
             continue
         if not (text.strip().isascii() and text.strip().isdecimal() and len(text) < 16):
-            recording.broken(path, line, f"{text.strip()[:40]!r} is no whole number of ms, as each line of a "
-                             "delivery trace is: delete it if the file was cut off, else record again")
+            refuse_line(path, line, f"{text.strip()[:40]!r} is no whole number of ms, as each line of a "
+                        "delivery trace is: delete it if the file was cut off, else record again")
         ms = int(text)
         if ms < last:
-            recording.broken(path, line, f"{ms} ms comes after {last} ms; a delivery trace never goes back: "
-                             "sort it (sort -n) or record again")
+            refuse_line(path, line, f"{ms} ms comes after {last} ms; a delivery trace never goes back: "
+                        "sort it (sort -n) or record again")
         last = ms
-        found.append(ms)
+        times.append(ms)
     if last == 0:
-        recording.broken(path, len(lines), "the recording ends at 0 ms, too short to repeat; record again")
-    return np.array(found, np.int64)
+        refuse_line(path, len(lines), "the recording ends at 0 ms, too short to repeat; record again")
+    return np.array(times, np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 
 from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng
-from channel.rows import later
+from channel.schedule import later
 from teleop.knob import Knob
 
 
@@ -37,6 +37,6 @@ class NormalJitter(Effect):
 
     def carry(self, state: Rng, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, Rng]:
-        """All packets, each later by its own draw."""
+        """Delay each packet by its own draw."""
         delay = np.maximum(0.0, self.mean + self.sigma * state.normal(packet))
         return *later(packet, time_ns, delay), state

@@ -9,10 +9,9 @@ from typing import Annotated
 
 import numpy as np
 
-from channel import recording
-from channel.effect import LONGEST, Effect
+from channel.effect import LONGEST, Effect, read_recording, refuse_line
 from channel.rng import Ints, Rng
-from channel.rows import by_time, nanoseconds
+from channel.schedule import by_time, nanoseconds
 from teleop.errors import Refused, number, number_of, plural
 from teleop.knob import Knob
 
@@ -51,7 +50,7 @@ class PingLog(Effect):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", number("start", self.start, low=0.0, high=1e6))
-        path, lines, crc = recording.read("ping_log", self.path)
+        path, lines, crc = read_recording("ping_log", self.path)
         sent, delay, period = probes(path, lines)
         for name, value in (("path", path), ("crc", crc), ("_sent", sent), ("_delay", delay),
                             ("_period", period)):
@@ -75,7 +74,7 @@ def probes(path: str, lines: list[str]) -> tuple[Ints, Ints, int]:
     A probe was sent its round trip before the reply's stamp; lost ones lie between their neighbours.
     """
     answered: dict[int, tuple[int, int]] = {}  # number -> sent, round trip
-    found: dict[int, int] = {}  # number -> line
+    line_of: dict[int, int] = {}  # number -> line
     newest = first = None
     last_stamp = 0
     for line, text in enumerate(lines, 1):
@@ -84,8 +83,8 @@ def probes(path: str, lines: list[str]) -> tuple[Ints, Ints, int]:
             continue
         stamp, seq, rtt = _line(path, line, text)
         if stamp < last_stamp:
-            recording.broken(path, line, "its time stamp lies before the one above: the clock was set or "
-                             "lines were moved; cut the log here, or record again")
+            refuse_line(path, line, "its time stamp lies before the one above: the clock was set or "
+                        "lines were moved; cut the log here, or record again")
         last_stamp = stamp
         if newest is not None:
             seq += 65536 * round((newest - seq) / 65536)  # the number has 16 bits and starts again
@@ -95,27 +94,27 @@ def probes(path: str, lines: list[str]) -> tuple[Ints, Ints, int]:
             continue
         if seq not in answered:
             answered[seq] = (stamp - rtt, rtt)
-            found[seq] = line
+            line_of[seq] = line
         elif "(DUP!)" not in text:
-            recording.broken(path, line, f"probe {seq} is answered again, without (DUP!): these are two logs "
-                             "in one file; cut them apart")
+            refuse_line(path, line, f"probe {seq} is answered again, without (DUP!): these are two logs "
+                        "in one file; cut them apart")
     if first is None or newest is None or not answered:
         raise Refused(f"{path} holds no reply of a ping -D log; record one: ping -D -i 0.01 HOST > {path}")
-    _steady(path, answered, found)
+    _steady(path, answered, line_of)
     return _evenly(path, first, newest, answered)
 
 
 def _check_around(path: str, line: int, text: str) -> None:
     """Refuse a line without a time stamp that is none of those that ping writes around its replies."""
     if _CLOCK.search(text):
-        recording.broken(path, line, "ping says that the clock was set back; cut the log here, or record again")
+        refuse_line(path, line, "ping says that the clock was set back; cut the log here, or record again")
     if _SEQ.search(text):
-        recording.broken(path, line, "this line has no time stamp; record again with ping -D")
+        refuse_line(path, line, "this line has no time stamp; record again with ping -D")
     if text.strip() and not _AROUND.match(text.strip()):
-        recording.broken(path, line, f"{text.strip()[:60]!r} is no line of a ping -D log; delete it")
+        refuse_line(path, line, f"{text.strip()[:60]!r} is no line of a ping -D log; delete it")
 
 
-def _steady(path: str, answered: dict[int, tuple[int, int]], found: dict[int, int]) -> None:
+def _steady(path: str, answered: dict[int, tuple[int, int]], line_of: dict[int, int]) -> None:
     """Refuse a log whose probes were not sent about evenly.
 
     Ping sends one probe after another at its interval, whatever becomes of them. So between two replies the time and
@@ -131,8 +130,8 @@ def _steady(path: str, answered: dict[int, tuple[int, int]], found: dict[int, in
     for a, b in pairwise(numbers):
         took, even = answered[b][0] - answered[a][0], (b - a) * interval
         if took > SLACK * even + GRACE or took < even / SLACK - GRACE:
-            recording.broken(
-                path, found[b], f"probe {b} was sent {took / 1e9:.3g} s after probe {a}, and "
+            refuse_line(
+                path, line_of[b], f"probe {b} was sent {took / 1e9:.3g} s after probe {a}, and "
                 f"{number_of(b - a, 'interval')} of this log's probes {plural(b - a, 'takes', 'take')} "
                 f"{even / 1e9:.3g} s: the clock was set, the recording stood still, or this is another log; cut it "
                 "here, or record again")
@@ -142,25 +141,25 @@ def _line(path: str, line: int, text: str) -> tuple[int, int, int | None]:
     """The stamp in ns, the probe's number, and its round trip in ns or None."""
     stamped, seq = _STAMP.match(text), _SEQ.search(text)
     if stamped is None or seq is None:
-        recording.broken(path, line, f"{text[:60]!r} is no line of a ping -D log; delete it if the file "
-                         "was cut off")
+        refuse_line(path, line, f"{text[:60]!r} is no line of a ping -D log; delete it if the file "
+                    "was cut off")
     stamp = int(stamped[1]) * 10**9 + int(stamped[2].ljust(9, "0"))
     if " bytes from " not in text:
         return stamp, int(seq[1]), None
     rtt = _RTT.search(text)
     if rtt is None:
-        recording.broken(path, line, f"the reply {text[-40:]!r} has no time=... ms; delete it if the file "
-                         "was cut off")
+        refuse_line(path, line, f"the reply {text[-40:]!r} has no time=... ms; delete it if the file "
+                    "was cut off")
     took = round(float(rtt[1]) * 1e6)
     if took > nanoseconds(2 * LONGEST):
-        recording.broken(path, line, f"a round trip of {took / 1e9:g} s is longer than the {2 * LONGEST:g} s "
-                         "that can be replayed; delete the line")
+        refuse_line(path, line, f"a round trip of {took / 1e9:g} s is longer than the {2 * LONGEST:g} s "
+                    "that can be replayed; delete the line")
     return stamp, int(seq[1]), took
 
 
 def _evenly(path: str, first: int, newest: int,
             answered: dict[int, tuple[int, int]]) -> tuple[Ints, Ints, int]:
-    """All probes from `first` to `newest` by number, those without a reply put between the others."""
+    """Put the probes without a reply between the others: all from `first` to `newest`, by number."""
     if newest - first > _MOST:
         raise Refused(f"{path} counts {newest - first} probes, too many for one log; cut it into parts")
     known = np.array(sorted(answered))

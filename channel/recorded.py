@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from channel.effect import LONGEST, Effect
 from channel.rng import Ints, Rng
-from channel.rows import by_time, nanoseconds
+from channel.schedule import by_time, nanoseconds
 from teleop.errors import Refused
 from teleop.knob import Knob
 from teleop.live.records.end_result import NAMES
@@ -28,7 +28,7 @@ DIGITS = 12  # of a digest
 
 
 class Way(NamedTuple):
-    """One direction: what became of the messages that were sent in consecutive spans of time, from 0 on."""
+    """Direction of a run: the fate of the messages that were sent in consecutive spans of time, from 0 on."""
 
     span_ns: int  # of each: the sender's tick
     first: Ints  # (spans + 1,): where in `delay` those of each span begin
@@ -90,11 +90,11 @@ class Recorded(Effect):
             object.__setattr__(self, name, fspath(value))
         if not isinstance(self.left_out, bool):
             raise Refused(f"left_out must be True or False, not {self.left_out!r}; write for example left_out=False")
-        ways, ticks, own = read(*folders_of(Path(self.path), Path(self.slave) if self.slave else None))
-        if self.digest not in ("", own):
-            raise Refused(f"what {self.path} holds has the digest {own}, not {self.digest!r}: its run was another; "
+        ways, ticks, digest = read(*folders_of(Path(self.path), Path(self.slave) if self.slave else None))
+        if self.digest not in ("", digest):
+            raise Refused(f"what {self.path} holds has the digest {digest}, not {self.digest!r}: its run was another; "
                           "give the folder of that run, or leave digest out")
-        object.__setattr__(self, "digest", own)
+        object.__setattr__(self, "digest", digest)
         object.__setattr__(self, "_ways", ways)
         object.__setattr__(self, "_ticks", ticks)
 
@@ -103,7 +103,7 @@ class Recorded(Effect):
         return rng.direction
 
     def leaves_out(self, end: int, dt_ns: int) -> RecordedTicks | None:
-        """Of ticks of dt_ns those whose time fell into a tick that the end left out."""
+        """Ticks of dt_ns whose time fell into a tick that the end skipped."""
         ticks = self._ticks[end]
         if not self.left_out or ticks.ran.all():
             return None
@@ -142,19 +142,19 @@ def read(master: Path, slave: Path) -> tuple[tuple[Way, Way], tuple[Ticks, Ticks
 
 
 def _stamp(path: Path) -> tuple[int, ...]:
-    """What changes when the file does: in a sweep each row has the link anew."""
+    """Stamp of a file, which changes when the file does: in a sweep each row makes the link anew."""
     try:
-        found = path.stat(follow_symlinks=False)
+        status = path.stat(follow_symlinks=False)
     except OSError:  # the reader of it says why
         return ()
-    return found.st_ino, found.st_size, found.st_mtime_ns
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 @lru_cache(maxsize=4)
 def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa: ARG001 - a key alone
           ) -> tuple[tuple[Way, Way], tuple[Ticks, Ticks], str]:
     headers: dict[str, dict[str, Any]] = {}
-    ticks, came = {}, {}
+    ticks, arrivals = {}, {}
     for e, folder in (("m", master), ("s", slave)):
         headers[e], record, _ = read_record(folder)
         if headers[e]["end"] != e:
@@ -163,16 +163,17 @@ def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa
         if headers[e]["mode"] == "lockstep":
             raise Refused(f"the run in {folder} went by packets (--lockstep), over a link that was drawn up front; "
                           "give that link by --link, or record a run by the clock")
-        ticks[e], came[e], spread = np.asarray(record.ticks, np.int64), read_arrivals(folder), far_apart(record.ticks)
-        if came[e].header["dt_ns"] != headers[e]["dt_ns"] or not len(ticks[e]):
+        ticks[e], arrivals[e] = np.asarray(record.ticks, np.int64), read_arrivals(folder)
+        if arrivals[e].header["dt_ns"] != headers[e]["dt_ns"] or not len(ticks[e]):
             raise Refused(f"{folder} holds no ticks with the arrivals beside them; give the folder as the end wrote it")
-        if spread:
+        if far_apart(record.ticks):
             raise Refused(f"the ticks in {folder} lie too far apart for a link; give the folder of a run that ran on")
     if any(headers["m"][key] != headers["s"][key] for key in ("scene", "knobs", "dt_ns")) or never_met(master, slave):
         raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
     dt_ns, every = headers["m"]["dt_ns"], {e: header.get("every", 1) for e, header in headers.items()}
-    last = int(max(ticks["m"][-1], ticks["s"][-1]))  # an end that was over sooner leaves out all that follow
-    ways = way(dt_ns, every["m"], last, ticks["s"], came["s"]), way(dt_ns, every["s"], last, ticks["m"], came["m"])
+    last = int(max(ticks["m"][-1], ticks["s"][-1]))  # an end that was over sooner skips all that follow
+    ways = (way(dt_ns, every["m"], last, ticks["s"], arrivals["s"]),
+            way(dt_ns, every["s"], last, ticks["m"], arrivals["m"]))
     ran = (_ran(dt_ns, every["m"], ticks["m"], last), _ran(dt_ns, every["s"], ticks["s"], last))
     return ways, ran, digest_of(ways, ran)
 
@@ -183,16 +184,16 @@ def _ran(dt_ns: int, every: int, ticks: Ints, last: int) -> Ticks:
     return Ticks(every * dt_ns, ran)
 
 
-def way(dt_ns: int, every: int, last: int, took: Ints, came: Arrivals) -> Way:
-    """One direction of a run whose last tick was `last`, from the ticks (n,) of its receiver and what came.
+def way(dt_ns: int, every: int, last: int, took: Ints, arrivals: Arrivals) -> Way:
+    """Make one direction of a run whose last tick was `last`, from the receiver's ticks (n,) and its arrivals.
 
-    What became of the last messages is not known: none came of those sent within the longest delay before the
+    What became of the last messages is not known: none arrivals of those sent within the longest delay before the
     receiver's end. They have the fate of the first ones of the run, but come no sooner than behind that end.
     """
     span_ns, spans = every * dt_ns, last // every + 1
-    packet = came.packet // every
-    in_time = -(-came.time_ns // dt_ns) == came.tick
-    taken = np.where(in_time, came.time_ns, (came.tick - 1) * dt_ns + 1)
+    packet = arrivals.packet // every
+    in_time = -(-arrivals.time_ns // dt_ns) == arrivals.tick
+    taken = np.where(in_time, arrivals.time_ns, (arrivals.tick - 1) * dt_ns + 1)
     delay = np.clip(taken - packet * span_ns, 0, nanoseconds(LONGEST))
     over_ns = int(took[-1]) * dt_ns
     known = (over_ns - int(delay.max(initial=0))) // span_ns
@@ -210,10 +211,10 @@ def way(dt_ns: int, every: int, last: int, took: Ints, came: Arrivals) -> Way:
 
 def digest_of(ways: tuple[Way, Way], ticks: tuple[Ticks, Ticks]) -> str:
     """The first digits of the SHA-256 of what is replayed."""
-    found = sha256()
+    digest = sha256()
     for way in ways:
         for part in (np.array([way.span_ns]), way.first, way.delay):
-            found.update(np.ascontiguousarray(part, "<i8").tobytes())
+            digest.update(np.ascontiguousarray(part, "<i8").tobytes())
     for one in ticks:
-        found.update(one.ran.tobytes())
-    return found.hexdigest()[:DIGITS]
+        digest.update(one.ran.tobytes())
+    return digest.hexdigest()[:DIGITS]

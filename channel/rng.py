@@ -51,8 +51,8 @@ class Rng:
     def words(self, packet: Ints, draw: int = 0) -> Words:
         """The four words of each packet, (n, 4); packet (n,) from 0 to 2^63-1."""
         drawn, places = self._table(packet, draw)
-        found: Words = drawn if places is None else drawn[places]
-        return found
+        words: Words = drawn if places is None else drawn[places]
+        return words
 
     def uniform(self, packet: Ints, draw: int = 0, word: int = 0) -> Floats:
         """Uniform in [0, 1) from one word of each packet, (n,)."""
@@ -78,12 +78,12 @@ class Rng:
         return words, np.searchsorted(blocks, packet // BLOCK) * BLOCK + packet % BLOCK
 
     def _block(self, block: int, draw: int) -> Words:
-        kept = self._blocks.get((block, draw))
-        if kept is None:
+        words = self._blocks.get((block, draw))
+        if words is None:
             while len(self._blocks) >= _KEPT:
                 del self._blocks[next(iter(self._blocks))]
-            kept = self._blocks[block, draw] = self._draw(block * BLOCK, BLOCK, draw)
-        return kept
+            words = self._blocks[block, draw] = self._draw(block * BLOCK, BLOCK, draw)
+        return words
 
     def _draw(self, packet: int, count: int, draw: int) -> Words:
         """The words of `count` packets from `packet` on, (count, 4)."""

@@ -1,10 +1,15 @@
 """The choice of datagrams that are passed on between masters and the slave, without clock or loop.
 
-The slave alone chooses which master has the link: see `channel.flow`. With keys a master has a flow once it has shown
-its address by a cookie of the relay's (`channel.cookie`), and a port towards the slave for itself, so that the slave
-judges each by itself, as if there were no relay. In the open masters are told apart by their sessions' numbers: the
-first exchange of any is passed on, at a bounded rate (`channel.introduction`), and the one to which the slave answers
-START or sends its messages has a flow.
+The slave alone chooses which master has the link: see `channel.relay`. With keys a master has a flow once it has shown
+its address by a cookie of the relay's (`Cookies`), and a port towards the slave for itself, so that the slave judges
+each by itself, as if there were no relay. As RFC 6347, 4.2.1 has it for a server, a hello without a good cookie is
+answered with one, no longer than the hello, and forgotten. `teleop.protocol.secure.dtls_record` has the form of these
+cookies; a slave asks for one of its own behind it.
+
+In the open masters are told apart by their sessions' numbers. The first exchange of any is passed on, at a bounded rate
+(`Introductions`), and the one to which the slave answers START or sends its messages has a flow. Nothing proves who
+sends a HELLO without keys. So the relay keeps a session's number (64 random bits) and its sender, for the last
+`MOST_ASKED` sessions. The bounded rate keeps a flood of HELLOs from the slave, which has to answer each.
 """
 
 from __future__ import annotations
@@ -12,23 +17,116 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from hashlib import sha256
+from hmac import compare_digest, digest
 from typing import Any
 
 from msgpack import packb, unpackb
 
-from channel.cookie import Cookies
-from channel.flow import Flow, Flows
-from channel.introduction import Introductions
-from channel.relay import Counts, Relay
+from channel.relay import Counts, Flow, Flows, Relay
 from teleop.errors import Refused
 from teleop.live.net.bulk import Bulk
 from teleop.live.net.wire import Address, Wire, shown
 from teleop.protocol.manifest import INSECURE, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, decode, encode, peek
-from teleop.protocol.secure.dtls_record import DATA, HANDSHAKE, MTU, OVERHEAD, DtlsRecord, records
-from teleop.protocol.secure.relayed import EXTRA, cookie_of, without
-from teleop.protocol.secure.relayed import shown as shown_record
+from teleop.protocol.secure.dtls_record import (
+    DATA,
+    EXTRA,
+    HANDSHAKE,
+    MTU,
+    OVERHEAD,
+    DtlsRecord,
+    cookie_of,
+    cookie_record,
+    records,
+    without_cookie,
+)
+from teleop.protocol.session import RENEW_NS
 from teleop.scene.scene import Scene
+
+MOST_ASKED = 4096  # sessions
+EACH_NS, EACH_MOST = 10_000_000, 16  # between two datagrams of one sender on the average, for all but so many
+ALL_NS, ALL_MOST = 1_000_000, 100  # the same of all senders; each that is passed on costs a slave 0.1 ms
+MOST_SENDERS = 1024
+
+
+class Introductions:
+    """The sessions that were asked for. Times are in ns, of any clock that does not go back."""
+
+    def __init__(self) -> None:
+        self._requests: dict[int, tuple[Address, int]] = {}  # by session: who, and when last; oldest first
+        self._slaves: dict[int, Address] = {}  # of those among them that were answered from elsewhere than was said
+        self._each: dict[Address, int] = {}  # when what was passed on of a sender is made up for; the latest last
+        self._all = 0  # the same of all
+
+    def may_pass(self, sender: Address, now: int) -> bool:
+        """Spend the slave's time for one datagram of this sender; False if none is left."""
+        each, every = max(now, self._each.get(sender, 0)), max(now, self._all)
+        if each - now >= EACH_MOST * EACH_NS or every - now >= ALL_MOST * ALL_NS:
+            return False
+        self._all = every + ALL_NS
+        self._each.pop(sender, None)
+        self._each[sender] = each + EACH_NS
+        if len(self._each) > MOST_SENDERS:
+            del self._each[next(iter(self._each))]
+        return True
+
+    def ask(self, session: int, sender: Address, now: int) -> bool:
+        """A HELLO from `sender`. False: another sender asks for this very session, and has not fallen silent."""
+        master, last = self._requests.get(session, (sender, now))
+        if master != sender and now - last < RENEW_NS:
+            return False
+        self._requests.pop(session, None)
+        self._requests[session] = sender, now
+        if len(self._requests) > MOST_ASKED:
+            oldest = next(iter(self._requests))
+            del self._requests[oldest]
+            self._slaves.pop(oldest, None)
+        return True
+
+    def master_of(self, session: int | None) -> Address | None:
+        """The address from which the HELLO of this session came, None if there was none."""
+        return None if session is None else self._requests.get(session, (None, 0))[0]
+
+    def forget(self, session: int) -> None:
+        """The slave has taken it up: what still comes of it, when it is over, begins nothing."""
+        self._requests.pop(session, None)
+        self._slaves.pop(session, None)
+
+    def welcome(self, session: int, slave: Address, home: Address) -> None:
+        """A WELCOME came from `slave`; one from `home`, where the slave was said to be, counts for more than others."""
+        if slave == home:
+            self._slaves.pop(session, None)
+        else:
+            self._slaves.setdefault(session, slave)
+
+    def slave_of(self, session: int, home: Address) -> Address:
+        """The address from which the slave answers in this session."""
+        return self._slaves.get(session, home)
+
+
+SLOT_NS = 30_000_000_000  # a cookie is good for one to two of these
+
+
+class Cookies:
+    """Cookies under a `secret` (32 random bytes of this process), each for one address and one handshake."""
+
+    def __init__(self, secret: bytes) -> None:
+        self._secret = secret
+
+    def of(self, hello: DtlsRecord, address: Address, now: int) -> bytes:
+        """The cookie (32 bytes) for a hello from `address`; `now` in ns, of any clock that does not go back."""
+        return self._of(hello, address, now // SLOT_NS)
+
+    def is_good(self, brought: bytes, hello: DtlsRecord, address: Address, now: int) -> bool:
+        """True if this is the cookie that a hello from `address` was given."""
+        slot = now // SLOT_NS
+        return any(compare_digest(brought, self._of(hello, address, when)) for when in (slot, slot - 1))
+
+    def _of(self, hello: DtlsRecord, address: Address, slot: int) -> bytes:
+        request = f"{address[0]}|{address[1]}|{slot}|".encode() + hello.random
+        return digest(self._secret, request, sha256)
+
 
 MOST_SAID = 5  # unknown hosts can say HELLO too
 SEALED = range(20, 26)  # first bytes of DTLS records (RFC 9147)
@@ -80,7 +178,7 @@ class Router:
         self._dt_ns, self._ticks, self._size, self._link = scene.dt_ns, scene.ticks, scene.wire_size, scene.link
         self._manifest = {key: text for key, text in manifest_of(scene).items() if key not in ("link", "delay")}
         for flow in self.flows:
-            if flow.own:
+            if flow.sealed:
                 self.flows.turn(flow, self._relay())
 
     def from_near(self, data: bytes, sender: Address, now: int) -> None:
@@ -139,12 +237,12 @@ class Router:
             self.foreign += 1
             return
         if kind is Kind.HELLO:
-            asked = known.ask(packet.session, sender, now)
-            if asked:
+            is_known = known.ask(packet.session, sender, now)
+            if is_known:
                 self._compare(packet)
         else:
-            asked = known.master_of(packet.session) == sender
-        if not asked:
+            is_known = known.master_of(packet.session) == sender
+        if not is_known:
             self.foreign += 1
             return
         self._introduced[0] += 1
@@ -176,7 +274,7 @@ class Router:
             self.flows.end(self._open)  # the slave has one session at a time
         known.forget(session)
         mark = b"\x96" + packb(session)
-        self._open = self._begin(Flow(master, self.home, self.far, self.bulks[1], self._relay(), now, own=False,
+        self._open = self._begin(Flow(master, self.home, self.far, self.bulks[1], self._relay(), now, sealed=False,
                                       mark=mark))
         self._open.slave = slave
         self._open.slave_spoke(now)
@@ -186,17 +284,17 @@ class Router:
     def _sealed_from_near(self, flow: Flow | None, data: bytes, sender: Address, now: int) -> None:
         """Take a sealed datagram of a master. Its number counts the datagrams in order of arrival."""
         handshake = data[0] != DATA
-        found = (records(data) or []) if handshake and len(data) <= MTU + EXTRA else []
-        hello = found[0] if found and found[0].is_hello else None
+        parts = (records(data) or []) if handshake and len(data) <= MTU + EXTRA else []
+        hello = parts[0] if parts and parts[0].is_hello else None
         if hello is not None:
-            if flow is None or not flow.own or flow.rests(now):
-                flow = self._greet(hello, cookie_of(found), len(data), sender, now)
+            if flow is None or not flow.sealed or flow.rests(now):
+                flow = self._greet(hello, cookie_of(parts), len(data), sender, now)
                 if flow is None:
                     return
-            flow.asked.append(hello.number)
-            data = without(found, len(data))
-        well = len(data) <= LONGEST and (bool(found) if handshake else flow is not None and flow.met)
-        if flow is None or not flow.own or not well or not flow.master_spoke(now):
+            flow.hellos.append(hello.number)
+            data = without_cookie(parts, len(data))
+        well = len(data) <= LONGEST and (bool(parts) if handshake else flow is not None and flow.is_accepted)
+        if flow is None or not flow.sealed or not well or not flow.master_spoke(now):
             self.foreign += 1
             return
         self._carry(flow, 0, flow.numbers[0], data, now)
@@ -208,7 +306,7 @@ class Router:
             self.foreign += 1
             return None
         if not self._cookies.is_good(cookie, hello, sender, now):
-            reply = shown_record(hello, self._cookies.of(hello, sender, now))
+            reply = cookie_record(hello, self._cookies.of(hello, sender, now))
             self.foreign += 1
             if len(reply) <= size:
                 self.near.answer(reply, sender)
@@ -220,24 +318,24 @@ class Router:
         if wire is None:
             self.foreign += 1
             return None
-        return self._begin(Flow(sender, self.home, wire, Bulk(wire), self._relay(), now, own=True))
+        return self._begin(Flow(sender, self.home, wire, Bulk(wire), self._relay(), now, sealed=True))
 
     def _sealed_from_far(self, flow: Flow, data: bytes, sender: Address, now: int) -> None:
         """Take a sealed datagram of the slave."""
         if not data or data[0] not in SEALED or len(data) > LONGEST:
             self.foreign += 1
             return
-        found = (records(data) or []) if data[0] != DATA else []
-        if sender != flow.slave and not flow.numbers[1] and any(one.is_request and one.number in flow.asked
-                                                                for one in found):
+        parts = (records(data) or []) if data[0] != DATA else []
+        if sender != flow.slave and not flow.numbers[1] and any(one.is_request and one.number in flow.hellos
+                                                                for one in parts):
             flow.slave = sender
             self._tell_elsewhere(sender)
         if sender != flow.slave:
             self.foreign += 1
             return
         # What is sealed the slave sends to whom it has let in alone: its Finished is the first of that.
-        if data[0] == DATA or any((one.type, one.epoch) == (HANDSHAKE, 1) for one in found):
-            met = flow.met
+        if data[0] == DATA or any((one.type, one.epoch) == (HANDSHAKE, 1) for one in parts):
+            met = flow.is_accepted
             flow.slave_spoke(now)
             if not met:
                 self.flows.end_others(flow, now)
@@ -275,10 +373,10 @@ class Router:
         """A HELLO or WELCOME that tells its receiver that the link is in the open beyond this machine, if it is."""
         if not self._tells or not isinstance(packet.payload, dict):
             return data
-        told = packet._replace(payload={**packet.payload, INSECURE: "1"})
+        marked = packet._replace(payload={**packet.payload, INSECURE: "1"})
         for size in (len(data), None):  # no longer than it was, if it has the room
             with suppress(Refused):
-                return encode(told, size)
+                return encode(marked, size)
         return data
 
     def _tell_elsewhere(self, sender: Address) -> None:
@@ -300,8 +398,8 @@ class Router:
         difference = manifest_difference(self._manifest, theirs)
         if difference is not None and difference not in self._differed and len(self._differed) < MOST_SAID:
             self._differed.append(difference)
-            told = f"channel: the master runs another scene than this channel: {difference}"
-            print(told, file=sys.stderr, flush=True)
+            sentence = f"channel: the master runs another scene than this channel: {difference}"
+            print(sentence, file=sys.stderr, flush=True)
 
 
 

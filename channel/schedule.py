@@ -1,7 +1,8 @@
 """The arrivals of packets: a whole direction drawn up front, or packet by packet as they are sent.
 
 Both forms give the same packets at the same nanosecond, because ties have a rule: at every place in the
-chain, packets of the same time go in the order of their numbers.
+chain, packets of the same time go in the order of their numbers. Rows of packets are (number, time), in whole
+nanoseconds.
 """
 
 from __future__ import annotations
@@ -11,10 +12,40 @@ from heapq import heappop, heappush
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from channel.rng import Bools, Ints, Rng
-from channel.rows import by_number
 from teleop.errors import Refused
+
+
+def by_time(packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
+    """The rows sorted by (time, packet number); rows that already are sorted are returned as they came."""
+    if len(time_ns) < 2:
+        return packet, time_ns
+    step = np.diff(time_ns)
+    if step.min() > 0 or bool(np.all((step > 0) | ((step == 0) & (np.diff(packet) >= 0)))):
+        return packet, time_ns
+    rows = np.lexsort((packet, time_ns))
+    return packet[rows], time_ns[rows]
+
+
+def by_number(packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
+    """The rows sorted by (packet number, time)."""
+    if len(packet) < 2 or bool(np.all(np.diff(packet) > 0)):
+        return packet, time_ns
+    rows = np.lexsort((time_ns, packet))
+    return packet[rows], time_ns[rows]
+
+
+def nanoseconds(time: float) -> int:
+    """A time in s as a whole number of ns, to the nearest."""
+    return round(time * 1e9)
+
+
+def later(packet: Ints, time_ns: Ints, delay: NDArray[np.float64]) -> tuple[Ints, Ints]:
+    """The rows after a delay of their own each, s (n,), to the nearest ns, sorted again."""
+    return by_time(packet, time_ns + np.rint(delay * 1e9).astype(np.int64))
+
 
 Order = Literal["any", "time", "number"]
 State = Any  # an effect's own: the schedule hands it back unchanged
@@ -105,7 +136,7 @@ def _passed(link: TwoWay, direction: int, packet: Ints, time_ns: Ints, seed: int
 
 
 class Stream:
-    """One direction of a link, live: `send` packets as they come, ask for what is `due`.
+    """Direction of a link, live: `send` packets as they come, ask for what is `due`.
 
     `now_ns` counts from the start of the session and never goes back; packet numbers grow. Fed with the send
     times of `arrivals`, it gives `arrivals`. Effects decide at once, so a packet is carried on through the
@@ -181,9 +212,9 @@ class Stream:
     def _carry(self, place: int, packet: Ints, time_ns: Ints) -> tuple[Ints, Ints]:
         effect = self._effects[place]
         out, time_out, self._states[place] = effect.carry(self._states[place], packet, time_ns, self._size)
-        more = len(out) - len(packet)
-        self.doubled += max(more, 0)
-        self.lost += max(-more, 0)
+        added = len(out) - len(packet)
+        self.doubled += max(added, 0)
+        self.lost += max(-added, 0)
         if self._log is not None and len(packet):
             self._log(Verdicts(repr(effect), packet, time_ns, out, time_out))
         return out, time_out

@@ -9,7 +9,7 @@ import numpy as np
 
 from channel.effect import Effect, seconds
 from channel.rng import Ints, Rng
-from channel.rows import by_time, nanoseconds
+from channel.schedule import by_time, nanoseconds
 from teleop.knob import Knob
 
 
@@ -32,6 +32,6 @@ class UniformJitter(Effect):
 
     def carry(self, state: Rng, packet: Ints, time_ns: Ints,
               size: int) -> tuple[Ints, Ints, Rng]:
-        """All packets, each later by its own draw."""
+        """Delay each packet by its own draw."""
         delay = (state.uniform(packet) * nanoseconds(self.width)).astype(np.int64)
         return *by_time(packet, time_ns + delay), state

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from teleop.physics.plant import Plant, grip_force, move_free, move_gripped
-from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
+from teleop.protocol.guard import DEADLINE
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import WHOLE, check_turn, held_masters, master_coefficients, path_of
 from teleop.simulation.structure import structure_of
@@ -71,8 +71,8 @@ class SimulatedMaster:
         has = structure_of(scene).m.has
         held = held_masters(scene) if has.inner else None
         c = master_coefficients(scene) if held is None else tuple([each.c for each in held])
-        kept = self._keeps_path(scene)
-        reference = self._reference if kept else None if scene.reference is None else path_of(
+        keeps_path = self._keeps_path(scene)
+        reference = self._reference if keeps_path else None if scene.reference is None else path_of(
             scene.reference, scene.axes, scene.ticks + 1, scene.dt_ns, self.whole)
         goes_on = not again and self._held is not None and held is not None and held[0].move is self._held[0].move
         x = list(scene.vector("start_m", scene.start_m))
@@ -86,7 +86,7 @@ class SimulatedMaster:
         if reference is None:
             self._r = self._before = [0.0] * scene.axes
         else:
-            self._settle(again, kept)
+            self._settle(again, keeps_path)
 
     def _keeps_path(self, scene: Scene) -> bool:
         """True if the hand's own motion is the same in `scene`, so that its samples serve on."""
@@ -98,8 +98,8 @@ class SimulatedMaster:
         except ValueError:  # arrays have no one answer
             return False
 
-    def _settle(self, again: bool, kept: bool) -> None:
-        """Find the hand's reference at this tick and the one before, having taken a scene; `kept`: it is the same."""
+    def _settle(self, again: bool, keeps_path: bool) -> None:
+        """Find the hand's reference at this tick and the one before, in a new scene; `keeps_path`: its path stays."""
         self._r, self._before = self._own(self._k), self._own(max(self._k - 1, self._since))
 
     def _own(self, k: int) -> list[float]:
@@ -114,16 +114,16 @@ class SimulatedMaster:
 
     def _move(self) -> None:
         """Move all axes over one tick, with the hand's reference."""
-        there = self._ahead() if self._reference is not None else self._r
+        r_next = self._ahead() if self._reference is not None else self._r
         for i, (c, x, v, f, r0, r1) in enumerate(zip(
-                self._c, self._x, self._v, self._f, self._r, there, strict=True)):
+                self._c, self._x, self._v, self._f, self._r, r_next, strict=True)):
             if self._held is not None:
                 self._x[i], self._v[i], self._z[i] = self._held[i].move(c, x, v, f, r0, r1, self._z[i])
             elif self._reference is None:
                 self._x[i], self._v[i], _ = move_free(c, x, v, -f)
             else:
                 self._x[i], self._v[i] = move_gripped(c, x, v, f, r0, r1)
-        self._before, self._r = self._r, there
+        self._before, self._r = self._r, r_next
 
     def _hand(self) -> Axes:
         if self._reference is None:

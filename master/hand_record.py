@@ -84,7 +84,7 @@ class HandWriter:
 
 
 class _Part(NamedTuple):
-    """What one file holds: nanoseconds a tick, the ticks (rows,), the places (rows, axes) in m."""
+    """Contents of one file: nanoseconds a tick, the ticks (rows,), the positions (rows, axes) in m."""
 
     dt_ns: int
     k: NDArray[Any]
@@ -93,7 +93,7 @@ class _Part(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class HandRecording:
-    """What a steered hand did in a live run, as the reference of a hand: sample for sample that of the run.
+    """Motion of a steered hand in a live run, as the reference of a hand: sample for sample the run's own.
 
     `path` is the folder of a live page, of one of its parts, or of its master. The ticks of a page go on over its
     parts, where two have the same tick the later one stands, and only what came since the page was last started again,
@@ -118,9 +118,9 @@ class HandRecording:
         if not isinstance(path, str | PathLike) or not fspath(path):
             raise Refused(f"a recorded hand is named by the folder of a live page, not {path!r}; write for example "
                           "hand='runs/hard_wall-page-1'")
-        found = _read(Path(path))
-        places = _dense(found, path)
-        values = {"path": fspath(path), "axes": len(places), "dt_ns": found.dt_ns, "ticks": len(places[0]) - 1,
+        part = _read(Path(path))
+        places = _dense(part, path)
+        values = {"path": fspath(path), "axes": len(places), "dt_ns": part.dt_ns, "ticks": len(places[0]) - 1,
                   "crc": crc32(b"".join(each.tobytes() for each in places)), "_places": places}
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -141,37 +141,37 @@ class HandRecording:
     def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> tuple[array[float], ...]:
         """For each axis the position (m) at the ticks first .. first+count-1."""
         self.check(axes, dt_ns)
-        kept = [each[first:first + count] for each in self._places]
+        rows = [each[first:first + count] for each in self._places]
         return tuple([some + array("d", [each[-1]]) * (count - len(some))
-                      for some, each in zip(kept, self._places, strict=True)])
+                      for some, each in zip(rows, self._places, strict=True)])
 
 
 def _read(folder: Path) -> _Part:
-    """All parts that `folder` holds, as one. Raises `Refused`."""
+    """Read all parts in `folder` as one. Raises `Refused`."""
     import numpy as np
 
-    found: _Part | None = None
+    joined: _Part | None = None
     empty: Path | None = None  # a part that ended before its first tick tells of no motion
     for inside in _folders(folder):
         part = _part(inside / FILE)
         if not len(part.k):
             empty = inside / FILE
             continue
-        if found is None:
-            found = part
+        if joined is None:
+            joined = part
             continue
-        if (part.dt_ns, part.r.shape[1]) != (found.dt_ns, found.r.shape[1]) or part.k[0] < found.k[0]:
+        if (part.dt_ns, part.r.shape[1]) != (joined.dt_ns, joined.r.shape[1]) or part.k[0] < joined.k[0]:
             raise Refused(f"{inside / FILE} does not go on where the parts before it end: its ticks or axes are "
                           f"others; give one part of {folder}")
-        before = found.k < part.k[0]
-        found = _Part(part.dt_ns, np.concatenate([found.k[before], part.k]),
-                      np.concatenate([found.r[before], part.r]))
-    if found is None and empty is not None:
+        before = joined.k < part.k[0]
+        joined = _Part(part.dt_ns, np.concatenate([joined.k[before], part.k]),
+                      np.concatenate([joined.r[before], part.r]))
+    if joined is None and empty is not None:
         raise Refused(f"{empty} has no row yet; give another folder, or ask again when its run has ended")
-    if found is None:
+    if joined is None:
         raise Refused(f"{folder} holds no record of a steered hand ({FILE}); give the folder of a live page "
                       "(`teleop demo --page`), of one of its parts, or of its master")
-    return found
+    return joined
 
 
 def _folders(folder: Path) -> list[Path]:
@@ -234,17 +234,17 @@ def _part(path: Path) -> _Part:
     return _Part(header["dt_ns"], k.astype(np.int64), r)
 
 
-def _dense(found: _Part, path: object) -> tuple[array[float], ...]:
+def _dense(part: _Part, path: object) -> tuple[array[float], ...]:
     """A place for each tick from the first to the last, per axis. Raises `Refused`."""
     import numpy as np
 
     from teleop.simulation.trace import far_apart
 
-    k = found.k - found.k[0]
+    k = part.k - part.k[0]
     if not k[-1]:
         raise Refused(f"{path} holds a hand at one tick alone, and no motion; give another folder")
     if far_apart(k):
         raise Refused(f"{path} is damaged: it has {number_of(len(k), 'row')} for {k[-1]} ticks of a hand; give another "
                       "folder")
     at = np.searchsorted(k, np.arange(k[-1] + 1), side="right") - 1
-    return tuple([array("d", np.ascontiguousarray(axis[at], dtype=float).tobytes()) for axis in found.r.T])
+    return tuple([array("d", np.ascontiguousarray(axis[at], dtype=float).tobytes()) for axis in part.r.T])

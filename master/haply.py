@@ -53,7 +53,7 @@ LIMIT = 3.0  # N: chosen, not the device's own
 
 @dataclass(frozen=True)
 class Settings:
-    """What the address of a device says behind its `?`, or leaves as it is here."""
+    """Settings behind the `?` of a device's address, each with its default."""
 
     device: str | None = None  # identifier; None: the first that is listed
     word: str | None = None  # of a force; None: as the service's settings of the device say
@@ -86,7 +86,7 @@ class Inverse3:
         self._clock, self._link = clock, _Link(self._uri, self._settings, int(SHARE * scene.dt_ns))
         self._force = (0.0, 0.0, 0.0)
         self._pushes = self._commanded = False
-        self._asked = 0  # ns, when a command went out last
+        self._commanded_ns = 0  # ns, when a command went out last
         if self._settings.deadline is None:
             self.watchdog = DeviceWatchdog(open="master.haply:zeroing", arguments=(url,), device=(
                 f"haply {self._uri} {self._settings.device or ''}".strip()))
@@ -102,7 +102,7 @@ class Inverse3:
         link, now = self._link, self._clock()
         link.poll(now)
         if link.ready and not self._commanded:
-            paused = now - self._asked > PAUSE_NS and not link.unanswered
+            paused = now - self._commanded_ns > PAUSE_NS and not link.unanswered
             self._send(now)
             if paused:
                 link.wait(self._clock, FRESH_NS)
@@ -139,7 +139,7 @@ class Inverse3:
         pushes = any(self._force)
         if self._link.unanswered < MOST or (self._pushes and not pushes):
             self._link.command(self._force)
-            self._pushes, self._asked = pushes, now
+            self._pushes, self._commanded_ns = pushes, now
 
     def _pushed(self, force: Axes) -> tuple[float, float, float]:
         """The motors' force in the device's frame, N."""
@@ -167,12 +167,12 @@ class Inverse3:
         w, *about = state.orientation
         hand = _handedness(self._rows)  # a turn is the other way round in a mirror
         phi = self._rotation.phi((w, *[hand * sign * about[i] for i, sign in self._rows]))
-        told = self._turned
-        if not told or self._link.heard > told[-1][0]:
-            told.append((self._link.heard, phi))
-        while len(told) > 2 and told[-1][0] - told[1][0] >= WINDOW_NS:
-            told.popleft()
-        (since, before), (until, _) = told[0], told[-1]
+        turned = self._turned
+        if not turned or self._link.heard > turned[-1][0]:
+            turned.append((self._link.heard, phi))
+        while len(turned) > 2 and turned[-1][0] - turned[1][0] >= WINDOW_NS:
+            turned.popleft()
+        (since, before), (until, _) = turned[0], turned[-1]
         seconds = max(until - since, 1) / 1e9
         return phi, tuple([(now - then) / seconds for now, then in zip(phi, before, strict=True)])
 
@@ -184,12 +184,12 @@ def _handedness(rows: list[tuple[int, float]]) -> float:
 
 
 def _pressed(state: State, button: str | None) -> bool | None:
-    """Whether a button is pressed; None: none is asked for. Raises `DeviceError` if the grip has none of that name."""
+    """State of a button, None where no button is named. Raises `DeviceError` if the grip has none of that name."""
     if button is None:
         return None
     if state.buttons is None or button not in state.buttons:
-        there = ", ".join(sorted(state.buttons or ())) or "no buttons"
-        raise DeviceError(f"the grip has no button {button} ({there}); switch the grip on, or name one that it has")
+        names = ", ".join(sorted(state.buttons or ())) or "no buttons"
+        raise DeviceError(f"the grip has no button {button} ({names}); switch the grip on, or name one that it has")
     return state.buttons[button]
 
 
@@ -200,7 +200,7 @@ class _Link:
         self._uri, self._settings, self._share_ns = uri, settings, share_ns
         where = urlsplit(uri)
         self._where = where.hostname, where.port or 80
-        self._found: list[Any] = []  # the addresses that the name has, of which the first is tried next
+        self._addresses: list[Any] = []  # the addresses that the name has, of which the first is tried next
         self._untried = 0
         self._sock: socket.socket | None = None
         self._service: InverseService | None = None
@@ -227,7 +227,7 @@ class _Link:
 
     @property
     def trouble(self) -> str | None:
-        """What is wrong, None if nothing is."""
+        """Reason why there is no state to use, None while there is one."""
         return self._why if self._service is None or self._service.trouble is None else self._service.trouble
 
     def poll(self, now: int) -> None:
@@ -279,11 +279,11 @@ class _Link:
     def _call(self, now: int) -> None:
         self._since, self._behind = now, None
         try:
-            if not self._found:  # once: a name server may take seconds
-                self._found = socket.getaddrinfo(*self._where, type=socket.SOCK_STREAM)
-            self._untried = (self._untried or len(self._found)) - 1
-            family, kind, number, _, at = self._found[0]
-            self._found = [*self._found[1:], self._found[0]]
+            if not self._addresses:  # once: a name server may take seconds
+                self._addresses = socket.getaddrinfo(*self._where, type=socket.SOCK_STREAM)
+            self._untried = (self._untried or len(self._addresses)) - 1
+            family, kind, number, _, at = self._addresses[0]
+            self._addresses = [*self._addresses[1:], self._addresses[0]]
             self._sock = socket.socket(family, kind, number)
             self._sock.setblocking(False)
             self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -354,7 +354,7 @@ class _Link:
 
 
 def zeroing(url: str) -> Callable[[], None]:
-    """What the watchdog process calls: it tells the service at `url` zero, over a connection of its own."""
+    """Make the function of the watchdog process: it sends zero to the service at `url`, over its own connection."""
     settings, uri = settings_of(url)
 
     def zero() -> None:
@@ -385,12 +385,12 @@ def settings_of(url: str) -> tuple[Settings, str]:
         sound = False
     if not sound:
         raise Refused(f"an Inverse service is at ws://HOST:PORT, not {url!r}; write for example haply:{URL}")
-    told = parse_qsl(parts.query, keep_blank_values=True)
-    unknown = [name for name, _ in told if name not in READ]
+    pairs = parse_qsl(parts.query, keep_blank_values=True)
+    unknown = [name for name, _ in pairs if name not in READ]
     if unknown:
         raise Refused(f"the address of an Inverse3 has no setting {unknown[0]!r}, but {', '.join(READ)}; write for "
                       f"example {URL}?axes=y&limit=2")
-    settings = Settings(**{name: READ[name](name, text) for name, text in told})
+    settings = Settings(**{name: READ[name](name, text) for name, text in pairs})
     return settings, parts._replace(query="", fragment="").geturl()
 
 

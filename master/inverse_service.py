@@ -33,7 +33,7 @@ GRIPS = ("wireless_verse_grip", "verse_grip")  # of which the first that is list
 
 
 class State(NamedTuple):
-    """What the service says of an Inverse3, and of the grip on it."""
+    """State of an Inverse3 and of the grip on it, as the service reports it."""
 
     position: Vector  # m
     velocity: Vector  # m/s
@@ -42,7 +42,7 @@ class State(NamedTuple):
 
 
 class InverseService:
-    """One connection to the service at `uri`, from its first byte on.
+    """Connection to the service at `uri`, from its first byte on.
 
     `device`: the identifier of the Inverse3; None: the first that is listed. `word`: how a force is told; None: as the
     service's settings say. `state` is the newest, `unanswered` counts commands to which no state has come, and
@@ -69,7 +69,7 @@ class InverseService:
                 self._take(event)
         wrong = protocol.handshake_exc or protocol.parser_exc
         if wrong is not None:
-            raise DeviceError(f"what answers at {self.uri} is no Inverse service ({_told(wrong)}); give its address, "
+            raise DeviceError(f"what answers at {self.uri} is no Inverse service ({_reason(wrong)}); give its address, "
                               "by default ws://localhost:10001")
         if protocol.state in (Connection.CLOSING, Connection.CLOSED):
             raise DeviceError(f"the Inverse service at {self.uri} closed the connection")
@@ -114,23 +114,23 @@ class InverseService:
     def _read(self, data: bytes) -> State:
         """The state that a message tells. Raises `DeviceError` if it tells none."""
         try:
-            said = _JSON.decode(data.decode())
+            message = _JSON.decode(data.decode())
         except (ValueError, RecursionError) as error:
             raise DeviceError(f"the Inverse service sent what is no JSON of finite numbers: {data[:40]!r}") from error
-        if not isinstance(said, dict):
+        if not isinstance(message, dict):
             raise DeviceError(f"the Inverse service sent no list of devices: {data[:40]!r}")
-        found = self._found(said)
-        status = _part(found, "status")
+        device = self._find_device(message)
+        status = _part(device, "status")
         for name, cure in CURES.items():
             if status.get(name) is False:
                 raise DeviceError(f"the Inverse3 {self.device} {cure}")
-        state = _part(found, "state")
-        orientation, buttons = _grip(said)
+        state = _part(device, "state")
+        orientation, buttons = _grip(message)
         return State(_vector(state, "cursor_position"), _vector(state, "cursor_velocity"), orientation, buttons)
 
-    def _found(self, said: dict[str, Any]) -> dict[str, Any]:
+    def _find_device(self, message: dict[str, Any]) -> dict[str, Any]:
         """The entry of the Inverse3 that is driven. Raises `DeviceError` if it is not listed."""
-        listed = [one for one in _entries(said, "inverse3") if isinstance(one.get("device_id"), str)]
+        listed = [one for one in _entries(message, "inverse3") if isinstance(one.get("device_id"), str)]
         for one in listed:
             if self.device in (None, one["device_id"]):
                 name, settings = one["device_id"], one.get("config")
@@ -142,7 +142,7 @@ class InverseService:
                 self.word = self.word or WORDS[1]
                 return one
         wanted = "Inverse3" if self.device is None else f"Inverse3 {self.device}"
-        kinds = [f"{kind} {one.get('device_id')}" for kind in said for one in _entries(said, kind)]
+        kinds = [f"{kind} {one.get('device_id')}" for kind in message for one in _entries(message, kind)]
         raise DeviceError(f"the Inverse service at {self.uri} lists no {wanted}, but {', '.join(kinds) or 'nothing'}; "
                           "plug it in, or name another by ?device=")
 
@@ -154,9 +154,9 @@ CURES = {
 """What the status of a device says, and what to do where it is false."""
 
 
-def _grip(said: dict[str, Any]) -> tuple[Quaternion | None, dict[str, bool] | None]:
+def _grip(message: dict[str, Any]) -> tuple[Quaternion | None, dict[str, bool] | None]:
     for kind in GRIPS:
-        for one in _entries(said, kind):
+        for one in _entries(message, kind):
             state = _part(one, "state")
             buttons = state.get("buttons")
             pressed = None
@@ -166,8 +166,8 @@ def _grip(said: dict[str, Any]) -> tuple[Quaternion | None, dict[str, bool] | No
     return None, None
 
 
-def _entries(said: dict[str, Any], kind: str) -> list[dict[str, Any]]:
-    listed = said.get(kind)
+def _entries(message: dict[str, Any], kind: str) -> list[dict[str, Any]]:
+    listed = message.get(kind)
     return [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
 
 
@@ -181,18 +181,18 @@ def _vector(state: dict[str, Any], name: str) -> Vector:
     return x, y, z
 
 
-def _quaternion(told: Any) -> Quaternion:
-    return unit_quaternion(_numbers(told, "wxyz", "orientation"))
+def _quaternion(value: Any) -> Quaternion:
+    return unit_quaternion(_numbers(value, "wxyz", "orientation"))
 
 
-def _numbers(told: Any, names: str, what: str) -> list[float]:
-    numbers: list[Any] = [told.get(name) for name in names] if isinstance(told, dict) else [None]
+def _numbers(value: Any, names: str, what: str) -> list[float]:
+    numbers: list[Any] = [value.get(name) for name in names] if isinstance(value, dict) else [None]
     if not all(type(number) in (int, float) and isfinite(number) for number in numbers):
         raise DeviceError(f"the Inverse service told a {what} that is no finite number for each of {', '.join(names)}")
     return [float(number) for number in numbers]
 
 
-def _told(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     return str(error) if isinstance(error, WebSocketException) and str(error) else type(error).__name__
 
 

@@ -54,11 +54,11 @@ class Recording:
             t = k * dt_ns / 1e9
             while at < last and rows[at + 1][0] <= t:
                 at += 1
-            here, there = rows[at], rows[min(at + 1, last)]
+            before, after = rows[at], rows[min(at + 1, last)]
             # 0 before the first row and after the last
-            part = (t - here[0]) / (there[0] - here[0]) if t > here[0] and at < last else 0.0
+            part = (t - before[0]) / (after[0] - before[0]) if t > before[0] and at < last else 0.0
             for axis, values in enumerate(out, start=1):
-                values.append(scale * (here[axis] + (there[axis] - here[axis]) * part))
+                values.append(scale * (before[axis] + (after[axis] - before[axis]) * part))
         return out + tuple(array("d", [0.0]) * count for _ in range(axes - had))
 
 

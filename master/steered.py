@@ -23,7 +23,7 @@ NEAR, SLOW, ENOUGH = 5e-4, 5e-3, 1.5  # m, m/s, s: when an alignment is over
 
 
 class Follower(NamedTuple):
-    """One tick of a critically damped second-order filter, in closed form: `following` makes it.
+    """Tick of a critically damped second-order filter, in closed form: `following` makes it.
 
     The reference r goes towards a target p, which stays where it is within the tick: with w = r',
 
@@ -47,7 +47,7 @@ class Follower(NamedTuple):
 
     def step(self, r: Sequence[float], w: Sequence[float], p: Sequence[float]) -> tuple[list[float], list[float]]:
         """Place (m) and speed (m/s) a tick later, per axis; the distance of all axes together is held to `reach`."""
-        e = [there - here for here, there in zip(r, p, strict=True)]
+        e = [target - here for here, target in zip(r, p, strict=True)]
         far = hypot(*e)
         if far > self.reach:
             e = [each * (self.reach / far) for each in e]
@@ -83,7 +83,7 @@ class SteeredMaster(SimulatedMaster):
         self._target: tuple[float, ...] | None = None  # of `steer`
         self._steered = False
         self._place: tuple[float, ...] | None = None  # of `align`
-        self._asked = 0  # the tick of that
+        self._align_k = 0  # the tick of that
         self._placed = 0  # the tick at which it was another place last
         self._drift = (0.0,) * scene.axes  # how fast that place moves on, m/s
         self._writer: HandWriter | None = None
@@ -103,17 +103,17 @@ class SteeredMaster(SimulatedMaster):
     def align(self, to: Sequence[float] | None) -> None:
         """Bring the handle to `to` (m, as in `steer`) before anything else, until it is called with None.
 
-        The reference goes there by the same filter, at 60 rad/s. Masses on a hand's spring swing (that of most scenes
+        The reference goes target by the same filter, at 60 rad/s. Masses on a hand's spring swing (that of most scenes
         is damped to 0.28 of critical), so the target is taken back by the speed of the handle times a lead, under
         which they are damped to 0.8. Called again meanwhile, it goes on to another place, and its time counts from the
         first. After it the hand does again what it was told to, or what the scene says. See `aligned`.
         """
         place = None if to is None else self._checked(to)
         if self._place is None or place is None:
-            self._asked, self._drift = self._k, (0.0,) * len(self._x)
+            self._align_k, self._drift = self._k, (0.0,) * len(self._x)
         elif self._k > self._placed:  # smoothed, for it is told in steps
             span = (self._k - self._placed) * self._dt
-            self._drift = tuple([0.7 * drift + 0.3 * (there - here) / span for drift, there, here in
+            self._drift = tuple([0.7 * drift + 0.3 * (target - here) / span for drift, target, here in
                                  zip(self._drift, place, self._place, strict=True)])
         self._place, self._placed = place, self._k
         if place is not None:
@@ -128,7 +128,7 @@ class SteeredMaster(SimulatedMaster):
         """
         if self._place is None:
             return False
-        if self._k - self._asked >= ceil(ENOUGH / self._dt):
+        if self._k - self._align_k >= ceil(ENOUGH / self._dt):
             return True
         drift = hypot(*self._drift)
         off = hypot(*[x - p for x, p in zip(self._x, self._place, strict=True)])
@@ -178,12 +178,12 @@ class SteeredMaster(SimulatedMaster):
             self._w = [(r - before) / self._dt for r, before in zip(self._r, self._before, strict=True)]
             self._own_motion = False
 
-    def _settle(self, again: bool, kept: bool) -> None:
+    def _settle(self, again: bool, keeps_path: bool) -> None:
         self._lead = _lead(self._scene)
         if again:
-            super()._settle(again, kept)
+            super()._settle(again, keeps_path)
             self._own_motion, self._steered, self._target, self._place = True, False, None, None
-        elif not kept:
+        elif not keeps_path:
             self._leave_own()
 
     def _ahead(self) -> list[float]:
@@ -191,11 +191,11 @@ class SteeredMaster(SimulatedMaster):
             return self._own(self._k + 1)
         if self._place is not None:
             short = [p - self._lead * (v - w) for p, v, w in zip(self._place, self._v, self._drift, strict=True)]
-            there, self._w = self._bring.step(self._r, self._w, short)
-            return there
-        told = self._x if self._target is None else self._target
-        there, self._w = self._follow.step(self._r, self._w, told if self._steered else self._own(self._k + 1))
-        return there
+            r, self._w = self._bring.step(self._r, self._w, short)
+            return r
+        target = self._x if self._target is None else self._target
+        r, self._w = self._follow.step(self._r, self._w, target if self._steered else self._own(self._k + 1))
+        return r
 
     def _move(self) -> None:
         if self._writer is not None:

@@ -30,12 +30,12 @@ class Moving:
         if hasattr(still, "path"):
             raise Refused("environment moves already; write one path that is the sum of both")
         if isinstance(still, type) or not (hasattr(still, "plant") or hasattr(still, "resistance")):
-            raise Refused(f"environment must be something with plant, not {_shown(still)}; "
+            raise Refused(f"environment must be something with plant, not {_text_of(still)}; "
                           "write for example environment=Wall(k=1e3)")
         if isinstance(path, type) or not hasattr(path, "samples"):
-            raise Refused(f"path must be something with samples, not {_shown(path)}; "
+            raise Refused(f"path must be something with samples, not {_text_of(path)}; "
                           "write for example path=Sine(amplitude=0.005, frequency=1.0)")
 
 
-def _shown(part: object) -> str:
+def _text_of(part: object) -> str:
     return f"the class {part.__name__}" if isinstance(part, type) else repr(part)

@@ -13,7 +13,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from slave.mujoco_pose import Robot, listed, start_pose
+from slave.mujoco_pose import Robot, join_names, start_pose
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 
@@ -142,13 +142,13 @@ def _is_cartesian(scene: Scene) -> bool:
     return True
 
 
-def _substeps(path: str, dt: float, own: float) -> int:
-    """The sub-steps of a tick of dt seconds: `SUBSTEPS`, or as many as make them no longer than the file's own."""
+def _substeps(path: str, dt: float, timestep: float) -> int:
+    """The sub-steps of a tick of dt seconds: `SUBSTEPS`, or as many as make them no longer than the file's timestep."""
     least = dt / MOST_SUBSTEPS
-    if not own >= least:
-        raise Refused(f"{path} has a timestep of {own:g} s, and a tick of {dt:g} s has at most {MOST_SUBSTEPS} sub-"
-                      f"steps; write one of at least {least:g} in its <option>, or leave it out")
-    return max(SUBSTEPS, ceil(dt / own - 1e-9))
+    if not timestep >= least:
+        raise Refused(f"{path} has a timestep of {timestep:g} s, and a tick of {dt:g} s has at most {MOST_SUBSTEPS} "
+                      f"sub-steps; write one of at least {least:g} in its <option>, or leave it out")
+    return max(SUBSTEPS, ceil(dt / timestep - 1e-9))
 
 
 def _mujoco() -> Any:
@@ -188,7 +188,7 @@ def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
     site: Any = next((each for each in spec.sites if each.name == wanted), None)
     body: Any = next((each for each in spec.bodies[1:] if each.name == wanted), None)
     if site is None and body is None:
-        sites, bodies = listed([each.name for each in spec.sites]), listed([each.name for each in spec.bodies[1:]])
+        sites, bodies = (join_names([part.name for part in parts]) for parts in (spec.sites, spec.bodies[1:]))
         raise Refused(f"{path} has no site and no body of the name {wanted}, to be its end effector; write --robot "
                       f"mujoco:{path}#NAME with one of its sites ({sites}) or bodies ({bodies})")
     holder = body if site is None else site.parent
@@ -205,16 +205,16 @@ def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
 def _check_joints(mujoco: Any, scene: Scene, spec: Any, path: str) -> None:
     """Refuse axes that are no joints of the model of these names, hinges in rad and slides in m."""
     kinds = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
-    there = {each.name: kinds.get(each.type) for each in spec.joints if each.name}
-    usable = listed([f"{name} in {unit}" for name, unit in there.items() if unit is not None])
-    missing = [name for name in scene.axis_names if there.get(name) is None]
+    units = {each.name: kinds.get(each.type) for each in spec.joints if each.name}
+    usable = join_names([f"{name} in {unit}" for name, unit in units.items() if unit is not None])
+    missing = [name for name in scene.axis_names if units.get(name) is None]
     if missing:
         raise Refused(f"the scene's axes {', '.join(missing)} are no joints of {path} (it has {usable}), and axes that "
                       "are not joints are called x, y, z, all of them, translations of an end effector; write --robot "
                       "mujoco:FILE.xml with a model that has such joints, or names=(...) in the scene")
     for name, unit in zip(scene.axis_names, scene.axis_units, strict=True):
-        if there[name] != unit:
-            raise Refused(f"the scene's axis {name} is in {unit}, and the joint {name} of {path} is in {there[name]}; "
+        if units[name] != unit:
+            raise Refused(f"the scene's axis {name} is in {unit}, and the joint {name} of {path} is in {units[name]}; "
                           "write units=(...) in the scene, one for each axis")
 
 

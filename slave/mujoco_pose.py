@@ -329,28 +329,28 @@ def _welded(robot: Robot, data: Any, along: list[str]) -> str:
         if data.eq_active[n] and model.eq_type[n] in bodies and model.eq_objtype[n] == int(mujoco.mjtObj.mjOBJ_BODY):
             names.append(" to ".join(model.body(int(each)).name or "the world"
                                      for each in (model.eq_obj1id[n], model.eq_obj2id[n])))
-    what = f"welds or connects {listed(names)}" if names else "couples its joints"
+    what = f"welds or connects {join_names(names)}" if names else "couples its joints"
     return (f"{robot.point} does not move under a push along {enumerated(along)}: the file's <equality> {what}; take "
             "that out of the file, or write active=\"false\" there")
 
 
 def _to_type(robot: Robot) -> str:
     """The words on what to type for another pose."""
-    joints = listed([robot.joint_name(joint) for joint in robot.joints])
+    joints = join_names([robot.joint_name(joint) for joint in robot.joints])
     keys = " or @NAME of a keyframe" if robot.model.nkey else ""
     return f"write --robot {robot.label}@q=Q1,Q2,... with a position, rad or m, for each of {joints}{keys}"
 
 
 def _keyframes(robot: Robot) -> str:
     names = [robot.model.key(n).name or str(n) for n in range(robot.model.nkey)]
-    return f"it has {listed(names)}" if names else "it has none"
+    return f"it has {join_names(names)}" if names else "it has none"
 
 
 def _sites(robot: Robot) -> str:
     return f"--robot {robot.label.partition('#')[0]}#NAME with another of its sites or bodies"
 
 
-def listed(names: list[str]) -> str:
+def join_names(names: list[str]) -> str:
     """The first `LISTED` of the names that are not empty, as a sentence has them."""
     known = [name for name in names if name]
     return ", ".join([*known[:LISTED], *["..."] * (len(known) > LISTED)]) or "none has a name"

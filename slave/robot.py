@@ -6,8 +6,8 @@ from typing import Any
 
 from teleop.physics.carried import is_carried
 from teleop.physics.plant import Plant
-from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
+from teleop.protocol.guard import DEADLINE
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import check_turn, slave_plants
 from teleop.simulation.structure import structure_of
@@ -70,8 +70,8 @@ class SimulatedSlave:
             self._since = self._renewed = self._k
             self._z = [plant.start for plant in plants]
         else:
-            kept = zip(self._plants, self._z, plants, strict=True)
-            self._z = [_goes_on(old, z, new, self._k - self._since) for old, z, new in kept]
+            pairs = zip(self._plants, self._z, plants, strict=True)
+            self._z = [_goes_on(old, z, new, self._k - self._since) for old, z, new in pairs]
         self._scene, self._plants, self._inner = scene, plants, has.inner
         self._sensor = has.felt if self._senses is None else self._senses
         self._lapse = max(1, round(DEADLINE * 1e9 / scene.dt_ns))

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 from teleop.bench.motor import HANG, Motor
 from teleop.live.records.record import read_events
-from teleop.protocol.deadline import DEADLINE
+from teleop.protocol.guard import DEADLINE
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]

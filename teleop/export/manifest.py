@@ -19,9 +19,8 @@ from msgpack import packb
 from teleop.errors import Refused
 from teleop.kind import kinds
 from teleop.law import messages
-from teleop.protocol.layout import Layout
 from teleop.protocol.manifest import live_manifest
-from teleop.protocol.packet import VERSION, Echo, Kind, Packet, encode
+from teleop.protocol.packet import VERSION, Echo, Kind, Layout, Packet, encode
 from teleop.protocol.session import Session
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends

@@ -15,9 +15,8 @@ from teleop.live.net.wire import Wire, shown
 from teleop.live.process.ticker import Alarm, Suspension, boottime, in_tick_loop
 from teleop.live.shell import Shell, name_part
 from teleop.protocol.endpoint import Endpoint, Stepped
-from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.packet import VERSION, Rejection
-from teleop.protocol.session import FINISHED
+from teleop.protocol.session import FINISHED, RENEW_NS
 
 OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
 SEALED_OPEN_NS = 100_000_000  # the same with keys: the peer may have moved, and the session goes on if it is found
@@ -84,7 +83,7 @@ def _has_hint(shell: Shell) -> bool:
     secure_link = shell.wire.secure_link
     if secure_link is not None and secure_link.trouble is not None:
         return True
-    return shell.connection.asked is not None or _unknown_came(shell)
+    return shell.connection.configured is not None or _unknown_came(shell)
 
 
 def _why_no_peer(shell: Shell, since: str) -> str:

@@ -32,8 +32,7 @@ from teleop.live.process.realtime import run_first
 from teleop.live.process.ticker import Alarm
 from teleop.live.shell import MAY_BE_ON, Shell, part_of
 from teleop.protocol.endpoint import Axes, Endpoint
-from teleop.protocol.guard import Event
-from teleop.protocol.held_force import BLIND_NS
+from teleop.protocol.guard import BLIND_NS, Event
 from teleop.scene.axes import FORCE_UNIT
 from teleop.terminal.options import FAULT, FORCED
 

@@ -1,7 +1,7 @@
 """Orders to a live process: lines of JSON on its standard input, from the process that started it.
 
 A live page is the parent of the three processes that it shows, and steers them so: no port and no token between them.
-What an order may be is below; `teleop.live.turning` and `channel.shell` carry them out.
+What an order may be is below; `teleop.live.turning` and `channel.__main__` carry them out.
 """
 
 from __future__ import annotations

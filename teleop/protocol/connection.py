@@ -1,4 +1,4 @@
-"""One end and where its peer is: `(datagram, address)` pairs and `now` in; such pairs and events out. Sans-IO.
+"""Connection of an end to its peer's address: `(datagram, address)` pairs and `now` in; pairs and events out. Sans-IO.
 
 The form is that of aioquic's `QuicConnection`. In the open the peer is known by its address: while a session lasts, a
 datagram from elsewhere is counted as `address` and dropped, unless it may begin another session. A peer that has moved
@@ -19,13 +19,13 @@ Address = tuple[str, int]
 class Connection:
     """An `endpoint` and the address of its `peer`, None before there is one.
 
-    `asked`: where this end was told that its peer is; None: whichever master comes. `sealed`: datagrams come opened.
+    `configured`: the address typed for the peer; None: whichever master comes. `sealed`: datagrams come opened.
     """
 
-    def __init__(self, endpoint: Endpoint, asked: Address | None, *, sealed: bool = False) -> None:
+    def __init__(self, endpoint: Endpoint, configured: Address | None, *, sealed: bool = False) -> None:
         self.endpoint = endpoint
-        self.asked = asked
-        self.peer = asked
+        self.configured = configured
+        self.peer = configured
         self._sealed = sealed
 
     def receive(self, data: bytes, address: Address, now: int) -> list[tuple[bytes, Address]]:
@@ -44,13 +44,13 @@ class Connection:
         return [(reply, to) for reply in replies]
 
     def due(self, now: int) -> list[tuple[bytes, Address]]:
-        """What is to be sent now because it was not answered. A session is asked for where this end was told to ask."""
+        """Datagrams to send again, since nothing answered them. A HELLO goes to the configured address."""
         session = self.endpoint.session
         datagrams = session.due(now)
         if not datagrams and not session.meeting:
             return []
-        if session.meeting and self.asked is not None:
-            self.peer = self.asked
+        if session.meeting and self.configured is not None:
+            self.peer = self.configured
         return self._to_peer(datagrams) if datagrams else []
 
     def bye(self, reason: str, now: int) -> list[tuple[bytes, Address]]:
@@ -58,7 +58,7 @@ class Connection:
         return self._to_peer(self.endpoint.session.bye(reason, now))
 
     def events(self) -> list[Event | SessionBegun]:
-        """What has happened since this was asked last: of the guard, and the sessions that have begun."""
+        """Events since the last call: the guard's, and the sessions that have begun."""
         guard, session = self.endpoint.guard, self.endpoint.session
         if not guard.new_events and not session.new_events:  # nearly always
             return []

@@ -1,11 +1,11 @@
-"""One live end without its sockets: bytes and `now` come in, forces and bytes go out. Sans-IO.
+"""Live end without its sockets: bytes and `now` come in, forces and bytes go out. Sans-IO.
 
 The tick itself is made from `teleop.simulation.tick`, as in virtual time. Around it: the guard, which
 decides how much of the law's force may be held; and the sessions, with each of which the law begins anew. A session
 after the first begins where the end is: its law sees positions from there (a clutch), the record goes on in the
 device's own.
 
-An end may tick at every n-th tick of the grid only, its peer at every m-th: see `teleop.protocol.rates`.
+An end may tick at every n-th tick of the grid only, its peer at every m-th: see `teleop.protocol.inbox`.
 """
 
 from __future__ import annotations
@@ -19,16 +19,14 @@ from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.law import messages as message_types
 from teleop.protocol.estimates import LinkEstimates
-from teleop.protocol.guard import Guard
-from teleop.protocol.held_force import HeldForce
-from teleop.protocol.inbox import Inbox
-from teleop.protocol.layout import Layout
-from teleop.protocol.liveness import RENEW_NS
+from teleop.protocol.guard import ForceGuard, HeldForce
+from teleop.protocol.inbox import Heard, Inbox, Messages, Resampling
 from teleop.protocol.packet import (
     DATA,
     MOST_SEQ,
     Echo,
     Kind,
+    Layout,
     Packet,
     Rejection,
     Window,
@@ -37,10 +35,8 @@ from teleop.protocol.packet import (
     encode,
     unwrapped,
 )
-from teleop.protocol.presence import Presence
-from teleop.protocol.rates import Heard, Messages, Resampling
-from teleop.protocol.session import Session
-from teleop.protocol.sums import Sums
+from teleop.protocol.reception import IntegralCheck, Presence
+from teleop.protocol.session import RENEW_NS, Session
 from teleop.protocol.switches import SwitchEvents, switches_of, unlike
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
@@ -58,7 +54,7 @@ COUNTED = ("received", "late", "overtaken", "duplicates", "refused", "played")  
 
 
 class Reading(NamedTuple):
-    """What a device or robot reads at a tick, per axis: the left limit at t_k. SI units.
+    """Reading of a device or robot at a tick, per axis: the left limit at t_k. SI units.
 
     The switches are those of a master: None, it has no such switch. See `teleop.stages.operator`.
     """
@@ -79,7 +75,7 @@ class Stepped:
         self._held: dict[int, Heard] = {}
         self._newest = -1
 
-    def put(self, packet: int, tick: int, entry: Heard) -> None:
+    def add(self, packet: int, tick: int, entry: Heard) -> None:
         if packet > self._newest - self._keep:  # a copy of one that was dropped would stay for ever
             self._held[packet] = entry
         if packet > self._newest:
@@ -96,7 +92,7 @@ class Stepped:
 
 
 class Tick(NamedTuple):
-    """What one tick of an end comes to."""
+    """Result of one tick of an end."""
 
     force: Axes  # to hold until the next tick, N
     datagram: bytes | None  # to send; None if the message is not finite, or its deadband does not send it
@@ -105,7 +101,7 @@ class Tick(NamedTuple):
 
 
 class Witness(Protocol):
-    """What writes down all that an end is told; see `teleop.live.records.inputs`."""
+    """Writer of all inputs of an end; see `teleop.live.records.inputs`."""
 
     def arrived(self, session: int, packet: int, time_ns: int, tick: int) -> None: ...
     def ticked(self, k: int, session: int, inputs: tuple[Any, ...], index: Axes | None, force: Axes,
@@ -140,7 +136,7 @@ class Endpoint:
         self.every = session.every
         self.own = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
         dt = self.own.dt_ns / 1e9
-        self.guard = Guard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
+        self.guard = ForceGuard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
         # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
         played = round(scene.played_as.delay * 1e9) if isinstance(scene.played_as, Fixed) else 0
         session.liveness.renew_ns = max(session.liveness.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
@@ -176,12 +172,12 @@ class Endpoint:
         self._size = check_size(scene.wire_size, most, energy=scene.energy and not self._integral)
         self._newest_wins = not self.stepped and not isinstance(scene.played_as, Fixed)
         self._rates = Resampling(rx_type, mine=self.every, turning=scene.turning)
-        self._sums = Sums(scene.dt_ns / 1e9, scene.axes)
+        self._sums = IntegralCheck(scene.dt_ns / 1e9, scene.axes)
         self._dt, self._dt_ns = dt, scene.dt_ns
 
     @property
     def way(self) -> Any:
-        """One-way delays towards this end, ns."""
+        """Times (ns) of the way towards this end: one-way delays."""
         return self.link.way
 
     def senses(self, sensor: bool, switches: tuple[str, ...] = ()) -> None:
@@ -232,31 +228,31 @@ class Endpoint:
         seq = seq if -_NEAR < seq - near < _NEAR else unwrapped(seq, near)
         sent = start_ns + seq * dt_ns  # when, by our clock
         if session.met != self._met and not self.stepped:
-            session.data_came(now, sent)
+            session.take_data(now, sent)
             return []  # its law begins with the next tick, and nothing of it counts as of the session before
         if seq > near and seq > (self._tick + 1 if self.stepped else near + self.presence.most_ahead()):
             self.rejected["early"] += 1
             self.presence.ahead(self._tick, seq - near, sent_ns, now)
             return []
-        old, heard = seq < 0 or seq < near - (1 << 30), self._heard(packet)
+        old, heard = seq < 0 or seq < near - (1 << 30), self._message_of(packet)
         if old or (heard.waves is not None and not self._sums.add_up(seq, heard.waves, session.peer_every)):
             self.rejected["old" if old else "integrals"] += 1
             return []
         self.received += 1
         if self._window.judge(seq, near) == "new":
-            session.data_came(now, sent)
+            session.take_data(now, sent)
             self._came = came
             self.presence.in_time()
             if not self.stepped:
                 self.heard_ns = now
-                self.link.heard(seq, sent_ns, echo, now - sent, now)
+                self.link.add(seq, sent_ns, echo, now - sent, now)
             if self._newest is None or seq > self._newest[0]:
                 self._newest = (seq, sent_ns, now)
                 self.presence.newest(echo, sent, now)
         tick = came if came > self._tick else self._tick + 1
         if self.witness is not None:
             self.witness.arrived(self._met, seq, now - start_ns, tick)
-        self.inbox.put(seq, tick, heard)
+        self.inbox.add(seq, tick, heard)
         return []
 
     def tick(self, k: int, now: int, reading: Reading, trouble: str | None = None) -> Tick:
@@ -284,7 +280,7 @@ class Endpoint:
             if self.stamp_margin is None or margin < self.stamp_margin:
                 self.stamp_margin = margin
         if self._switches is not None:
-            self._switches.told(k, row, self.guard)
+            self._switches.update(k, row, self.guard)
         if self._index is not None:
             row = self._physical(row)
         self._tick = k
@@ -343,7 +339,7 @@ class Endpoint:
                 self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
                 self.inbox, self._tick = Inbox(self.scene.played_as, self.scene.dt_ns, tick=k - 1), k - 1
                 self._window, self._newest, self._shifted = Window(), None, 0
-                self._sums = Sums(self.scene.dt_ns / 1e9, self.scene.axes)
+                self._sums = IntegralCheck(self.scene.dt_ns / 1e9, self.scene.axes)
                 self.presence.begin()
                 self.link.begin(self._rates.theirs)
             self.guard.begin(k, "the law begins from rest, and its positions from here")
@@ -364,12 +360,12 @@ class Endpoint:
             unheard = inf if waits else presence.unheard_ns / 1e9
         came = self._came if self._newest_wins else self._rates.played
         gain = self.guard.step(
-            k, age is not None, trouble, came=came, over=session.ended, unheard=unheard, age=age or 0)
+            k, age is not None, trouble, arrived=came, over=session.ended, unheard=unheard, age=age or 0)
         session.zero_force = gain == 0.0
         return gain
 
     def _counted_from(self, x: Axes) -> Axes:
-        """Where the law's positions count from: here, to a whole step of the encoder if there is one."""
+        """Origin of the law's positions: here, to a whole step of the encoder if there is one."""
         device: Any = getattr(self.scene, f"device_{self.e}")
         if device is None or device.encoder is None:
             return x
@@ -394,7 +390,7 @@ class Endpoint:
             out[i] += self._index[n % self.scene.axes]
         return tuple(out)
 
-    def _heard(self, packet: Packet) -> Heard:
+    def _message_of(self, packet: Packet) -> Heard:
         payload: Any = packet.payload
         rx, at = self._rx.messages(payload), self._rx.width
         if not self._integral:
@@ -407,7 +403,7 @@ class Endpoint:
         return Heard(rx, sum(each.E for each in waves), waves)
 
     def _since(self, waves: tuple[Integrals, ...]) -> tuple[Integrals, ...]:
-        """What waves have come to since the first message of this session that this end played.
+        """Subtract the integrals of the first message of this session that this end played.
 
         Where both begin with tick 0, that is all they have come to. A later session's ends begin at ticks of their own,
         and what a peer sent before this end was there is no queue to play.

@@ -1,4 +1,4 @@
-"""What a live end can tell of its link and of the peer's clock, from the packets alone. Sans-IO; times are ns.
+"""Estimates of the link and of the peer's clock, from the packets alone. Sans-IO; times are ns.
 
 One packet tells four instants: `t1`, when the packet that it echoes left here; `t2`, when that came there; `t3`, when
 this one left there; `t4`, when it came here; t1 and t4 by our clock, the others by the peer's. Then
@@ -7,11 +7,18 @@ this one left there; `t4`, when it came here; t1 and t4 by our clock, the others
 
 and theta is the peer's clock less ours, wrong by half the difference of the two ways at most (NTP, RFC 5905, 8). That
 error stays the same as long as the ways do: how the offset *changes* is known much better than the offset.
+
+`ClockExchange` measures before the first message, by the round trips of HELLO and WELCOME, and sets the grid of ticks.
+Each WELCOME echoes its HELLO, which bounds the slave's clock against the master's: the offset is taken from the fastest
+round trip and is uncertain by half of that.
 """
 
 from __future__ import annotations
 
 from collections import deque
+
+from teleop.protocol.manifest import MOST_CLOCK_NS
+from teleop.protocol.packet import Packet
 
 MOST_RTT_NS = 60_000_000_000  # of a round trip that is believed
 WINDOW_NS = 1_000_000_000  # of each, the fastest round trip counts
@@ -40,7 +47,7 @@ class Times:
 
 
 class PeerClock:
-    """How the peer's clock goes beside ours: `offset_ns` (peer's less ours), `drift` (of its rate, 1e-6 is 1 ppm).
+    """Clock of the peer beside ours: `offset_ns` (peer's less ours), `drift` (of its rate, 1e-6 is 1 ppm).
 
     `shift_ns` is how far the offset has moved since the first window. A window moves it only by what the ways cannot
     explain: if a round trip differs by d from the first one's, the ways can have moved theta by d/2 and no more.
@@ -81,7 +88,7 @@ class PeerClock:
 
     @property
     def drift(self) -> float | None:
-        """How much faster the peer's clock goes than ours, as a fraction; None before there is enough to tell.
+        """Rate of the peer's clock above ours, as a fraction; None before there is enough to tell.
 
         The slope of theta by least squares. A window weighs the less the slower its round trip was than the fastest:
         by half of that it can be wrong.
@@ -118,7 +125,7 @@ class PeerClock:
 
 
 class LinkEstimates:
-    """What the packets of one session say of the link: delays, jitter, loss, order.
+    """Estimates of the link from the packets of one session: delays, jitter, loss, order.
 
     `way`: one-way delay as it is seen over the common grid of ticks. `rtt`: round trips, which need no common clock.
     `jitter_ns`: interarrival jitter (RFC 3550, 6.4.1). `lost` and `reordered`: of the numbers up to the newest one that
@@ -133,19 +140,19 @@ class LinkEstimates:
         self.clock = self._parted = PeerClock(band_ns)
         self.transit_ns: int | None = None  # of the last message, by the two ends' own clocks
         self._first, self._newest = 0, -1
-        self._came = 0
+        self._count = 0
         self._lost = 0  # in sessions before this one
 
-    def heard(self, seq: int, sent_ns: int, echo: tuple[int, int] | None, way_ns: int, now: int) -> None:
+    def add(self, seq: int, sent_ns: int, echo: tuple[int, int] | None, way_ns: int, now: int) -> None:
         """A message that has not come before: its number, send time (peer's clock), echo, and delay over the grid."""
         self.way.add(way_ns)
         transit, before = now - sent_ns, self.transit_ns
         if before is not None:
             self.jitter_ns += (abs(transit - before) - self.jitter_ns) / 16.0
         self.transit_ns = transit
-        if not self._came:
+        if not self._count:
             self._first = seq
-        self._came += 1
+        self._count += 1
         if seq > self._newest:
             self._newest = seq
         else:
@@ -173,8 +180,80 @@ class LinkEstimates:
     def begin(self, every: int = 1) -> None:
         """A new session: its numbers, its clock; the figures go on."""
         self._lost += self._missing(every)
-        self._came, self._newest, self.transit_ns = 0, -1, None
+        self._count, self._newest, self.transit_ns = 0, -1, None
         self._parted, self.clock = self.parted, PeerClock(self.clock.band_ns)
 
     def _missing(self, every: int) -> int:
-        return max(0, (self._newest - self._first) // every + 1 - self._came) if self._came else 0
+        return max(0, (self._newest - self._first) // every + 1 - self._count) if self._count else 0
+
+
+ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster
+FASTER_NS = 1_000_000  # by so much: what waited at a process that stood still is answered faster from one to the next
+LEAD_NS = 150_000_000  # tick 0 is this far ahead when START is first sent
+AHEAD_NS = LEAD_NS + 3 * MOST_RTT_NS  # the furthest that tick 0 can be ahead
+
+
+class ClockExchange:
+    """The master's measurement. `offset_ns`: the slave's clock less the master's; `rtt_ns`: the fastest round trip.
+
+    `rounds` counts the round trips that bear that one out.
+    """
+
+    def __init__(self) -> None:
+        self.offset_ns = 0
+        self.rtt_ns: int | None = None
+        self.rounds = 0
+        self._since_ns = 0  # when the first of these rounds was over
+        self._grid_rtt_ns: int | None = None  # the round trip by which the grids of the two ends were set to be one
+
+    def restart(self) -> None:
+        """Measure anew, for another session; the offset stays until then."""
+        self.rtt_ns = None
+        self.rounds = 0
+
+    @property
+    def enough(self) -> bool:
+        """True if the fastest round trip has been borne out by enough others."""
+        return self.rounds >= ROUNDS
+
+    def take(self, welcome: Packet, now: int) -> bool:
+        """Take the round trip of a WELCOME that came at `now`; False if it is implausible, and so ignored."""
+        if welcome.echo is None:
+            return False
+        rtt = now - welcome.echo.sent_ns - welcome.echo.held_ns
+        if not 0 <= rtt <= MOST_RTT_NS or abs(welcome.sent_ns) > MOST_CLOCK_NS:
+            return False
+        if self.rtt_ns is None or rtt < self.rtt_ns - FASTER_NS:
+            self.rounds = 1  # what was asked before may have waited just as long
+            self._since_ns = now
+        elif welcome.echo.sent_ns >= self._since_ns:
+            self.rounds += 1
+        if self.rtt_ns is None or rtt < self.rtt_ns:
+            self.rtt_ns = rtt
+            self.offset_ns = welcome.sent_ns - (now - rtt // 2)
+        return True
+
+    def tick_0(self, ours: int | None, theirs: int | None, now: int) -> int:
+        """The time of tick 0 on the master's clock. `ours`: that of its grid; `theirs`: of the slave's, on its clock.
+
+        Of two grids that came apart the one that is further on: ticks cannot be taken back, only left out.
+        """
+        assert self.rtt_ns is not None
+        if ours is not None and theirs is not None and self._knows_better(theirs - ours):
+            self.offset_ns = theirs - ours  # the two ends have one grid still
+        else:
+            self._grid_rtt_ns = self.rtt_ns
+        grids = [] if ours is None else [ours]
+        if theirs is not None:
+            grids.append(theirs - self.offset_ns)
+        return min(grids) if grids else now + LEAD_NS + 2 * self.rtt_ns
+
+    def _knows_better(self, offset_ns: int) -> bool:
+        """True if `offset_ns`, by which the grids of the two ends are one, says more of the clocks than this exchange.
+
+        It does if it was measured by a round trip less than half as long, and this one does not contradict it: one way
+        may be slow at the moment, and the grids would be set apart by half of that for good.
+        """
+        assert self.rtt_ns is not None
+        rtt, before = self.rtt_ns, self._grid_rtt_ns
+        return before is not None and rtt > 2 * before and abs(offset_ns - self.offset_ns) <= (rtt + before) // 2

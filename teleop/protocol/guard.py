@@ -16,15 +16,68 @@ stall of nearly its deadline, since it was let go in the meantime: what comes ne
 
 A slew limit may hold a force for longer than the ramp. `LONGEST` seconds after the gain has come to 0 the force is
 `overdue`, whatever the slew limit says: what is left of it goes in one step, and an event says so.
+
+`HeldForce` is the force that the end holds, and its way to zero where the law cannot run: without a reading, after a
+force that was not finite, and after the run. The held force is then scaled by the guard's gain, which falls along the
+watchdog's ramp, within the scene's cap: it falls in amount at every tick and never changes sign. It is open loop, so
+without a reading the way is short.
+
+No code of an end runs when it is killed, stopped, or hung in a driver. The device itself lets go then, at its deadline.
+For a device whose hardware cannot, a process beside the end does (`teleop.live.devices.device_watchdog`), by `Silence`.
 """
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import NamedTuple
 
-from teleop.protocol.deadline import LAPSING
-from teleop.stages.force_cap import LONGEST
+from teleop.scene.axes import FORCE_UNIT
+from teleop.scene.scene import Scene
+from teleop.stages.force_cap import LONGEST, cap, caps
+from teleop.stages.velocity_cap import limit_speed
 from teleop.stages.watchdog import Watchdog, late_step
+
+DEADLINE = 0.15
+"""Seconds, of the simulated devices, and the default of a device watchdog.
+
+As long as the default watchdog of a link takes from the last packet to zero force (0.1 s and a ramp of 0.05 s), so an
+end that dies lets go as soon as an end that hears nothing; and twice the 70 ms for which a machine may stall anyway.
+"""
+
+LAPSING = 0.9
+"""An end that has not ticked for this share of it takes the force as lapsed: its clock is not the device's."""
+
+LOOKS = 15  # of a device watchdog within one deadline
+GRACE = 0.2  # of the deadline: what an end gets after its watchdog stood still itself
+
+
+class Silence:
+    """The check, every `look_ns`, that a heartbeat is not overdue. Times are ns of the machine's monotonic clock.
+
+    A watchdog that stood still itself cannot tell whether the end did too: both may have been kept from running. So
+    after a look that came late the end gets `grace_ns` to renew; but only once for each heartbeat, or a watchdog that
+    is always late would never act.
+    """
+
+    def __init__(self, deadline_ns: int) -> None:
+        self.deadline_ns, self.look_ns = deadline_ns, max(1, deadline_ns // LOOKS)
+        self.grace_ns = round(deadline_ns * GRACE)
+        self._looked: int | None = None
+        self._graced, self._until = 0, 0  # the heartbeat that was given time, and until when
+
+    def overdue(self, now: int, beat: int) -> bool:
+        """True if the force is to be set to zero. `beat`: when it was renewed last; 0 means that there is no force.
+
+        `now` has to be read before `beat` is, so that a pause between the two makes the silence shorter, not longer.
+        """
+        late = self._looked is not None and now - self._looked > self.look_ns + self.grace_ns
+        self._looked = now
+        if not beat or now - beat <= self.deadline_ns:
+            return False
+        if late and beat != self._graced:
+            self._graced, self._until = beat, now + self.grace_ns
+        return beat != self._graced or now >= self._until
+
 
 UNNAMED = Watchdog(timeout=0.8)
 """What a live end has where the scene names no watchdog."""
@@ -42,7 +95,7 @@ class Event(NamedTuple):
     why: str
 
 
-class Guard:
+class ForceGuard:
     """The gain of one end, tick by tick. `watchdog`: the scene's; None: `UNNAMED`, or none at all when stepped.
 
     `dt`: the end's own tick, s; that is every `every`-th of the grid, by which time is counted here. `safe`: is it in
@@ -103,15 +156,15 @@ class Guard:
         return 0 if self._dog is None else round(self._dog.timeout * 1e9)
 
     def step(
-        self, k: int, got: bool, trouble: str | None = None, *, came: int | None = None, over: str | None = None,
+        self, k: int, got: bool, trouble: str | None = None, *, arrived: int | None = None, over: str | None = None,
         unheard: float = 0.0, age: int = 0,
     ) -> float:
-        """The gain at tick k of the grid. `got`: is there a fresh message; `trouble`: what else keeps it safe.
+        """The gain at tick k of the grid. `got`: is there a fresh message; `trouble`: another cause to be safe.
 
-        `came`: the tick at which a packet came last, or was played last, if not this one: neither what waited at an end
-        that stood still, nor a slow peer's message that stands for many ticks, shows that its sender is still there.
-        `over`: why the session is over. `unheard`: for how long (s) the other end had heard nothing of this one when it
-        sent its newest packet. `age`: how many ticks ago that message was sent.
+        `arrived`: the tick at which a packet arrived last, or was played last, if not this one. A packet that waited at
+        an end that stood still does not show that its sender is still there, nor does a slow peer's message that stands
+        for many ticks. `over`: why the session is over. `unheard`: for how long (s) the other end had heard nothing of
+        this one when it sent its newest packet. `age`: how many ticks ago that message was sent.
         """
         if self._c is None or self._dog is None:
             return 1.0
@@ -119,7 +172,7 @@ class Guard:
         passed, self._k = (k - self._k) // every, k
         if got and passed == 1 and self.gain == 1.0 and not self.safe and trouble is None and over is None:
             heard, quiet = self._heard, self._quiet_ticks + 1.0
-            newest = k if came is None or came > k else came
+            newest = k if arrived is None or arrived > k else arrived
             if newest > heard:  # noqa: PLR1730 - at every tick, and `max` takes three times as long
                 heard = newest
             silent = (k - heard) // every
@@ -133,7 +186,7 @@ class Guard:
         if self.lapsed:
             self.gain = 0.0
         if got:
-            self._hear(k, came, age)
+            self._hear(k, arrived, age)
         silent, not_heard = (k - self._heard) // self._every, unheard > timeout_ticks * self._dt
         if trouble is None:
             trouble = self._cause_of(k, passed - 1, silent, not_heard, over)
@@ -152,14 +205,14 @@ class Guard:
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
         return self.gain
 
-    def _hear(self, k: int, came: int | None, age: int) -> None:
-        """A message is there at tick k, sent `age` ticks ago; what `came` is, see `step`."""
+    def _hear(self, k: int, arrived: int | None, age: int) -> None:
+        """A message is there at tick k, sent `age` ticks ago; what `arrived` is, see `step`."""
         assert self._c is not None
         if age / self._every > self._c.age:
             self._old_k, self.old = k, self.old + 1
             self.oldest = max(self.oldest, age / self._every * self._dt)
             return
-        self._heard = max(self._heard, k if came is None else min(k, came))
+        self._heard = max(self._heard, k if arrived is None else min(k, arrived))
         self._waits = self._waits and (k - self._heard) // self._every > self._c.timeout_ticks
 
     def _cause_of(self, k: int, missed: int, silent: int, not_heard: bool, over: str | None) -> str | None:
@@ -212,3 +265,91 @@ class Guard:
             self.entries += not self.safe
             self.safe = True
             self.tell(k, "safe", why)
+
+
+BLIND_NS = 100_000_000  # the longest that a force is held without a reading
+
+
+class HeldForce:
+    """`force` (N, per axis) of end `e`, which ticks at every `every`-th tick of the scene's grid."""
+
+    def __init__(self, scene: Scene, e: str, every: int, guard: ForceGuard) -> None:
+        self.force: tuple[float, ...] = (0.0,) * scene.axes
+        self._e, self._every, self._guard = e, every, guard
+        self._dt_ns, dt = scene.dt_ns, every * scene.dt_ns / 1e9
+        # Of each axis its greatest velocity, None where it has none, and its cap; none of a scene without a cap.
+        self._limits = [] if scene.cap is None else [(each.speed(), each.limits(dt)) for each in caps(scene)]
+        self._units = [FORCE_UNIT[unit] for unit in scene.axis_units]
+        self._k = 0  # the tick at which it was set last
+
+    def begin(self, k: int) -> None:
+        """The law begins at tick k."""
+        self._k = k - self._every
+
+    def since(self, k: int) -> int:
+        """Number of own ticks since it was set last, at tick k, where it is set again."""
+        ticks, self._k = (k - self._k) // self._every, k
+        return ticks
+
+    def take(self, k: int, force: tuple[float, ...]) -> bool:
+        """Set it to `force` (N, per axis) at tick k; False if that is not finite, and then it stays what it was."""
+        if not isfinite(sum(force)) and not all(map(isfinite, force)):  # a sum may be too great that is of finite ones
+            return False
+        if not any(force):
+            self.zero(k)
+        self.force = force
+        return True
+
+    def zero(self, k: int) -> None:
+        """Set it to zero at tick k, with an event where that is a step which the slew limit does not allow.
+
+        There is none where the device has set it to zero by itself.
+        """
+        steps = [(abs(f), unit) for f, (_, c), unit in zip(self.force, self._limits, self._units, strict=False)
+                 if abs(f) > c.step * (1.0 + 1e-9)]
+        self.force = (0.0,) * len(self.force)
+        if steps and not self._guard.lapsed:
+            self._guard.tell(k, "zero", "{:.3g} {} set to zero in one step, which the slew limit still held".format(
+                *max(steps)))
+
+    def lost(self) -> None:
+        """The device did not take it: whatever it holds now, the next force begins at zero, along the guard's ramp."""
+        self._guard.gain = 0.0
+        self.force = (0.0,) * len(self.force)
+
+    def blind(self, k: int, ran: int, trouble: str) -> tuple[float, ...]:
+        """The force to hold at tick k, which has no reading and so no law; `ran`: the last tick that had.
+
+        After `BLIND_NS` there is none, whatever ramp and slew limit ask.
+        """
+        self._k, before = k, self._guard.gain
+        gain = self._guard.step(k, False, trouble)
+        if gain >= before:  # of a stepped end without a watchdog
+            gain = self._guard.fall()
+        if (k - ran) * self._dt_ns > BLIND_NS or self._guard.lapsed:
+            self._guard.gain = gain = 0.0
+            self.zero(k)
+        return self._scaled(before, gain, None)
+
+    def over(self, v: tuple[float, ...] | None, passed: int = 1) -> tuple[float, ...]:
+        """The force to hold `passed` own ticks later with the run over; one step of the slew limit, however many.
+
+        Whoever asks ends this where the guard is `overdue`.
+
+        `v`: the velocity (m/s, per axis), by which the velocity cap is kept; None if it is not known.
+        """
+        before, gain = self._guard.gain, self._guard.fall(passed)
+        if self._guard.lapsed:
+            self.force = (0.0,) * len(self.force)
+        return self._scaled(before, gain, v)
+
+    def _scaled(self, before: float, gain: float, v: tuple[float, ...] | None) -> tuple[float, ...]:
+        part = gain / before if before > 0.0 else 0.0
+        force = [part * each for each in self.force]
+        along = None if v is None or not all(map(isfinite, v)) else v if self._e == "s" else [-each for each in v]
+        for i, (speed, c) in enumerate(self._limits):
+            if speed is not None and along is not None:
+                force[i] = limit_speed(speed, force[i], along[i])
+            force[i] = cap(c, force[i], self.force[i])
+        self.force = tuple(force)
+        return self.force

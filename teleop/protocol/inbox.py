@@ -1,4 +1,4 @@
-"""Playout: which packet a tick plays, out of those that a link delivered.
+"""Playout: the packet that a tick plays, out of the packets that a link delivered.
 
 A packet sent at tick k arrives at tick `max(k+1, ceil(time/dt))`. With playout zero or hold the newest
 wins: a tick plays the greatest number that has come, if it is greater than every one played before. With
@@ -7,14 +7,97 @@ otherwise. Either way a packet is played at most once and the numbers played onl
 
 `Inbox` plays packets tick by tick, as their datagrams come; `teleop.simulation.plan` gives the same for a whole
 direction of a link that was drawn up front.
+
+`Resampling` serves ends at different rates. Both count the ticks of one grid; an end takes every `mine`-th of them, its
+peer every `theirs`-th. A slower peer's message stands for all the ticks until its next one is due, and is played at
+each of them. The messages of a faster one since the last tick are played together: the mean of a sample or a position,
+the newest of a total (`teleop.kind`). The newest is played of a rotation vector too, for no mean of these is one. The
+integrals of waves are cumulative, so the newest message has it all (`teleop.stages.wave_integral`): ends at different
+rates exchange waves in no other way. Where neither rate is a multiple of the other, the mean is over the ticks of the
+grid, at each of which the last message stands, for its sender's tick at most.
 """
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from teleop.errors import Refused
+from teleop.kind import positions, totals
 from teleop.scene.playout import Fixed, Playout
+from teleop.stages.wave_integral import Integrals
+
+
+class Heard(NamedTuple):
+    """Message as received: the law's, per axis, the sender's energy stamp, and the integrals of its waves."""
+
+    rx: tuple[Any, ...]
+    E_in: float | None
+    waves: tuple[Integrals, ...] | None = None  # per axis, where they are sent along
+
+
+class Messages(Protocol):
+    """Store where messages wait until a tick plays them."""
+
+    def add(self, packet: int, tick: int, entry: Heard) -> None: ...
+    def take(self, tick: int) -> tuple[int, Heard] | None: ...
+
+
+class Resampling:
+    """Takes messages of type `kind` out of an inbox, at every `mine`-th tick. `turning`: the axes of rotations."""
+
+    def __init__(self, kind: Any, *, mine: int, turning: frozenset[int] = frozenset()) -> None:
+        self.mine, self.theirs = mine, 1
+        self._kind, self._turning = kind, turning
+        self._totals, self._turned = totals(kind), totals(kind) + positions(kind)
+        self._last: tuple[int, tuple[int, Heard]] | None = None  # when a message was played last, and which
+
+    @property
+    def played(self) -> int | None:
+        """The tick of the grid at which a packet was played last; None where every tick plays its own, or none."""
+        return None if self._last is None else self._last[0]
+
+    def begin(self, theirs: int) -> None:
+        """A session with a peer that ticks at every `theirs`-th tick."""
+        self.theirs, self._last = theirs, None
+
+    def take(self, inbox: Messages, last: int, k: int) -> tuple[int, Heard] | None:
+        """Packet number and message that tick k plays, the tick before being `last`; None: nothing."""
+        mine, theirs = self.mine, self.theirs
+        if mine == theirs == 1:
+            return inbox.take(k)
+        ticks = range(max(last + 1, k - mine + 1), k + 1)
+        if mine % theirs and theirs % mine:
+            stood = [each for j in ticks if (each := self._standing(inbox, j)) is not None]
+            return self._mean(stood) if stood else None
+        messages = [got for j in ticks if (got := inbox.take(j)) is not None]
+        if messages:
+            got = self._mean(messages)
+            self._last = (k, got)
+            return got
+        if self._last is None or k - self._last[0] + mine > theirs:
+            return None
+        return self._last[1]
+
+    def _standing(self, inbox: Messages, j: int) -> tuple[int, Heard] | None:
+        """The message that stands at tick j of the grid, if one does."""
+        got = inbox.take(j)
+        if got is not None:
+            self._last = (j, got)
+        return self._last[1] if self._last is not None and j - self._last[0] < self.theirs else None
+
+    def _mean(self, messages: list[tuple[int, Heard]]) -> tuple[int, Heard]:
+        """Mean of the messages that messages for one tick."""
+        if len(messages) == 1:
+            return messages[0]
+        newest, heard = messages[-1]
+        rx = []
+        for i in range(len(heard.rx)):
+            newest_of = self._turned if i in self._turning else self._totals
+            fields = zip(self._kind._fields, *[each.rx[i] for _, each in messages], strict=True)
+            rx.append(self._kind(*[numbers[-1] if name in newest_of else sum(numbers) / len(messages)
+                                   for name, *numbers in fields]))
+        return newest, heard._replace(rx=tuple(rx))
+
 
 Entry = TypeVar("Entry")
 
@@ -32,7 +115,7 @@ class Inbox(Generic[Entry]):
     """
 
     __slots__ = (
-        "_coming", "_copies", "_delay", "_kept", "_queued", "_room", "_tick", "_waits", "_window",
+        "_coming", "_copies", "_delay", "_early", "_queued", "_room", "_tick", "_waits", "_window",
         "duplicates", "late", "overtaken", "played", "received", "refused",
     )
 
@@ -49,22 +132,22 @@ class Inbox(Generic[Entry]):
         self._queued = 0  # packets in there
         self._copies: dict[int, int] = {}  # further copies of them, by the tick of arrival
         self._waits: dict[int, int] = {}  # for each of them, the earliest tick that a copy of it waits for
-        self._kept: dict[int, Entry] = {}  # fixed: those that arrived, by number, until their tick
+        self._early: dict[int, Entry] = {}  # fixed: those that arrived, by number, until their tick
         self._tick = tick  # the last one taken; an end that joins a run begins behind its first ticks
         self.received = self.duplicates = self.played = self.overtaken = self.late = self.refused = 0
 
     @property
     def waiting(self) -> int:
         """Packets that arrived and whose tick is still ahead."""
-        return len(self._kept)
+        return len(self._early)
 
-    def put(self, packet: int, tick: int, entry: Entry) -> None:
+    def add(self, packet: int, tick: int, entry: Entry) -> None:
         """Packet number `packet` (at least 0) arrives at `tick`, carrying `entry`."""
         if tick <= self._tick:
             tick = self._tick + 1
         if tick <= packet:
             tick = packet + 1
-        if self._queued + len(self._kept) >= self._room or tick > self._tick + self._room:
+        if self._queued + len(self._early) >= self._room or tick > self._tick + self._room:
             self.refused += 1
             return
         if self._waits.get(packet, tick + 1) <= tick:
@@ -79,7 +162,7 @@ class Inbox(Generic[Entry]):
             self._coming[tick] = [(packet, entry)]
 
     def take(self, tick: int) -> tuple[int, Entry] | None:
-        """What `tick` plays: the packet's number and its entry, or None. Raises `Refused` going backwards."""
+        """Number and entry of the packet that `tick` plays, or None. Raises `Refused` going backwards."""
         last = self._tick
         if tick <= last:
             raise Refused(f"tick {tick} was taken already; take a tick after {last}")
@@ -129,19 +212,19 @@ class Inbox(Generic[Entry]):
     def _exactly(
         self, wanted: int, arrived: list[tuple[int, Entry]], *, skipped: bool
     ) -> tuple[int, Entry] | None:
-        kept = self._kept
+        early = self._early
         for packet, entry in arrived:
             if not self._is_first(packet):
                 continue
             if packet < wanted:
                 self.late += 1
             else:
-                kept[packet] = entry
+                early[packet] = entry
         if skipped:
-            for packet in [k for k in kept if k < wanted]:
-                del kept[packet]
+            for packet in [k for k in early if k < wanted]:
+                del early[packet]
                 self.late += 1
-        if wanted not in kept:
+        if wanted not in early:
             return None
         self.played += 1
-        return wanted, kept.pop(wanted)
+        return wanted, early.pop(wanted)

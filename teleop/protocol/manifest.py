@@ -1,4 +1,4 @@
-"""What both ends of a live run must agree on, as text: the first exchange compares it."""
+"""Manifest of a live run, on which both ends must agree, as text: the first exchange compares it."""
 
 from __future__ import annotations
 
@@ -98,15 +98,15 @@ def fingerprint(value: object) -> str:
 
 
 def _own_source(law: object) -> str:
-    """What stands in the file of a law that does not come with this package; built-in ones go by version."""
+    """Fingerprint of the file of a law from outside this package; the version for a built-in one."""
     from pathlib import Path
 
     from teleop.version import __version__
 
     if is_built_in(law):
         return __version__
-    own = innermost(type(law))
-    end: Any = getattr(own, "slave", None) or own.force  # one of both
+    wrapped = innermost(type(law))
+    end: Any = getattr(wrapped, "slave", None) or wrapped.force  # one of both
     source = Path(end.__code__.co_filename)
     return fingerprint(source) if source.is_file() else "not in a file"
 
@@ -125,10 +125,10 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
     apart = [name for name in names if mine.get(name) != theirs.get(name)]
     if not apart:
         return None
-    name, *more = _causes(apart)
+    name, *rest = _causes(apart)
     here, there = ((end.get(name, "missing") or "empty")[:LONGEST] for end in (mine, theirs))
-    if name == "law" and (found := _law_difference(mine.get(name, ""), theirs.get(name, ""))) is not None:
-        name, here, there = found
+    if name == "law" and (knob := _law_difference(mine.get(name, ""), theirs.get(name, ""))) is not None:
+        name, here, there = knob
         cure = f"start both ends with the same --set {name}={here}"
     elif name in _CURES:
         cure = _CURES[name]
@@ -140,7 +140,7 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
         cure = f"start both ends with the same --set {name}={quote((mine.get(name) or theirs[name])[:LONGEST])}"
     else:
         cure = "install the same release, and the same scene file, at both ends"
-    others = f" ({len(more)} more {plural(len(more), 'differs', 'differ')})" if more else ""
+    others = f" ({len(rest)} more {plural(len(rest), 'differs', 'differ')})" if rest else ""
     return f"{name} is {here} here and {there} there{others}: {cure}"
 
 
@@ -157,20 +157,20 @@ def _law_difference(mine: str, theirs: str) -> tuple[str, str, str] | None:
         return None
     here, there = (_FIELD.findall(text) for text in (mine, theirs))
     for name in dict.fromkeys(name for name, _ in here):
-        own, other = ([value for each, value in end if each == name] for end in (here, there))
-        told = [each[0] if len(set(each)) == 1 else ",".join(each) for each in (own, other)]
-        if told[0] != told[1]:
-            return f"law.{name}", told[0][:LONGEST], told[1][:LONGEST]
+        values, other = ([value for each, value in end if each == name] for end in (here, there))
+        texts = [each[0] if len(set(each)) == 1 else ",".join(each) for each in (values, other)]
+        if texts[0] != texts[1]:
+            return f"law.{name}", texts[0][:LONGEST], texts[1][:LONGEST]
     return None
 
 
 def _without_numbers(law: str) -> tuple[str, frozenset[str]]:
-    """Of the text of a law in a manifest its name and its classes: one, also where each axis has its own."""
+    """Name and classes of a law in a manifest: each class once, also where each axis has its own law."""
     return law.partition(" ")[0], frozenset(re.findall(r"\b\w+(?=\()", law))
 
 
 def _causes(apart: list[str]) -> list[str]:
-    """Of the entries that differ, the first one and those that it, or another, does not bring with it."""
+    """Entries among `apart` that differ by themselves and follow from no other."""
     if apart[0] in ("wire version", "scene"):
         return apart[:1]
     follow = {"law source"} if "law" in apart else set()
@@ -182,7 +182,7 @@ def _causes(apart: list[str]) -> list[str]:
 
 
 def parted(payload: object) -> tuple[dict[str, str], dict[str, int]]:
-    """What of a manifest is compared, and the whole numbers that it tells beside that."""
+    """Split a manifest into the compared entries and the whole numbers beside them."""
     assert isinstance(payload, dict)
     extras = {}
     for name in (EVERY, TICK_0, INSECURE):

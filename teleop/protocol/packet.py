@@ -8,6 +8,10 @@ The body is one msgpack array `[session, seq, sent_ns, echo, payload, E_in]`; th
 that a scene's packets have the size it names; the CRC (zlib's) covers all before it. It guards against
 accident, not malice: off loopback the link has to be encrypted. Nothing a peer sends can raise: what is
 wrong with a datagram is a value, a `Rejection`, for the caller to count.
+
+A DATA packet's numbers are the messages of each axis in turn (`Layout`), and behind them the integrals of waves. An end
+that couples its axes has one total (`teleop.kind`) for all of them, see `teleop.law.offers`: it is sent once, with the
+first axis.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from zlib import crc32
 from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
+from teleop.kind import totals
 from teleop.scene.packet_size import CHECKSUM, FLOAT, HEAD, LEAST, MOST_DATA, least_size
 
 VERSION = 4
@@ -35,7 +40,7 @@ _pack = Packer().pack
 
 
 class Kind(IntEnum):
-    """What a packet is for, which fixes what its payload is."""
+    """Kind of a packet, which fixes its payload."""
 
     FORTH = 0  # the law's message, master to slave: a flat tuple of finite floats
     BACK = 1  # slave to master, so that a packet thrown back at its sender is of no use
@@ -73,7 +78,7 @@ Payload = tuple[float, ...] | dict[str, str] | str | int
 
 
 class Packet(NamedTuple):
-    """One packet, as sent and as received. Times in ns of the sender's clock, energy in J."""
+    """Packet, as sent and as received. Times in ns of the sender's clock, energy in J."""
 
     kind: Kind
     session: int  # 0 .. 2**64 - 1
@@ -239,7 +244,7 @@ def check_size(size: int, width: int, *, energy: bool = True) -> int:
 
 
 class Window:
-    """Which sequence numbers of one session have come, so that each is taken once.
+    """Window of the sequence numbers of one session that have come, so that each is taken once.
 
     Remembers the last `size` numbers in a ring (the window of RFC 4303, 3.4.3). A number more than `ahead` beyond
     both the newest and the receiver's own tick is not believed: taken at its word, one forged 2**32 - 1
@@ -300,3 +305,35 @@ def peek(data: bytes) -> tuple[Kind, int] | tuple[None, int]:
     except Exception:  # bytes of an unknown sender
         return None, -1
     return (_KINDS[kind], seq) if type(seq) is int and 0 <= seq <= MOST_SEQ else (None, -1)
+
+
+class Layout:
+    """Messages of type `kind`, one for each axis, as a flat tuple. `couples`: their sender couples its axes."""
+
+    __slots__ = ("_axes", "_each", "_fields", "_kind", "_places", "width")
+
+    def __init__(self, kind: Any, axes: int, *, couples: bool) -> None:
+        once = totals(kind) if couples else ()
+        self._kind, self._axes, self._fields = kind, axes, len(kind._fields)
+        self._each = [i for i, field in enumerate(kind._fields) if field not in once]
+        self.width = self._fields + (axes - 1) * len(self._each)  # numbers in a packet
+        first = list(range(self._fields))
+        self._places = [first]  # of each axis, where its fields stand in the packet
+        for i in range(1, axes):
+            places = first.copy()
+            for n, field in enumerate(self._each):
+                places[field] = self._fields + (i - 1) * len(self._each) + n
+            self._places.append(places)
+
+    def flat(self, messages: tuple[Any, ...]) -> tuple[float, ...]:
+        """The numbers of the messages of all axes, each a float: a law may give an int, or a number of numpy's."""
+        if len(messages) == 1:
+            return tuple(map(float, messages[0]))
+        rest = [message[i] for message in messages[1:] for i in self._each]
+        return tuple(map(float, [*messages[0], *rest]))
+
+    def messages(self, numbers: tuple[float, ...]) -> tuple[Any, ...]:
+        """The messages of all axes; what stands behind them in `numbers` is not theirs."""
+        if self._axes == 1:
+            return (_new(self._kind, numbers[:self._fields]),)
+        return tuple([_new(self._kind, [numbers[at] for at in places]) for places in self._places])

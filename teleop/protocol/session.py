@@ -1,4 +1,4 @@
-"""How two ends agree to run, and to go on after one of them was away: the exchange, the common tick grid, the farewell.
+"""Sessions of two ends: the exchange, the common tick grid, the life of a session, the next one, the farewell.
 
     master                      slave
       HELLO  manifest   ->
@@ -10,7 +10,7 @@
       BYE    a reason   <->  BYE
 
 The states and what leads from one to the next are the tables of `teleop.protocol.states`. The master repeats what is
-not answered, and measures the slave's clock by the round trips (`teleop.protocol.clock_exchange`).
+not answered, and measures the slave's clock by the round trips (`teleop.protocol.estimates`).
 The master places tick 0 a little ahead on its own clock and sends it as a time on the slave's, so that
 both ends count the same ticks: a packet's number is the tick it was sent at.
 
@@ -26,6 +26,11 @@ with each of them both ends begin their law from rest. Runs that go by packets h
 A HELLO is as long as its answer at least, so that no sender can have a third party flooded with answers. A START echoes
 the send time of a WELCOME, and counts only if this very slave has sent it: who has not seen that cannot start a
 session, and one that was recorded cannot be played to a slave that was started anew.
+
+`Liveness` judges a session by the peer's messages and by their echoes of ours. It is over if nothing came for
+`renew_ns`, or if this end's own packets did not arrive at the other end for as long. Before the first message a link
+may just be long: the master waits `first_ns` for it, doubled from one session to the next, and a slave waits on. Times
+are ns.
 """
 
 from __future__ import annotations
@@ -33,12 +38,83 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from teleop.protocol.clock_exchange import AHEAD_NS, ClockExchange
-from teleop.protocol.estimates import MOST_RTT_NS
-from teleop.protocol.liveness import Liveness
+from teleop.protocol.estimates import AHEAD_NS, MOST_RTT_NS, ClockExchange
 from teleop.protocol.manifest import EVERY, INSECURE, MOST_CLOCK_NS, TICK_0, manifest_difference, parted
 from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, encode, one_line
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, SessionEvent, SessionState
+
+RENEW_NS = 1_000_000_000  # of silence, and a session is over
+FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
+
+
+class Liveness:
+    """Life of a session as one end knows it. The methods give the reason why the session is over, None while it is not.
+
+    `begun_ns`: when the session began; before that nothing can have come. `renew_ns` is longer for an end that takes
+    longer to let go of its device. `sound_ns`: until then there is nothing to judge, if nothing else ends the session.
+    """
+
+    def __init__(self, *, master: bool) -> None:
+        self.renew_ns = RENEW_NS
+        self.begun_ns = 0
+        self._master = master
+        self._first_ns = FIRST_NS
+        self._heard_ns: int | None = None  # when the newest message came
+        self._answered = False  # did a message come that shows that the peer hears this end
+        self.sound_ns = 0
+
+    def begin(self, begun_ns: int) -> None:
+        """A session begins at `begun_ns`."""
+        self._heard_ns = None
+        self._answered = False
+        self.sound_ns = 0
+        self.begun_ns = begun_ns
+
+    def wait_longer(self) -> None:
+        """The next session waits twice as long for its first message, if this one had no answer."""
+        self._first_ns = FIRST_NS if self._answered else min(2 * self._first_ns, MOST_RTT_NS)
+
+    def silent(self, now: int) -> bool:
+        """True if nothing has come for so long that the session is no longer kept."""
+        if self._heard_ns is not None:
+            return now - self._heard_ns > self.renew_ns
+        return now - self.begun_ns > (self._first_timeout_ns if self._master else self.renew_ns)
+
+    def judge(self, now: int) -> str | None:
+        """Judge at every tick."""
+        if now <= self.sound_ns:
+            return None
+        if self.silent(now):
+            if self._master or self._heard_ns is not None:  # before its first message a link may just be long
+                return f"nothing came for {self.renew_ns / 1e9:g} s"
+        elif self._master and not self._answered and now - self.begun_ns > 2 * self._first_timeout_ns:
+            return "nothing of this end arrives at the other"  # there and back it takes twice as long
+        return None
+
+    def message(self, now: int, sent_ns: int | None) -> str | None:
+        """Take note of a new message of the peer, sent at `sent_ns` by this end's clock."""
+        first = self._heard_ns is None
+        self._heard_ns = now
+        self.sound_ns = now + self.renew_ns if self._answered or not self._master else 0
+        if first and sent_ns is not None and sent_ns - self.begun_ns > self.renew_ns:
+            return f"its first {self.renew_ns / 1e9:g} s did not arrive"
+        return None
+
+    def echo(self, echo: Echo) -> str | None:
+        """Take note of what the peer's newest message says of ours: which one came last, and how long before."""
+        first = not self._answered
+        self._answered = True
+        if first and echo.sent_ns - self.begun_ns > self.renew_ns:
+            return f"nothing of its first {self.renew_ns / 1e9:g} s arrived at the other end"
+        if echo.held_ns > self.renew_ns:
+            return f"nothing of this end arrived at the other for {self.renew_ns / 1e9:g} s"
+        return None
+
+    @property
+    def _first_timeout_ns(self) -> int:
+        """Time (ns) that a master waits for the first message."""
+        return max(self._first_ns, self.renew_ns)
+
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 OVER = "the session is over"
@@ -62,7 +138,7 @@ class SessionBegun(NamedTuple):
 
 
 class Session:
-    """One end's side of the exchange. `now` is the end's own monotonic clock in ns.
+    """Session of an end, its side of the exchange. `now` is the end's own monotonic clock in ns.
 
     `start_ns` becomes the time of tick 0 on that clock; `failure` the sentence with which this end must stop;
     `farewell` the reason that the peer gave for leaving; `ended` the reason why the session is over for this end, from
@@ -183,7 +259,7 @@ class Session:
             self.ended = why
             self._next_ns = None
 
-    def data_came(self, now: int, sent_ns: int | None = None) -> None:
+    def take_data(self, now: int, sent_ns: int | None = None) -> None:
         """A new message of the peer: it has had START, and it is there. `sent_ns`: when it was sent, by our clock."""
         if self.state is not SessionState.RUNNING:  # where it leads nowhere else
             self.take(SessionEvent.DATA)
@@ -191,8 +267,8 @@ class Session:
         if why is not None:
             self._end_if(why)
 
-    def answer_came(self, echo: Echo) -> None:
-        """What the peer's newest message says of ours: which one arrived last, and how long before it was sent."""
+    def take_echo(self, echo: Echo) -> None:
+        """Take the echo in the peer's newest message: which of ours arrived last, and how long before it was sent."""
         why = self.liveness.echo(echo)
         if why is not None:
             self._end_if(why)
@@ -208,7 +284,7 @@ class Session:
         return True
 
     def due(self, now: int) -> list[bytes]:
-        """What is to be sent now because it was not answered."""
+        """Datagrams to send again, since nothing answered them."""
         if self.state is SessionState.RUNNING and now <= self.liveness.sound_ns:
             return []  # nearly always
         self.judge(now)
@@ -260,10 +336,10 @@ class Session:
 
     def _entries(self) -> dict[str, str]:
         """The manifest, and what this end tells beside it."""
-        own = {EVERY: str(self.every)} if self.every != 1 else {}
+        extras = {EVERY: str(self.every)} if self.every != 1 else {}
         if not self.master and self.start_ns is not None:
-            own[TICK_0] = str(self.start_ns)
-        return {**self.manifest, **own}
+            extras[TICK_0] = str(self.start_ns)
+        return {**self.manifest, **extras}
 
     def _answer_hello(self, hello: Packet, now: int, room: int) -> list[bytes]:
         if not self._is_free(now):

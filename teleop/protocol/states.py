@@ -15,7 +15,7 @@ from enum import Enum
 
 
 class SessionState(Enum):
-    """Where one end is in its exchange with the other; each value is a sentence for the diagram's legend."""
+    """State of an end in its exchange with the other; each value is a sentence for the diagram's legend."""
 
     __hash__ = object.__hash__  # `Enum` has one in Python, and the tables are asked at every datagram
 
@@ -30,7 +30,7 @@ class SessionState(Enum):
 
 
 class SessionEvent(Enum):
-    """What can happen to a session, once the packet or the instant has been checked."""
+    """Event of a session, once the packet or the instant has been checked."""
 
     __hash__ = object.__hash__
 

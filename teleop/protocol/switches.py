@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from teleop.protocol.guard import Guard
+from teleop.protocol.guard import ForceGuard
 from teleop.scene.scene import Scene
 from teleop.stages.end import SWITCHES
 
@@ -36,7 +36,7 @@ class SwitchEvents:
         self._stays = False  # was it told that the clutch stays open
         self._count = 0
 
-    def told(self, k: int, row: Sequence[float], guard: Guard) -> None:
+    def update(self, k: int, row: Sequence[float], guard: ForceGuard) -> None:
         """Row of tick k of the grid."""
         clutch, present = row[self._at["clutch"]] > 0.0, row[self._at["present"]] > 0.0
         if self._is["clutch"] is not clutch:
@@ -46,12 +46,12 @@ class SwitchEvents:
         if self._apart:
             self._closes(k, row, guard, stays=row[self._modulus] == 0.0 and present and not clutch)
 
-    def _changed(self, k: int, name: str, on: bool, guard: Guard) -> None:
+    def _changed(self, k: int, name: str, on: bool, guard: ForceGuard) -> None:
         if self._may(k, name):
             self._is[name] = on
             guard.tell(k, name, SAYS[name, on])
 
-    def _closes(self, k: int, row: Sequence[float], guard: Guard, *, stays: bool) -> None:
+    def _closes(self, k: int, row: Sequence[float], guard: ForceGuard, *, stays: bool) -> None:
         """Say so where the clutch stays open, for the ends are too far apart."""
         if stays and not self._stays and self._may(k, "apart"):
             i = max(range(len(self._apart)), key=lambda i: abs(row[self._apart[i]]) / self._within[i])
@@ -65,7 +65,7 @@ class SwitchEvents:
             self._stays = False
 
     def _may(self, k: int, name: str) -> bool:
-        """May an event be told at tick k; it counts as told then."""
+        """Reserve an event at tick k; False if it comes too soon, or after too many."""
         if k * self._ns - self._told_ns[name] < APART_NS or self._count >= MOST:
             return False
         self._told_ns[name], self._count = k * self._ns, self._count + 1

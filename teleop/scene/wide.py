@@ -50,7 +50,7 @@ def read_link(value: object) -> tuple[str, Any]:
         return "none", None
     if isinstance(value, str):
         link = module.parse_link(value)
-        return module.shown(value, link), link
+        return module.record_text(value, link), link
     return module.describe(value), value  # what is no link, the scene refuses
 
 

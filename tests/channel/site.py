@@ -6,12 +6,11 @@ from collections.abc import Callable
 from itertools import count
 from typing import Any
 
-from channel.flow import Flow
+from channel.relay import Flow
 from channel.router import Router
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, encode
-from teleop.protocol.secure.dtls_record import records
-from teleop.protocol.secure.relayed import is_shown, shown
+from teleop.protocol.secure.dtls_record import cookie_record, is_cookie_record, records
 from teleop.scene.loading import load_scene
 from tests.channel.no_wire import NoWire
 
@@ -99,7 +98,7 @@ class Site:
         assert to == master
         found = records(reply)
         assert found is not None
-        assert is_shown(found[0])
+        assert is_cookie_record(found[0])
         assert found[0].number == number
         data = hello(number + 1, cookie=reply[-32:], random=random)
         assert self.takes(data, master)
@@ -110,7 +109,7 @@ def hello(number: int = 0, *, cookie: bytes = b"", random: bytes = bytes(32)) ->
     """A hello as far as a relay looks at it: head, version, random; and behind it the relay's cookie."""
     body = bytes((1,)) + bytes(11) + b"\xfe\xfd" + random + bytes(22)
     data = b"\x16\xfe\xff\0\0" + number.to_bytes(6, "big") + len(body).to_bytes(2, "big") + body
-    return data + shown((records(data) or [])[0], cookie) if cookie else data
+    return data + cookie_record((records(data) or [])[0], cookie) if cookie else data
 
 
 def request(number: int) -> bytes:

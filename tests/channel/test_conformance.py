@@ -11,8 +11,7 @@ from channel.delay import Delay
 from channel.effect import Effect
 from channel.link import EFFECTS, describe, parse_link
 from channel.rng import Ints, Rng
-from channel.rows import by_time
-from channel.schedule import Order
+from channel.schedule import Order, by_time
 from teleop.errors import Refused
 
 

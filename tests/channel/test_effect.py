@@ -13,7 +13,7 @@ from channel.duplicate import Duplicate
 from channel.effect import Chain
 from channel.in_order import InOrder
 from channel.mahimahi import Mahimahi
-from channel.rows import by_number, by_time
+from channel.schedule import by_number, by_time
 from channel.uniform import UniformJitter
 from teleop.errors import Refused
 

@@ -10,7 +10,7 @@ from channel.effect import Effect
 from channel.link import Link, parse_link
 from channel.relay import Counts, Relay
 from channel.rng import Ints, Rng
-from channel.rows import later
+from channel.schedule import later
 
 MS = 1_000_000
 

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from channel.flow import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
-from channel.introduction import EACH_MOST
+from channel.relay import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
+from channel.router import EACH_MOST
 from teleop.protocol.packet import Kind
 from teleop.protocol.secure.dtls_record import MTU
 from teleop.scene.loading import load_scene
@@ -222,7 +222,7 @@ def test_a_handshake_beside_the_masters_own_does_not_hold_the_link() -> None:
     strange, honest = site.router.flows
     assert site.takes(sealed(0, 22), SLAVE, honest)
     assert honest.runs(site.now)
-    assert not strange.met
+    assert not strange.is_accepted
     for number in range(100):
         site.now += 100 * MS
         assert site.takes(sealed(number), MASTER)

@@ -90,7 +90,7 @@ def of_session() -> Callable[[bytes], None]:
         end.inbox, end.guard, end.link, end._window = made(scene)
         if running:
             begin(session, now, now)
-            session.data_came(now)
+            session.take_data(now)
         for step, mode, each in cut(data[1:]):
             now += step * MS * (100 if mode & 2 else 1)
             session.due(now)
@@ -106,11 +106,11 @@ def of_session() -> Callable[[bytes], None]:
 
     def made(scene: Any) -> tuple[Any, ...]:
         from teleop.protocol.estimates import LinkEstimates
-        from teleop.protocol.guard import Guard
+        from teleop.protocol.guard import ForceGuard
         from teleop.protocol.inbox import Inbox
         from teleop.protocol.packet import Window
 
-        return (Inbox(scene.playout, scene.dt_ns), Guard(scene.watchdog, scene.dt_ns / 1e9),
+        return (Inbox(scene.playout, scene.dt_ns), ForceGuard(scene.watchdog, scene.dt_ns / 1e9),
                 LinkEstimates(band_ns=scene.dt_ns // 2), Window())
 
     plain = {which: {name: value for name, value in end.__dict__.items()

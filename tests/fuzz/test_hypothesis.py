@@ -19,7 +19,6 @@ from hypothesis.stateful import (
 )
 
 from teleop.protocol.endpoint import Endpoint
-from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.manifest import EVERY, manifest_of
 from teleop.protocol.packet import (
     DATA,
@@ -33,7 +32,7 @@ from teleop.protocol.packet import (
     encode,
     peek,
 )
-from teleop.protocol.session import MOST_WELCOMED, Session
+from teleop.protocol.session import MOST_WELCOMED, RENEW_NS, Session
 from tests.begun import begin
 from tests.fuzz.datagrams import BODIES, MANIFESTS, NUMBERS, ODD, framed, packed, sealed
 from tests.fuzz.running import fuzzed
@@ -209,7 +208,7 @@ class OneEnd(RuleBasedStateMachine):
     @precondition(lambda self: self.end.met > 0 and not self.end.meeting)
     @rule()
     def message(self) -> None:
-        self.end.data_came(self.now)
+        self.end.take_data(self.now)
 
     @rule(packet=packets((Kind.HELLO, Kind.WELCOME, Kind.REFUSE, Kind.START, Kind.BYE, Kind.RENEW)))
     def other(self, packet: Packet) -> None:
@@ -294,7 +293,7 @@ def test_no_datagrams_at_any_time_raise_at_an_end(e: str, running: bool, several
     session = Session(master=e == "m", manifest=MANIFEST, number=OURS if running or e == "m" else None)
     if running:
         begin(session, 10**12, 10**12)
-        session.data_came(10**12)
+        session.take_data(10**12)
     end, now = Endpoint(fuzzed(100), e, session), 10**12
     for data, step in several:
         now += step

@@ -36,8 +36,8 @@ from teleop.live.devices.device_watchdog import (
 )
 from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.records.record import read_events
-from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Reading
+from teleop.protocol.guard import DEADLINE
 from tests.live.conftest import Command, summary
 from tests.waiting import PATIENCE, until
 

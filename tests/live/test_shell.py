@@ -283,7 +283,7 @@ def test_nobody_there_is_said_in_one_sentence(e: str, pair: Make) -> None:
     both = pair(SCENE, parts={"m": {}, "s": {}, e: {"peer_timeout": 0.2}})
     shell = both.shells[e]
     if e == "m":
-        shell.connection.asked = shell.connection.peer = ("127.0.0.1", 9)  # discard: nobody
+        shell.connection.configured = shell.connection.peer = ("127.0.0.1", 9)  # discard: nobody
     asyncio.run(run(shell))
     assert (shell.outcome.status, shell.counts.ticks) == ("refused", 0)
     assert "0.2 s; start" in shell.outcome.sentence
@@ -384,7 +384,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
 
     Even if the master goes on hearing the slave: that one falls silent, and asks for another session.
     """
-    for name in ("teleop.live.driving.OPEN_NS", "teleop.protocol.liveness.RENEW_NS"):
+    for name in ("teleop.live.driving.OPEN_NS", "teleop.protocol.session.RENEW_NS"):
         monkeypatch.setattr(name, 400_000_000)
     both = pair(replace(SCENE, duration=2.2), wire=Roaming)
     master, slave = both.shells["m"], both.shells["s"]

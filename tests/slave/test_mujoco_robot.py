@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from master.device import SimulatedMaster
-from slave.mujoco_body import MuJoCoBody
-from slave.mujoco_robot import MuJoCoRobot
+from slave.mujoco_robot import MuJoCoBody, MuJoCoRobot
 from teleop import MassDamper, Refused, Scene, load_scene, run
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from slave.mujoco_body import MuJoCoBody
 from slave.mujoco_model import OWN, load
-from slave.pressing import pressed
+from slave.mujoco_robot import MuJoCoBody, pressed
 from tests.slave.test_mujoco_robot import scene, slider
 
 pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")

@@ -19,8 +19,8 @@ from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Reading
+from teleop.protocol.guard import DEADLINE
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 

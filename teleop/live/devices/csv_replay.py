@@ -16,8 +16,8 @@ from math import isfinite
 from pathlib import Path
 
 from teleop.errors import Refused, enumerated, number_of
-from teleop.protocol.deadline import DEADLINE
 from teleop.protocol.endpoint import Axes, Reading
+from teleop.protocol.guard import DEADLINE
 from teleop.scene.scene import Scene
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import parse

@@ -39,9 +39,8 @@ from teleop.errors import DeviceError, Refused, number
 from teleop.live.process.output import live
 from teleop.live.process.realtime import run_first
 from teleop.live.records.record import EVENTS
-from teleop.protocol.deadline import DEADLINE, Silence
 from teleop.protocol.endpoint import Axes, Reading
-from teleop.protocol.guard import Event
+from teleop.protocol.guard import DEADLINE, Event, Silence
 from teleop.scene.library import ROOT, scene_folders
 from teleop.storage.folder import lock
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from teleop.errors import Refused
 from teleop.live.net.filter import Shape, attach, detach, program
-from teleop.protocol.secure.relayed import Caller
+from teleop.protocol.secure.dtls_record import RelayCookie
 
 if TYPE_CHECKING:
     from teleop.protocol.secure.secure_link import Out, SecureLink
@@ -114,7 +114,7 @@ class Wire:
             sock.setsockopt(socket.IPPROTO_IP, MTU_DISCOVER, WHEREVER)
         self.sock, self.peer, self.secure_link = sock, peer, secure_link
         calls = secure_link is not None and peer is not None
-        self._caller = Caller() if calls else None  # of a relay on the way, if any
+        self._cookie = RelayCookie() if calls else None  # of a relay on the way, if any
         self._bound: Address | None = None  # its own address and port before it was kept to the peer
         self.kept = False  # is it deaf to everybody but the peer
         self._filtered = False
@@ -218,7 +218,7 @@ class Wire:
     def _say(self, out: list[Out]) -> None:
         for data, address in out:
             with suppress(OSError):
-                self.sock.sendto(data if self._caller is None else self._caller.sends(data), address)
+                self.sock.sendto(data if self._cookie is None else self._cookie.stamp(data), address)
 
     def receive(self) -> tuple[bytes | None, Address, int] | None:
         """A datagram, where it came from and when (monotonic clock, ns), or None if there is none now.
@@ -244,7 +244,7 @@ class Wire:
         at: Address = address[:2]
         if self.secure_link is None:
             return data, at, now
-        if self._caller is not None and (again := self._caller.hears(data)) is not None:
+        if self._cookie is not None and (again := self._cookie.take(data)) is not None:
             with suppress(OSError):
                 if again:
                     self.sock.sendto(again, at)

@@ -293,7 +293,7 @@ class Exchange:
                 i = max(i, bisect_right(session, told.session - 1))
             inbox = self._inboxes[e]
             while i < len(session) and session[i] == told.session and arrivals.tick[i] <= k + AHEAD:
-                inbox.put(int(arrivals.packet[i]), int(arrivals.tick[i]), None)
+                inbox.add(int(arrivals.packet[i]), int(arrivals.tick[i]), None)
                 i += 1
             self._next[e] = i
             got = inbox.take(k)

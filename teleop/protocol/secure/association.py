@@ -1,4 +1,4 @@
-"""One association of two ends: datagrams and `now` go in, what they carry and datagrams to send come out. Sans-IO.
+"""Association of two ends: datagrams and `now` go in, packets and datagrams to send come out. Sans-IO.
 
     association = Association.towards(key, peer, now)  # the end that begins; the other's comes out of a `Gate`
     datagrams = association.begin(now)
@@ -14,16 +14,34 @@ from 50 ms on: the last flight is sent again, its records in the clear under new
 resends until both are authenticated. Until then the other answers what comes, and never with more bytes than came
 in: it is no amplifier, not even for an address that has shown itself. OpenSSL's own timer may still add a copy, which
 does no harm.
+
+`DataRecords` seals the packets under keys of their own, which the handshake has made. DTLS 1.2 authenticates the two
+ends and agrees on a secret. From it each direction gets a key here (RFC 5705, as DTLS-SRTP does in RFC 5764), because
+the replay window of OpenSSL has 64 places: at 1 kHz whatever 64 ms overtake would be lost. On the wire the records have
+the form of DTLS 1.2, type 23 and epoch 1, without the explicit nonce.
+
+    nonce (12 bytes) = salt of the direction (4) | epoch 1 (2) | number of the record (6)
+    additional data  = the record's head (13): type, version, epoch, number, length
+    plaintext        = the packet, and one byte behind it that says what it is
+
+No nonce is ever used twice under one key. The two directions have keys of their own. An end seals under the next
+number each time, from 1 on, and stops at `LAST`. Each association has its own secret, to which both ends have given 28
+random bytes and a key exchange, and which no other association takes up again, because there is no resumption and no
+renegotiation. OpenSSL itself never seals data, and its alerts and its Finished are under DTLS's own keys.
+
+The derivation names both certificates (the context of RFC 5705), so that the keys are of these two ends even where a
+handshake had no extended master secret (RFC 7627); OpenSSL has it in all handshakes since release 1.1.0.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 
+from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from OpenSSL import SSL
 
-from teleop.protocol.secure.context import connection, context, exported, peer_of, seen_by
-from teleop.protocol.secure.data import MATERIAL, PACKET, DataRecords
+from teleop.protocol.secure.context import connection, context, exported, peer_of, proof, seen_by
 from teleop.protocol.secure.dtls_record import (
     ALERT,
     CHANGE,
@@ -32,13 +50,79 @@ from teleop.protocol.secure.dtls_record import (
     HANDSHAKE,
     HEAD,
     OVERHEAD,
+    WINDOW,
     Dropped,
     DtlsRecord,
     packed,
     records,
 )
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.proof import proof
+
+KEY, SALT = 16, 4  # bytes: AES-128, as in the suite of the handshake
+MATERIAL = 2 * (KEY + SALT)  # bytes for both directions
+LAST = 1 << 30  # the last number: 12 days at 1 kHz, and 2^34.5 blocks (RFC 9147, 4.5.3) of packets of up to 300 bytes
+PACKET, CHALLENGE, ANSWER = b"\0", b"\1", b"\2"  # what a record carries: see `Line`
+_MASK = (1 << WINDOW) - 1
+_BEHIND = OVERHEAD - HEAD.size  # bytes behind the head that are not the packet's own
+
+
+class DataRecords:
+    """Both directions of one association's data.
+
+    `material`: `MATERIAL` secret bytes, the same at both ends. `server`: is this the end that was called?
+    `newest`: the greatest number taken.
+    """
+
+    __slots__ = ("_open", "_open_salt", "_seal", "_seal_salt", "_seen", "newest", "number")
+
+    def __init__(self, material: bytes, *, server: bool) -> None:
+        keys = material[:KEY], material[KEY : 2 * KEY]
+        salts = material[2 * KEY : 2 * KEY + SALT], material[2 * KEY + SALT : MATERIAL]
+        self._seal, self._open = AESGCM(keys[server]), AESGCM(keys[not server])
+        self._seal_salt, self._open_salt = salts[server], salts[not server]
+        self.number = 0  # of the last record sealed
+        self.newest = 0
+        self._seen = 1  # bit i: the number newest - i is taken; 0 is none's
+
+    def seal(self, plain: bytes, what: bytes = PACKET) -> bytes | None:
+        """A record of `OVERHEAD` more bytes than `plain`; None when the numbers have run out."""
+        number = self.number + 1
+        if number > LAST:
+            return None
+        self.number = number
+        head = HEAD.pack(DATA, DTLS_1_2, 1, number >> 32, number & 0xFFFFFFFF, len(plain) + _BEHIND)
+        return head + self._seal.encrypt(self._seal_salt + head[3:11], plain + what, head)
+
+    def open(self, number: int, record: bytes) -> bytes | Dropped:
+        """Open the record of this number: its content and the byte of its kind, or the reason for dropping it.
+
+        The window is looked at before the record is opened, and moved only by one that did open.
+        """
+        ahead = number - self.newest
+        if ahead <= 0:
+            if -ahead >= WINDOW:
+                return Dropped.LATE
+            if self._seen >> -ahead & 1:
+                return Dropped.REPLAYED
+        try:
+            plain = self._open.decrypt(self._open_salt + record[3:11], record[13:], record[:13])
+        except InvalidTag:
+            return Dropped.FORGED
+        if ahead > 0:
+            self._seen = (self._seen << ahead | 1) & _MASK if ahead < WINDOW else 1
+            self.newest = number
+        else:
+            self._seen |= 1 << -ahead
+        return plain
+
+    def is_genuine(self, record: bytes) -> bool:
+        """True if this is a record that the other end has sealed, be it new or a copy."""
+        try:
+            self._open.decrypt(self._open_salt + record[3:11], record[13:], record[:13])
+        except InvalidTag:
+            return False
+        return True
+
 
 MOST = 8192  # bytes that one record carries here
 AGAIN_NS, SLOWEST_NS = 50_000_000, 250_000_000  # between two sendings of a flight: first, and after doubling
@@ -48,7 +132,7 @@ _UNTRUSTED = (42, 43, 44, 45, 46, 48)  # alerts about a certificate
 
 
 class Association:
-    """One DTLS association, from its first hello to its end.
+    """Association by DTLS, from its first hello to its end.
 
     `ready`: both ends are authenticated. `confirmed`: and the other end knows, for it has sent data. `failure`: why
     it is over. `hint`: what the other end seems to say is wrong; nothing proves that it is from there.
@@ -74,7 +158,7 @@ class Association:
 
     @classmethod
     def towards(cls, key: Key, peer: str, now: int) -> Association:
-        """One that this end begins, with the end whose certificate has the fingerprint `peer`."""
+        """Make the association of the end that begins, with the end whose certificate has the fingerprint `peer`."""
         tls = connection(context(key, peer))
         tls.set_connect_state()
         return cls(tls, peer, now, key=key)
@@ -85,7 +169,7 @@ class Association:
         return self._step(now)
 
     def receive(self, datagram: bytes, now: int) -> tuple[list[bytes], list[bytes]]:
-        """What a datagram carries, and the datagrams to send back. Never raises, whatever the bytes."""
+        """Open a datagram: its packets, and the datagrams to send back. Never raises, whatever the bytes."""
         # Nearly always it is one sealed record.
         if self.ready and self.failure is None and OVERHEAD < len(datagram) <= OVERHEAD + MOST:
             kind, version, epoch, upper, lower, length = HEAD.unpack_from(datagram)
@@ -108,7 +192,7 @@ class Association:
         return self.data is not None and len(datagram) > OVERHEAD and self.data.is_genuine(datagram)
 
     def due(self, now: int) -> list[bytes]:
-        """What has not been answered by `now`, to be sent again."""
+        """Datagrams to send again, not answered by `now`."""
         if self.failure is not None or self.confirmed or (self.ready and not self._server):
             return []
         if now - self._began > LIMIT_NS:
@@ -138,15 +222,15 @@ class Association:
 
     def _take(self, datagram: bytes, now: int) -> tuple[list[bytes], list[bytes]]:
         """The same as `receive` for every datagram, record by record."""
-        found = records(datagram)
-        if self.failure is not None or found is None:
-            self.dropped[Dropped.NO_RECORD if found is None else Dropped.OVER] += 1
+        parts = records(datagram)
+        if self.failure is not None or parts is None:
+            self.dropped[Dropped.NO_RECORD if parts is None else Dropped.OVER] += 1
             return [], []
         if self._server and not self.ready:
             self._credit += len(datagram)
         plain: list[bytes] = []
         back: list[bytes] = []
-        for record in found:
+        for record in parts:
             if self.failure is not None:
                 self.dropped[Dropped.OVER] += 1
             elif record.is_proof:
@@ -165,7 +249,7 @@ class Association:
             else:
                 self._write(record.data)
                 back += self._step(now)
-        if self._server and not self.ready and not back and self.failure is None and found[0].is_hello:
+        if self._server and not self.ready and not back and self.failure is None and parts[0].is_hello:
             back = self._flown()  # the hello again: our answer to it was lost
         return plain, back
 
@@ -267,6 +351,6 @@ class Association:
 
 
 def another_certificate(shown: str, pinned: str) -> str:
-    """What is told of a peer whose certificate is not the pinned one."""
+    """Sentence on a peer whose certificate is not the pinned one."""
     return (f"the other end shows the certificate {shown}, and {pinned} was asked for: compare both with what `teleop "
             "keygen` printed there, and give --peer-fingerprint the right one")

@@ -2,7 +2,7 @@
 
 A hello is answered with a cookie (RFC 6347, 4.2.1), a digest under a secret of the address and of the hello itself,
 and forgotten. The hello that comes back with its cookie has a proof beside it, a signature by the pinned key
-(`teleop.protocol.secure.proof`), and begins an association; only one with the pinned certificate comes out of the gate:
+(`teleop.protocol.secure.context`), and begins an association. Only one with the pinned certificate comes out:
 
     association, back = gate.receive(datagram, address, now)
 
@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 from OpenSSL import SSL
 
 from teleop.protocol.secure.association import LIMIT_NS, Association, another_certificate
-from teleop.protocol.secure.context import connection, context
+from teleop.protocol.secure.context import Verifier, connection, context
 from teleop.protocol.secure.dtls_record import (
     ALERT,
     CHANGE,
@@ -46,7 +46,6 @@ from teleop.protocol.secure.dtls_record import (
     records,
 )
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.proof import Verifier
 
 Where = tuple[str, int]
 
@@ -87,18 +86,18 @@ class Gate:
 
     def receive(self, datagram: bytes, address: Where, now: int) -> tuple[Association | None, list[bytes]]:
         """Take a datagram of a handshake; the association that it completes, and what to send back to `address`."""
-        found = records(datagram)
-        if found is None:
+        parts = records(datagram)
+        if parts is None:
             self.dropped[Dropped.NO_RECORD] += 1
             return None, []
-        hello = found[0] if found[0].is_hello else None
+        hello = parts[0] if parts[0].is_hello else None
         begun = self._begun.get(address)
         if begun is not None and (hello is None or hello.random == begun.random):
             return self._go_on(begun, datagram, address, now)
         if hello is None or hello.random in self._used:
             self.dropped[Dropped.EPOCH] += 1
             return None, []
-        return None, self._greet(hello, found[1:], len(datagram), address, now)
+        return None, self._greet(hello, parts[1:], len(datagram), address, now)
 
     def _go_on(
         self, begun: _Begun, datagram: bytes, address: Where, now: int
@@ -113,7 +112,7 @@ class Gate:
             return None, back
         return association if association.ready else None, back
 
-    def _greet(self, hello: DtlsRecord, behind: list[DtlsRecord], came: int, address: Where, now: int) -> list[bytes]:
+    def _greet(self, hello: DtlsRecord, behind: list[DtlsRecord], size: int, address: Where, now: int) -> list[bytes]:
         """Answer a hello: with a cookie, or if it has brought a good one and its proof with an association."""
         brought = hello.cookie
         if brought is None:
@@ -124,8 +123,8 @@ class Gate:
         due, before = (hmac_digest(self._secret, asks + b"%d" % when, sha256) for when in (slot, slot - 1))
         if not compare_digest(brought, due) and not compare_digest(brought, before):
             reply = _verify_request(hello.number, due)
-            return [reply] if len(reply) <= came else []
-        shown = self._verifier.shown(behind[0]) if behind and behind[0].is_proof else None
+            return [reply] if len(reply) <= size else []
+        shown = self._verifier.fingerprint_in(behind[0]) if behind and behind[0].is_proof else None
         if shown is None:
             self.dropped[Dropped.UNPROVED] += 1
             return []
@@ -137,7 +136,7 @@ class Gate:
         if not self._verifier.is_good(behind[0], hello):
             self.dropped[Dropped.FORGED] += 1
             return []
-        return self._begin(hello, came, address, now)
+        return self._begin(hello, size, address, now)
 
     def _may_check(self, address: Where, now: int) -> bool:
         """True if there is time to check a signature from this address."""
@@ -148,7 +147,7 @@ class Gate:
         self._checked[address], self._free_ns = now, free + CHECK_NS
         return True
 
-    def _begin(self, hello: DtlsRecord, came: int, address: Where, now: int) -> list[bytes]:
+    def _begin(self, hello: DtlsRecord, size: int, address: Where, now: int) -> list[bytes]:
         """An association with the holder of the pinned key, in place of what it began from there before."""
         _forget(self._used, now - 2 * _SLOT_NS)
         self._used[hello.random] = now
@@ -170,13 +169,13 @@ class Gate:
         association = Association(accepted, self._peer, now)
         self._begun[address] = _Begun(association, hello.random, now)
         # The client has seen numbers up to its own: a cookie goes out under the number of its hello.
-        return association.begin(now, first=hello.number + 1, credit=came)
+        return association.begin(now, first=hello.number + 1, credit=size)
 
 
-def _forget(kept: dict[Any, int], before: int) -> None:
-    """Leave out what is older than `before`; `kept` is in the order of time."""
-    while kept and next(iter(kept.values())) <= before:
-        del kept[next(iter(kept))]
+def _forget(times: dict[Any, int], before: int) -> None:
+    """Leave out what is older than `before`; `times` is in the order of time."""
+    while times and next(iter(times.values())) <= before:
+        del times[next(iter(times))]
 
 
 def _alert(number: int, what: int) -> bytes:

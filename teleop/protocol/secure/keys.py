@@ -1,4 +1,4 @@
-"""Who an end is: a private key and its certificate in one file, and the fingerprint that the other end pins.
+"""Identity of an end: a private key and its certificate in one file, and the fingerprint that the other end pins.
 
 `teleop keygen NAME` writes `NAME.key`, one PEM file that only its owner may read: an EC key on P-256 and a certificate
 that it signed itself. No authority's signature is needed: each end is told the other's fingerprint, the SHA-256 of the
@@ -162,7 +162,7 @@ def _write(path: Path, text: bytes) -> None:
 
 
 def _there(path: Path) -> str:
-    """What to do about a file that is in the way."""
+    """Advice for a file that is in the way."""
     try:
         return f"its fingerprint is {load_key(path).fingerprint}; to use another key, give another name"
     except Refused:
@@ -179,15 +179,15 @@ def _read(path: Path) -> bytes:
         why = getattr(error, "strerror", None) or "no file has such a name"
         raise Refused(f"cannot read the key file {path} ({why}); give one that you may read") from None
     try:
-        found = os.fstat(file)  # of what was opened: the name may lead elsewhere by now
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(file)  # of what was opened: the name may lead elsewhere by now
+        if not stat.S_ISREG(status.st_mode):
             raise Refused(f"{path} is no file; give the {SUFFIX} file that `teleop keygen` wrote")
-        if os.name == "posix" and found.st_uid != os.geteuid():
+        if os.name == "posix" and status.st_uid != os.geteuid():
             # The owner of a file may read and replace it at any time, whatever its mode says.
-            raise Refused(f"{path} is owned by the user with the number {found.st_uid}, and this process runs as user "
+            raise Refused(f"{path} is owned by the user with the number {status.st_uid}, and this process runs as user "
                           f"{os.geteuid()}, so its owner can read and replace the key; make one of your own with: "
                           f"teleop keygen NAME, or if the file is yours: sudo chown {os.geteuid()} {path}")
-        if os.name == "posix" and found.st_mode & 0o077:
+        if os.name == "posix" and status.st_mode & 0o077:
             raise Refused(f"others than its owner may read or change {path}, so it may not be secret any more; make a "
                           f"new key, or if you know that no other user has read it: chmod 600 {path}")
         return os.read(file, _MOST)

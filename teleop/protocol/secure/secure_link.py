@@ -1,4 +1,4 @@
-"""One end's sealed link to its peer, over as many associations (DTLS 1.2, RFC 6347) as it takes. Sans-IO.
+"""Sealed link of an end to its peer, over as many associations (DTLS 1.2, RFC 6347) as it takes. Sans-IO.
 
     link = SecureLink.calling(key, peer, address)   # the end that begins
     link = SecureLink.listening(key, peer, secret)  # the end that waits
@@ -17,21 +17,120 @@ guess from, and who does see it comes into a handshake from the called address a
 certificate decides who it is.
 
 Where the peer is, the handshake says first: the end that calls sends to where its flights were answered from, the one
-that listens to the address that its cookie was for. Another address is challenged before it takes that one's place: see
-`Path`. A challenge and its answer are as long as the last packet, so that they cannot be told from packets.
+that listens to the address that its cookie was for. Another address is validated before it takes that one's place, by
+`PathValidation`. A genuine record may still come from anywhere: an observer can send a copy of one from an address of
+its own, and be first. So an address proves that the peer is there before anything is sent to it (as in RFC 9000, 8.2
+and 9.3): it gets a sealed challenge, which only the peer can open and answer. A challenge and its answer are as long as
+the last packet, so that they cannot be told from packets. While genuine records, new ones or copies, come from another
+address than the one in use, both are challenged, and the one in use stays as long as
+
+- its challenge is answered, from wherever the answer comes: what is sent there reaches the peer; and
+- genuine records, new ones or copies, come from it: it is the peer's own, as it shows itself here.
+
+Where one of these is not so for two round trips of the other address and `PATIENCE_NS`, an address that has answered
+takes its place. So a peer that moves is followed within half a second and three round trips. An observer that copies
+draws nothing to itself. One that passes on challenges and answers is a relay: it comes into use only where the old
+address has fallen silent or the handshake went through it, and while it is in use it can delay and drop like any on
+the path, though not read or change. As soon as it passes on no more, the old address takes over again.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from os import urandom
 
-from teleop.protocol.secure.association import AGAIN_NS, LIMIT_NS, Association
+from teleop.protocol.secure.association import AGAIN_NS, ANSWER, CHALLENGE, LIMIT_NS, Association
 from teleop.protocol.secure.context import first_number
-from teleop.protocol.secure.data import ANSWER, CHALLENGE
 from teleop.protocol.secure.dtls_record import Dropped, records
 from teleop.protocol.secure.gate import Gate, Where, is_for_gate
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.path import TOKEN, Challenge, Path
+
+PATIENCE_NS = 200_000_000  # beyond two round trips, for answers that are lost
+CHALLENGED_NS = 50_000_000  # between two challenges of an address
+REST_NS = 250_000_000  # after an address has been confirmed, before another one is looked at
+LAPSE_NS = 1_000_000_000  # nothing has come from elsewhere for so long: there is no question any more
+MOST_AT_ONCE = 4  # other addresses that are challenged in `CHALLENGED_NS`
+MOST_ASKED = 64  # challenges that can still be answered
+TOKEN = 8  # bytes of a challenge, drawn at random
+
+Challenge = tuple[bytes, Where]  # the token, and where it goes
+
+
+class PathValidation:
+    """The address in use, and what is asked of others. `address`: None before an end that listens has met its peer."""
+
+    def __init__(self, address: Where | None) -> None:
+        self.address = address
+        self._since: int | None = None  # since when another address is in question; None: none is
+        self._speaks = self._reached = False  # the address in use, since then
+        self._next = 0  # when challenges may go out again
+        self._elsewhere = 0  # when something genuine last came from another address
+        self._at_once: list[Where] = []  # the others that were challenged since `_next` was set
+        self._tokens: dict[bytes, tuple[Where, int]] = {}  # tokens under way: where they went, and when
+
+    @property
+    def settled(self) -> bool:
+        """True if no other address is in question."""
+        return self._since is None
+
+    def settle(self, address: Where) -> None:
+        """A handshake has gone through this address: it is the one in use."""
+        self.address, self._since, self._next = address, None, 0
+
+    def matters(self, address: Where, now: int) -> bool:
+        """Would something genuine from this address say anything now?"""
+        return self._since is not None or (address != self.address and now >= self._next)
+
+    def receive(self, address: Where, now: int) -> list[Challenge]:
+        """Something genuine has come from this address, a new record or a copy; what to ask."""
+        if address == self.address:
+            self._speaks = True
+            self._confirm(now)
+            return []
+        self._elsewhere = now
+        if self._since is None:
+            if now < self._next:
+                return []
+            self._since, self._next, self._speaks, self._reached = now, now, False, False
+        out = self.due(now)
+        if address not in self._at_once and len(self._at_once) < MOST_AT_ONCE:
+            self._at_once.append(address)
+            out.append(self._challenge(address, now))
+        return out
+
+    def take_answer(self, token: bytes, now: int) -> None:
+        """The peer has sent this token back, from wherever."""
+        address, sent = self._tokens.pop(token, (None, 0))
+        if address is None or self._since is None:
+            return
+        if address == self.address:
+            self._reached = True
+            self._confirm(now)
+        elif now - self._since >= 2 * (now - sent) + PATIENCE_NS:
+            self.address, self._since, self._next = address, None, now + REST_NS
+
+    def due(self, now: int) -> list[Challenge]:
+        """The address in use, challenged again while another one is in question."""
+        if self._since is None or now < self._next or self.address is None:
+            return []
+        if now - self._elsewhere > LAPSE_NS:
+            self._since = None
+            return []
+        self._next = now + CHALLENGED_NS
+        self._at_once.clear()
+        return [self._challenge(self.address, now)]
+
+    def _confirm(self, now: int) -> None:
+        if self._speaks and self._reached and self._since is not None:
+            self._since, self._next = None, now + REST_NS
+
+    def _challenge(self, address: Where, now: int) -> Challenge:
+        token = urandom(TOKEN)
+        while len(self._tokens) >= MOST_ASKED:
+            del self._tokens[next(iter(self._tokens))]
+        self._tokens[token] = address, now
+        return token, address
+
 
 SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
 STUCK_NS = 2_000_000_000  # a handshake without an answer for so long is with a peer that is no more
@@ -43,7 +142,7 @@ Out = tuple[bytes, Where]
 
 
 class SecureLink:
-    """One end's link to the end whose certificate is pinned. Nothing that comes in raises.
+    """Link to the end whose certificate is pinned. Nothing that comes in raises.
 
     `trouble`: what went wrong last, a sentence. `associations`: how many there were, all authenticated.
     `fingerprint`: this end's own.
@@ -55,7 +154,7 @@ class SecureLink:
         self._key, self._peer, self._gate = key, peer, gate
         self._use: Association | None = None
         self._coming: Association | None = None
-        self._path = Path(address)
+        self._path = PathValidation(address)
         self._called = address  # by the end that calls
         self._coming_at: Where | None = address  # where its flights go
         self._coming_from: list[Where] = []  # and from where else it is answered
@@ -84,7 +183,7 @@ class SecureLink:
 
     @property
     def address(self) -> Where | None:
-        """Where the peer is, None before an end that listens has met it."""
+        """Address of the peer, None before an end that listens has met it."""
         return self._path.address
 
     @property
@@ -99,10 +198,10 @@ class SecureLink:
 
     @property
     def dropped(self) -> Counter[str]:
-        """What was not taken, by cause."""
+        """Counts of dropped records, by cause."""
         gate = Counter() if self._gate is None else self._gate.dropped
-        there = [association.dropped for association in (self._use, self._coming, self._old) if association is not None]
-        return sum([gate, *there], self._retired)
+        known = [association.dropped for association in (self._use, self._coming, self._old) if association is not None]
+        return sum([gate, *known], self._retired)
 
     def send(self, plain: bytes) -> bytes | None:
         """`plain` sealed, to go to `address`."""
@@ -110,19 +209,19 @@ class SecureLink:
         return None if self._use is None else self._use.send(plain)
 
     def receive(self, datagram: bytes, address: Where, now: int) -> tuple[list[bytes], list[Out]]:
-        """What a datagram carries, and what to send at once."""
+        """Open a datagram: its packets, and the datagrams to send at once."""
         if is_for_gate(datagram):
             return [], self._meet(datagram, address, now)
         # A handshake record may lie behind another: one that is not over hears only the addresses it goes to.
-        there = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None
+        candidates = [one for one in (self._use, self._coming, self._old) if one is not None and one.failure is None
                  and (one.ready or self._hears(address, now))]
-        if not there:
+        if not candidates:
             self._retired[Dropped.EARLY] += 1
-        before = [Counter(one.dropped) for one in there] if len(there) > 1 else []
-        for i, association in enumerate(there):
+        before = [Counter(one.dropped) for one in candidates] if len(candidates) > 1 else []
+        for i, association in enumerate(candidates):
             plain = association.receive(datagram, now)[0]
             if plain or association.words:
-                for missed, dropped in zip(there[:i], before, strict=False) if i else ():
+                for missed, dropped in zip(candidates[:i], before, strict=False) if i else ():
                     missed.dropped = dropped  # it was only meant for another one
                 if association is self._coming:
                     self._change(now)
@@ -130,15 +229,15 @@ class SecureLink:
                 known = not association.words and not self._path.matters(address, now)
                 return plain, [] if known else self._genuine(association, address, now)
             if association.failure is not None:
-                self._ended(association)
-        for association, dropped in zip(there[1:], before[1:], strict=False):
+                self._retire(association)
+        for association, dropped in zip(candidates[1:], before[1:], strict=False):
             association.dropped = dropped  # one datagram counts once
         if self._use is not None and self._path.matters(address, now) and self._use.is_genuine(datagram):
-            return [], self._sealed(self._path.heard(address, now))  # a copy
+            return [], self._sealed(self._path.receive(address, now))  # a copy
         return [], []
 
     def due(self, now: int) -> list[Out]:
-        """What is to be sent by now: handshakes, and what was not answered of them."""
+        """Datagrams to send by now: handshakes, and their unanswered flights again."""
         out: list[Out] = []
         if self._old is not None and now - self._changed > LIMIT_NS:
             self._retired += self._old.dropped
@@ -148,7 +247,7 @@ class SecureLink:
                 out += [(data, at) for data in association.due(now)]
         out += self._sealed(self._path.due(now))
         if self._coming is not None and self._coming.failure is not None:
-            self._ended(self._coming)
+            self._retire(self._coming)
         if self._coming is not None and self._gate is None and now - self._answered > STUCK_NS:
             self._retired += self._coming.dropped
             self._coming = None
@@ -184,11 +283,11 @@ class SecureLink:
                     self._change(now)
             return [(data, address) for data in back]
         coming, at = self._coming, self._coming_at
-        asked = [one.number - self._first for one in records(datagram) or [] if one.is_request]
-        answers = all(0 <= number < _MOST_HELLOS for number in asked)  # or it is of another handshake
-        if asked and answers and address == at:
+        requests = [one.number - self._first for one in records(datagram) or [] if one.is_request]
+        answers = all(0 <= number < _MOST_HELLOS for number in requests)  # or it is of another handshake
+        if requests and answers and address == at:
             self._direct = True
-        elif asked and answers and address not in self._coming_from and len(self._coming_from) < _MOST_FROM:
+        elif requests and answers and address not in self._coming_from and len(self._coming_from) < _MOST_FROM:
             self._coming_from.append(address)
             self._elsewhere = now if self._elsewhere is None else self._elsewhere
         if coming is None or at is None or not answers or not self._hears(address, now):
@@ -197,7 +296,7 @@ class SecureLink:
         back = coming.receive(datagram, now)[1]
         self._answered = now
         if coming.failure is not None:
-            self._ended(coming)
+            self._retire(coming)
         elif coming.ready:
             self._change(now)
         return [(data, at) for data in back]  # to where the hello came to its end: a cookie is for the way that it took
@@ -220,7 +319,7 @@ class SecureLink:
             self._path.settle(self._coming_at)
 
     def _genuine(self, association: Association, address: Where, now: int) -> list[Out]:
-        """What to send when something genuine and new has come from this address."""
+        """Datagrams to send after something genuine and new has come from this address."""
         words, association.words = association.words, []
         if association is not self._use:
             return []
@@ -228,13 +327,13 @@ class SecureLink:
         for word in words:
             token, what = word[:TOKEN], word[-1:]
             if what == ANSWER:
-                self._path.answered(token, now)
+                self._path.take_answer(token, now)
             elif what == CHALLENGE and self.address is not None:
                 # Also to where the peer is known to be: a challenge that was copied may have come from anywhere.
                 answer = association.send(word[:-1], ANSWER)
                 out += [(answer, at) for at in {address, self.address} if answer is not None]
         if self._path.matters(address, now):
-            out += self._sealed(self._path.heard(address, now))
+            out += self._sealed(self._path.receive(address, now))
         return out
 
     def _sealed(self, challenges: list[Challenge]) -> list[Out]:
@@ -244,7 +343,7 @@ class SecureLink:
             out += [] if data is None else [(data, at)]
         return out
 
-    def _ended(self, association: Association) -> None:
+    def _retire(self, association: Association) -> None:
         self.trouble = association.failure
         if association is self._coming:
             self._retired += association.dropped

@@ -39,7 +39,7 @@ def lived(of: Scene) -> tuple[dict[str, Endpoint], dict[str, dict[str, np.ndarra
     for e in "ms":
         session = Session(master=e == "m", manifest=manifest_of(of), number=7)
         begin(session, START, START)
-        session.data_came(START)
+        session.take_data(START)
         ends[e] = Endpoint(of, e, session)
     rows: dict[str, list[float]] = {"m": [], "s": []}
     played: dict[str, list[int]] = {"m": [], "s": []}

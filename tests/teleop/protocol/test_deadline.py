@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from teleop.protocol.deadline import Silence
+from teleop.protocol.guard import Silence
 
 MS = 1_000_000
 DEADLINE = 150 * MS

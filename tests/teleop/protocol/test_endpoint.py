@@ -53,7 +53,7 @@ def met(scene: Scene) -> dict[str, Endpoint]:
     for e in "ms":
         session = Session(master=e == "m", manifest=manifest_of(scene), number=7)
         begin(session, START, START)
-        session.data_came(START)
+        session.take_data(START)
         ends[e] = Endpoint(scene, e, session)
     return ends
 
@@ -527,7 +527,7 @@ def test_a_stepped_end_plays_what_the_schedule_says() -> None:
         assert got is None or got[1] == f"packet {got[0]}"  # type: ignore[comparison-overlap]
         assert not box.has(k)
         for packet in (k, k, max(0, k - 40), 0):  # copies, old and new, are no harm
-            box.put(packet, 0, f"packet {packet}")  # type: ignore[arg-type]
+            box.add(packet, 0, f"packet {packet}")  # type: ignore[arg-type]
     assert len(box._held) <= plan.lag + 3
 
 

@@ -57,7 +57,7 @@ def test_loss_order_and_jitter_are_those_of_the_link(seed: int, every: int, firs
     sent = [(first + i * every, i * every * MS) for i in range(300)]
     came = sorted((at + dice.randrange(40 * MS), seq, at) for seq, at in sent if dice.random() > 0.2)
     for now, seq, at in came:
-        link.heard(seq, at + 10**12, None, now - at, now)
+        link.add(seq, at + 10**12, None, now - at, now)
     seqs = [seq for _, seq, _ in came]
     newest = [max(seqs[: i + 1]) for i in range(len(seqs))]
     assert link.lost(every) == (max(seqs) - min(seqs)) // every + 1 - len(seqs)
@@ -72,12 +72,12 @@ def test_loss_order_and_jitter_are_those_of_the_link(seed: int, every: int, firs
 def test_a_new_session_goes_on_with_the_figures_and_begins_its_numbers_and_its_clock_anew() -> None:
     link = LinkEstimates(BAND)
     for seq in (0, 1, 5):
-        link.heard(seq, seq * MS, (seq * MS, 0), MS, (seq + 1) * MS)
+        link.add(seq, seq * MS, (seq * MS, 0), MS, (seq + 1) * MS)
     assert link.lost() == 3
     jitter = link.jitter_ns
     link.begin()
     for seq in (1000, 1002):
-        link.heard(seq, 7 * S + seq * MS, None, MS, (seq + 1) * MS)
+        link.add(seq, 7 * S + seq * MS, None, MS, (seq + 1) * MS)
     assert link.lost() == 4, "what was not sent between the sessions was not lost"
     assert link.jitter_ns == pytest.approx(jitter * 15 / 16), "another clock is no jitter"
     assert link.way.count == 5

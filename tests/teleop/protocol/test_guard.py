@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
-from teleop.protocol.guard import MOST_EVENTS, UNNAMED, Event, Guard
+from teleop.protocol.guard import MOST_EVENTS, UNNAMED, Event, ForceGuard
 from teleop.protocol.session import Session
 from teleop.stages.watchdog import Watchdog, watchdog_step
 from tests.begun import begin
@@ -21,16 +21,16 @@ DOG = Watchdog(timeout=0.1, ramp=0.05, settle=0.08)  # 10, 5 and 8 ticks
 DOWN = [0.8, 0.6, 0.4, 0.2, 0.0]
 
 
-def guard(dog: Watchdog | None = DOG, **other: bool) -> Guard:
-    return Guard(dog, DT, **other)
+def guard(dog: Watchdog | None = DOG, **other: bool) -> ForceGuard:
+    return ForceGuard(dog, DT, **other)
 
 
-def play(one: Guard, ticks: range, got: bool = True, trouble: str | None = None) -> list[float]:
+def play(one: ForceGuard, ticks: range, got: bool = True, trouble: str | None = None) -> list[float]:
     """The gain at these ticks."""
     return [one.step(k, got, trouble) for k in ticks]
 
 
-def calm(dog: Watchdog | None = DOG, until: int = 100) -> Guard:
+def calm(dog: Watchdog | None = DOG, until: int = 100) -> ForceGuard:
     """One to which a packet came at every tick before `until`."""
     one = guard(dog)
     assert set(play(one, range(until))) == {1.0}
@@ -38,7 +38,7 @@ def calm(dog: Watchdog | None = DOG, until: int = 100) -> Guard:
     return one
 
 
-def whats(one: Guard) -> list[tuple[int, str]]:
+def whats(one: ForceGuard) -> list[tuple[int, str]]:
     return [event[:2] for event in one.events]
 
 
@@ -135,7 +135,7 @@ def test_after_a_stall_it_is_safe_before_it_puts_out_any_force_and_the_ramp_has_
 @pytest.mark.parametrize("every", [1, 3])
 def test_after_a_stall_in_which_the_device_let_go_the_force_begins_at_zero_and_does_not_jump(every: int) -> None:
     """The device lapses after 0.15 s, the scene's watchdog waits for 0.8 s: the gain was 1, and the force came back."""
-    one = Guard(replace(DOG, timeout=0.8, ramp=0.5), DT * every, every=every)
+    one = ForceGuard(replace(DOG, timeout=0.8, ramp=0.5), DT * every, every=every)
     one.lapse_after(0.15)
     ticks = range(0, 300, every)
     assert {one.step(k, True) for k in ticks} == {1.0}
@@ -151,7 +151,7 @@ def test_after_a_stall_in_which_the_device_let_go_the_force_begins_at_zero_and_d
 
 
 def test_an_end_whose_tick_is_as_long_as_the_deadline_does_not_take_every_tick_for_a_stall() -> None:
-    one = Guard(DOG, 0.2)
+    one = ForceGuard(DOG, 0.2)
     one.lapse_after(0.15)
     assert {one.step(k, True) for k in range(20)} == {1.0}
 
@@ -255,7 +255,7 @@ def test_what_waited_at_an_end_that_stood_still_does_not_show_that_its_sender_is
     play(one, range(10), got=True)
     late = 10 + 5 * round(DOG.timeout / DT)
     for k in range(late, late + 50):  # one a tick of those that came while it stood still, the last at tick 40
-        assert one.step(k, True, came=40) < 1.0
+        assert one.step(k, True, arrived=40) < 1.0
     assert one.gain == 0.0
     assert one.safe
 
@@ -308,13 +308,13 @@ def test_a_tick_without_a_reading_is_one_of_the_guard_all_the_same() -> None:
 
 @pytest.mark.parametrize("every", [2, 5])
 def test_time_is_counted_in_its_own_ticks_and_events_in_those_of_the_grid(every: int) -> None:
-    one = Guard(DOG, DT, every=every)
+    one = ForceGuard(DOG, DT, every=every)
     for k in range(0, 100 * every, every):
         assert one.step(k, True) == 1.0
     gains = [one.step(k, False) for k in range(100 * every, 116 * every, every)]
     assert gains == pytest.approx([*[1.0] * 10, *DOWN, 0.0])
     assert one.events[0].k == 110 * every
-    stalled = Guard(DOG, DT, every=every)
+    stalled = ForceGuard(DOG, DT, every=every)
     stalled.step(0, True)
     assert stalled.step(11 * every, True) == 1.0
     assert stalled.step(23 * every, True) == 0.0

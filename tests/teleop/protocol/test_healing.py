@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
-from teleop.protocol.deadline import DEADLINE, LAPSING
-from teleop.protocol.guard import Event
+from teleop.protocol.guard import DEADLINE, LAPSING, Event
 from teleop.protocol.packet import Echo, Kind, Packet, encode
 from teleop.scene.playout import Fixed, Integral
 from teleop.simulation.structure import columns

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pytest
 
 from teleop import kind
-from teleop.protocol.layout import Layout
+from teleop.protocol.packet import Layout
 
 
 class Mixed(NamedTuple):

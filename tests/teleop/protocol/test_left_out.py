@@ -49,7 +49,7 @@ def lived(of: Scene, *, stepped: bool) -> dict[str, tuple[list[int], dict[str, n
     for number, e in enumerate("ms"):
         session = Session(master=e == "m", manifest=manifest_of(of), number=7)
         begin(session, START, START)
-        session.data_came(START)
+        session.take_data(START)
         ends[e] = Endpoint(of, e, session, Stepped(plans[e]) if stepped else None)
         out[e] = getattr(of, f"left_out_{e}").left_out(number, of.ticks, SEED)
     ticks: dict[str, list[int]] = {"m": [], "s": []}

@@ -243,7 +243,7 @@ def test_an_inbox_plays_and_counts_what_was_planned(
     for k in range(count):
         while todo and todo[0][0] <= k + early:
             tick, packet = todo.pop(0)
-            inbox.put(packet, tick, f"packet {packet}")
+            inbox.add(packet, tick, f"packet {packet}")
         got = inbox.take(k)
         assert got is None or got[1] == f"packet {got[0]}"
         play.append(-1 if got is None else got[0])
@@ -266,7 +266,7 @@ def test_an_inbox_that_skips_ticks_plays_and_counts_what_was_planned(
     expected = plan(playout, table[:, 0], table[:, 1], count, DT, sent, left_out)
     inbox: Inbox[None] = Inbox(playout, DT, room=100)
     for packet, time in arrivals:
-        inbox.put(packet, tick_of(packet, time), None)
+        inbox.add(packet, tick_of(packet, time), None)
     play = []
     for k in range(count):
         got = None if left_out[k] else inbox.take(k)
@@ -292,7 +292,7 @@ def test_skipped_ticks_and_late_puts_keep_the_rule(
     for k in ticks:
         while todo and todo[0][0] <= k:
             _, tick, packet = todo.pop(0)
-            inbox.put(packet, tick, None)
+            inbox.add(packet, tick, None)
             copies += packet in seen
             seen.setdefault(packet, k)
         got = inbox.take(k)
@@ -314,15 +314,15 @@ def test_skipped_ticks_and_late_puts_keep_the_rule(
 
 def test_a_packet_is_not_played_at_the_tick_it_was_sent() -> None:
     inbox: Inbox[str] = Inbox(Zero(), MS)
-    inbox.put(3, 0, "from a peer whose clock is ahead")
+    inbox.add(3, 0, "from a peer whose clock is ahead")
     assert [inbox.take(k) for k in range(5)] == [None] * 4 + [(3, "from a peer whose clock is ahead")]
 
 
 def test_a_fixed_delay_plays_at_its_tick_or_never() -> None:
     inbox: Inbox[str] = Inbox(Fixed(3e-3), MS)
-    inbox.put(0, 1, "in time")
-    inbox.put(1, 5, "late")
-    inbox.put(2, 5, "at the last moment")
+    inbox.add(0, 1, "in time")
+    inbox.add(1, 5, "late")
+    inbox.add(2, 5, "at the last moment")
     assert [inbox.take(k) for k in range(7)] == [
         None, None, None, (0, "in time"), None, (2, "at the last moment"), None,
     ]
@@ -332,7 +332,7 @@ def test_a_fixed_delay_plays_at_its_tick_or_never() -> None:
 def test_what_a_skipped_tick_should_have_played_is_late() -> None:
     inbox: Inbox[None] = Inbox(Fixed(3e-3), MS)
     for packet in range(4):
-        inbox.put(packet, packet + 1, None)
+        inbox.add(packet, packet + 1, None)
     assert inbox.take(3) == (0, None)
     assert (inbox.late, inbox.waiting) == (0, 2)  # packet 3 comes at tick 4
     assert inbox.take(6) == (3, None)
@@ -342,14 +342,14 @@ def test_what_a_skipped_tick_should_have_played_is_late() -> None:
 def test_what_comes_after_its_tick_was_taken_arrives_at_the_next() -> None:
     inbox: Inbox[None] = Inbox(Zero(), MS)
     assert inbox.take(0) is inbox.take(1) is None
-    inbox.put(0, 1, None)
+    inbox.add(0, 1, None)
     assert inbox.take(2) == (0, None)
 
 
 def test_an_entry_may_be_none() -> None:
     for playout in (Zero(), Fixed(1e-3)):
         inbox: Inbox[None] = Inbox(playout, MS)
-        inbox.put(0, 1, None)
+        inbox.add(0, 1, None)
         assert inbox.take(1) == (0, None)
 
 
@@ -357,15 +357,15 @@ def test_an_entry_may_be_none() -> None:
 def test_a_flood_and_the_far_future_are_refused_and_counted(playout: Playout) -> None:
     inbox: Inbox[int] = Inbox(playout, MS, room=10)
     room = 10 if isinstance(playout, Zero) else 15
-    inbox.put(2**32 - 1, 1, 0)  # cannot have been sent yet
-    inbox.put(0, room, 0)
+    inbox.add(2**32 - 1, 1, 0)  # cannot have been sent yet
+    inbox.add(0, room, 0)
     assert inbox.refused == 2
     for packet in range(1000):
-        inbox.put(packet % (room - 1), room - 1, packet)
+        inbox.add(packet % (room - 1), room - 1, packet)
     assert inbox.refused == 2, "copies take no room"
     inbox.take(room - 1)
     assert inbox.duplicates == 1000 - (room - 1)
-    inbox.put(room, room + 1, 0)
+    inbox.add(room, room + 1, 0)
     assert inbox.refused == 2
 
 

@@ -12,8 +12,7 @@ from teleop import kind
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
-from teleop.protocol.inbox import Inbox
-from teleop.protocol.rates import Heard, Resampling
+from teleop.protocol.inbox import Heard, Inbox, Resampling
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Fixed, Hold, Integral, Playout, Zero
 from teleop.simulation.structure import columns
@@ -129,7 +128,7 @@ def played(
     most = max(arrive, default=0) + 3 * max(theirs, rates.mine)
     for j in range(most):
         for seq, wave in arrive.get(j, ()):
-            inbox.put(seq, j, Heard((U(wave),), None))
+            inbox.add(seq, j, Heard((U(wave),), None))
         if j % rates.mine == 0:
             got = rates.take(inbox, last, j)
             last = j
@@ -155,7 +154,7 @@ def test_of_a_total_the_newest_is_played_and_no_mean() -> None:
     rates.begin(1)
     inbox: Inbox[Heard] = Inbox(ZERO, 1_000_000)
     for k in range(4):
-        inbox.put(k, k + 1, Heard((Sent(float(k), float(k)),), None))
+        inbox.add(k, k + 1, Heard((Sent(float(k), float(k)),), None))
     got = rates.take(inbox, 0, 4)
     assert got is not None
     assert got[1].rx == (Sent(1.5, 3.0),)
@@ -207,5 +206,5 @@ def test_a_position_is_averaged_where_it_is_a_place_and_the_newest_where_it_is_a
     rates, inbox = Resampling(Placed, mine=2, turning=frozenset((1,))), Inbox[Heard](Zero(), MS, tick=0)
     rates.begin(1)
     for k, x in enumerate((1.0, 2.0)):
-        inbox.put(k, k + 1, Heard((Placed(x), Placed(x)), None))
+        inbox.add(k, k + 1, Heard((Placed(x), Placed(x)), None))
     assert rates.take(inbox, 0, 2) == (1, Heard((Placed(1.5), Placed(2.0)), None))

@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.protocol.clock_exchange import AHEAD_NS, LEAD_NS, ROUNDS
-from teleop.protocol.liveness import RENEW_NS
+from teleop.protocol.estimates import AHEAD_NS, LEAD_NS, ROUNDS
 from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference, manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
-from teleop.protocol.session import AGAIN_NS, Session
+from teleop.protocol.session import AGAIN_NS, RENEW_NS, Session
 from teleop.scene.loading import load_scene
 
 MS = 1_000_000
@@ -57,9 +56,9 @@ class Talk:
         master, slave = self.master, self.slave
         if self.messages and not master.meeting and not slave.meeting and master.number == slave.number:
             if not self.lost(Packet(Kind.FORTH, 0, 0, 0, None, ())):
-                slave.data_came(self.clock(slave))
+                slave.take_data(self.clock(slave))
             if not self.lost(Packet(Kind.BACK, 0, 0, 0, None, ())):
-                master.data_came(self.clock(master))
+                master.take_data(self.clock(master))
 
     def agree(self, until: int) -> None:
         """Let time pass until both know when tick 0 is, at most until then."""
@@ -169,7 +168,7 @@ def test_start_is_repeated_until_it_is_answered_or_messages_come() -> None:
     starts = [packet.sent_ns for packet in talk.sent if packet.kind is Kind.START]
     assert len(starts) > 10
     assert {b - a for a, b in pairwise(starts)} == {AGAIN_NS}
-    talk.master.data_came(talk.now)
+    talk.master.take_data(talk.now)
     talk.run(2900 * MS)
     assert len([packet for packet in talk.sent if packet.kind is Kind.START]) == len(starts)
 
@@ -273,7 +272,7 @@ def test_a_running_session_is_not_taken_over_while_it_is_heard() -> None:
                        Packet(Kind.BYE, 100, 0, 0, None, "go"), Packet(Kind.REFUSE, 100, 0, 0, None, "no")):
             assert not slave.belongs(packet, now)
             assert slave.receive(packet, now) == []
-        slave.data_came(now)
+        slave.take_data(now)
     assert (slave.number, slave.start_ns, slave.farewell, slave.failure, slave.met) == (7, start, None, None, 1)
 
 
@@ -290,7 +289,7 @@ def test_a_second_master_waits_until_the_first_has_been_silent() -> None:
     slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
     assert slave.receive(hello(200), RENEW_NS // 2) == []
     assert slave.receive(hello(200, {"scene": "other"}), RENEW_NS // 2) == []  # nor can it stop the slave
-    slave.data_came(RENEW_NS // 2)
+    slave.take_data(RENEW_NS // 2)
     assert slave.receive(hello(200), RENEW_NS) == []
     assert (slave.number, slave.failure) == (1, None)
     assert slave.receive(hello(200), 2 * RENEW_NS)

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.protocol.clock_exchange import LEAD_NS, ROUNDS
-from teleop.protocol.liveness import FIRST_NS, RENEW_NS
+from teleop.protocol.estimates import LEAD_NS, ROUNDS
 from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
 from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, decode, encode
-from teleop.protocol.session import Session
+from teleop.protocol.session import FIRST_NS, RENEW_NS, Session
 from tests.teleop.protocol.test_session import MANIFEST, MS, Talk, hello, start_of, started
 
 
@@ -106,7 +105,7 @@ def test_a_session_without_any_message_has_twice_the_time_of_the_one_before_for_
     patience = [b - a for a, b in pairwise(began)]
     assert patience[0] == pytest.approx(FIRST_NS, abs=500 * MS)
     assert all(b == pytest.approx(2 * a, rel=0.2) for a, b in pairwise(patience))
-    talk.master.data_came(talk.now)
+    talk.master.take_data(talk.now)
     assert not talk.master.silent(talk.now + RENEW_NS)
     assert talk.master.silent(talk.now + RENEW_NS + 1)
 
@@ -125,10 +124,10 @@ def test_two_ends_meet_and_stay_met_however_long_the_link(way: int) -> None:
         while heard and heard[0][0] <= talk.now:
             _, end, number, answers = heard.pop(0)
             if end.number == number and not end.meeting:
-                end.data_came(talk.now)
+                end.take_data(talk.now)
                 reached[end.master] = number
                 if answers:
-                    end.answer_came(Echo(end.liveness.begun_ns, 0))
+                    end.take_echo(Echo(end.liveness.begun_ns, 0))
     assert talk.master.number == talk.slave.number
     met = talk.master.met
     assert met <= 4
@@ -289,11 +288,11 @@ def test_an_end_that_the_other_has_not_heard_for_as_long_as_a_session_lives_is_i
     talk = Talk()
     talk.run(2000 * MS)
     end = talk.master if master else talk.slave
-    end.data_came(talk.now)
-    end.answer_came(Echo(end.liveness.begun_ns, 0))
-    end.answer_came(Echo(talk.now, RENEW_NS))
+    end.take_data(talk.now)
+    end.take_echo(Echo(end.liveness.begun_ns, 0))
+    end.take_echo(Echo(talk.now, RENEW_NS))
     assert end.carries_data
-    end.answer_came(Echo(talk.now, RENEW_NS + 1))
+    end.take_echo(Echo(talk.now, RENEW_NS + 1))
     assert not end.carries_data
     assert "nothing of this end arrived" in str(end.ended)
     (data,) = end.due(talk.now)
@@ -312,8 +311,8 @@ def test_a_session_whose_first_second_was_lost_either_way_is_over_when_something
         talk.run(1000 * MS)
         end = talk.master if master else talk.slave
         sent, now = end.liveness.begun_ns + RENEW_NS + late, end.liveness.begun_ns + 2 * RENEW_NS
-        end.data_came(now, end.liveness.begun_ns if answers else sent)
-        end.answer_came(Echo(sent if answers else end.liveness.begun_ns, 0))
+        end.take_data(now, end.liveness.begun_ns if answers else sent)
+        end.take_echo(Echo(sent if answers else end.liveness.begun_ns, 0))
         assert (end.ended is not None) == bool(late)
 
 
@@ -359,7 +358,7 @@ def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_t
     talk.run(1000 * MS)
     master = talk.master
     for now in range(master.liveness.begun_ns, master.liveness.begun_ns + 2 * FIRST_NS + 1, RENEW_NS // 4):
-        master.data_came(now, now)
+        master.take_data(now, now)
         master.judge(now)
         assert master.ended is None
     master.judge(master.liveness.begun_ns + 2 * FIRST_NS + 1)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from teleop.protocol import states
-from teleop.protocol.clock_exchange import ROUNDS
+from teleop.protocol.estimates import ROUNDS
 from teleop.protocol.packet import Echo, Kind, Packet, decode
 from teleop.protocol.session import AGAIN_NS, REPEATED, Session
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, SessionEvent, SessionState, Table

@@ -19,7 +19,7 @@ from teleop.laws.four_channel import FourChannel
 from teleop.laws.pp import PositionPosition
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.protocol.guard import Event, Guard
+from teleop.protocol.guard import Event, ForceGuard
 from teleop.protocol.switches import MOST, SwitchEvents
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.prepared import prepare
@@ -306,10 +306,10 @@ def test_events_tell_of_the_switches_and_of_a_clutch_that_stays_open() -> None:
 
 
 def test_a_switch_that_bounces_for_hours_does_not_fill_the_record_of_events() -> None:
-    guard = Guard(None, 1e-3)
+    guard = ForceGuard(None, 1e-3)
     events = SwitchEvents(scene(Operator()), ["clutch_m", "present_m", "g_clutch_m"])
     for k in range(0, 10**6, 3):
-        events.told(k, (float(k % 2), 1.0, 1.0), guard)
+        events.update(k, (float(k % 2), 1.0, 1.0), guard)
     assert len(guard.events) == MOST
     assert np.diff([one.k for one in guard.events]).min() >= 100
 

@@ -8,9 +8,9 @@ from typing import Any
 import OpenSSL._util
 import pytest
 
-from teleop.protocol.secure import data as layer
+from teleop.protocol.secure import association as layer
+from teleop.protocol.secure.association import LAST, MATERIAL, PACKET, DataRecords
 from teleop.protocol.secure.context import exported
-from teleop.protocol.secure.data import LAST, MATERIAL, PACKET, DataRecords
 from teleop.protocol.secure.dtls_record import DATA, HEAD, OVERHEAD, Dropped
 
 Associated = Callable[[], Any]

@@ -11,10 +11,10 @@ import pytest
 from channel.link import parse_link
 from channel.schedule import Stream
 from teleop.protocol.secure.association import Association
+from teleop.protocol.secure.context import Verifier
 from teleop.protocol.secure.dtls_record import HEAD, MTU, DtlsRecord, records
 from teleop.protocol.secure.gate import BURST, CHECK_NS, CHECKED_NS, Gate
 from teleop.protocol.secure.keys import Key
-from teleop.protocol.secure.proof import Verifier
 from teleop.protocol.secure.secure_link import SecureLink
 
 MS, S = 1_000_000, 1_000_000_000

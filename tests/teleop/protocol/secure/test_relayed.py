@@ -7,10 +7,18 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("OpenSSL")
-from channel.cookie import SLOT_NS, Cookies
-from teleop.protocol.secure.dtls_record import MTU, records
+from channel.router import SLOT_NS, Cookies
+from teleop.protocol.secure.dtls_record import (
+    EXTRA,
+    MTU,
+    RelayCookie,
+    cookie_of,
+    cookie_record,
+    is_cookie_record,
+    records,
+    without_cookie,
+)
 from teleop.protocol.secure.keys import keygen, load_key
-from teleop.protocol.secure.relayed import EXTRA, Caller, cookie_of, is_shown, shown, without
 from teleop.protocol.secure.secure_link import SecureLink
 
 RELAY, MASTER, MS = ("192.0.2.9", 9000), ("192.0.2.1", 4000), 1_000_000
@@ -22,21 +30,21 @@ def test_a_handshake_goes_through_a_relay_that_asks_for_its_cookie(tmp_path: Pat
     keys = {name: load_key(str(path)) for name, (path, _) in made.items()}
     master = SecureLink.calling(keys["master"], made["slave"][1], RELAY)
     slave = SecureLink.listening(keys["slave"], made["master"][1], bytes(32))
-    caller, cookies, now = Caller(), Cookies(b"k" * 32), 10**12
+    caller, cookies, now = RelayCookie(), Cookies(b"k" * 32), 10**12
     asked = 0
     to_slave: list[bytes] = []
     while not (master.ready and slave.ready):
         now += 10 * MS
         assert now < 10**12 + 10**9
-        to_relay = [caller.sends(data) for data, _ in master.due(now)]
+        to_relay = [caller.stamp(data) for data, _ in master.due(now)]
         back: list[bytes] = []
         for data in to_slave:
-            assert not any(is_shown(one) for one in records(data) or [])
+            assert not any(is_cookie_record(one) for one in records(data) or [])
             back += [reply for reply, _ in slave.receive(data, RELAY, now)[1]]
         to_slave = []
         for data in back:
-            assert caller.hears(data) is None
-            to_relay += [caller.sends(reply) for reply, _ in master.receive(data, RELAY, now)[1]]
+            assert caller.take(data) is None
+            to_relay += [caller.stamp(reply) for reply, _ in master.receive(data, RELAY, now)[1]]
         while to_relay:
             data = to_relay.pop(0)
             found = records(data)
@@ -45,10 +53,10 @@ def test_a_handshake_goes_through_a_relay_that_asks_for_its_cookie(tmp_path: Pat
             if not found[0].is_hello:
                 to_slave.append(data)
             elif cookies.is_good(cookie_of(found), found[0], MASTER, now):
-                to_slave.append(without(found, len(data)))
+                to_slave.append(without_cookie(found, len(data)))
             else:
                 asked += 1
-                again = caller.hears(shown(found[0], cookies.of(found[0], MASTER, now)))
+                again = caller.take(cookie_record(found[0], cookies.of(found[0], MASTER, now)))
                 assert again
                 to_relay.append(again)
     assert asked == 1
@@ -60,19 +68,19 @@ def hello(number: int) -> bytes:
 
 
 def test_a_cookie_for_a_hello_that_was_not_sent_is_none() -> None:
-    caller = Caller()
-    sent = caller.sends(hello(77))
+    caller = RelayCookie()
+    sent = caller.stamp(hello(77))
     assert sent == hello(77)
     for number in (76, 78, 0):
         record = (records(hello(number)) or [])[0]
-        assert caller.hears(shown(record, b"f" * 32)) == b""
-    assert caller.sends(hello(78)) == hello(78)
+        assert caller.take(cookie_record(record, b"f" * 32)) == b""
+    assert caller.stamp(hello(78)) == hello(78)
     record = (records(hello(77)) or [])[0]
-    assert caller.hears(shown(record, b"c" * 32)) == caller.sends(hello(77))
-    assert cookie_of(records(caller.sends(hello(79))) or []) == b"c" * 32
-    assert caller.hears(shown(record, b"c" * 32)) == b"", "a copy draws nothing"
+    assert caller.take(cookie_record(record, b"c" * 32)) == caller.stamp(hello(77))
+    assert cookie_of(records(caller.stamp(hello(79))) or []) == b"c" * 32
+    assert caller.take(cookie_record(record, b"c" * 32)) == b"", "a copy draws nothing"
     for other in (b"", b"\x16", bytes(EXTRA), hello(77), hello(77)[:EXTRA]):
-        assert caller.hears(other) is None
+        assert caller.take(other) is None
 
 
 def test_a_cookie_runs_out() -> None:

@@ -15,9 +15,8 @@ import pytest
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.protocol.endpoint import Endpoint
-from teleop.protocol.liveness import RENEW_NS
 from teleop.protocol.packet import Echo, Kind, Packet, Payload, decode, encode
-from teleop.protocol.session import Session
+from teleop.protocol.session import RENEW_NS, Session
 from teleop.scene.playout import Fixed
 from teleop.stages.force_cap import Cap
 from tests.teleop.protocol.test_endpoint import MS, START, Both, met, scene

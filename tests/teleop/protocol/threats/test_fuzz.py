@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.laws.pfra import PFRA
-from teleop.protocol.clock_exchange import ROUNDS
 from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.estimates import ROUNDS
 from teleop.protocol.packet import VERSION, Echo, Kind, Packet, Payload, Rejection, decode, encode, unwrapped
 from teleop.protocol.session import Session
 from teleop.scene.playout import Fixed, Hold

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from channel.link import parse_link
 from teleop.protocol.packet import Packet, decode, encode
-from teleop.protocol.sums import Sums
+from teleop.protocol.reception import IntegralCheck
 from teleop.scene.playout import Energy, Fixed, Integral
 from teleop.stages.force_cap import Cap
 from teleop.stages.wave_integral import Integrals
@@ -179,14 +179,14 @@ def test_every_honest_message_adds_up_in_whatever_order_and_number(
 ) -> None:
     said = [each for each in sent(waves, every, dt) for _ in range(2)]
     order = sorted(range(len(said)), key=lambda i: i + near * dice.random())  # type: ignore[attr-defined]
-    sums = Sums(dt, 1)
+    sums = IntegralCheck(dt, 1)
     assert all(sums.add_up(said[i][0], (said[i][1],), every) for i in order)
 
 
 def test_a_steady_wave_adds_up_after_millions_of_ticks() -> None:
     """It fulfils the inequality with equality, and each of the sums is rounded at every tick."""
     T = 1e4
-    told, sums = Integrals(T, 0.7 * T, 0.245 * T), Sums(1e-3, 1)
+    told, sums = Integrals(T, 0.7 * T, 0.245 * T), IntegralCheck(1e-3, 1)
     sums._at, sums._then = 10_000_000, (told,)
     for k in range(10_000_001, 10_020_000):
         told = Integrals(told.T + 1e-3, told.U + 1e-3 * 0.7, told.E + 0.5e-3 * (0.7 * 0.7))
@@ -197,7 +197,7 @@ def test_a_steady_wave_adds_up_after_millions_of_ticks() -> None:
 @given(st.lists(st.builds(Integrals, *[st.floats(-inf, inf, allow_nan=False, allow_infinity=False)] * 3), max_size=8))
 @settings(max_examples=200, deadline=None)
 def test_whatever_is_taken_grows_with_its_number(told: list[Integrals]) -> None:
-    sums, taken = Sums(1e-3, 1), [Integrals(0.0, 0.0, 0.0)]
+    sums, taken = IntegralCheck(1e-3, 1), [Integrals(0.0, 0.0, 0.0)]
     for k, each in enumerate([Integrals(1e-3, 1e-3, 1e-3), *told]):
         if sums.add_up(k, (each,), 1):
             taken.append(each)

@@ -1,17 +1,31 @@
-"""Presence of the other end: does it still hear this one, and do the two count the same ticks? Sans-IO; times are ns.
+"""Judgement of the messages that come: presence of the other end, and consistency of its waves. Sans-IO; times are ns.
 
-Both are told by the messages that come, whatever is in them of the law. Each says when the newest of ours came that its
-sender has, and how long ago: if that is long, ours are lost on their way, and nothing answers the force that we hold.
-And it bears the tick at which it was sent. No message comes before it was sent, so one that is ahead of our grid by
-more than the two clocks can be apart says that our own clock stood still, as a suspended machine's does: what we took
-for the newest is as old as the other end's messages are ahead.
+`Presence` asks whether the other end still hears this one, and whether the two count the same ticks. Each message
+echoes the newest of ours that its sender has, and how long ago that came: if it is long, ours are lost on their way,
+and nothing answers the force that we hold. And it bears the tick at which it was sent. No message comes before it was
+sent, so one that is ahead of our grid by more than the two clocks can be apart shows that our own clock stood still, as
+a suspended machine's does: our newest message is as old as the other end's messages are ahead.
+
+`IntegralCheck` compares the integrals of a peer's waves. A sender's T, U and E (`teleop.stages.wave_integral`) grow
+from nothing with the number of the message, which is the tick of the grid that it was sent at. So any two messages of a
+session, g > 0 ticks of the grid apart, fulfil, whatever the wave and whatever ticks were skipped,
+
+    dt' <= T - T' <= g dt        E >= E'        (U - U')^2 <= 2 (E - E') (T - T')
+
+dt' being the sender's tick; less than g dt where it had no reading. Playout stays within the energy in a message, also
+of one that lies. But T is a clock: after one that is far ahead no honest message would be played any more. So a message
+that contradicts the newest one taken is dropped. If nothing else comes, that is silence, with which a session ends, and
+the next one begins at nothing.
 """
 
 from __future__ import annotations
 
+from math import inf
+
 from teleop.protocol.estimates import MOST_RTT_NS, LinkEstimates
 from teleop.protocol.packet import Echo
 from teleop.protocol.session import Session
+from teleop.stages.wave_integral import Integrals
 
 EARLY_NS = 1_000_000_000  # a message from further ahead than this is never believed: the two share one grid
 STILL_NS = 50_000_000  # nor is one that is ahead by more than this, or the watchdog's timeout, and what is uncertain
@@ -19,7 +33,7 @@ STILL = 3  # ticks, of the slower end: if for so long nothing but such messages 
 
 
 class Presence:
-    """What the messages of one session tell of that. `every`: this end ticks at every so many ticks of `dt_ns`.
+    """Presence of the other end, by the messages of one session. This end ticks at every `every`-th tick of `dt_ns`.
 
     `answered`: has one come that shows that the peer hears this end. `unheard_ns`: how long the peer had heard nothing
     of this end when it sent its newest message; before the first answer, since the session began.
@@ -43,7 +57,7 @@ class Presence:
             self.unheard_ns = max(0, sent_ns - self.session.liveness.begun_ns)
         elif 0 <= now - echo[0] - (held_ns := echo[1]) <= MOST_RTT_NS:  # otherwise it is of one that was never sent
             self.answered, self.unheard_ns = True, held_ns
-            self.session.answer_came(echo)
+            self.session.take_echo(echo)
 
     def most_ahead(self) -> int:
         """Greatest number of ticks that a message can be ahead of the grid by the uncertainty of the clocks alone."""
@@ -71,3 +85,39 @@ class Presence:
             self.session.end(f"stood still: the other end's messages are {ahead:.3f} s ahead of this end's clock")
         if now > self._liveness.sound_ns:
             self.session.judge(now)
+
+
+Waves = tuple[Integrals, ...]  # per axis
+
+CLOCK = 1e-6  # of a time: T is a sum of as many as 1e8 ticks, each rounded
+SUM = 1e-15  # of a sum, a tick of the grid: what rounding makes of it
+EVEN = 1.0 + 1e-9  # a steady wave fulfils the inequality with equality
+
+
+class IntegralCheck:
+    """Compares the messages of a session with the newest that was taken. `dt`: the tick of the grid, s."""
+
+    __slots__ = ("_at", "_dt", "_then")
+
+    def __init__(self, dt: float, axes: int) -> None:
+        self._dt = dt
+        self._at: int | None = None
+        self._then: Waves = (Integrals(0.0, 0.0, 0.0),) * axes
+
+    def add_up(self, seq: int, waves: Waves, every: int) -> bool:
+        """True if message `seq` of a peer adds up, which ticks at every `every`-th tick of the grid."""
+        ticks = seq - (self._at if self._at is not None else -every)
+        newer, older = (waves, self._then) if ticks > 0 else (self._then, waves)
+        apart = ticks if ticks > 0 else -ticks
+        T = newer[0].T - older[0].T
+        if not ((every if every < apart else apart) * (1.0 - CLOCK) <= T / self._dt <= apart * (1.0 + CLOCK)):
+            return False
+        slack = SUM * apart
+        for new, old in zip(newer, older, strict=True):
+            U = abs(new.U - old.U) - slack * (abs(new.U) + abs(old.U))
+            E = new.E - old.E + slack * (new.E + old.E)
+            if E < 0.0 or (U > 0.0 and not U * U <= 2.0 * EVEN * T * E < inf):
+                return False
+        if ticks > 0:
+            self._at, self._then = seq, waves
+        return True
