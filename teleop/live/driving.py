@@ -17,6 +17,7 @@ from teleop.live.shell import Shell, name_part
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.packet import VERSION, Rejection
 from teleop.protocol.session import FINISHED, RENEW_NS
+from teleop.protocol.states import Cause
 
 OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
 SEALED_OPEN_NS = 100_000_000  # the same with keys: the peer may have moved, and the session goes on if it is found
@@ -291,7 +292,7 @@ class ClockDriver:
         if shell.outcome.over.is_set():
             return
         if k < counts.last and counts.last >= 0:  # a new session's grid is behind: no force until it is there again
-            shell.hold(shell.endpoint.left_out(counts.last, "the grid of ticks went back"))
+            shell.hold(shell.endpoint.left_out(counts.last, "the grid of ticks went back", Cause.CLOCK))
         if k <= counts.last:
             shell.say_again(now)
             return

@@ -37,6 +37,7 @@ from teleop.protocol.packet import (
 )
 from teleop.protocol.reception import IntegralCheck, Presence
 from teleop.protocol.session import RENEW_NS, Session
+from teleop.protocol.states import Cause, Reason
 from teleop.protocol.switches import SwitchEvents, switches_of, unlike
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
@@ -263,7 +264,8 @@ class Endpoint:
         if self._started is None or self._met != self.session.met:
             self._begin(k, reading)
         got = self._rates.take(self.inbox, self._tick, k)
-        gain = self._gain(k, now, None if got is None else k - got[0], trouble)
+        gain = self._gain(k, now, None if got is None else k - got[0],
+                          None if trouble is None else Reason(Cause.DEVICE, trouble))
         if self.guard.lapsed or self.guard.overdue:
             self.held.zero(k)
         seq, rx, waves = (-1, None, None) if got is None else (got[0], got[1].rx, got[1].waves)
@@ -294,15 +296,15 @@ class Endpoint:
         out: Tick = _new(Tick, (force, datagram, row, seq))
         return out
 
-    def left_out(self, k: int, trouble: str) -> Axes:
-        """Tick k cannot be run, for there is no reading: the force (N, per axis) to hold, on its way to zero."""
-        force = self.held.blind(k, self._tick, trouble)
+    def left_out(self, k: int, trouble: str, cause: Cause = Cause.DEVICE) -> Axes:
+        """Skip tick k, for there is no reading: the force (N, per axis) to hold, on its way to zero."""
+        force = self.held.blind(k, self._tick, Reason(cause, trouble))
         self.session.zero_force = not any(force)
         return force
 
     def stood_still(self, ns: int) -> None:
         """End the session, for this machine was suspended for `ns`: what it has of its peer is too old by as much."""
-        self.session.end(f"stood still: this machine was suspended for {ns / 1e9:.3f} s")
+        self.session.end(f"stood still: this machine was suspended for {ns / 1e9:.3f} s", Cause.STOOD_STILL)
 
     def place(self, x: Axes) -> None:
         """Take note of where the device is before tick 0; if not where the scene is, the law begins from rest there."""
@@ -350,7 +352,7 @@ class Endpoint:
         self._started = self._live(begins, self.scene.law, self._dt, x, reading.v, reading.f)
         self._started.send(None)
 
-    def _gain(self, k: int, now: int, age: int | None, trouble: str | None) -> float:
+    def _gain(self, k: int, now: int, age: int | None, trouble: Reason | None) -> float:
         """The guard's gain at tick k, and whether the session is over. `age`: ticks since its message was sent."""
         session, presence, unheard = self.session, self.presence, 0.0
         if not self.stepped:

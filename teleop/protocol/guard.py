@@ -31,6 +31,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import NamedTuple
 
+from teleop.protocol.states import Cause, Reason
 from teleop.scene.axes import FORCE_UNIT
 from teleop.scene.scene import Scene
 from teleop.stages.force_cap import LONGEST, cap, caps
@@ -83,7 +84,7 @@ UNNAMED = Watchdog(timeout=0.8)
 """What a live end has where the scene names no watchdog."""
 
 _NEVER = 1 << 62  # ticks
-_QUIET = ("silence", "no answer", "the session is over", "a new session")  # in the safe state they go without saying
+_QUIET = frozenset((Cause.SILENCE, Cause.NO_ANSWER, Cause.SESSION_OVER, Cause.NEW_SESSION))  # no event when safe
 MOST_EVENTS = 10_000  # kept
 
 
@@ -106,7 +107,7 @@ class ForceGuard:
     def __init__(self, watchdog: Watchdog | None, dt: float, *, every: int = 1, stepped: bool = False) -> None:
         named = watchdog is not None
         self.gain, self.safe, self.entries = 1.0, False, 0
-        self.cause: str | None = None  # of the safe state it is in
+        self.reason: Reason | None = None  # of the safe state it is in
         self.events: list[Event] = []
         self.new_events: list[Event] = []  # those of them since they were taken last
         self._dog = None if stepped and not named else (watchdog or UNNAMED)
@@ -143,7 +144,12 @@ class ForceGuard:
         if self._c is not None:
             self._k = self._heard = k - self._every
             self.gain, self._quiet_ticks, self._waits = 0.0, 0.0, True
-            self._enter(k, "a new session")
+            self._enter(k, Reason(Cause.NEW_SESSION, "a new session"))
+
+    @property
+    def cause(self) -> str | None:
+        """Sentence on the cause of the safe state, None outside it."""
+        return None if self.reason is None else self.reason.why
 
     @property
     def age(self) -> float | None:
@@ -156,8 +162,8 @@ class ForceGuard:
         return 0 if self._dog is None else round(self._dog.timeout * 1e9)
 
     def step(
-        self, k: int, got: bool, trouble: str | None = None, *, arrived: int | None = None, over: str | None = None,
-        unheard: float = 0.0, age: int = 0,
+        self, k: int, got: bool, trouble: Reason | None = None, *, arrived: int | None = None,
+        over: Reason | None = None, unheard: float = 0.0, age: int = 0,
     ) -> float:
         """The gain at tick k of the grid. `got`: is there a fresh message; `trouble`: another cause to be safe.
 
@@ -189,7 +195,7 @@ class ForceGuard:
             self._hear(k, arrived, age)
         silent, not_heard = (k - self._heard) // self._every, unheard > timeout_ticks * self._dt
         if trouble is None:
-            trouble = self._cause_of(k, passed - 1, silent, not_heard, over)
+            trouble = self._trouble(k, passed - 1, silent, not_heard, over)
         if trouble is not None:
             self._enter(k, trouble)
             self._waits = True
@@ -201,7 +207,7 @@ class ForceGuard:
         self.gain, self._quiet_ticks = late_step(c, self.gain, quiet, silent, passed)
         self._shareless = 0 if self.gain > 0.0 else self._shareless + passed
         if self.safe and self._quiet_ticks - silent > c.settle:
-            self.safe, self.cause = False, None
+            self.safe, self.reason = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
         return self.gain
 
@@ -215,25 +221,26 @@ class ForceGuard:
         self._heard = max(self._heard, k if arrived is None else min(k, arrived))
         self._waits = self._waits and (k - self._heard) // self._every > self._c.timeout_ticks
 
-    def _cause_of(self, k: int, missed: int, silent: int, not_heard: bool, over: str | None) -> str | None:
-        """Cause for which this end has to be safe though its device does well; None if it need not.
+    def _trouble(self, k: int, missed: int, silent: int, not_heard: bool, over: Reason | None) -> Reason | None:
+        """Reason for which this end has to be safe though its device does well; None if it need not.
 
-        `missed`: own ticks that were left out before this one; `silent`: own ticks since a packet came; `not_heard`:
+        `missed`: own ticks that were skipped before this one; `silent`: own ticks since a packet came; `not_heard`:
         does the other end say that it hears nothing of this one; `over`: why the session is over, if it is.
         """
         assert self._c is not None
         assert self._dog is not None
         timeout_ticks = self._c.timeout_ticks
         if missed > timeout_ticks or self.lapsed:
-            return f"a stall: no tick for {missed * self._dt:.3f} s"
+            return Reason(Cause.STALL, f"a stall: no tick for {missed * self._dt:.3f} s")
         if over is not None:
             return over
         if silent > timeout_ticks:
             if (k - self._old_k) // self._every <= timeout_ticks:
-                return f"age: messages come more than {self._dog.age:g} s after they were sent"
-            return f"silence: no fresh packet for {self._dog.timeout:g} s"
-        if not_heard and (not self.safe or str(self.cause).startswith("no answer")):
-            return f"no answer: the other end has not heard this one for {self._dog.timeout:g} s"
+                return Reason(Cause.AGE, f"age: messages come more than {self._dog.age:g} s after they were sent")
+            return Reason(Cause.SILENCE, f"silence: no fresh packet for {self._dog.timeout:g} s")
+        if not_heard and (self.reason is None or self.reason.cause is Cause.NO_ANSWER):
+            return Reason(Cause.NO_ANSWER,
+                          f"no answer: the other end has not heard this one for {self._dog.timeout:g} s")
         return None
 
     def fall(self, passed: int = 1) -> float:
@@ -258,13 +265,12 @@ class ForceGuard:
         events, self.new_events = self.new_events, []
         return events
 
-    def _enter(self, k: int, why: str) -> None:
-        kind, before = why.partition(":")[0], (self.cause or "").partition(":")[0]
-        self.cause = why
-        if not self.safe or kind not in (before, *_QUIET):
+    def _enter(self, k: int, reason: Reason) -> None:
+        before, self.reason = self.reason, reason
+        if before is None or not (reason.cause is before.cause or reason.cause in _QUIET):
             self.entries += not self.safe
             self.safe = True
-            self.tell(k, "safe", why)
+            self.tell(k, "safe", reason.why)
 
 
 BLIND_NS = 100_000_000  # the longest that a force is held without a reading
@@ -317,7 +323,7 @@ class HeldForce:
         self._guard.gain = 0.0
         self.force = (0.0,) * len(self.force)
 
-    def blind(self, k: int, ran: int, trouble: str) -> tuple[float, ...]:
+    def blind(self, k: int, ran: int, trouble: Reason) -> tuple[float, ...]:
         """The force to hold at tick k, which has no reading and so no law; `ran`: the last tick that had.
 
         After `BLIND_NS` there is none, whatever ramp and slew limit ask.

@@ -25,6 +25,7 @@ from math import inf
 from teleop.protocol.estimates import MOST_RTT_NS, LinkEstimates
 from teleop.protocol.packet import Echo
 from teleop.protocol.session import Session
+from teleop.protocol.states import Cause
 from teleop.stages.wave_integral import Integrals
 
 EARLY_NS = 1_000_000_000  # a message from further ahead than this is never believed: the two share one grid
@@ -82,7 +83,8 @@ class Presence:
         """End the session if it is over for this end at tick k."""
         if self._ahead is not None and k - self._ahead[0] > STILL * max(self._every, self.session.peer_every):
             ahead = self._ahead[1] * self._dt_ns / 1e9
-            self.session.end(f"stood still: the other end's messages are {ahead:.3f} s ahead of this end's clock")
+            self.session.end(f"stood still: the other end's messages are {ahead:.3f} s ahead of this end's clock",
+                             Cause.STOOD_STILL)
         if now > self._liveness.sound_ns:
             self.session.judge(now)
 

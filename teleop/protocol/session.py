@@ -41,7 +41,7 @@ from typing import NamedTuple
 from teleop.protocol.estimates import AHEAD_NS, MOST_RTT_NS, ClockExchange
 from teleop.protocol.manifest import EVERY, INSECURE, MOST_CLOCK_NS, TICK_0, manifest_difference, parted
 from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, encode, one_line
-from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, SessionEvent, SessionState
+from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, Cause, Reason, SessionEvent, SessionState
 
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
 FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
@@ -159,7 +159,7 @@ class Session:
         self.start_ns: int | None = None
         self.failure: str | None = None
         self.farewell: str | None = None
-        self.ended: str | None = None
+        self.ended: Reason | None = None
         self.met = 0
         self.joined = False  # was the other end running already when this one came
         self.in_the_open = False  # has a relay said so by `INSECURE`: nothing proves it, nor that there is none
@@ -253,10 +253,10 @@ class Session:
         if now > self.liveness.sound_ns and self.carries_data and self._heals:
             self._end_if(self.liveness.judge(now))
 
-    def end(self, why: str) -> None:
+    def end(self, why: str, cause: Cause = Cause.SESSION_OVER) -> None:
         """The session is over for this end: it sends and takes no messages, and is released by another one alone."""
         if self._heals and self.take(SessionEvent.END):
-            self.ended = why
+            self.ended = Reason(cause, why)
             self._next_ns = None
 
     def take_data(self, now: int, sent_ns: int | None = None) -> None:
@@ -295,7 +295,7 @@ class Session:
             return []
         self._next_ns = now + AGAIN_NS
         if kind is Kind.RENEW:
-            return [self._packet(kind, now, str(self.ended))]
+            return [self._packet(kind, now, "" if self.ended is None else self.ended.why)]
         return [self._hello(now) if kind is Kind.HELLO else self._start(now)]
 
     def bye(self, reason: str, now: int) -> list[bytes]:

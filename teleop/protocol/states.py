@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
+from typing import NamedTuple
 
 
 class SessionState(Enum):
@@ -43,6 +44,29 @@ class SessionEvent(Enum):
     REFUSE = "the manifests differ, or REFUSE came"
     END = "silence, no echo, a stall, RENEW, or the master's next HELLO ended the session"
     ZERO_FORCE = "this end's device holds no force"
+
+
+class Cause(Enum):
+    """Cause for which an end holds no force: see `teleop.protocol.guard`."""
+
+    __hash__ = object.__hash__
+
+    SILENCE = "no fresh packet came for the watchdog's timeout"
+    AGE = "messages come, older than the watchdog allows"
+    NO_ANSWER = "the other end has not heard this one for the watchdog's timeout"
+    STALL = "this end did not tick for the watchdog's timeout, or its device let the force lapse"
+    DEVICE = "the device fails, or its reading is not finite"
+    CLOCK = "the clock of the grid of ticks went back"
+    SESSION_OVER = "the session is over"
+    STOOD_STILL = "the session is over, for this end stood still"
+    NEW_SESSION = "another session begins, or the first one away from where the scene begins"
+
+
+class Reason(NamedTuple):
+    """A cause, and the sentence on it."""
+
+    cause: Cause
+    why: str
 
 
 Table = Mapping[tuple[SessionState, SessionEvent], SessionState]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.guard import MOST_EVENTS, UNNAMED, Event, ForceGuard
 from teleop.protocol.session import Session
+from teleop.protocol.states import Cause, Reason
 from teleop.stages.watchdog import Watchdog, watchdog_step
 from tests.begun import begin
 from tests.teleop.protocol.test_endpoint import scene
@@ -27,7 +28,8 @@ def guard(dog: Watchdog | None = DOG, **other: bool) -> ForceGuard:
 
 def play(one: ForceGuard, ticks: range, got: bool = True, trouble: str | None = None) -> list[float]:
     """The gain at these ticks."""
-    return [one.step(k, got, trouble) for k in ticks]
+    reason = None if trouble is None else Reason(Cause.DEVICE, trouble)
+    return [one.step(k, got, reason) for k in ticks]
 
 
 def calm(dog: Watchdog | None = DOG, until: int = 100) -> ForceGuard:
@@ -264,7 +266,7 @@ def test_a_second_cause_is_told_and_a_silence_beside_it_is_not() -> None:
     one = guard(DOG)
     last = round(DOG.timeout / DT) + 5
     play(one, range(last), got=False)
-    one.step(last, False, "the device: usb gone")
+    one.step(last, False, Reason(Cause.DEVICE, "the device: usb gone"))
     one.step(last + 1, False)
     assert [event.why.split(":")[0] for event in one.events] == ["silence", "the device"]
     assert one.entries == 1
@@ -272,7 +274,7 @@ def test_a_second_cause_is_told_and_a_silence_beside_it_is_not() -> None:
 
 def test_a_stepped_end_has_none_but_the_one_that_its_scene_names() -> None:
     one = guard(None, stepped=True)
-    assert [one.step(k, False, "trouble") for k in (0, 5000)] == [1.0, 1.0]
+    assert [one.step(k, False, Reason(Cause.DEVICE, "trouble")) for k in (0, 5000)] == [1.0, 1.0]
     one.begin(5001, "again")
     assert one.step(5001, False) == 1.0
     assert not one.safe

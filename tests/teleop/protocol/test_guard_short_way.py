@@ -6,15 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.protocol.guard import ForceGuard
+from teleop.protocol.states import Cause, Reason
 from teleop.stages.watchdog import Watchdog
+
+DEVICE = Reason(Cause.DEVICE, "the device")
 
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(
     st.integers(1, 3), st.booleans(), st.integers(0, 40), st.integers(0, 60), st.sampled_from([0.0, 0.02, 0.04]),
-    st.sampled_from([None, None, None, None, "the device"])), max_size=120), st.sampled_from([1, 3]))
+    st.sampled_from([None, None, None, None, DEVICE])), max_size=120), st.sampled_from([1, 3]))
 def test_where_all_is_well_the_short_way_through_a_tick_is_the_long_one(
-    ticks: list[tuple[int, bool, int, int, float, str | None]], every: int
+    ticks: list[tuple[int, bool, int, int, float, Reason | None]], every: int
 ) -> None:
     """Full gain stays where nothing is wrong: what is left out there changes nothing, then or later."""
     class Long(ForceGuard):

@@ -294,7 +294,7 @@ def test_an_end_that_the_other_has_not_heard_for_as_long_as_a_session_lives_is_i
     assert end.carries_data
     end.take_echo(Echo(talk.now, RENEW_NS + 1))
     assert not end.carries_data
-    assert "nothing of this end arrived" in str(end.ended)
+    assert "nothing of this end arrived" in end.ended.why
     (data,) = end.due(talk.now)
     packet = decode(data, 1)
     assert isinstance(packet, Packet)
@@ -325,7 +325,7 @@ def test_a_slave_that_asks_for_another_session_has_it_and_its_asking_for_the_one
     assert isinstance(packet, Packet)
     for _ in range(3):
         assert talk.master.receive(packet, talk.now) == []
-        assert str(talk.master.ended).startswith("the session is over")
+        assert talk.master.ended.why.startswith("the session is over")
         talk.master.due(talk.now)
         assert (talk.master.number, talk.master.meeting) == (8, True)
     talk.run(talk.now + 500 * MS)
@@ -345,7 +345,7 @@ def test_neither_end_takes_another_session_before_it_has_let_go() -> None:
     talk.master.zero_force = True
     talk.run(talk.now + 500 * MS)
     assert talk.master.meeting
-    assert str(talk.slave.ended).startswith("the session is over"), "the master's next number tells it"
+    assert talk.slave.ended.why.startswith("the session is over"), "the master's next number tells it"
     assert talk.slave.number == 7
     talk.slave.zero_force = True
     talk.run(talk.now + 500 * MS)
@@ -362,7 +362,7 @@ def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_t
         master.judge(now)
         assert master.ended is None
     master.judge(master.liveness.begun_ns + 2 * FIRST_NS + 1)
-    assert str(master.ended).endswith("nothing of this end arrives at the other")
+    assert master.ended.why.endswith("nothing of this end arrives at the other")
 
 
 # A turn, and the clutch
