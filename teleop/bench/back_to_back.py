@@ -54,7 +54,7 @@ PARTS = {
                           "live.live_line:LiveLine.announce", "live.records.inputs:InputWriter.ticked",
                           "live.records.inputs:InputWriter.arrived"),
     "driver and shell": ("live.driving:ClockDriver.wake", "live.shell:Shell.tick", "live.shell:Shell.take_events",
-                         "live.shell:Shell.say_again", "live.listening:Listening.update",
+                         "live.shell:Shell.say_again", "live.driving:Listening.update",
                          "live.process.ticker:Suspension.passed"),
 }
 OVERHEAD_NS = 130  # of a timed call, to the part that calls it

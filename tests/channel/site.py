@@ -47,7 +47,7 @@ class Site:
         """
         before, router = [len(self.out[way]) for way in (0, 1)], self.router
         if sender[1] == SLAVE[1]:
-            newest = [one for one in router.flows if one.own] or [None]
+            newest = [one for one in router.flows if one.sealed] or [None]
             router.from_far(flow or (newest[-1] if data[:1] != b"B" else None), data, sender, self.now)
             way = 0
         else:
