@@ -21,7 +21,7 @@ from typing import Any
 from channel.link import describe
 from channel.router import Router
 from teleop.errors import Refused
-from teleop.live.net.wire import Address, Wire, address, bound, peer_address, shown, towards
+from teleop.live.net.wire import Address, Wire, address, bind_towards, bind_udp, host_port, peer_address
 from teleop.live.options import insecure_option, is_local, tell_insecure
 from teleop.live.orders import OF_THE_RELAY, Orders, orders_option, refuse, tell
 from teleop.live.process import output, realtime
@@ -90,7 +90,7 @@ class RelayShell:
             self._set_to = due
         ready = selector.select(look)
         if any(key.fd == timer.fd for key, _ in ready):
-            timer.rang()
+            timer.expirations()
         self._obey(ready)
 
     def _obey(self, ready: list[tuple[SelectorKey, int]]) -> None:
@@ -122,7 +122,7 @@ class RelayShell:
 
     def _port(self, home: Address) -> Wire:
         """Another wire towards the slave."""
-        wire = Wire(towards(home), home)
+        wire = Wire(bind_towards(home), home)
         self._selector.register(wire.sock, EVENT_READ)
         return wire
 
@@ -166,8 +166,8 @@ def _run(argv: list[str]) -> int:
     scene = both_ends(load_scene(args.scene, **live_knobs(args.scene, knobs_from(args))))
     peer = _with_host(peer_address(args.peer), "127.0.0.1")  # answers come from there
     listen = address(args.listen, "--listen")
-    with (output.live(), bound(listen, "--listen") as near, towards(peer) as far, Interrupt() as interrupt,
-          realtime.asked(args, interrupt, realtime.RELAY_PRIORITY) as scheduling):
+    with (output.live(), bind_udp(listen, "--listen") as near, bind_towards(peer) as far, Interrupt() as interrupt,
+          realtime.scheduling_of(args, interrupt, realtime.RELAY_PRIORITY) as scheduling):
         beyond = next((at for at in (listen, peer) if not is_local(at)), None)
         shell = RelayShell(scene, args.seed, Wire(near, None), Wire(far, peer), beyond=beyond, insecure=args.insecure)
         if args.orders:
@@ -176,15 +176,15 @@ def _run(argv: list[str]) -> int:
             tell_insecure(beyond)
         at = near.getsockname()[:2]
         if args.json:
-            _event("listening", address=shown(at), port=at[1], realtime=scheduling.told)
+            _event("listening", address=host_port(at), port=at[1], realtime=scheduling.report)
         else:
             link: Any = scene.link  # a scene asks less of its link than a text does
             named = "no link" if link is None else describe(link)
-            print(f"channel: {named}; {shown(at)} <-> {shown(peer)}; start the master with: "
-                  f"python -m master {_scene_arguments(args)} --peer {shown(_with_host(at, 'THIS-HOST'))}"
+            print(f"channel: {named}; {host_port(at)} <-> {host_port(peer)}; start the master with: "
+                  f"python -m master {_scene_arguments(args)} --peer {host_port(_with_host(at, 'THIS-HOST'))}"
                   f"{'' if beyond is None else _open_or_sealed(args)}", flush=True)
-            if scheduling.told is not None:
-                print(f"channel: {realtime.sentence(scheduling.told)}", flush=True)
+            if scheduling.report is not None:
+                print(f"channel: {realtime.sentence(scheduling.report)}", flush=True)
         shell.run(interrupt)
     router = shell.router
     counts = {way: router.counts(direction)._asdict() for direction, way in enumerate(("fwd", "bwd"))}

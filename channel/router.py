@@ -26,7 +26,7 @@ from msgpack import packb, unpackb
 from channel.relay import Counts, Flow, Flows, Relay
 from teleop.errors import Refused
 from teleop.live.net.bulk import Bulk
-from teleop.live.net.wire import Address, Wire, shown
+from teleop.live.net.wire import Address, Wire, host_port
 from teleop.protocol.manifest import INSECURE, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, decode, encode, peek
 from teleop.protocol.secure.dtls_record import (
@@ -364,8 +364,8 @@ class Router:
         self.unsealed += 1
         if packet and self._beyond is not None and not self._said_unsealed:
             self._said_unsealed = True
-            print(f"channel: dropped a packet without keys from {shown(sender)}, and will drop all others: "
-                  f"{shown(self._beyond)} is beyond this machine, where such a link can be read, changed and taken "
+            print(f"channel: dropped a packet without keys from {host_port(sender)}, and will drop all others: "
+                  f"{host_port(self._beyond)} is beyond this machine, where such a link can be read, changed and taken "
                   "over; give both ends --key and --peer-fingerprint, or this channel --insecure in a network you "
                   "trust", file=sys.stderr, flush=True)
 
@@ -383,8 +383,9 @@ class Router:
         """The slave answers from there. Said once, for from elsewhere any sender could answer a HELLO of its own."""
         if sender not in (self.home, *self._elsewhere) and len(self._elsewhere) < MOST_SAID:
             self._elsewhere.append(sender)
-            print(f"channel: the slave answers from {shown(sender)}; start this channel with --peer {shown(sender)}, "
-                  "or any sender can take the link from a session that runs", file=sys.stderr, flush=True)
+            at = host_port(sender)
+            print(f"channel: the slave answers from {at}; start this channel with --peer {at}, or any sender can take "
+                  "the link from a session that runs", file=sys.stderr, flush=True)
 
     def counts(self, direction: int) -> Counts:
         """Counts of one direction's datagrams, over all sessions."""

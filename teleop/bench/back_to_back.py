@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from teleop.live.driving import ClockDriver
-from teleop.live.net.wire import Wire, bound
+from teleop.live.net.wire import Wire, bind_udp
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.record import RecordWriter
 from teleop.live.shell import Shell
@@ -55,7 +55,7 @@ PARTS = {
                           "live.records.inputs:InputWriter.arrived"),
     "driver and shell": ("live.driving:ClockDriver.wake", "live.shell:Shell.tick", "live.shell:Shell.take_events",
                          "live.shell:Shell.say_again", "live.driving:Listening.update",
-                         "live.process.ticker:Suspension.passed"),
+                         "live.process.ticker:Suspension.duration"),
 }
 OVERHEAD_NS = 130  # of a timed call, to the part that calls it
 
@@ -126,7 +126,7 @@ def ran(began: Callable[[], None]) -> float:
         module: Any = import_module(f"teleop.live.{name}")
         module.time = clock
     scene = both_ends(load_scene("hard_wall", duration=2 * TICKS * TICK_NS / 1e9))
-    with TemporaryDirectory() as name, bound(("127.0.0.1", 0), "") as near, bound(("127.0.0.1", 0), "") as far:
+    with TemporaryDirectory() as name, bind_udp(("127.0.0.1", 0), "") as near, bind_udp(("127.0.0.1", 0), "") as far:
         shells = [made(scene, "m", Wire(near, far.getsockname()), Path(name) / "m"),
                   made(scene, "s", Wire(far, None), Path(name) / "s")]
         us = asyncio.run(ticks(clock, shells, began))

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from teleop.live.net.wire import DRAIN, Wire, bound
+from teleop.live.net.wire import DRAIN, Wire, bind_udp
 from teleop.live.process.ticker import Alarm
 
 TICK_NS = 1_000_000
@@ -86,7 +86,7 @@ async def _main(what: str, *numbers: int) -> None:
     if what == "tick":
         times = await tick(*numbers)
     else:
-        with bound(("127.0.0.1", 0), "--listen") as sock:
+        with bind_udp(("127.0.0.1", 0), "--listen") as sock:
             if what == "echo":
                 print(sock.getsockname()[1], flush=True)
                 await echo(Wire(sock, None), asyncio.Event())

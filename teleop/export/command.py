@@ -61,7 +61,7 @@ def stream(args: Namespace) -> Answer:
     """Send the rows of a live run to PlotJuggler as they come, until it is over or a signal. Raises `Refused`."""
     from teleop.export.stream import GrowingRun
     from teleop.export.stream import stream as send
-    from teleop.live.net.wire import address, shown
+    from teleop.live.net.wire import address, host_port
     from teleop.live.process.interrupt import Interrupt
 
     to = address(args.plotjuggler, "--plotjuggler")
@@ -70,8 +70,8 @@ def stream(args: Namespace) -> Answer:
                       "127.0.0.1:9870")
     run = GrowingRun(Path(args.run))
     if not args.json:
-        print(f"{args.run} to {shown(to)}: positions, forces and all else that is recorded, as they are, in plain UDP; "
-              "Ctrl-C ends it", file=sys.stderr, flush=True)
+        print(f"{args.run} to {host_port(to)}: positions, forces and all else that is recorded, as they are, in plain "
+              "UDP; Ctrl-C ends it", file=sys.stderr, flush=True)
     try:
         with Interrupt() as interrupt:
             sent = send(run, to, rows=args.rows, stopped=lambda: interrupt.name is not None,
@@ -82,8 +82,8 @@ def stream(args: Namespace) -> Answer:
     missed = f", {grouped(sent.unheard)} of them while nobody listened" if sent.unheard else ""
     sentence = (f"{why}; {grouped(sent.rows)} {plural(sent.rows, 'row')} in {grouped(sent.datagrams)} "
                 f"{plural(sent.datagrams, 'datagram')}{missed}")
-    return Answer(facts([("stream", f"{args.run} to {shown(to)}"), ("", sentence)]), {
-        "status": "done", "sentence": sentence, "mode": "stream", "run": args.run, "to": shown(to),
+    return Answer(facts([("stream", f"{args.run} to {host_port(to)}"), ("", sentence)]), {
+        "status": "done", "sentence": sentence, "mode": "stream", "run": args.run, "to": host_port(to),
         "rows": sent.rows, "datagrams": sent.datagrams, "unheard": sent.unheard, "over": run.over})
 
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from teleop.errors import Refused
 from teleop.export.columns import Field, Keys, Objects, field, paths_of
 from teleop.export.stored import parts_in, turned
-from teleop.live.net.wire import Address, shown
+from teleop.live.net.wire import Address, host_port
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import FILE, OWN, GrowingRecord, Row
 from teleop.scene.axis_labels import labels_in
@@ -208,8 +208,8 @@ def stream(
                 sent.rows += len(some.rows)
             if sent.unheard and not told:
                 told = True
-                nobody = (f"nobody listens on {shown(to)}: start PlotJuggler's UDP Server there, with that port and "
-                          "the protocol json")
+                nobody = (f"nobody listens on {host_port(to)}: start PlotJuggler's UDP Server there, with that port "
+                          "and the protocol json")
                 if not run.live:
                     raise Refused(f"{nobody}, and type this again")
                 warn(f"{nobody}; what comes until then is not kept for it")
@@ -254,7 +254,7 @@ def connected(to: Address) -> socket.socket:
         sock.connect(to)
     except OSError as error:
         sock.close()
-        raise Refused(f"cannot send to {shown(to)} ({error.strerror or error}); give the address of the machine on "
+        raise Refused(f"cannot send to {host_port(to)} ({error.strerror or error}); give the address of the machine on "
                       "which PlotJuggler runs, for example --plotjuggler 127.0.0.1:9870") from error
     return sock
 
@@ -269,5 +269,5 @@ def _send(sock: socket.socket, data: bytes, to: Address, sent: Sent) -> None:
             with suppress(ConnectionRefusedError):
                 sock.send(data)
     except OSError as error:
-        raise Refused(f"could not send to {shown(to)} ({error.strerror or error}) after {sent.datagrams - 1} "
+        raise Refused(f"could not send to {host_port(to)} ({error.strerror or error}) after {sent.datagrams - 1} "
                       "datagrams; see whether that machine can be reached, or send less at a time: --rows 1") from error

@@ -11,7 +11,7 @@ from functools import partial
 from teleop.errors import Refused
 from teleop.live.leaving import leave, leave_without_loop, let_go
 from teleop.live.net.filter import of_next, of_records, of_session
-from teleop.live.net.wire import Wire, shown
+from teleop.live.net.wire import Wire, host_port
 from teleop.live.process.ticker import Alarm, Suspension, boottime, in_tick_loop
 from teleop.live.shell import Shell, name_part
 from teleop.protocol.endpoint import Endpoint, Stepped
@@ -95,7 +95,7 @@ def _why_no_peer(shell: Shell, since: str) -> str:
     elif peer is None:
         why = f"no master came {since}; start one that has this address as its --peer, or --wait longer"
     else:
-        why = f"no answer from {shown(peer)} {since}; start the other end first, and check address and port"
+        why = f"no answer from {host_port(peer)} {since}; start the other end first, and check address and port"
     if secure_link is None and shell.endpoint.rejected[Rejection.VERSION.value]:
         return f"{why}; what came is of another wire version than {VERSION}: install the same release at both ends"
     keys = "; what came was from no such end: has one of the two keys, and the other none?"
@@ -274,7 +274,7 @@ class ClockDriver:
         shell, counts, session = self.shell, self.shell.counts, self.session
         if shell.interrupt.lost:
             shell.retake_signals()
-        if (slept := self.suspension.passed()):
+        if (slept := self.suspension.duration()):
             shell.endpoint.stood_still(slept)
         if self.listening.endpoint is not shell.endpoint:
             self._go_on()

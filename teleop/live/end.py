@@ -20,7 +20,7 @@ from teleop.live.devices.opening import close, find_device, open_device, watchdo
 from teleop.live.driving import run_in_loop
 from teleop.live.leaving import LastResort
 from teleop.live.live_line import live_text
-from teleop.live.net.wire import Address, Wire, address, bound, peer_address, shown, towards
+from teleop.live.net.wire import Address, Wire, address, bind_towards, bind_udp, host_port, peer_address
 from teleop.live.options import key_options, secure_link, ticks_of
 from teleop.live.orders import SHAPES, Orders, orders_option, tell
 from teleop.live.process import output, realtime
@@ -103,7 +103,7 @@ def _run_with(
         interrupt.retake()
         _check_stepped(args, made)
         stem = f"{scene.name}-{NAMES[e]}"
-        with (realtime.asked(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
+        with (realtime.scheduling_of(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
               nullcontext(made) if args.lockstep else with_watchdog(
                   made, folder.path, scheduling.above, _watchdog(e, args, knobs)) as watched_device):
             progress = _Progress(scene)
@@ -128,7 +128,7 @@ def _run_with(
                 turning = Turning(shell, made, folder, knobs, partial(_turned, args), recorder_of)
                 shell.orders = Orders(SHAPES, turning.take)
             _warn(shell, NAMES[e], quiet=args.json or args.quiet)
-            _greet(e, args, wire, scheduling.told)
+            _greet(e, args, wire, scheduling.report)
             try:
                 run_in_loop(shell, spin_ns=realtime.SPIN_NS if args.spin else 0)
             finally:
@@ -281,7 +281,7 @@ def _parser(e: str) -> ArgumentParser:
 
 @contextmanager
 def _wire(e: str, at: Address, secure_link: SecureLink | None) -> Iterator[Wire]:
-    wire = Wire(towards(at), at, secure_link) if e == "m" else Wire(bound(at, "--listen"), None, secure_link)
+    wire = Wire(bind_towards(at), at, secure_link) if e == "m" else Wire(bind_udp(at, "--listen"), None, secure_link)
     try:
         yield wire
     finally:
@@ -292,10 +292,10 @@ def _wire(e: str, at: Address, secure_link: SecureLink | None) -> Iterator[Wire]
 def _greet(e: str, args: Any, wire: Wire, scheduling: dict[str, str] | None) -> None:
     at = wire.sock.getsockname()[:2]
     if args.json:
-        tell("listening", address=shown(at), port=at[1], realtime=scheduling)
+        tell("listening", address=host_port(at), port=at[1], realtime=scheduling)
     elif e == "m":
         assert wire.peer is not None
-        print(f"master: asking {shown(wire.peer)} for a session", flush=True)
+        print(f"master: asking {host_port(wire.peer)} for a session", flush=True)
     else:
         host = "THIS-HOST" if at[0] == "0.0.0.0" else at[0]
         knobs = "".join(f" --set {quote(each)}" for each in args.set or ())
@@ -303,7 +303,7 @@ def _greet(e: str, args: Any, wire: Wire, scheduling: dict[str, str] | None) -> 
         keys = " --insecure" if args.insecure else ""
         if wire.secure_link is not None:
             keys = f" --key master.key --peer-fingerprint {wire.secure_link.fingerprint}"
-        print(f"slave: listening on {shown(at)}; start the master with: "
+        print(f"slave: listening on {host_port(at)}; start the master with: "
               f"python -m master {args.scene}{knobs}{link} --peer {host}:{at[1]}{keys}", flush=True)
     if scheduling is not None and not args.json:
         print(f"{NAMES[e]}: {realtime.sentence(scheduling)}", flush=True)

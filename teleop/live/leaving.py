@@ -234,7 +234,7 @@ class LastResort:
 
     def _wait(self) -> None:
         # The main thread's, unless that has blocked them. To be unblocked here too is to hear of them all the same.
-        signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals() - self.interrupt.taken)
+        signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals() - self.interrupt.signals)
         due = float("inf")  # when this thread acts
         while not self._done:
             left = due - time.monotonic()
@@ -242,7 +242,7 @@ class LastResort:
                 noted, name = self.interrupt.count, self.interrupt.name  # first: the pipe has their numbers by now
                 came = self._read_signals(min(left, POLL_S))
                 before = len(self._names)
-                for number in self.interrupt.taken.intersection(came):
+                for number in self.interrupt.signals.intersection(came):
                     self._names += [name_of(number)] * (came.count(number) - self._is_overrun(number))
                 if name is not None:
                     self._names += [name] * (noted - len(self._names))

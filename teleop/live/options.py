@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
 from teleop.errors import Refused, number
-from teleop.live.net.wire import Address, shown
+from teleop.live.net.wire import Address, host_port
 from teleop.protocol.guard import UNNAMED
 from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.playout import Fixed, Integral, Playout, as_typed, integrates
@@ -50,7 +50,7 @@ def is_local(at: Address) -> bool:
 
 def tell_insecure(at: Address) -> None:
     """Say on the terminal that a link is in the open."""
-    _tell(f"the link to {shown(at)} is neither authenticated nor encrypted")
+    _tell(f"the link to {host_port(at)} is neither authenticated nor encrypted")
 
 
 class LinkSecurity:
@@ -100,7 +100,7 @@ def _open(at: Address, args: Namespace) -> bool:
     if is_local(at):
         return False
     if not args.insecure:
-        raise Refused(f"{shown(at)} reaches beyond this machine, and a link without keys can be read, changed and "
+        raise Refused(f"{host_port(at)} reaches beyond this machine, and a link without keys can be read, changed and "
                       "taken over; make a key at each end with `teleop keygen NAME` and give --key and "
                       "--peer-fingerprint, or write --insecure in a network you trust")
     tell_insecure(at)

@@ -181,7 +181,7 @@ class Shell:
     def retake_signals(self) -> None:
         """Take back the signals that a driver or a library has taken for itself, and name them."""
         self.interrupt.retake()
-        if names := self.interrupt.retaken():
+        if names := self.interrupt.pop_retaken():
             why = (f"a driver or a library had taken {enumerated(names)} for itself; taken back, so that "
                    f"{plural(len(names), 'it ends', 'they end')} this run with its force at zero")
             self.note(Event(self.counts.ran, "signals", why))

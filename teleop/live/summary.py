@@ -51,7 +51,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
     _, record, late, cut = read_noted(folder)
     inbox: Any = endpoint.inbox
     earlier = endpoint.counted
-    told = None if shell.realtime is None else shell.realtime.told
+    told = None if shell.realtime is None else shell.realtime.report
     sends, hears = WAYS[endpoint.e]
     heard = Packets(
         received=earlier["received"] + getattr(inbox, "received", endpoint.received), rejected=dict(endpoint.rejected),

@@ -21,7 +21,7 @@ import pytest
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.live.driving import run
-from teleop.live.net.wire import Wire, bound
+from teleop.live.net.wire import Wire, bind_udp
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import WAYS
 from teleop.live.records.record import RecordWriter
@@ -64,8 +64,8 @@ class Pair:
     drive: Callable[[Shell], Coroutine[Any, Any, None]] = run
 
     def __post_init__(self) -> None:
-        slave = self.wire(bound(("127.0.0.1", 0), "--listen"), None)
-        master = self.wire(bound(("127.0.0.1", 0), "--peer"), slave.sock.getsockname())
+        slave = self.wire(bind_udp(("127.0.0.1", 0), "--listen"), None)
+        master = self.wire(bind_udp(("127.0.0.1", 0), "--peer"), slave.sock.getsockname())
         self.shells = {
             e: make_shell(self.scene, e, wire, self.out / name, seed=self.seed, **self.parts[e])
             for e, name, wire in (("s", "slave", slave), ("m", "master", master))

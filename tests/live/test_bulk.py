@@ -11,7 +11,7 @@ import pytest
 
 from teleop.live.net import wire as reading
 from teleop.live.net.bulk import MOST, Bulk
-from teleop.live.net.wire import LONGEST, STAMP, Wire, bound
+from teleop.live.net.wire import LONGEST, STAMP, Wire, bind_udp
 
 pytestmark = pytest.mark.live
 
@@ -32,12 +32,12 @@ def wait_for_stamps(wire: Wire) -> None:
 
 @pytest.fixture(params=["many", "one by one"])
 def pair(request: pytest.FixtureRequest) -> Iterator[tuple[Bulk, Bulk, Wire, Wire]]:
-    wires = [Wire(bound(("127.0.0.1", 0), "--listen"), None) for _ in range(2)]
+    wires = [Wire(bind_udp(("127.0.0.1", 0), "--listen"), None) for _ in range(2)]
     wires[0].peer, wires[1].peer = wires[1].sock.getsockname(), wires[0].sock.getsockname()
     one, other = map(Bulk, wires)
-    if request.param == "many" and not one.there:
+    if request.param == "many" and not one.available:
         pytest.skip("the system has no calls for many datagrams")
-    one.there = other.there = request.param == "many"
+    one.available = other.available = request.param == "many"
     wait_for_stamps(wires[1])
     yield one, other, wires[0], wires[1]
     for wire in wires:
@@ -73,7 +73,7 @@ def test_they_come_whole_and_in_order_with_sender_and_time(pair: Pair, count: in
 def test_strangers_are_told_apart_and_empty_or_overlong_datagrams_show_as_such(pair: Pair) -> None:
     _, other, wire, far = pair
     at = far.sock.getsockname()
-    strangers = [bound(("127.0.0.1", 0), "--listen") for _ in range(70)]
+    strangers = [bind_udp(("127.0.0.1", 0), "--listen") for _ in range(70)]
     for stranger in strangers:
         stranger.sendto(b"x", at)
     wire.sock.sendto(b"", at)

@@ -228,7 +228,7 @@ def test_a_filter_is_taken_off_again_though_the_peer_could_not_be_connected_to()
         here.bind(("127.0.0.1", 0))
         wire = Wire(here, ("255.255.255.255", 9))  # a broadcast, which may not be connected to
         wire.keep_to_peer(of_session(5, 100, Kind.FORTH))
-        assert not wire.kept
+        assert not wire.connected
         other.sendto(b"another session's", here.getsockname())
         assert wire.receive() is None
         wire.listen_to_all()

@@ -16,7 +16,7 @@ import pytest
 from teleop.live.devices import device_watchdog
 from teleop.live.process import realtime
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.process.realtime import GIVEN_BACK, Granted, RealTime, asked
+from teleop.live.process.realtime import GIVEN_BACK, Granted, RealTime, scheduling_of
 from teleop.scene.library import ROOT
 from tests.live.conftest import summary
 from tests.waiting import until
@@ -100,14 +100,14 @@ def test_a_limit_on_the_priority_leaves_room_for_what_runs_before_the_loop(limit
 
 @pytest.mark.parametrize("args", [Namespace(realtime=False), Namespace(realtime=True, lockstep=True)])
 def test_without_it_and_by_packets_nothing_is_asked_for(args: Namespace, calls: list[Any]) -> None:
-    with asked(args, Interrupt()) as scheduling:
-        assert (scheduling.told, scheduling.above) == (None, None)
+    with scheduling_of(args, Interrupt()) as scheduling:
+        assert (scheduling.report, scheduling.above) == (None, None)
     assert calls == []
 
 
 def test_it_is_given_back_when_the_block_ends_and_not_inherited(calls: list[Any]) -> None:
     with RealTime(Interrupt()) as scheduling:
-        assert scheduling.told == {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}
+        assert scheduling.report == {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}
         assert scheduling.above == 41
         assert calls == [(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 40)]
     thread, policy, priority = calls[1]
@@ -140,8 +140,8 @@ def test_a_loop_that_never_sleeps_is_given_back_and_runs_on(interrupt: Interrupt
         os.kill(os.getpid(), signal.SIGXCPU)
         assert interrupt.name is None
         assert calls[-1][1:] == (OTHER, 0)
-        assert scheduling.told is not None
-        assert scheduling.told["scheduler"].endswith(GIVEN_BACK)
+        assert scheduling.report is not None
+        assert scheduling.report["scheduler"].endswith(GIVEN_BACK)
         os.kill(os.getpid(), signal.SIGXCPU)
         assert interrupt.name == "SIGXCPU", "a limit on processor time is still one"
 
@@ -177,7 +177,8 @@ def test_a_loop_that_hangs_does_not_keep_a_core_for_ever() -> None:
                "    until = time.monotonic() + 30.0",
                "    while os.sched_getscheduler(0) & os.SCHED_FIFO and time.monotonic() < until: pass",
                "    got = scheduling.granted.priority is not None",
-               "    print(os.sched_getscheduler(0) & os.SCHED_FIFO, got == ('given' in scheduling.told['scheduler']))")
+               "    back = 'given' in scheduling.report['scheduler']",
+               "    print(os.sched_getscheduler(0) & os.SCHED_FIFO, got == back)")
     assert told == "0 True\n"
 
 
@@ -193,9 +194,9 @@ def test_a_limit_on_locked_memory_is_not_reached_later(monkeypatch: pytest.Monke
 
 
 def test_the_watchdog_of_a_device_runs_before_an_end_with_real_time_scheduling(calls: list[Any]) -> None:
-    device_watchdog._first(None)
+    device_watchdog._run_before_end(None)
     assert calls == []
-    device_watchdog._first(41)
+    device_watchdog._run_before_end(41)
     assert calls == [(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 41)]
 
 

@@ -17,7 +17,7 @@ from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.errors import Refused
 from teleop.live.driving import run
-from teleop.live.net.wire import Wire, bound
+from teleop.live.net.wire import Wire, bind_udp
 from teleop.live.options import ticks_of
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.merge import merge
@@ -390,7 +390,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
     master, slave = both.shells["m"], both.shells["s"]
     for shell in (master, slave):
         shell.endpoint.session.liveness.renew_ns = 400_000_000
-    moved = Wire(bound(("127.0.0.1", 0), "--listen"), slave.wire.sock.getsockname())
+    moved = Wire(bind_udp(("127.0.0.1", 0), "--listen"), slave.wire.sock.getsockname())
 
     def move() -> None:
         assert isinstance(master.wire, Roaming)
@@ -403,7 +403,7 @@ def test_a_peer_that_comes_back_from_another_port_is_heard_in_a_session_of_its_o
     moved.sock.close()
     for shell in (master, slave):
         assert shell.endpoint.session.met >= 2
-        assert shell.wire.kept, "to the peer alone again"
+        assert shell.wire.connected, "to the peer alone again"
         assert 0 < shell.endpoint.counted["played"] < shell.endpoint.counted["played"] + shell.endpoint.inbox.played
 
 

@@ -126,7 +126,7 @@ for number in (signal.SIGQUIT, signal.SIGHUP):  # whatever the shell that starte
     signal.signal(number, signal.SIG_DFL)
 before = {number: signal.getsignal(number) for number in signal.valid_signals()}
 with Interrupt() as interrupt:
-    for number in sorted(interrupt.taken):
+    for number in sorted(interrupt.signals):
         interrupt.name = None
         os.kill(os.getpid(), number)
         print(number, interrupt.name, flush=True)
@@ -148,7 +148,7 @@ def test_what_is_ignored_stays_so_as_under_nohup() -> None:
     try:
         with Interrupt() as interrupt:
             os.kill(os.getpid(), signal.SIGHUP)
-            assert (interrupt.name, signal.SIGHUP in interrupt.taken) == (None, False)
+            assert (interrupt.name, signal.SIGHUP in interrupt.signals) == (None, False)
     finally:
         signal.signal(signal.SIGHUP, before)
 

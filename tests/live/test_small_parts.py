@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from teleop.errors import Refused
-from teleop.live.net.wire import Wire, address, bound, peer_address, shown
+from teleop.live.net.wire import Wire, address, bind_udp, host_port, peer_address
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.ticker import Alarm
 from tests.waiting import PATIENCE
@@ -86,7 +86,7 @@ def test_a_timer_that_cannot_be_set_is_an_error_and_no_endless_wait() -> None:
 
 
 def test_what_cannot_be_sent_is_counted_and_what_is_not_there_is_none() -> None:
-    wire = Wire(bound(("127.0.0.1", 0), "--listen"), None)
+    wire = Wire(bind_udp(("127.0.0.1", 0), "--listen"), None)
     with wire.sock:
         wire.send(b"to nobody")
         assert wire.receive() is None
@@ -104,7 +104,7 @@ def test_what_cannot_be_sent_is_counted_and_what_is_not_there_is_none() -> None:
 
 def test_an_end_on_all_addresses_is_on_all_of_them_again_after_a_silence() -> None:
     """A socket that is disconnected has lost the port that the system chose; it was bound to one address then."""
-    wire = Wire(bound(("0.0.0.0", 0), "--listen"), None)
+    wire = Wire(bind_udp(("0.0.0.0", 0), "--listen"), None)
     with wire.sock:
         before = wire.sock.getsockname()
         for _ in range(2):
@@ -117,8 +117,8 @@ def test_an_end_on_all_addresses_is_on_all_of_them_again_after_a_silence() -> No
 
 
 def test_a_peer_whose_port_is_closed_raises_nothing() -> None:
-    gone = bound(("127.0.0.1", 0), "--listen")
-    wire = Wire(bound(("127.0.0.1", 0), "--listen"), gone.getsockname())
+    gone = bind_udp(("127.0.0.1", 0), "--listen")
+    wire = Wire(bind_udp(("127.0.0.1", 0), "--listen"), gone.getsockname())
     gone.close()
     with wire.sock:
         for _ in range(3):
@@ -132,7 +132,7 @@ def test_a_peer_whose_port_is_closed_raises_nothing() -> None:
 
 def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
     with pytest.raises(Refused, match=r"cannot listen on 203\.0\.113\.1:9001 .* another with --listen"):
-        bound(("203.0.113.1", 9001), "--listen")
+        bind_udp(("203.0.113.1", 9001), "--listen")
 
 
 @pytest.mark.parametrize(("text", "meant"), [
@@ -160,12 +160,12 @@ def test_a_peer_needs_a_port() -> None:
 
 
 def test_an_address_that_is_taken_or_not_ours_is_refused() -> None:
-    with bound(("127.0.0.1", 0), "--listen") as one:
+    with bind_udp(("127.0.0.1", 0), "--listen") as one:
         with pytest.raises(Refused, match="in use"):
-            bound(one.getsockname(), "--listen")
-        assert shown(one.getsockname()).startswith("127.0.0.1:")
+            bind_udp(one.getsockname(), "--listen")
+        assert host_port(one.getsockname()).startswith("127.0.0.1:")
     with pytest.raises(Refused, match="not this machine's"):
-        bound(("203.0.113.1", 9001), "--listen")
+        bind_udp(("203.0.113.1", 9001), "--listen")
 
 
 # Signals

@@ -87,7 +87,7 @@ class StandIn:
     def set(self, due_ns: int, interval_ns: int) -> None:
         self.asked = due_ns, interval_ns
 
-    def rang(self) -> int:
+    def expirations(self) -> int:
         rings, self.rings = self.rings, 0
         return rings
 
@@ -158,11 +158,11 @@ def test_it_may_be_set_again_while_it_rings() -> None:
 
 def test_a_timer_counts_its_rings_and_is_read_without_waiting() -> None:
     timer = Timer()
-    assert timer.rang() == 0
+    assert timer.expirations() == 0
     began = time.monotonic_ns()
     timer.set(began - 1000 * MS, MS)
     time.sleep(0.001)
-    told = timer.rang()
+    told = timer.expirations()
     assert told >= 1000
-    assert timer.rang() + told <= 1001 + (time.monotonic_ns() - began) // MS, "those are told"
+    assert timer.expirations() + told <= 1001 + (time.monotonic_ns() - began) // MS, "those are told"
     timer.close()

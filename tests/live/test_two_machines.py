@@ -216,8 +216,8 @@ def test_what_is_too_long_for_a_router_is_cut_there_though_nobody_says_so(machin
     hears.stdout.readline()
     try:
         near.run(
-            sys.executable, "-c", "from teleop.live.net.wire import towards\nfrom teleop.live.net.wire import Wire\n"
-            "peer = ('10.0.2.2', 9)\nwire = Wire(towards(peer), peer)\nwire.keep_to_peer()\n"
+            sys.executable, "-c", "from teleop.live.net.wire import Wire, bind_towards\n"
+            "peer = ('10.0.2.2', 9)\nwire = Wire(bind_towards(peer), peer)\nwire.keep_to_peer()\n"
             "for size in (1200, 100):\n    wire.send(bytes(size))",
             env={**os.environ, "PYTHONPATH": str(ROOT)}).check_returncode()
         assert hears.stdout.readline() == "1200\n"

@@ -1,7 +1,7 @@
-"""Datagrams by the handful: one call into the system takes all that wait at a socket, or sends all that are due.
+"""Datagrams by the handful: one call into the system reads all that wait at a socket, or sends all that are due.
 
 Python's own `recvmsg` and `sendto` cost a call, a list and a tuple for each datagram, and an exception to learn
-that there is none left. Linux has `recvmmsg` and `sendmmsg`; elsewhere the datagrams go through the `Wire` one by one.
+that none is left. Linux has `recvmmsg` and `sendmmsg`; elsewhere the datagrams go through the `Wire` one by one.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ MOST = 32  # datagrams in one call
 _KNOWN = 64  # senders whose address is remembered as text
 _NAME = Struct("=HH4s8x")  # sockaddr_in
 _NOTE = Struct("@Niill")  # cmsghdr and the timespec behind it
-_HEADER = Struct("@PIPNPNi4xI4x")  # mmsghdr: name, iovec, control with their sizes; flags; bytes there were
+_HEADER = Struct("@PIPNPNi4xI4x")  # mmsghdr: name, iovec, control with their sizes; flags; bytes received
 _PART = Struct("@PN")  # iovec
-_TOLD = 8  # bytes of a name that say something
+_NAME_USED = 8  # bytes of a name that tell the sender
 _WORDS, _NOTED, _TAKEN = 16, 10, 14  # 32-bit words of a header; those that tell the bytes of notes and of data
 
 Taken = tuple[bytes, Address, int]
@@ -59,22 +59,22 @@ class Bulk:
         self._wire, self._fd = wire, wire.sock.fileno()
         self._known: dict[bytes, Address] = {}
         self._peer: Address | None = None
-        self._emptied_ns = time.monotonic_ns()  # when there was nothing left to receive
+        self._emptied_ns = time.monotonic_ns()  # when nothing was left to receive
         try:
             libc = ctypes.CDLL(None, use_errno=True)
             self._recvmmsg, self._sendmmsg = libc.recvmmsg, libc.sendmmsg
-            self.there = _HEADER.size == 4 * _WORDS  # as the system lays them out where addresses have 64 bits
+            self.available = _HEADER.size == 4 * _WORDS  # as the system lays them out where addresses have 64 bits
         except (OSError, AttributeError):
-            self.there = False
-        if not self.there:
+            self.available = False
+        if not self.available:
             return
         self._recvmmsg.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p]
         self._sendmmsg.argtypes = self._recvmmsg.argtypes[:-1]
         self._in, self._out = _Headers(LONGEST), _Headers(LONGEST)
 
     def receive(self) -> list[Taken]:
-        """Up to `MOST` datagrams that wait: their bytes, where they came from and when (monotonic clock, ns)."""
-        if not self.there:
+        """Read up to `MOST` datagrams that wait: bytes, sender and time of arrival (monotonic clock, ns) of each."""
+        if not self.available:
             return self._one_by_one()
         box = self._in
         while True:
@@ -91,26 +91,26 @@ class Bulk:
         out = []
         for i in range(count):
             start = i * LONGEST
-            name = bytes(box.names[i * _NAME.size : i * _NAME.size + _TOLD])
+            name = bytes(box.names[i * _NAME.size : i * _NAME.size + _NAME_USED])
             _, level, kind, seconds, nanoseconds = _NOTE.unpack_from(box.notes, i * _NOTE.size)
-            came = now
+            arrived = now
             if box.words[i * _WORDS + _NOTED] == _NOTE.size and kind == STAMP and level == socket.SOL_SOCKET:
-                came = arrival(seconds * 1_000_000_000 + nanoseconds, now, wall, emptied)
+                arrived = arrival(seconds * 1_000_000_000 + nanoseconds, now, wall, emptied)
             data = bytes(box.data[start : start + box.words[i * _WORDS + _TAKEN]])
-            out.append((data, self._known.get(name) or self._told(name), came))
+            out.append((data, self._known.get(name) or self._address_of(name), arrived))
         used = count * _HEADER.size
         box.headers[:used] = box.fresh[:used]
         return out
 
     def send(self, datagrams: Sequence[bytes]) -> None:
-        """All of them to the wire's peer, in this order, if there is one yet."""
+        """Send them to the wire's peer, in this order, if there is one yet."""
         wire = self._wire
-        if not self.there or wire.peer is None or len(datagrams) == 1:
+        if not self.available or wire.peer is None or len(datagrams) == 1:
             for data in datagrams:
                 wire.send(data)
             return
         for start in range(0, len(datagrams), MOST):
-            self._sent(datagrams[start : start + MOST], wire.peer)
+            self._send_many(datagrams[start : start + MOST], wire.peer)
 
     def _one_by_one(self) -> list[Taken]:
         out: list[Taken] = []
@@ -118,14 +118,14 @@ class Bulk:
             out.append((got[0] or b"", got[1], got[2]))
         return out
 
-    def _told(self, name: bytes) -> Address:
+    def _address_of(self, name: bytes) -> Address:
         if len(self._known) >= _KNOWN:
             self._known.clear()
         _, port, host = _NAME.unpack(name.ljust(_NAME.size, b"\0"))
         address = self._known[name] = socket.inet_ntoa(host), socket.ntohs(port)
         return address
 
-    def _sent(self, datagrams: Sequence[bytes], peer: Address) -> None:
+    def _send_many(self, datagrams: Sequence[bytes], peer: Address) -> None:
         box = self._out
         if peer != self._peer:
             name = _NAME.pack(socket.AF_INET, socket.htons(peer[1]), socket.inet_aton(peer[0]))

@@ -1,11 +1,11 @@
-"""A filter that the kernel runs on a socket's datagrams, so that a flood of what cannot be ours costs no tick.
+"""Filter that the kernel runs on a socket's datagrams, so that a flood of foreign ones costs no tick.
 
-    attach(sock, program(*of_session(number, size, Kind.FORTH)))    # True; False where there is none to be had
+    attach(sock, program(*of_session(number, size, Kind.FORTH)))    # True; False on a system without such filters
     detach(sock)
 
-It is a classic BPF program (McCanne & Jacobson 1993): a datagram is looked at as it comes, before it takes a place in
-the socket's queue. There the ones that only look like ours remain to be told apart, since no such program has a
-loop to compute a checksum with. What waited in the queue when the filter came stays there.
+It is a classic BPF program (McCanne & Jacobson 1993): it judges a datagram as it comes, before that takes a place in
+the socket's queue. Those that only look like ours pass, since no such program has a loop to compute a checksum with.
+Datagrams that waited in the queue when the filter was attached stay there.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _ON, _OUT, _UNLESS = 0, 1, 2  # to the next line; out unless the jump's question
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Shape:
-    """What a datagram looks like that may pass. Offsets and sizes in bytes of UDP payload.
+    """Shape of a datagram that may pass. Offsets and sizes in bytes of UDP payload.
 
     Raises `Refused` for a size that no datagram has.
     """
@@ -56,13 +56,13 @@ class Shape:
 
     @property
     def shortest(self) -> int:
-        """The fewest bytes that have all of it."""
+        """Least number of bytes that can have this shape."""
         ends = [at + len(text) for at, text in self.has] + ([] if self.rest_at is None else [self.rest_at + 2])
         return max([self.least, *ends])
 
 
 def program(*shapes: Shape) -> bytes:
-    """The program that lets a datagram pass which is of any of these shapes, as `attach` takes it.
+    """Compile the program that passes a datagram of any of these shapes, for `attach`.
 
     >>> len(program(Shape(has=((0, b"BT"),), least=100, most=100))) // 8
     6
@@ -74,7 +74,7 @@ def program(*shapes: Shape) -> bytes:
 
 
 def attach(sock: socket.socket, code: bytes) -> bool:
-    """Let only what `code` lets pass into the socket's queue, in place of a filter that it had. False: not here."""
+    """Give the socket the filter `code`, in place of one that it had; False where the system has no filters."""
     if not sys.platform.startswith("linux"):
         return False
     lines = ctypes.create_string_buffer(code, len(code))
@@ -87,7 +87,7 @@ def attach(sock: socket.socket, code: bytes) -> bool:
 
 
 def detach(sock: socket.socket) -> bool:
-    """Let everything in again. False if there was no filter."""
+    """Take the socket's filter away; False if it had none."""
     if not sys.platform.startswith("linux"):
         return False
     try:
@@ -98,10 +98,10 @@ def detach(sock: socket.socket) -> bool:
 
 
 def of_session(number: int, size: int, heard: Kind) -> tuple[Shape, ...]:
-    """The packets of one session in the open: messages of exactly `size` bytes, and all that are no messages.
+    """Shapes of the unsealed packets of one session: messages of exactly `size` bytes, and all that are no messages.
 
-    `heard`: the kind of messages that this end hears; its own, thrown back at it, are not let in. The session's
-    number stands in the body, behind the mark of an array of six.
+    `heard`: the kind of messages that this end hears; its own, thrown back at it, do not pass. The session's number
+    stands in the body, behind the mark of an array of six.
     """
     inside = (6, b"\x96" + packb(number))
     sizes = {kind: (0, MOST_CONTROL) for kind in Kind if kind not in DATA} | {heard: (size, size)}
@@ -110,22 +110,22 @@ def of_session(number: int, size: int, heard: Kind) -> tuple[Shape, ...]:
 
 
 def of_next(number: int) -> tuple[Shape, ...]:
-    """The HELLO with which the master of this session asks for the one after it."""
+    """Shape of the HELLO with which the master of this session asks for the next one."""
     inside = (6, b"\x96" + packb((number + 1) % 2**64))
     return (Shape(has=((0, b"BT" + bytes((VERSION, Kind.HELLO))), inside), most=MOST_CONTROL),)
 
 
 def of_records(*, handshakes: bool = True) -> tuple[Shape, ...]:
-    """Sealed datagrams (DTLS 1.2, RFC 6347): one record of data of epoch 1, as long as it says that it is.
+    """Shapes of sealed datagrams (DTLS 1.2, RFC 6347): one record of data of epoch 1, of the length that it states.
 
-    `handshakes`: what begins or ends an association too, of which a datagram may have several records.
+    `handshakes`: also those that begin or end an association, of which a datagram may have several records.
     """
     data = Shape(has=((0, b"\x17\xfe\xfd\x00\x01"),), rest_at=11)
     return (data, *(Shape(has=((0, bytes((kind, 0xFE))),), least=13) for kind in (20, 21, 22) if handshakes))
 
 
 def _shape(shape: Shape) -> bytes:
-    """The lines for one shape: each goes on, or out to the line behind them."""
+    """Compile one shape: each line goes on, or out to the line behind them."""
     lines = list(_lines(shape))
     if len(lines) > _FARTHEST:
         raise Refused("a shape's texts are too long for a jump over them; look for fewer bytes")

@@ -21,27 +21,27 @@ Address = tuple[str, int]
 
 
 def address(text: str, option: str) -> Address:
-    """`HOST:PORT` (or `:PORT`, meaning loopback) resolved to an IPv4 address and a port. Raises `Refused`."""
+    """Resolve `HOST:PORT` (or `:PORT`, meaning loopback) to an IPv4 address and a port. Raises `Refused`."""
     host, colon, port = text.rpartition(":")
     if not colon or not port.isdecimal() or int(port) > 65535:
         raise Refused(f"{option} takes HOST:PORT, not {text!r}; write for example {option} 127.0.0.1:9001")
     try:
-        found = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
+        known = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:  # a name that cannot even be asked for is no OSError
         why = getattr(error, "strerror", None) or "it is no host's name"
         raise Refused(f"{option} names the host {host!r}, which is not known here ({why}); try its number") from error
-    return str(found[0][4][0]), int(found[0][4][1])
+    return str(known[0][4][0]), int(known[0][4][1])
 
 
 def peer_address(text: str) -> Address:
-    """The address of --peer, which has to be one that can be sent to. Raises `Refused`."""
-    found = address(text, "--peer")
-    if found[1] == 0:
+    """Resolve the address of --peer, to which it must be possible to send. Raises `Refused`."""
+    peer = address(text, "--peer")
+    if peer[1] == 0:
         raise Refused("--peer needs the port that the other side listens on, not 0; for example --peer 127.0.0.1:9001")
-    return found
+    return peer
 
 
-def bound(at: Address, option: str) -> socket.socket:
+def bind_udp(at: Address, option: str) -> socket.socket:
     """A UDP socket bound to an address; port 0 takes any free one. Raises `Refused`."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -55,12 +55,12 @@ def bound(at: Address, option: str) -> socket.socket:
     return sock
 
 
-def towards(peer: Address) -> socket.socket:
+def bind_towards(peer: Address) -> socket.socket:
     """A UDP socket, on any free port, from which this peer can be reached."""
-    return bound(("127.0.0.1" if peer[0].startswith("127.") else "0.0.0.0", 0), "--peer")
+    return bind_udp(("127.0.0.1" if peer[0].startswith("127.") else "0.0.0.0", 0), "--peer")
 
 
-def shown(at: tuple[str, int]) -> str:
+def host_port(at: tuple[str, int]) -> str:
     """An address as it is typed."""
     return f"{at[0]}:{at[1]}"
 
@@ -74,9 +74,9 @@ OLDEST_NS = 10_000_000_000  # a stamp that is older, or from the future, tells o
 APART_NS = 200_000  # between two readings of clocks: the process did not run meanwhile
 SKEW_NS = 5_000_000  # between what two clocks say, and for what comes while it is looked
 ROOM = 1 << 20  # bytes of receive buffer to ask for; the usual default holds 256 packets
-MTU_DISCOVER, WHEREVER = 10, 0  # IP_MTU_DISCOVER and IP_PMTUDISC_DONT of Linux: routers may cut what is too long
+MTU_DISCOVER, NEVER_PROBE = 10, 0  # IP_MTU_DISCOVER and IP_PMTUDISC_DONT of Linux: routers may cut what is too long
 # What a connected socket says whose own address is not this machine's any more, or whose network is down.
-NO_WAY = frozenset((errno.EINVAL, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, errno.EADDRNOTAVAIL))
+NO_ROUTE = frozenset((errno.EINVAL, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, errno.EADDRNOTAVAIL))
 _TIMESPEC = Struct("@ll")
 
 
@@ -103,7 +103,7 @@ def clocks() -> tuple[int, int]:
 class Wire:
     """A non-blocking UDP socket with one peer. Nothing that happens on it raises into the loop.
 
-    With a `secure_link` all that is sent is sealed, and only what its peer has sealed comes out.
+    With a `secure_link` every datagram sent is sealed, and only those that its peer has sealed come out.
     """
 
     def __init__(self, sock: socket.socket, peer: Address | None, secure_link: SecureLink | None = None) -> None:
@@ -111,52 +111,52 @@ class Wire:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
         with suppress(OSError):  # elsewhere than on Linux a datagram comes when it is read
             sock.setsockopt(socket.SOL_SOCKET, STAMP, 1)
-            sock.setsockopt(socket.IPPROTO_IP, MTU_DISCOVER, WHEREVER)
+            sock.setsockopt(socket.IPPROTO_IP, MTU_DISCOVER, NEVER_PROBE)
         self.sock, self.peer, self.secure_link = sock, peer, secure_link
         calls = secure_link is not None and peer is not None
         self._cookie = RelayCookie() if calls else None  # of a relay on the way, if any
-        self._bound: Address | None = None  # its own address and port before it was kept to the peer
-        self.kept = False  # is it deaf to everybody but the peer
+        self._local: Address | None = None  # its own address and port before it was connected to the peer
+        self.connected = False  # the system drops the datagrams of all but the peer
         self._filtered = False
-        self._lost_way = False  # it was kept to the peer, and is not while the system has no way there
+        self._no_route = False  # it was connected to the peer, and is not while the system has no route there
         self.unsent = 0  # datagrams that the system did not take
         self._emptied_ns = time.monotonic_ns()  # when there was nothing to receive
 
     def keep_to_peer(self, shapes: tuple[Shape, ...] = ()) -> None:
-        """Take in nothing from elsewhere, nor what has none of these shapes: the system itself drops it.
+        """Have the system drop datagrams from elsewhere, and those that have none of these shapes.
 
-        So a flood costs no tick. The socket is connected, which for UDP says no more than that; and it has a filter.
+        So a flood costs no tick. The socket is connected, which for UDP means no more than that; and it has a filter.
         """
         if self.peer is not None:
             if shapes:
                 self._filtered = attach(self.sock, program(*shapes))
             with suppress(OSError):
-                if not self.kept:
-                    self._bound = self.sock.getsockname()
+                if not self.connected:
+                    self._local = self.sock.getsockname()
                 self.sock.connect(self.peer)
-                self.kept, self._lost_way = True, False
+                self.connected, self._no_route = True, False
 
     def listen_to_all(self) -> None:
-        """Take in what comes from anywhere again, for a peer that may come back from another port."""
+        """Accept datagrams from anywhere again, for a peer that may come back from another port."""
         if self._filtered:
             self._filtered = not detach(self.sock)
-        self._lost_way = False
-        self._let_loose()
+        self._no_route = False
+        self._disconnect()
 
-    def _let_loose(self) -> None:
-        """The socket has no peer of its own any more, nor an address that it took to reach it; the filter stays."""
-        if self.kept:
+    def _disconnect(self) -> None:
+        """Disconnect the socket from its peer, and from the address that it took to reach it; the filter stays."""
+        if self.connected:
             import ctypes
 
-            # Python has no word for it: connected to an address of no family, a socket is connected no more.
+            # Python has no call for it: connecting to an address of no family disconnects a socket.
             ctypes.CDLL(None).connect(self.sock.fileno(), bytes(16), 16)
-            self.kept = False
+            self.connected = False
             with suppress(OSError):  # and a port that the system chose is given back with it
-                if self._bound is not None and self.sock.getsockname() != self._bound:
-                    self.sock.bind(self._bound)
+                if self._local is not None and self.sock.getsockname() != self._local:
+                    self.sock.bind(self._local)
 
     def send(self, data: bytes) -> None:
-        """To the peer, if there is one yet. What the system does not take now is lost, as on any network."""
+        """Send to the peer, if there is one yet. A datagram that the system refuses now is lost, as on any network."""
         if self.secure_link is not None:
             sealed, self.peer = self.secure_link.send(data), self.secure_link.address
             if sealed is None:
@@ -165,20 +165,20 @@ class Wire:
         if self.peer is None:
             return
         try:
-            if self.kept:
+            if self.connected:
                 self.sock.send(data)
             else:
                 self.sock.sendto(data, self.peer)
-                if self._lost_way:
+                if self._no_route:
                     self.keep_to_peer()
         except OSError as error:
             self.unsent += 1
-            if self.kept and error.errno in NO_WAY:  # as when this machine's own address has changed
-                self._let_loose()
-                self._lost_way = True
+            if self.connected and error.errno in NO_ROUTE:  # as when this machine's own address has changed
+                self._disconnect()
+                self._no_route = True
 
     def answer(self, data: bytes, address: Address) -> None:
-        """Send to the sender of a datagram: the peer, or a host that may become it. Sealed, to the peer alone."""
+        """Send to the sender of a datagram: the peer, or a host that may become it; sealed, to the peer alone."""
         if self.secure_link is not None or address == self.peer:
             self.send(data)
             return
@@ -189,7 +189,7 @@ class Wire:
 
     @property
     def dropped(self) -> int | None:
-        """How many datagrams the system did not hand over: not ours, or no room; None if it does not tell."""
+        """Number of datagrams that the system dropped: foreign ones, or without room; None if it does not tell."""
         try:
             counters = self.sock.getsockopt(socket.SOL_SOCKET, MEMINFO, 4 * (DROPS + 1))
         except OSError:
@@ -197,14 +197,14 @@ class Wire:
         return int.from_bytes(counters[4 * DROPS :], sys.byteorder) if len(counters) == 4 * (DROPS + 1) else None
 
     def due(self, now: int) -> None:
-        """Send what the secure link has due: handshakes, and what was not answered of them."""
+        """Send the datagrams that the secure link has due: handshakes, and those without an answer again."""
         if self.secure_link is not None:
-            self._say(self.secure_link.due(now))
+            self._send_each(self.secure_link.due(now))
 
     def end(self) -> None:
         """Send the alert that ends the association, if there is one."""
         if self.secure_link is not None:
-            self._say(self.secure_link.close())
+            self._send_each(self.secure_link.close())
 
     def go_with(self, peer: Address | None) -> None:
         """Send to `peer` from now on; sealed, to where the peer's newest authenticated packet came from."""
@@ -212,20 +212,19 @@ class Wire:
             self.peer = peer
         elif self.secure_link.address is not None and self.peer != self.secure_link.address:
             self.peer = self.secure_link.address
-            if self.kept:
+            if self.connected:
                 self.keep_to_peer()  # the filter stays
 
-    def _say(self, out: list[Out]) -> None:
+    def _send_each(self, out: list[Out]) -> None:
         for data, address in out:
             with suppress(OSError):
                 self.sock.sendto(data if self._cookie is None else self._cookie.stamp(data), address)
 
     def receive(self) -> tuple[bytes | None, Address, int] | None:
-        """A datagram, where it came from and when (monotonic clock, ns), or None if there is none now.
+        """Read a datagram: bytes, sender and time of arrival (monotonic clock, ns); None if there is none now.
 
-        There are no bytes of a datagram of the secure link itself, or of one that fails its authentication.
-
-        Reading late does not make it late: the time is the kernel's, where it tells.
+        The bytes are None for a datagram of the secure link itself, or one that fails its authentication. Reading late
+        does not make it late: the time is the kernel's, where it tells.
         """
         while True:
             try:
@@ -250,5 +249,5 @@ class Wire:
                     self.sock.sendto(again, at)
             return None, at, now
         plain, out = self.secure_link.receive(data, at, now)
-        self._say(out)
+        self._send_each(out)
         return plain[0] if plain else None, at, now

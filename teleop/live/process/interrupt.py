@@ -6,9 +6,9 @@ two, nor does one that comes early, or twice, end the process before it has told
 Drivers are other people's code, and some take SIGINT or SIGTERM for themselves while they are opened, in Python or
 below it. `Interrupt.retake` compares each signal with what was put there, on both levels, and takes it back.
 
-Of the signals that end a process by default these are not among them: SIGKILL, which no process can take; SIGSEGV,
-SIGBUS, SIGFPE and SIGILL, after which the instruction that failed would only fail again for ever; SIGPIPE and SIGXFSZ,
-which Python ignores. Nor is SIGSTOP, which stops it. Ctrl-Z (SIGTSTP) is: a process that is stopped holds its force.
+Four kinds of signals that end a process by default are not taken. No process can take SIGKILL. After SIGSEGV, SIGBUS,
+SIGFPE and SIGILL the failed instruction would fail again for ever. Python ignores SIGPIPE and SIGXFSZ. SIGSTOP, which
+stops a process, cannot be taken. Ctrl-Z (SIGTSTP) is taken: a process that is stopped holds its force.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _DEFAULTS = (signal.SIG_DFL, signal.default_int_handler)
 
 
 def name_of(number: int) -> str:
-    """What a signal is called.
+    """Name of a signal.
 
     >>> name_of(1), name_of(40)
     ('SIGHUP', 'SIGRTMIN+6')
@@ -48,7 +48,7 @@ class Interrupt:
     """While it is entered, `name` is None until a signal came, then the first signal's name; `count` says how many.
 
     What was ignored before stays so, as SIGHUP under nohup, and what has a handler keeps it; SIGINT and SIGTERM are
-    taken whatever handler they had. `taken`: the numbers.
+    taken whatever handler they had.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class Interrupt:
         self.overrun: Callable[[], None] | None = None  # heeds the first SIGXCPU, see `realtime`
         self._overran = False
         self.wakeup = -1  # where `LastResort` hears of signals, by the handler in C
-        self.lost = False  # has `LastResort` found a signal that is not taken any more
+        self.lost = False  # True once `LastResort` has found a signal that is not taken any more
         self._sigaction: Any = getattr(ctypes.CDLL(None), "sigaction", None)
         self.times = 0  # that any was taken back
         self._before: dict[int, Any] = {}
@@ -66,7 +66,8 @@ class Interrupt:
         self._retaken: set[int] = set()  # and not yet told
 
     @property
-    def taken(self) -> frozenset[int]:
+    def signals(self) -> frozenset[int]:
+        """The numbers of the signals that are noted."""
         return frozenset(self._before)
 
     def __enter__(self) -> Interrupt:
@@ -83,9 +84,9 @@ class Interrupt:
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def restore(self) -> None:
-        """Take back what was taken below Python, and see that `lost` says whether any was. For any thread.
+        """Take back the signals that were taken below Python, and set `lost` if any was. For any thread.
 
-        A handler in Python can be set by the main thread alone: see `retake`.
+        Only the main thread can set a handler in Python: see `retake`.
         """
         for number, action in self._actions.items():
             if self._is_lost(number):
@@ -97,7 +98,7 @@ class Interrupt:
     def retake(self) -> None:
         """Take back each signal that foreign code has taken or blocked since. For the main thread."""
         self.lost = False
-        blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, self.taken) & self.taken
+        blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, self.signals) & self.signals
         self._retaken.update(number for number in self._before if number in blocked or self._is_lost(number))
         self.times += bool(self._retaken)
         for number in self._retaken:
@@ -106,25 +107,25 @@ class Interrupt:
             with suppress(OSError, ValueError):  # that has been closed too; `LastResort` will see it
                 signal.set_wakeup_fd(self.wakeup, warn_on_full_buffer=False)
 
-    def retaken(self) -> list[str]:
-        """The names of those that were taken back since this was asked last."""
+    def pop_retaken(self) -> list[str]:
+        """Return the names of the signals that were taken back since the last call."""
         names = [name_of(number) for number in sorted(self._retaken)]
         self._retaken.clear()
         return names
 
     def _is_lost(self, number: int) -> bool:
-        """True if it would not be noted any more. As at first, what is not in `ALWAYS` may have a handler of others."""
+        """True if it would not be noted any more. As at first, one that is not in `ALWAYS` may have another handler."""
         handler = signal.getsignal(number)
         in_python = handler != self._note if number in ALWAYS else handler in _DEFAULTS
         return in_python or self._is_lost_below(number)
 
     def _is_lost_below(self, number: int) -> bool:
-        """The same of the C level, of which Python sees nothing; False where that cannot be read."""
+        """True if it is lost at the C level, which Python does not see; False where that cannot be read."""
         before, now = self._actions[number][:_HANDLER], self._action(number)[:_HANDLER]
         return now != before and (number in ALWAYS or now == _DEFAULT)
 
     def _action(self, number: int) -> bytes:
-        """The struct of what the system does at a signal; empty where that cannot be read."""
+        """The struct of the system's action at a signal; empty where that cannot be read."""
         was = ctypes.create_string_buffer(_SIZE)
         return was.raw if self._sigaction is not None and self._sigaction(number, None, was) == 0 else b""
 

@@ -151,15 +151,15 @@ def _without_blocking(fd: int) -> Callable[[bytes], int]:
     if not (stat.S_ISFIFO(kind) or stat.S_ISCHR(kind)):
         return lambda data: os.write(fd, data)  # a file has room, or says that it has none
     try:
-        own = os.open(f"/proc/self/fd/{fd}", _ANEW)
+        reopened = os.open(f"/proc/self/fd/{fd}", _ANEW)
     except OSError:  # a terminal of another user, a pipe without a reader, another system than Linux
         return lambda data: _flagged(fd, data)
-    opened = os.fstat(own)
+    original = os.fstat(reopened)
 
     def write(data: bytes) -> int:
-        if not os.path.samestat(os.fstat(own), opened):  # others have closed it, and its number is that of another file
+        if not os.path.samestat(os.fstat(reopened), original):  # others have closed it, and its number is reused
             raise OSError(EBADF, os.strerror(EBADF))
-        return os.write(own, data)
+        return os.write(reopened, data)
 
     return write
 

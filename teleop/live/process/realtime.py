@@ -45,7 +45,7 @@ _LIMITS = Path("/etc/security/limits.d")  # of pam_limits
 
 
 class Granted(NamedTuple):
-    """What the system gave. The texts begin with "no" where it refused; `priority` is None then."""
+    """Scheduling and memory that the system gave. A text begins with "no" where it refused; then `priority` is None."""
 
     scheduler: str
     memory: str
@@ -60,7 +60,7 @@ class Granted(NamedTuple):
 class RealTime:
     """Real-time scheduling of the thread that enters it, until the block ends or `give_back` is called.
 
-    `granted` is None where it was not asked for. `told` is what a summary has of it.
+    `granted` is None where it was not asked for.
     """
 
     def __init__(self, interrupt: Interrupt, *, wanted: bool = True, priority: int = PRIORITY) -> None:
@@ -83,8 +83,8 @@ class RealTime:
         self.give_back()
 
     @property
-    def told(self) -> dict[str, str] | None:
-        """What came of it, by name; None if it was not asked for."""
+    def report(self) -> dict[str, str] | None:
+        """The entries of the summary, by name; None if it was not asked for."""
         if self.granted is None:
             return None
         scheduler = f"{self.granted.scheduler}; {GIVEN_BACK}" if self._overran else self.granted.scheduler
@@ -92,11 +92,11 @@ class RealTime:
 
     @property
     def above(self) -> int | None:
-        """The priority of what has to run before the loop; None where the loop has none."""
+        """The priority of a thread or process that has to run before the loop; None where the loop has none."""
         return None if self.granted is None or self.granted.priority is None else self.granted.priority + 1
 
     def give_back(self) -> None:
-        """Be scheduled as all others from now on. May be called from any thread, and more than once."""
+        """Go back to ordinary scheduling. May be called from any thread, and more than once."""
         if self._thread:
             with suppress(OSError):  # the flag stays, since to take it off is a privilege
                 os.sched_setscheduler(self._thread, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
@@ -110,13 +110,13 @@ class RealTime:
         self.give_back()
 
 
-def asked(args: Namespace, interrupt: Interrupt, priority: int = PRIORITY) -> RealTime:
-    """What a live process enters around its run, by its options; a stepped end asks for nothing."""
+def scheduling_of(args: Namespace, interrupt: Interrupt, priority: int = PRIORITY) -> RealTime:
+    """Make the block that a live process enters around its run, by its options; a stepped end asks for nothing."""
     return RealTime(interrupt, wanted=args.realtime and not getattr(args, "lockstep", False), priority=priority)
 
 
 def ask(priority: int = PRIORITY) -> Granted:
-    """Ask for both, for the thread that calls; what came of it."""
+    """Ask for both, for the thread that calls; return the answer."""
     memory = _lock()
     try:
         priority = run_first(priority, room=1 + PRIORITY - priority)
@@ -143,20 +143,20 @@ def run_first(priority: int, thread: int = 0, *, room: int = 0) -> int:
     return priority
 
 
-def sentence(told: dict[str, str]) -> str:
-    """What came of it, in one line, and what would give the rest.
+def sentence(report: dict[str, str]) -> str:
+    """Write a report in one line, with the command that would give the rest.
 
     >>> sentence({"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"})
     'real-time scheduling: SCHED_FIFO, priority 40; memory locked'
     """
-    text = f"real-time scheduling: {told['scheduler']}; memory {told['memory']}"
-    if not any(each.startswith("no ") for each in told.values()) or not hasattr(os, "sched_setscheduler"):
+    text = f"real-time scheduling: {report['scheduler']}; memory {report['memory']}"
+    if not any(each.startswith("no ") for each in report.values()) or not hasattr(os, "sched_setscheduler"):
         return text
     return f"{text}; {cure()}, or leave it with --no-realtime"
 
 
 def cure(*, for_good: bool = False) -> str:
-    """What to type for what was refused, here: in this terminal, or `for_good`."""
+    """Name the command that gives the refused rights: in this terminal, or `for_good`."""
     if any(each.exists() for each in _CONTAINER):
         return f"start this container with --ulimit rtprio={LIMIT} --ulimit memlock=-1"
     if os.geteuid() == 0:
@@ -189,7 +189,7 @@ def _this_thread() -> int:
 
 
 def _own_limit() -> int:
-    """The highest priority that a process without a privilege may have here, the soft limit raised to it."""
+    """Return the highest priority that a process may have without a privilege, and raise the soft limit to it."""
     if sys.platform != "linux":
         return 0
     import resource
@@ -221,7 +221,7 @@ def _limit_awake(soft: int, hard: int) -> None:
 
 
 def _lock() -> str:
-    """Have memory stay; what came of it."""
+    """Lock the memory of this process; return the result as a text."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         which = _MCL_CURRENT | (_MCL_FUTURE if _without_bound() else 0)

@@ -28,13 +28,13 @@ from functools import partial
 from typing import Any
 
 _MOST = 16  # events in one call
-_LOOK_S = 0.1  # without any event, after which it is looked whether the timers are still there
+_LOOK_S = 0.1  # without any event, after which the timers are checked: others may have closed one
 
 
 if hasattr(select, "epoll"):
 
     class _Ringing(selectors.EpollSelector):
-        """`readers`: by the file of a timer, what is called when it rings."""
+        """Selector that calls `readers`, by the file of their timer, when it rings."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -42,7 +42,7 @@ if hasattr(select, "epoll"):
             self.epoll: Any = self._selector  # type: ignore[attr-defined]  # typeshed lacks it
 
         def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-            """What is ready besides timers, which are dealt with."""
+            """Call the readers of the timers that rang; return the other files that are ready."""
             readers = self.readers
             if not readers:
                 return super().select(timeout)
@@ -67,7 +67,7 @@ if hasattr(select, "epoll"):
 
 
 class TickLoop(asyncio.SelectorEventLoop):
-    """asyncio's own loop with `ring`. Only where there is epoll, which `available` tells."""
+    """asyncio's own loop with `ring`. It needs epoll: see `available`."""
 
     available = hasattr(select, "epoll")
 
@@ -94,7 +94,10 @@ class TickLoop(asyncio.SelectorEventLoop):
 
 
 def in_tick_loop(main: Coroutine[Any, Any, None], failed: Callable[[BaseException], None] = lambda _: None) -> None:
-    """`asyncio.run`, in such a loop where there can be one; `failed` is told what ended it before it is taken down."""
+    """Run like `asyncio.run`, in such a loop where the system has epoll.
+
+    `failed` gets the error that ended it, before the loop is taken down.
+    """
     with asyncio.Runner(loop_factory=TickLoop if TickLoop.available else None) as runner:
         try:
             runner.run(main)
@@ -138,8 +141,8 @@ class Timer:
         if self._settime(self.fd, _ABSOLUTE, self._at, None):
             raise OSError(ctypes.get_errno(), "the timer cannot be set")
 
-    def rang(self) -> int:
-        """How often it has rung since this was asked last."""
+    def expirations(self) -> int:
+        """The number of times that it rang since the last call."""
         try:
             return int.from_bytes(os.read(self.fd, 8), "little")
         except BlockingIOError:
@@ -186,11 +189,11 @@ class Alarm:
             self._handle.cancel()
 
     def _rang(self) -> None:
-        """Of the instants that rang, wait for the last: those before it have passed."""
-        rang = self._timer.rang()
-        if not rang:
+        """Wait for the last of the instants that rang: those before it have passed."""
+        count = self._timer.expirations()
+        if not count:
             return
-        clock, due = time.monotonic_ns, self._due + (rang - 1) * self._interval
+        clock, due = time.monotonic_ns, self._due + (count - 1) * self._interval
         self._due = due + self._interval
         while clock() < due:
             pass
@@ -222,9 +225,10 @@ def boottime() -> Clock | None:
 
 
 class Suspension:
-    """Compares `boot`, which counts suspension, with `mono`, which does not; both in ns. Without `boot` it sees none.
+    """Suspension of the machine, seen by comparing `boot`, which counts it, with `mono`, which does not; both in ns.
 
     `time.monotonic_ns` is such a `mono` on Linux: all that an end knows of its peer is older than it says afterwards.
+    Without `boot` no suspension is seen.
     """
 
     def __init__(self, boot: Clock | None, mono: Clock = time.monotonic_ns) -> None:
@@ -232,8 +236,8 @@ class Suspension:
         before = mono()
         self._apart = 0 if boot is None else boot() - before  # if anything, too large
 
-    def passed(self) -> int:
-        """For how long the machine was suspended since this was asked last, ns; 0 if it was not."""
+    def duration(self) -> int:
+        """Time for which the machine was suspended since the last call, ns; 0 if it was not."""
         # Read in this order the difference is too small, if anything, when the process is held up between the two.
         if self._boot is None:
             return 0

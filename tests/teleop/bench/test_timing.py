@@ -13,7 +13,7 @@ import pytest
 from teleop.bench import parts, timing
 from teleop.bench.compiled import compiled
 from teleop.bench.timing import CarriedLoad, Late, carried, datagrams, round_trips, ticks
-from teleop.live.net.wire import Wire, bound
+from teleop.live.net.wire import Wire, bind_udp
 
 pytestmark = pytest.mark.live
 
@@ -55,7 +55,7 @@ def test_a_datagram_goes_there_and_back() -> None:
         await echo
         return trips
 
-    with bound(("127.0.0.1", 0), "--listen") as here, bound(("127.0.0.1", 0), "--listen") as there:
+    with bind_udp(("127.0.0.1", 0), "--listen") as here, bind_udp(("127.0.0.1", 0), "--listen") as there:
         trips = asyncio.run(run())
     assert len(trips) == 20
     assert min(trips) > 0
