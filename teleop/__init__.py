@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from teleop.scene.parts import Environment, Hand, Reference, Vector
     from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
     from teleop.scene.scene import Scene
-    from teleop.simulation.facts import facts_of, fitted
+    from teleop.simulation.notes import facts_of, fitted
     from teleop.simulation.result import Result
     from teleop.simulation.virtual import run
     from teleop.stages.deadband import Deadband

@@ -45,7 +45,7 @@ from teleop.physics.plant import MassDamper
 from teleop.scene.parts import Reference
 from teleop.scene.playout import Fixed, Hold, Integral, Playout, Zero
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import facts_of, longest
+from teleop.simulation.notes import facts_of, longest
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap
 from teleop.stages.scaling import Scaling

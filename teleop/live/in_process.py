@@ -22,8 +22,7 @@ from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.scene import Scene
-from teleop.simulation.ending import Ending
-from teleop.simulation.outcome import divergence, verdict
+from teleop.simulation.ending import Ending, divergence, verdict
 from teleop.simulation.plan import check_seed, link_plans
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result

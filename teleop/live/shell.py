@@ -35,7 +35,7 @@ from teleop.protocol.guard import Event
 from teleop.protocol.packet import one_line
 from teleop.protocol.session import FINISHED, SessionBegun
 from teleop.scene.scene import Scene
-from teleop.simulation.outcome import divergence
+from teleop.simulation.ending import divergence
 from teleop.terminal.options import DONE, complain
 
 MOST_TIMES = 5  # that signals are taken back: while a device is opened and read first, before tick 0, and two more

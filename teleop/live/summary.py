@@ -15,9 +15,9 @@ from teleop.protocol.endpoint import SLEW
 from teleop.protocol.estimates import LinkEstimates, Times
 from teleop.scene.playout import integrates
 from teleop.scene.scene import Scene
+from teleop.simulation.ending import age_note
 from teleop.simulation.notes import in_gaps
-from teleop.simulation.outcome import age_note
-from teleop.simulation.packets import Packets
+from teleop.simulation.plan import Packets
 from teleop.simulation.result import Result
 
 INSECURE = "the link was neither authenticated nor encrypted, beyond loopback, as --insecure asked"

@@ -41,10 +41,9 @@ from teleop.protocol.states import Cause, Reason
 from teleop.protocol.switches import SwitchEvents, switches_of, unlike
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
-from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import Plan
 from teleop.simulation.source import live_of
-from teleop.simulation.structure import NAMES, SENSED, columns, structure_of
+from teleop.simulation.structure import NAMES, SENSED, columns, numbers_of, structure_of
 from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]

@@ -13,7 +13,7 @@ from types import FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple, TypeVar
 
 from teleop.simulation import masks
-from teleop.stages.record import Record, declared
+from teleop.stages.end import Record, declared
 
 Location = tuple[int, int, int, int]
 STRUCTURAL = (bool, int, str, tuple, frozenset, type(None))  # what a decision may compare

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples, slave_plants
-from teleop.simulation.given import numbers_of
 from teleop.simulation.rest import Still, still
 from teleop.simulation.source import loop_of
-from teleop.simulation.structure import Structure, columns, structure_of
+from teleop.simulation.structure import Structure, columns, numbers_of, structure_of
 
 if TYPE_CHECKING:
     from teleop.physics.plant import Plant

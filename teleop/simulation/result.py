@@ -12,7 +12,7 @@ from teleop.errors import Refused
 from teleop.scene.axis_labels import AxisLabels, labels_in, labels_of
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS, finite, worked_out
-from teleop.simulation.packets import Packets
+from teleop.simulation.plan import Packets
 from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import new_folder

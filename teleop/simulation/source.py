@@ -16,12 +16,10 @@ from typing import Any, NamedTuple
 from teleop.law import messages
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.recorder import RowRecorder
 from teleop.simulation.specialise import Specialised, specialise
 from teleop.simulation.structure import NAMES, Structure, live_structure, run_of, start_of, structure_of, sums_type
-from teleop.simulation.tick import live, loop
-from teleop.stages.end import Recorder, Run
-from teleop.stages.record import Record, called
+from teleop.simulation.tick import live, loop, row
+from teleop.stages.end import End, Record, Recorder, Run, called
 
 
 class Lines(NamedTuple):
@@ -151,3 +149,35 @@ def rendered(scene: Scene, e: str | None = None) -> str:
     structure = structure_of(scene)
     made = lines(structure, loop, RowRecorder) if e is None else lines(live_structure(structure, e), live, ends=(e,))
     return made.text() + "\n"
+
+
+class RowRecorder(Recorder):
+    """A row of each end at every tick, handed to the two functions that the run is asked with."""
+
+    rows_m: Any
+    rows_s: Any
+
+    def begin(self, run: Run, asked: Any, size: int) -> None:
+        self.rows_m = asked[0]
+        if run.has.slave:
+            self.rows_s = asked[1]
+
+    def step(self, run: Run, k: int) -> None:
+        self.rows_m(row(run.m))
+        if run.has.slave:
+            self.rows_s(row(run.s))
+
+    def told(self, run: Run, ticks: int, complete: bool) -> Any:
+        """Ticks that ran, ticks with too many contact events, where it left its bounds, and the inner states."""
+        ends = None if complete else tuple([places(e) for e in run.ends])
+        return ticks, run.capped if run.has.slave else 0, ends, (inner(run.m), inner(run.s))
+
+
+def places(e: End) -> tuple[float, ...]:
+    """Where an end is."""
+    return tuple([a.x for a in e.axes])
+
+
+def inner(e: End) -> tuple[Any, ...]:
+    """The inner states of an end's bodies."""
+    return tuple([a.z for a in e.axes]) if e.has.inner else ()

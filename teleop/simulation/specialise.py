@@ -32,7 +32,7 @@ from teleop.errors import number_of
 from teleop.simulation import masks
 from teleop.simulation.expressions import Expressions, Frame, Known, NotSpecialised, Value, location, of_structure
 from teleop.stages import memory
-from teleop.stages.record import Record, declared
+from teleop.stages.end import Record, declared
 
 __all__ = ["NotSpecialised", "Specialised", "specialise"]
 

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 from teleop.scene.axis_labels import SHAPES
 from teleop.scene.scene import MOST_TICKS
-from teleop.simulation.packets import Packets
+from teleop.simulation.plan import Packets
 from teleop.storage.strict_json import (
     Check,
     Misshapen,

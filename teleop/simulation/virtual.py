@@ -10,12 +10,9 @@ from teleop.errors import Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.ending import Ending, position_unit
-from teleop.simulation.facts import law_notes, of_plans
-from teleop.simulation.notes import faded, unplayed, untuned
-from teleop.simulation.outcome import integration, over_tolerance, too_old, verdict
-from teleop.simulation.packets import counts_of, packet_counts
-from teleop.simulation.plan import LinkPlans, check_seed, link_plans, round_trip
+from teleop.simulation.ending import Ending, integration, over_tolerance, position_unit, too_old, verdict
+from teleop.simulation.notes import faded, law_notes, of_plans, unplayed, untuned
+from teleop.simulation.plan import LinkPlans, check_seed, counts_of, link_plans, packet_counts, round_trip
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result
 from teleop.simulation.structure import columns
@@ -39,7 +36,7 @@ def run(
     if not isinstance(scene, Scene):
         raise Refused(f"give run a Scene, not {scene!r}; write for example run(load_scene('canonical'))")
     if isinstance(bodies, str):
-        from teleop.simulation.integrators.named import bodies_of
+        from teleop.simulation.integrators.stepped import bodies_of
 
         bodies = bodies_of(scene, bodies)
     return run_prepared(prepare(scene, bodies), seed=seed, clock=clock)
@@ -80,7 +77,7 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     notes = [f"{number_of(capped, 'tick')} had more contact events than are followed in one tick"] * (capped > 0)
     reports = integration(scene, bodies, inner)
     if bodies.method:
-        from teleop.simulation.integrators.named import told
+        from teleop.simulation.integrators.stepped import told
 
         notes = told(bodies) + notes
         reports["bodies"] = bodies.method

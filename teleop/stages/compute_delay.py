@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from teleop.stages.end import End, Places, Run, Stage
-from teleop.stages.record import Record
+from teleop.stages.end import End, Places, Record, Run, Stage
 
 
 class Delayed(Record):
@@ -21,7 +20,7 @@ class ComputeDelayStage(Stage):
     """The delay line of `Device(delay=...)`, in ticks; zero force until it is filled."""
 
     name: ClassVar[str] = "compute_delay"
-    kept: ClassVar[type[Record]] = Delayed
+    axis_kind: ClassVar[type[Record]] = Delayed
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:

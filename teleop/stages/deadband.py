@@ -26,8 +26,7 @@ from typing import Any, ClassVar
 
 from teleop.errors import number
 from teleop.kind import kinds
-from teleop.stages.end import Axis, Column, End, Places, Run, Stage, elapsed
-from teleop.stages.record import Record
+from teleop.stages.end import Axis, Column, End, Places, Record, Run, Stage, elapsed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +69,7 @@ class DeadbandStage(Stage):
     """Decides whether an end's message of this tick is sent: `send`, 1.0 or 0.0, recorded as `sent_m` or `sent_s`."""
 
     name: ClassVar[str] = "deadband"
-    kept: ClassVar[type[Record]] = Coming
+    axis_kind: ClassVar[type[Record]] = Coming
     send: float  # 1.0 if the message of this tick is sent, else 0.0
     due: Any  # the tick at which it comes to the other end
     number: float  # its number, counted from 1; 0 if it never comes

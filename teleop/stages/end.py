@@ -5,7 +5,39 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.stages.record import Record
+
+class Record:
+    """A run, an end, an axis, a stage. What it is made with is known beforehand; the rest its class declares.
+
+    `suffix` tells its variables from those of others: the field x of a record with the suffix m0 is x_m0.
+    """
+
+    suffix: str
+    passing: ClassVar[tuple[str, ...]] = ()  # fields that each tick sets before it reads them
+
+    def __init__(self, suffix: str = "") -> None:
+        self.suffix = suffix
+
+    def word(self, field: str) -> str:
+        """The name of a field's variable."""
+        return f"{field}_{self.suffix}" if self.suffix else field
+
+
+_DECLARED: dict[type[Record], dict[str, str]] = {}
+
+
+def declared(kind: type[Record]) -> dict[str, str]:
+    """The fields that a class of records declares and has no value for, with their types as they are written."""
+    if kind not in _DECLARED:
+        written = [vars(each).get("__annotations__", {}) for each in kind.__mro__]
+        _DECLARED[kind] = {name: type_ for own in written for name, type_ in own.items() if not hasattr(kind, name)}
+    return _DECLARED[kind]
+
+
+def called(kind: type[Record]) -> tuple[str, ...]:
+    """Those of its fields that are functions; a record is made with them."""
+    return tuple([name for name, written in declared(kind).items() if written.startswith("Callable")])
+
 
 Places = list[float]
 SWITCHES = ("clutch", "present")  # of an operator, at the master
@@ -179,7 +211,7 @@ class Stage(Record):
     """
 
     name: ClassVar[str]
-    kept: ClassVar[type[Record]] = Record  # what it keeps in each axis
+    axis_kind: ClassVar[type[Record]] = Record  # what it keeps in each axis
     reading: ClassVar[bool] = False  # its columns stand before those of the forces
     wants_dx: ClassVar[bool] = False
 
@@ -196,7 +228,7 @@ class Stage(Record):
     def __init__(self, e: End, structure: Any) -> None:
         """Make its records for an end that has its axes already; `structure` is what `structure` returned."""
         super().__init__(e.name)
-        self.axes: tuple[Any, ...] = tuple([self.kept(a.suffix) for a in e.axes])
+        self.axes: tuple[Any, ...] = tuple([self.axis_kind(a.suffix) for a in e.axes])
 
     def columns(self, e: End) -> tuple[Column, ...]:
         """What of it is recorded."""

@@ -12,8 +12,7 @@ from functools import reduce
 from operator import add
 from typing import Any, ClassVar
 
-from teleop.stages.end import Axis, Column, End, Run, Stage, law_of
-from teleop.stages.record import Record
+from teleop.stages.end import Axis, Column, End, Record, Run, Stage, law_of
 
 
 class WaveLedger(Stage):
@@ -60,7 +59,7 @@ class PortLedger(Stage):
     """The work at the port, over the true motion."""
 
     name: ClassVar[str] = "port_ledger"
-    kept: ClassVar[type[Record]] = Moved
+    axis_kind: ClassVar[type[Record]] = Moved
     E_port: float  # J
 
     def columns(self, e: End) -> tuple[Column, ...]:

@@ -18,8 +18,7 @@ from __future__ import annotations
 from math import exp, expm1
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.stages.end import Column, End, Places, Run, Stage, per_axis
-from teleop.stages.record import Record
+from teleop.stages.end import Column, End, Places, Record, Run, Stage, per_axis
 
 
 class Coefficients(NamedTuple):
@@ -53,7 +52,7 @@ class ObserverStage(Stage):
     """What the law is told of the hand's force is the observer's. Recorded as `f_h_hat`."""
 
     name: ClassVar[str] = "observer"
-    kept: ClassVar[type[Record]] = Observed
+    axis_kind: ClassVar[type[Record]] = Observed
     c_tick: tuple[Coefficients, ...]  # for each axis, over one tick
     device: tuple[tuple[float, float, float], ...]  # L, mass, damping
 

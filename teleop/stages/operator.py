@@ -56,8 +56,7 @@ from typing import Any, ClassVar, NamedTuple
 from teleop.errors import Refused, WrongCount, number, number_of
 from teleop.kind import positions
 from teleop.law import At
-from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Run, Stage, per_axis
-from teleop.stages.record import Record
+from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Record, Run, Stage, per_axis
 
 MOST_SPANS = 64
 PADDED = 4  # spans are kept in fours, so that scenes with a few of them share their lines
@@ -203,7 +202,7 @@ class OperatorStage(Stage):
     """The transformer between the master and its law; its modulus is the same for all axes."""
 
     name: ClassVar[str] = "operator"
-    kept: ClassVar[type[Record]] = Held
+    axis_kind: ClassVar[type[Record]] = Held
     wants_dx: ClassVar[bool] = True
     clutch: Any  # 1.0 while the operator holds the clutch open, else 0.0
     present: Any  # 1.0 while the operator is there, else 0.0

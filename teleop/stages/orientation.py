@@ -63,8 +63,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from teleop.kind import positions
 from teleop.physics.rotation import counted, heard_at, left_at, sent_at
-from teleop.stages.end import Axis, Column, End, Run, Stage
-from teleop.stages.record import Record
+from teleop.stages.end import Axis, Column, End, Record, Run, Stage
 
 
 class Rotations(NamedTuple):

@@ -25,8 +25,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import number
-from teleop.stages.end import Column, End, Places, Run, Stage, per_axis
-from teleop.stages.record import Record
+from teleop.stages.end import Column, End, Places, Record, Run, Stage, per_axis
 
 
 class Limits(NamedTuple):
@@ -70,7 +69,7 @@ class PassivityControllerStage(Stage):
     """Observer and controller of the master's port, axis by axis. Recorded as `E_po`."""
 
     name: ClassVar[str] = "passivity_controller"
-    kept: ClassVar[type[Record]] = Port
+    axis_kind: ClassVar[type[Record]] = Port
     wants_dx: ClassVar[bool] = True
     c_pc: Limits
 

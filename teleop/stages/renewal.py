@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from teleop.stages.end import End, Places, Run, Stage
-from teleop.stages.record import Record
+from teleop.stages.end import End, Places, Record, Run, Stage
 
 
 class Renewed(Record):
@@ -21,7 +20,7 @@ class RenewalStage(Stage):
     """The hold of `Device(every=...)`, in ticks."""
 
     name: ClassVar[str] = "renewal"
-    kept: ClassVar[type[Record]] = Renewed
+    axis_kind: ClassVar[type[Record]] = Renewed
     every: int
     since_last: Any  # ticks since the last
 

@@ -46,8 +46,7 @@ from typing import Any, ClassVar
 
 from teleop.errors import number
 from teleop.law import At
-from teleop.stages.end import End, Places, Run, Stage
-from teleop.stages.record import Record
+from teleop.stages.end import End, Places, Record, Run, Stage
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,7 +78,7 @@ class ScalingStage(Stage):
     """The conversion of units around the slave's end of the law: readings before it, its force after it."""
 
     name: ClassVar[str] = "scaling"
-    kept: ClassVar[type[Record]] = Scales
+    axis_kind: ClassVar[type[Record]] = Scales
 
     @staticmethod
     def given(scene: Any, e: str, dt: float, places: Places) -> Any:

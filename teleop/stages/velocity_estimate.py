@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from teleop.stages.end import Column, End, Places, Run, Stage, elapsed, per_axis
-from teleop.stages.record import Record
+from teleop.stages.end import Column, End, Places, Record, Run, Stage, elapsed, per_axis
 
 
 class Estimate(Record):
@@ -19,7 +18,7 @@ class VelocityStage(Stage):
     """A velocity estimator of `teleop.stages.velocity`, or one of the user's estimator, in each axis."""
 
     name: ClassVar[str] = "velocity"
-    kept: ClassVar[type[Record]] = Estimate
+    axis_kind: ClassVar[type[Record]] = Estimate
     reading: ClassVar[bool] = True
     estimate: Callable[..., Any]
     c_est: Any

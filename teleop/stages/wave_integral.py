@@ -65,8 +65,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.stages.end import Axis, Column, End, Places, Run, Stage, elapsed, per_axis
-from teleop.stages.record import Record
+from teleop.stages.end import Axis, Column, End, Places, Record, Run, Stage, elapsed, per_axis
 
 TINY = 5e-324  # in place of no energy: D^2/(2 S) is infinite then, and nothing is played
 
@@ -104,7 +103,7 @@ class WaveIntegralStage(Stage):
     """The wave p in place of the received one. Recorded is the queue, `queue_m` or `queue_s` (s)."""
 
     name: ClassVar[str] = "wave_integral"
-    kept: ClassVar[type[Record]] = AxisWaves
+    axis_kind: ClassVar[type[Record]] = AxisWaves
     target: float  # the least queue that is left after a tick, s
     keeps: float  # the same before it, which is longer by the tick
     settles: float  # the share of what is spare that is released in a tick

@@ -10,7 +10,7 @@ from teleop.kind import kinds
 from teleop.law import BUILT_IN, find_law, known_laws, messages
 from teleop.law.offers import CONDITIONS, claims_of, seed_energy, stores
 from teleop.scene.loading import load_scene
-from teleop.simulation.facts import unmet
+from teleop.simulation.notes import unmet
 from teleop.terminal.units import si
 
 LINKS = (("a constant 50 ms each way", "delay(0.05)"),  # over which the conditions of one law are asked for

@@ -137,7 +137,7 @@ def _devices(e: str) -> tuple[Rows, list[str]]:
 
 def _bodies() -> tuple[Rows, list[str]]:
     from teleop.simulation.integrators.methods import METHODS
-    from teleop.simulation.integrators.named import EXACT
+    from teleop.simulation.integrators.stepped import EXACT
 
     exact = {"name": EXACT, "order": None, "method": "the scene's own: in closed form, or to its tolerance"}
     rows = [{"name": f"{one.name}:N", "order": one.order, "method": one.label} for one in METHODS]

@@ -11,7 +11,7 @@ from teleop.terminal.table import facts
 from teleop.terminal.units import si
 
 if TYPE_CHECKING:
-    from teleop.simulation.packets import Packets
+    from teleop.simulation.plan import Packets
     from teleop.simulation.result import Result
 
 _DIRECTIONS = ("fwd", "bwd")

@@ -11,7 +11,7 @@ import pytest
 from scenarios.pose import at_lever
 from teleop import PositionPosition, TwoLayer, load_scene, run
 from teleop.physics.rotation import exp, log, product
-from teleop.simulation.angles import angle_error, quaternions
+from teleop.simulation.metrics import angle_error, quaternions
 
 FREE = {"k_e": 0.0, "d_e": 0.0, "k_t": 0.0, "d_t": 0.0}
 

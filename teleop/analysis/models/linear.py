@@ -24,9 +24,8 @@ from teleop.law.analysis_offers import linear_hint, linear_law
 from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
-from teleop.simulation.given import numbers_of
 from teleop.simulation.source import functions, lines
-from teleop.simulation.structure import NAMES, structure_of
+from teleop.simulation.structure import NAMES, numbers_of, structure_of
 from teleop.simulation.tick import begin as begin_end
 from teleop.simulation.tick import move_master, move_slave, place_master, place_slave, sense_master, sense_slave, tick
 from teleop.stages.end import End, Run

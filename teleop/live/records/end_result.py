@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from teleop.scene.scene import Scene
-from teleop.simulation.packets import Packets
+from teleop.simulation.plan import Packets
 from teleop.simulation.prepared import prepare
 from teleop.simulation.result import Result
 from teleop.simulation.trace import Columns, EndRecord, end_columns, far_apart, seconds

@@ -16,10 +16,8 @@ from teleop.live.records.record import read_events
 from teleop.scene.scene import Scene
 from teleop.scene.trust import stored_scene
 from teleop.simulation.ending import Ending, ending
-from teleop.simulation.facts import delay, law_notes, longest
-from teleop.simulation.notes import faded, unplayed, untuned
-from teleop.simulation.packets import Packets, packet_counts
-from teleop.simulation.plan import round_trip
+from teleop.simulation.notes import delay, faded, law_notes, longest, unplayed, untuned
+from teleop.simulation.plan import Packets, packet_counts, round_trip
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import (
     RUNNING,

@@ -26,10 +26,9 @@ from teleop.live.records.reader import OWN, check_fits, read_record
 from teleop.live.records.record import read_events
 from teleop.protocol.inbox import Inbox
 from teleop.scene.scene import Scene
-from teleop.simulation.given import numbers_of
 from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of
-from teleop.simulation.structure import SENSED, columns, structure_of
+from teleop.simulation.structure import SENSED, columns, numbers_of, structure_of
 from teleop.simulation.trace import EndRecord, blocks, end_columns
 from teleop.stages.wave_integral import Integrals
 

@@ -21,7 +21,7 @@ import numpy as np
 from teleop.law import two_port_laws
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import unmet
+from teleop.simulation.notes import unmet
 from teleop.simulation.virtual import run
 from teleop.studies.advise.laws import LawAdvice, LawJob, LawMargins, OneWay, one_way, search_laws
 from teleop.studies.baseline import rigid_baseline

@@ -23,7 +23,7 @@ from teleop.knob import Declared, knobs_of_fields
 from teleop.law.offers import claims_of, seed_energy
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import unmet
+from teleop.simulation.notes import unmet
 from teleop.studies.parallel import stream
 from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import Scored, Tuned, tune_law

@@ -41,7 +41,7 @@ from teleop.scene.knobs import law_with_its_numbers
 from teleop.scene.library import ROOT, import_bundled, known_scenes, own_file, scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import facts, law_notes, of_plans
+from teleop.simulation.notes import facts, law_notes, of_plans
 from teleop.simulation.plan import LinkPlans, link_plans
 from teleop.storage.toml_tables import check_keys, is_tables, knobs_in, read_toml, repeated, text_of
 

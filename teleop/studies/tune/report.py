@@ -13,8 +13,8 @@ from typing import Any
 
 from teleop.errors import number_of
 from teleop.scene.loading import load_scene
-from teleop.simulation.facts import unmet
 from teleop.simulation.metrics import UNITS
+from teleop.simulation.notes import unmet
 from teleop.simulation.result import head
 from teleop.storage.files import replacing_text
 from teleop.studies.margin import Margin

@@ -38,7 +38,7 @@ from teleop.scene.library import scene_function
 from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import facts_of, fitted
+from teleop.simulation.notes import facts_of, fitted
 from teleop.studies.baseline import Baseline, rigid_baseline
 from teleop.studies.margin import Margin, margin, stable_with
 from teleop.studies.tune.objective import (

@@ -24,8 +24,8 @@ from teleop.errors import Refused
 from teleop.scene.scene import Scene
 from teleop.simulation import masks
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.given import record
 from teleop.simulation.source import located
+from teleop.simulation.structure import record
 from teleop.simulation.tick import loop
 from teleop.stages import memory
 from teleop.storage.files import replacing
@@ -38,7 +38,7 @@ from teleop.sweeps.kernels.leaves import expression, leaves
 TEXT = '''"""Generated: the {engine} kernel of one structure of scene. Delete it whenever you like."""
 from math import inf, nan
 from numba import njit
-from teleop.simulation.given import record
+from teleop.simulation.structure import record
 from teleop.sweeps.kernels.compiled import compiled_part, jit_at
 from teleop.sweeps.kernels.{engine} import *
 

@@ -12,10 +12,9 @@ from operator import add
 from typing import Any
 
 from teleop.simulation.masks import any_lane, store
-from teleop.stages.end import Recorder, Run, RunHas
+from teleop.stages.end import Record, Recorder, Run, RunHas
 from teleop.stages.ledger import WaveLedger
 from teleop.stages.memory import get, put, ring
-from teleop.stages.record import Record
 from teleop.sweeps.kernels.measures import Layout, kept, known, least, most, root_mean
 from teleop.sweeps.kernels.sums import Sums, force_of_law, place_of_law
 

@@ -19,12 +19,11 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.felt import AT_END, AT_REST, OF_SLAVE, Frame, frame_of, resting
 from teleop.simulation.felt import figures as summed
-from teleop.simulation.given import numbers_of, record
 from teleop.simulation.metrics import given_out
 from teleop.simulation.plan import median_age
 from teleop.simulation.rest import Still
 from teleop.simulation.source import Lines, functions, lines
-from teleop.simulation.structure import structure_of
+from teleop.simulation.structure import numbers_of, record, structure_of
 from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
 from teleop.sweeps.kernels.figures import Figures, LaneFigures

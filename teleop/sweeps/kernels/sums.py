@@ -8,8 +8,7 @@ from operator import add
 from typing import Any
 
 from teleop.simulation.felt import AT_END, names
-from teleop.stages.end import Axis, End, Run
-from teleop.stages.record import Record
+from teleop.stages.end import Axis, End, Record, Run
 
 
 class AxisSums(Record):

@@ -16,7 +16,7 @@ from teleop.law.offers import Facts, broken, seed_energy
 from teleop.physics.plant import MassDamper
 from teleop.scene.playout import Energy
 from teleop.simulation.bodies import exact_bodies
-from teleop.simulation.facts import facts_of, fitted
+from teleop.simulation.notes import facts_of, fitted
 from teleop.stages.scaling import Scaling
 from teleop.sweeps.kernels.kernel import available, figures, plain
 from teleop.sweeps.kernels.scalar import scalar

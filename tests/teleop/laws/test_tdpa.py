@@ -18,7 +18,7 @@ from teleop.law import At
 from teleop.law.offers import seed_energy
 from teleop.laws.tdpa import PAYS, TDPA, Back, Forth, Master, MasterSums, Slave, SlaveSums
 from teleop.scene.loading import load_scene
-from teleop.simulation.facts import facts_of
+from teleop.simulation.notes import facts_of
 from teleop.simulation.virtual import run
 from teleop.stages.watchdog import Watchdog
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm

@@ -19,7 +19,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.ending import typed
 from teleop.simulation.notes import unplayed
-from teleop.simulation.packets import Packets
+from teleop.simulation.plan import Packets
 from teleop.simulation.rest import swings, trend
 from teleop.simulation.virtual import run
 

@@ -11,12 +11,10 @@ from teleop.laws.direct import Direct
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.felt import frame_of
-from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
-from teleop.simulation.recorder import RowRecorder
-from teleop.simulation.source import bind, functions, live_of, loop_of
-from teleop.simulation.structure import live_structure, run_of, structure_of
+from teleop.simulation.source import RowRecorder, bind, functions, live_of, loop_of
+from teleop.simulation.structure import live_structure, numbers_of, run_of, structure_of
 from teleop.simulation.tick import live, loop
 from teleop.stages.end import Recorder
 from teleop.stages.force_cap import Cap

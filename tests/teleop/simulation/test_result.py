@@ -13,7 +13,7 @@ import pytest
 
 from teleop import Refused, Result, load_result, load_scene, run
 from teleop.simulation.metrics import UNITS
-from teleop.simulation.packets import Packets
+from teleop.simulation.plan import Packets
 from teleop.simulation.result import parameters
 from teleop.terminal.run_table import table
 

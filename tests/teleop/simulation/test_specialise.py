@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from teleop.simulation.specialise import NotSpecialised, specialise
-from teleop.stages.record import Record
+from teleop.stages.end import Record
 
 
 class Has(NamedTuple):

@@ -26,11 +26,10 @@ from teleop.physics.plant import MassDamper, grip_force, move_free, move_gripped
 from teleop.scene.playout import Fixed, Hold
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import master_coefficients, reference_samples, slave_plants
-from teleop.simulation.given import numbers_of
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of, rendered
-from teleop.simulation.structure import columns, structure_of
+from teleop.simulation.structure import columns, numbers_of, structure_of
 from teleop.simulation.trace import EndRecord, assemble
 from teleop.simulation.virtual import run
 from teleop.stages.device import Device

@@ -173,7 +173,7 @@ def test_a_scene_without_a_slave_has_no_messages() -> None:
 
 
 def test_conditions_on_a_delay_count_the_silence_before_it_is_known() -> None:
-    from teleop.simulation.facts import facts_of
+    from teleop.simulation.notes import facts_of
 
     fwd = facts_of(load_scene("canonical", law="direct", delay=0.02, deadband=0.1)).fwd
     assert fwd is not None

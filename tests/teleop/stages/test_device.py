@@ -20,9 +20,8 @@ from teleop.laws.pfra import PFRA
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
-from teleop.simulation.given import numbers_of
 from teleop.simulation.source import live_of, rendered
-from teleop.simulation.structure import columns
+from teleop.simulation.structure import columns, numbers_of
 from teleop.simulation.virtual import run
 from teleop.stages.device import Device
 from teleop.stages.encoder import Encoder, encode

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
 from teleop.scene.loading import load_scene
-from teleop.simulation.given import numbers_of
 from teleop.simulation.source import live_of
-from teleop.simulation.structure import columns
+from teleop.simulation.structure import columns, numbers_of
 from teleop.stages.observer import coefficients, observe
 
 INSTANT = 1e9  # 1/s: a filter so fast that f_h_hat is f_bar itself

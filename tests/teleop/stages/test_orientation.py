@@ -22,7 +22,7 @@ from teleop.laws.wave_position import WavePosition
 from teleop.physics.plant import MassDamper
 from teleop.physics.rotation import exp, log, product
 from teleop.scene.scene import Scene
-from teleop.simulation.facts import fitted
+from teleop.simulation.notes import fitted
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run

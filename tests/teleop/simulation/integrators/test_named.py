@@ -7,8 +7,7 @@ import pytest
 from teleop import load_scene, run
 from teleop.errors import Refused
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod
-from teleop.simulation.integrators.named import bodies_of
-from teleop.simulation.integrators.stepped import method_bodies
+from teleop.simulation.integrators.stepped import bodies_of, method_bodies
 
 SHORT = load_scene("hard_wall", duration=1.0)
 

@@ -9,7 +9,7 @@ import pytest
 import teleop.studies.tune.search
 from teleop import load_scene, run
 from teleop.errors import Refused
-from teleop.simulation.facts import unmet
+from teleop.simulation.notes import unmet
 from teleop.studies.margin import margin
 from teleop.studies.tune.search import Scored, Tuned, tune_law
 
